@@ -1,0 +1,98 @@
+"""What a kernel is given and what it answers, in words the whole project shares.
+
+Nothing here needs numba, so the specification, the service and the client may
+import it without compiling anything.
+
+Units throughout: phase phi = omega*t in rad, lengths in plate amplitudes A,
+velocities in A per rad of phase, forces in m*A*omega**2.
+"""
+
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Part of every job's identity: raise it whenever any stored number may change.
+KERNEL_VERSION: Final = "1"
+
+
+class Cell(NamedTuple):
+    """One point of parameter space."""
+
+    gamma: float  # plate acceleration A*omega**2/g
+    omega: float  # plate frequency over the spring's natural frequency
+    xi: float  # damping ratio of the spring
+
+
+class Contact(NamedTuple):
+    """How the lower mass meets the plate.
+
+    `restitution` is always the true restitution of an isolated impact under the
+    chosen law; `penetration` is d = delta_c/A, so that the contact stiffness is
+    1/d**2; `adhesive` chooses whether the contact may pull. The last two mean
+    nothing to models without a soft contact.
+    """
+
+    restitution: float = 0.0
+    penetration: float = 1e-3
+    adhesive: bool = True
+
+
+class Model(IntEnum):
+    """The contact models, cheapest last in fidelity order."""
+
+    SOFT = 0  # spring-dashpot contact, solved exactly
+    STEPPED = 1  # the same contact by fixed time steps, as the paper did
+    RIGID = 2  # ideal plate, restitution e
+    BALL = 3  # one rigid point mass
+
+
+class Outcome(IntEnum):
+    """What became of a cell. A failed trajectory is data, not an error."""
+
+    MISSING = 0  # not computed yet
+    PERIODIC = 1  # the flights repeat
+    APERIODIC = 2  # they do not, within the window
+    AT_REST = 3  # in contact throughout the window
+    UNRESOLVED = 4  # the event budget was spent
+    DIVERGED = 5  # a number stopped being finite
+
+
+class KernelInputError(ValueError):
+    """A kernel was called with something it cannot compute; names the argument and the rule."""
+
+    def __init__(self, argument: str, rule: str) -> None:
+        super().__init__(f"{argument}: {rule}")
+        self.argument = argument
+        self.rule = rule
+
+
+#: The state a ramp carries from cell to cell, and its order in `Line.end_state`.
+STATE_FIELDS: Final = (
+    "phase",  # rad, modulo 2*pi
+    "in_flight",  # 1.0 in flight, 0.0 in contact
+    "gap",  # lower mass above the plate; 0 in a rigid contact, negative in a soft one
+    "gap_velocity",
+    "elongation",  # spring length less its rest length
+    "elongation_velocity",
+)
+
+
+class Start(NamedTuple):
+    """A state to carry on from, with the cell whose units it is in (MODEL: lengths scale with A)."""
+
+    state: NDArray[np.float64]  # (len(STATE_FIELDS),)
+    cell: Cell
+
+
+class Line(NamedTuple):
+    """The record of n cells in the order they were visited."""
+
+    flight_time: NDArray[np.float64]  # (n, keep) rad; the last `keep` flights, NaN beyond `flights`
+    takeoff_phase: NDArray[np.float64]  # (n, keep) rad, modulo 2*pi
+    flights: NDArray[np.int32]  # (n,) flights taken off and landed inside the window
+    outcome: NDArray[np.uint8]  # (n,) an Outcome
+    bounces: NDArray[np.int16]  # (n,) flights per cycle, 0 if none was found
+    periods: NDArray[np.int16]  # (n,) plate periods per cycle
+    end_state: NDArray[np.float64]  # (n, len(STATE_FIELDS)) at the end of each cell's window
