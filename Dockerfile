@@ -1,0 +1,37 @@
+# One image for the three roles; docker-compose.yml says which container plays which.
+# Run alone, it is the service with its own two worker processes.
+FROM python:3.11-slim-bookworm
+
+ENV PIP_NO_CACHE_DIR=1 \
+    PIP_DISABLE_PIP_VERSION_CHECK=1 \
+    PYTHONUNBUFFERED=1 \
+    MPLCONFIGDIR=/tmp/matplotlib \
+    NUMBA_CACHE_DIR=/app/numba-cache
+
+RUN useradd --uid 10001 --no-create-home --home-dir /app --shell /usr/sbin/nologin bounce \
+    && install --directory --owner=bounce --group=bounce /app /data
+
+WORKDIR /app
+
+# The libraries change seldom and the code often: their layer comes first.
+COPY requirements.lock ./
+RUN pip install --require-hashes -r requirements.lock
+
+COPY pyproject.toml README.md LICENSE ./
+COPY kernel ./kernel
+COPY worker ./worker
+COPY service ./service
+RUN pip install --no-deps --no-build-isolation . \
+    && rm -rf build ./*.egg-info kernel worker service
+
+USER 10001
+
+# Compiled once here instead of at every start. Each container has its own copy of this layer,
+# so no two workers share a cache; on another kind of processor numba compiles anew.
+RUN python -c "from kernel.ramp import warm; warm()"
+
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=3 \
+    CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
+CMD ["bounce", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]
