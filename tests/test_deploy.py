@@ -1,0 +1,137 @@
+"""The image and the compose file: valid, closed to the outside, pinned."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+SERVICES: dict[str, dict] = COMPOSE["services"]
+DOCKERFILE = (ROOT / "Dockerfile").read_text().replace("\\\n", "")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LOCK = (ROOT / "requirements.lock").read_text()
+
+
+def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [Path(sys.executable).with_name(name), *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+
+
+def instructions(name: str) -> list[str]:
+    """What follows each `name` in the Dockerfile."""
+    return re.findall(rf"^\s*{name}\s+(.*)$", DOCKERFILE, re.MULTILINE)
+
+
+def locked() -> dict[str, list[Requirement]]:
+    """The lock's pins by library; one may have several, for different Pythons."""
+    pins: dict[str, list[Requirement]] = {}
+    for line in re.findall(r"^([a-z0-9][^\\\n]*==[^\\\n]*)", LOCK, re.MULTILINE):
+        pin = Requirement(line)
+        pins.setdefault(canonicalize_name(pin.name), []).append(pin)
+    return pins
+
+
+def test_compose_file_is_valid():
+    done = tool("check-jsonschema", "--builtin-schema", "vendor.compose-spec", "docker-compose.yml")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_dockerfile_has_no_findings():
+    done = tool("hadolint", "Dockerfile")
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")
+
+
+def test_topology_is_a_scheduler_two_workers_and_the_service():
+    assert set(SERVICES) == {"scheduler", "worker", "service"}
+    assert SERVICES["worker"]["deploy"]["replicas"] == 2
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_container_comes_back_is_watched_and_bounded(name: str):
+    container = SERVICES[name]
+    assert container["restart"] == "unless-stopped"
+    assert container["healthcheck"]["test"][0] == "CMD"
+    assert container["mem_limit"]
+    assert container["cap_drop"] == ["ALL"]
+
+
+def test_only_the_services_port_is_published_and_only_on_loopback():
+    assert [name for name in SERVICES if "ports" in SERVICES[name]] == ["service"]
+    assert SERVICES["service"]["ports"] == ["${BOUNCE_PUBLISH:-127.0.0.1:8000}:8000"]
+    assert not any(container.get("network_mode") for container in SERVICES.values())
+
+
+def test_scheduler_and_workers_have_only_the_inner_network():
+    assert COMPOSE["networks"]["cluster"]["internal"] is True
+    assert SERVICES["scheduler"]["networks"] == SERVICES["worker"]["networks"] == ["cluster"]
+
+
+def test_health_pages_of_dask_stay_in_their_containers():
+    for name in ("scheduler", "worker"):
+        command = SERVICES[name]["command"]
+        assert "--no-dashboard" in command
+        assert command[command.index("--dashboard-address") + 1].startswith("127.0.0.1:")
+
+
+def test_workers_and_service_share_the_data_folder_and_nothing_else():
+    assert SERVICES["worker"]["volumes"] == SERVICES["service"]["volumes"] == ["data:/data"]
+    assert "volumes" not in SERVICES["scheduler"]
+    cache = re.search(r"NUMBA_CACHE_DIR=(\S+)", DOCKERFILE)
+    assert cache
+    assert not cache[1].startswith("/data")
+
+
+def test_image_runs_the_same_service_as_compose():
+    (command,) = re.findall(r"^CMD (.*)$", DOCKERFILE, re.MULTILINE)
+    assert SERVICES["service"]["command"] == [*yaml.safe_load(command), "--scheduler", "tcp://scheduler:8786"]
+
+
+def test_image_does_not_run_as_root():
+    assert int(instructions("USER")[-1]) > 0
+
+
+def test_image_installs_the_lock_before_it_copies_the_code():
+    lines = DOCKERFILE.splitlines()
+    locked_at = next(n for n, line in enumerate(lines) if "--require-hashes -r requirements.lock" in line)
+    code_at = next(n for n, line in enumerate(lines) if line.startswith("COPY kernel"))
+    assert locked_at < code_at
+    assert "--no-deps" in "".join(lines[code_at:])
+
+
+def test_image_gets_everything_it_is_built_from():
+    sources = {word for line in instructions("COPY") for word in line.split()[:-1]}
+    assert all((ROOT / source).exists() for source in sources)
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert sources == let_in
+    assert set(PROJECT["project"]["license-files"]) < sources
+
+
+def test_lock_has_every_library_at_a_version_the_project_takes():
+    project, pins = PROJECT["project"], locked()
+    build = PROJECT["dependency-groups"]["build"]
+    for text in (*project["dependencies"], *project["optional-dependencies"]["s3"], *build):
+        wanted = Requirement(text)
+        found = pins.get(canonicalize_name(wanted.name), [])
+        assert found, f"{wanted} is not in requirements.lock: make it anew"
+        for pin in found:
+            (version,) = pin.specifier
+            assert wanted.specifier.contains(version.version), (
+                f"{pin} in requirements.lock, {wanted} in pyproject"
+            )
+
+
+def test_lock_covers_the_images_python_and_is_hashed():
+    (python,) = re.findall(r"^FROM python:(\d+\.\d+)", DOCKERFILE, re.MULTILINE)
+    environment = {"python_full_version": f"{python}.0", "python_version": python, "sys_platform": "linux"}
+    for name, pins in locked().items():
+        here = [pin for pin in pins if not pin.marker or pin.marker.evaluate(environment)]
+        assert len(here) <= 1, name
+    assert len(re.findall(r"==\S+[^\n]*\\\n    --hash=sha256:", LOCK)) == sum(map(len, locked().values()))
+    assert "://" not in LOCK
