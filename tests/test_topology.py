@@ -1,4 +1,4 @@
-"""The compose file's containers as plain processes on this machine: same commands, same health checks, one job."""
+"""The compose file's containers as plain processes here: same commands, same health checks, one job."""
 
 import json
 import os
@@ -21,6 +21,10 @@ SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_te
 #: Seconds for a process to become healthy, and to end when asked to.
 PATIENCE = 90
 FAREWELL = 20
+
+#: MODEL: what Fig. 2 has at these values of gamma; below threshold the mass never leaves the plate.
+GAMMA = [0.5, 1.5, 2.3, 3.6]
+EXPECTED = [[], [4.855013427295], [3.722384327764, 6.284615845152], [11.246604305128]]
 
 
 def free_port() -> str:
@@ -135,7 +139,7 @@ def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
 
     sweep = {
         "name": "as deployed",
-        "gamma": [0.5, 1.5, 2.3, 3.6],
+        "gamma": GAMMA,
         "omega": 0.5,
         "xi": 0.26,
         "model": {"kind": "rigid"},
@@ -147,11 +151,11 @@ def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
         diagram = client.submit(sweep).wait(progress=False, timeout=PATIENCE).diagram()
 
     assert topology.workers() == 2
-    # MODEL: flight times of Fig. 2, from rest; below threshold it never leaves the plate.
-    flights = [sorted(set(line[line > 0].round(9))) for line in diagram["flight_time"].values]
-    expected = [[], [4.855013427], [3.722384328, 6.284615845], [11.246604305]]
-    for found, known in zip(flights, expected, strict=True):
-        assert found == pytest.approx(known, abs=2e-9)
+    for line, known in zip(diagram["flight_time"].values, EXPECTED, strict=True):
+        found = line[line > 0]
+        nearest = [min(known, key=lambda one: abs(one - flight)) for flight in found]
+        assert set(nearest) == set(known)
+        assert found == pytest.approx(nearest, abs=1e-9)
 
     codes = topology.end()
     assert codes["service"] == 0, topology.processes[-1].log()
