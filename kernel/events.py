@@ -1,0 +1,130 @@
+"""The first zero of a phase function, guaranteed.
+
+Conservative advancement: from where F > 0 is known with its first three derivatives
+and a bound on the fourth, step no further than the first zero of a lower bound of F.
+No zero can lie inside a step, however short a graze is, and near a zero the bound
+touches F to third order, so that the steps converge like Halley's method.
+
+A phase function is given as a smooth part (a parabola and the plate's sinusoid) plus
+a ringing part (a damped oscillation). Where the ringing is fast but small against the
+smooth part, its amplitude alone bounds it and the steps stay as wide as the plate needs.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+from kernel.jit import by_type, jit
+
+#: How a search ends.
+ROOT: Final = 0
+HORIZON: Final = 1  # no zero before the horizon
+SPENT: Final = 2  # the budget of evaluations ran out
+BROKEN: Final = 3  # a number stopped being finite
+
+#: Rounding of one operation.
+EPS: Final = 2.3e-16
+
+#: No step is wider than this, rad.
+WIDEST: Final = 1e3
+
+
+class Terms(NamedTuple):
+    """A phase function at one instant: values, three derivatives, bounds from then on."""
+
+    smooth: float
+    smooth1: float
+    smooth2: float
+    smooth3: float
+    smooth4: float  # bound on |smooth''''|
+    ring: float
+    ring1: float
+    ring2: float
+    ring3: float
+    ring4: float  # bound on |ring''''|
+    amplitude: float  # bound on |ring|; infinite where the parts are not told apart
+    noise: float  # what rounding may have done to the value
+
+
+class Phase(NamedTuple):
+    """The end of one contact or flight, and the state there."""
+
+    tau: float  # rad since it began
+    ending: int  # ROOT, HORIZON, SPENT or BROKEN
+    in_flight: bool  # what follows
+    gap: float
+    gap1: float
+    q: float
+    q1: float
+    used: int  # evaluations
+
+
+@by_type
+def terms(phase: Any, tau: float) -> Terms:
+    """The phase function tau rad into `phase`."""
+    raise TypeError(f"no phase function for {type(phase).__name__}")
+
+
+@jit
+def safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, guess: float) -> float:
+    """How far f0 + f1 s + f2 s^2/2 + f3 s^3/6 - f4 s^4/24 surely stays positive, f0 >= 0, f4 >= 0.
+
+    On [0, h] the second derivative is at least f2 + min(f3, 0) h - f4 h^2/2, which leaves a
+    parabola to solve. h is widened or narrowed until it is about the step it allows.
+    """
+    h = guess
+    best = 0.0
+    for _ in range(8):
+        curve = -f2 - min(f3, 0.0) * h + 0.5 * f4 * h * h
+        if curve > 0.0:
+            root = math.sqrt(f1 * f1 + 2.0 * curve * f0)
+            step = (f1 + root) / curve if f1 > 0.0 else 2.0 * f0 / (root - f1)
+        elif f1 < 0.0:
+            step = -f0 / f1
+        else:
+            step = h
+        if step >= h:
+            best = max(best, h)
+            h *= 3.0
+            if h > WIDEST:
+                break
+        else:
+            best = max(best, step)
+            if step > 0.5 * h or 1.5 * step <= best:
+                break
+            h = 1.5 * step
+    return best
+
+
+@jit
+def departure_step(f2: float, f3: float, f4: float) -> float:
+    """A first step from F = F' = 0: half of where f2/2 + f3 s/6 - f4 s^2/24 reaches zero."""
+    half = 2.0 * f3 / f4
+    return 0.5 * (half + math.sqrt(max(half * half + 12.0 * max(f2, 0.0) / f4, 0.0)))
+
+
+@jit
+def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
+    """First time after `start` at which the phase's function, positive just after it, falls to zero.
+
+    Times in rad from the start of the phase. Returns (tau, ROOT | HORIZON | SPENT | BROKEN, evaluations used).
+    """
+    tau = start
+    guess = 0.5
+    for used in range(budget):
+        if tau >= horizon:
+            return horizon, HORIZON, used
+        t = terms(phase, tau)
+        f0 = t.smooth + t.ring
+        f1 = t.smooth1 + t.ring1
+        if not math.isfinite(f0 + f1 + t.smooth4 + t.ring4):
+            return tau, BROKEN, used + 1
+        if f0 <= t.noise and f1 < 0.0:
+            return max(tau - f0 / f1, start), ROOT, used + 1
+        f0 = max(f0, 0.0)
+        step = safe_step(f0, f1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4, guess)
+        clear = t.smooth - t.amplitude
+        if clear > 0.0:
+            step = max(step, safe_step(clear, t.smooth1, t.smooth2, t.smooth3, t.smooth4, guess))
+        guess = 2.0 * step
+        tau += step
+    return tau, SPENT, budget

@@ -1,0 +1,54 @@
+"""The one way a kernel function is compiled, and the one way it is chosen.
+
+Compiled code is cached on disk only where NUMBA_CACHE_DIR says so. Numba looks at
+the file of the outermost function alone to decide whether a cached one is stale,
+so whoever sets that folder must name it after the kernel's sources (the worker
+does); a cache beside the sources would outlive a change in an inner file.
+"""
+
+import functools
+import os
+from collections.abc import Callable
+from typing import Any, Final, TypeVar, cast
+
+import numba
+from numba.extending import overload
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+_OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
+
+
+def jit(function: _Function) -> _Function:
+    """Compile for scalars and arrays: no GIL, no exceptions, IEEE arithmetic as written."""
+    cache = "NUMBA_CACHE_DIR" in os.environ
+    return cast(_Function, numba.njit(cache=cache, **_OPTIONS)(function))
+
+
+class by_type:  # noqa: N801 - a decorator
+    """A kernel function with one implementation for each type of its first argument, a NamedTuple.
+
+    Resolved while compiling, so it costs nothing; functions passed as arguments would do the
+    same but cannot be cached. Without compilation (NUMBA_DISABLE_JIT=1) it is an ordinary look-up.
+    """
+
+    def __init__(self, declaration: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, declaration)
+        self._implementations: dict[type, Callable[..., Any]] = {}
+        overload(self, jit_options=_OPTIONS)(lambda first, *rest: self._resolve(first))
+
+    def __call__(self, first: Any, *rest: Any) -> Any:
+        return self._implementations[type(first)](first, *rest)
+
+    def _resolve(self, first: Any) -> Callable[..., Any] | None:
+        chosen = self._implementations.get(getattr(first, "instance_class", type(None)))
+        return None if chosen is None else lambda first, *rest: chosen(first, *rest)
+
+    def register(self, kind: type) -> Callable[[_Function], _Function]:
+        """Decorator: this function answers for first arguments of type `kind`."""
+
+        def remember(function: _Function) -> _Function:
+            self._implementations[kind] = function
+            return function
+
+        return remember

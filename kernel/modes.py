@@ -1,0 +1,45 @@
+"""From flights to the mode (bounces, periods) as the paper writes it."""
+
+import math
+from typing import Any, Final
+
+from kernel.jit import jit
+
+TWO_PI: Final = 2.0 * math.pi
+
+#: Flights repeat when their times and take-off phases agree within this, rad.
+REPEATS: Final = 1e-6
+
+
+@jit
+def find_cycle(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
+    """The shortest cycle that the last flights follow: (bounces, plate periods), or (0, 0).
+
+    Arrays (n,) in order: rad, rad modulo 2 pi, plate periods since the cell began. A cycle must
+    hold over the last half of the flights and be seen three times.
+    """
+    n = len(flight_time)
+    for bounces in range(1, n // 3 + 1):
+        first = n - max(n // 2, 2 * bounces)
+        periods = takeoff_period[n - 1] - takeoff_period[n - 1 - bounces]
+        turn = takeoff_phase[n - 1] - takeoff_phase[n - 1 - bounces]
+        if turn > math.pi:
+            periods += 1
+        elif turn < -math.pi:
+            periods -= 1
+        if periods < 1:
+            continue
+        found = True
+        for i in range(n - 1, first - 1, -1):
+            j = i - bounces
+            turned = (
+                takeoff_phase[i]
+                - takeoff_phase[j]
+                + TWO_PI * (takeoff_period[i] - takeoff_period[j] - periods)
+            )
+            if abs(flight_time[i] - flight_time[j]) > REPEATS or abs(turned) > REPEATS:
+                found = False
+                break
+        if found:
+            return bounces, periods
+    return 0, 0

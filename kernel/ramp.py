@@ -1,0 +1,178 @@
+"""A line of cells along a protocol, to record arrays: the one way into the kernels.
+
+`rest` starts every cell from rest at its own parameters. A ramp carries the state over:
+what is kept is the physical motion, and since A goes like Gamma/Omega**2, lengths in plate
+amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities by
+(Gamma_old/Gamma_new)(Omega_new/Omega_old) (MODEL section 4).
+"""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.jit import jit
+from kernel.model import flies, prepare, rest
+from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Start
+from kernel.rigid import RigidPlate
+from kernel.trajectory import DIVERGED, Flights, Window, classify, run_cell
+
+#: Flights remembered for finding the mode, when fewer are to be kept.
+REMEMBERED: Final = 256
+
+
+@jit
+def _walk(
+    plate: Any, gamma: Any, omega: Any, xi: Any,
+    carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
+) -> None:  # fmt: skip
+    """Run a line cell by cell; `state` and `before` = (gamma, omega) are what to carry on from, if `started`."""
+    keep = line.flight_time.shape[1]
+    size = max(keep, REMEMBERED)
+    flights = Flights(np.empty(size), np.empty(size), np.empty(size, dtype=np.int64))
+    for i in range(len(gamma)):
+        cell = prepare(plate, i, gamma[i], omega[i], xi[i])
+        if carry and started:
+            _rescale(state, before, gamma[i], omega[i])
+        else:
+            state[0] = 0.0
+            state[2], state[3], state[4], state[5] = rest(cell)
+        in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
+        state[1] = 1.0 if in_flight else 0.0
+        run = run_cell(cell, state, window, flights)
+        outcome, bounces, periods = classify(run, flights, window.micro_flight)
+        line.flights[i], line.outcome[i] = run.recorded, outcome
+        line.bounces[i], line.periods[i] = bounces, periods
+        kept = min(run.recorded, keep)
+        for k in range(kept):
+            slot = (run.recorded - kept + k) % size
+            line.flight_time[i, k] = flights.time[slot]
+            line.takeoff_phase[i, k] = flights.phase[slot]
+        line.end_state[i] = state
+        before[0], before[1] = gamma[i], omega[i]
+        started = outcome != DIVERGED  # nothing can be carried on from there
+
+
+@jit
+def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
+    velocity = before[0] / gamma * (omega / before[1])
+    length = velocity * (omega / before[1])
+    state[2] *= length
+    state[3] *= velocity
+    state[4] *= length
+    state[5] *= velocity
+
+
+_MODELS: Final = (Model.RIGID,)
+
+
+def run_line(
+    gamma: NDArray[np.float64],
+    omega: NDArray[np.float64],
+    xi: NDArray[np.float64],
+    *,
+    model: Model,
+    restitution: NDArray[np.float64],
+    penetration: NDArray[np.float64],
+    adhesive: bool,
+    carry: bool,
+    settle: int,
+    observe: int,
+    keep: int,
+    micro_flight: float = 0.0,
+    start: Start | None = None,
+) -> Line:
+    """Run n cells in the order given and return their record.
+
+    gamma, omega, xi, restitution, penetration: float64 (n,). With `carry` each cell goes on from
+    its predecessor's end, the first from `start` or from rest; without, every cell starts from
+    rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad.
+
+    A trajectory that fails is an outcome. Raises KernelInputError for arguments no cell can have.
+    """
+    arrays = {
+        "gamma": gamma,
+        "omega": omega,
+        "xi": xi,
+        "restitution": restitution,
+        "penetration": penetration,
+    }
+    _check_arrays(arrays)
+    _check_window(settle, observe, keep, micro_flight)
+    if model not in _MODELS:
+        raise KernelInputError("model", f"must be one of {', '.join(m.name.lower() for m in _MODELS)}")
+    n = len(gamma)
+    line = Line(
+        np.full((n, keep), np.nan),
+        np.full((n, keep), np.nan),
+        np.zeros(n, dtype=np.int32),
+        np.zeros(n, dtype=np.uint8),
+        np.zeros(n, dtype=np.int16),
+        np.zeros(n, dtype=np.int16),
+        np.full((n, len(STATE_FIELDS)), np.nan),
+    )
+    state = np.zeros(len(STATE_FIELDS)) if start is None else _checked_state(start)
+    before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
+    window = Window(int(settle), int(observe), float(micro_flight))
+    plate = RigidPlate(restitution)
+    _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line)
+    return line
+
+
+def warm() -> None:
+    """Compile every kernel a worker may be asked for."""
+    one = np.ones(1)
+    for model in _MODELS:
+        run_line(
+            one, one, one, model=model, restitution=0.5 * one, penetration=1e-3 * one, adhesive=True,
+            carry=True, settle=0, observe=1, keep=1, start=Start(np.zeros(len(STATE_FIELDS)), Cell(1.0, 1.0, 1.0)),
+        )  # fmt: skip
+
+
+#: What a cell's numbers must satisfy: name -> (test, rule).
+_RULES: Final[dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.bool_]], str]]] = {
+    "gamma": (lambda a: a > 0.0, "must be > 0"),
+    "omega": (lambda a: a > 0.0, "must be > 0"),
+    "xi": (lambda a: a >= 0.0, "must be >= 0"),
+    "restitution": (lambda a: (a >= 0.0) & (a <= 1.0), "must lie in [0, 1]"),
+    "penetration": (lambda a: a > 0.0, "must be > 0"),
+}
+
+
+def _check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
+    shape = None
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64:
+            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise KernelInputError(
+                name, f"must be a float64 array, got {kind}; numpy.asarray(..., dtype=float) makes one"
+            )
+        if array.ndim != 1 or len(array) == 0:
+            raise KernelInputError(name, f"must have shape (n,) with n >= 1, got {array.shape}")
+        shape = shape or array.shape
+        if array.shape != shape:
+            raise KernelInputError(name, f"must have the shape of gamma, {shape}, got {array.shape}")
+        test, rule = _RULES[name]
+        wrong = np.flatnonzero(~(np.isfinite(array) & test(array)))
+        if len(wrong):
+            raise KernelInputError(name, f"{rule} and be finite, got {array[wrong[0]]} at index {wrong[0]}")
+
+
+def _check_window(settle: int, observe: int, keep: int, micro_flight: float) -> None:
+    for name, value, least in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise KernelInputError(name, f"must be an integer >= {least}, got {value!r}")
+    if not np.isfinite(micro_flight) or micro_flight < 0.0:
+        raise KernelInputError("micro_flight", f"must be >= 0 and finite, got {micro_flight!r}")
+
+
+def _checked_state(start: Start) -> NDArray[np.float64]:
+    state = np.array(start.state, dtype=np.float64)
+    if state.shape != (len(STATE_FIELDS),) or not np.all(np.isfinite(state)):
+        raise KernelInputError(
+            "start", f"must hold {len(STATE_FIELDS)} finite numbers: {', '.join(STATE_FIELDS)}"
+        )
+    if not all(np.isfinite(v) and v > 0.0 for v in start.cell[:2]):
+        raise KernelInputError("start", "must name the gamma > 0 and omega > 0 its lengths are measured in")
+    return state

@@ -1,0 +1,25 @@
+"""When a spring at rest on the plate first leaves it (paper section 3.3.1, mended as in MODEL section 5)."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def threshold(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
+    """Gamma_th of Eq. 25; omega > 0 and xi >= 0 broadcast together.
+
+    Zero for an undamped spring at resonance, infinite for one at Omega = sqrt(2).
+    """
+    omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
+    square = omega * omega
+    with np.errstate(divide="ignore"):
+        stuck = np.hypot(1.0 - square, 2.0 * xi * omega)
+        return np.asarray(2.0 * stuck / np.hypot(2.0 - square, 4.0 * xi * omega))
+
+
+def takeoff_phase(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
+    """Phase (rad, in [0, 2 pi)) at which n first vanishes at Gamma_th: Eq. 24 by atan2."""
+    omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
+    square = omega * omega
+    # n touches zero where N e^{i phi} is real, N = (2 - Omega^2 + 4 i xi Omega)/(1 - Omega^2 + 2 i xi Omega)
+    phase = np.arctan2(2.0 * xi * omega, 1.0 - square) - np.arctan2(4.0 * xi * omega, 2.0 - square)
+    return np.asarray(np.mod(phase, 2.0 * np.pi))
