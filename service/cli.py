@@ -1,0 +1,216 @@
+"""The command `bounce`. Whatever takes long to import is imported by the command that needs it."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from service.commands import Bounce, line_options, service_options
+
+if TYPE_CHECKING:
+    from service.client import Client, Job
+
+PICTURES: Final = ("png", "svg")
+FORMATS: Final = (*PICTURES, "csv", "json")
+
+
+@click.group(cls=Bounce, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="bouncing-spring")
+def main() -> None:
+    """Bifurcation diagrams of the bouncing spring over Γ × Ω × ξ.
+
+    Start a service with "bounce serve", hand it sweeps with "bounce submit", and draw what it found with
+    "bounce diagram". Or let "bounce figure 2" do all of it for one figure of the paper.
+    """
+
+
+@main.command()
+@click.option("--host", help="Address to listen on.  [default: 127.0.0.1]")
+@click.option("--port", type=int, help="Port to listen on; 0 takes a free one.  [default: 8000]")
+@click.option(
+    "--data", type=click.Path(file_okay=False), help="Folder of ledger and stores.  [default: ./bounce-data]"
+)
+@click.option("--workers", type=int, help="Processes of the embedded cluster.  [default: 2]")
+@click.option("--scheduler", help="Address of a Dask scheduler, instead of an embedded cluster.")
+@click.option("--scheduler-file", type=click.Path(), help="File in which a Dask scheduler left its address.")
+def serve(**given: str | int | None) -> None:
+    """Run the service until SIGINT or SIGTERM.
+
+    Every option may also be set as BOUNCE_HOST, BOUNCE_PORT and so on.
+    """
+    from service import embedded
+
+    embedded.serve(embedded.settings(**given), announce=click.echo)
+
+
+@main.command()
+@click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
+@click.option("--wait", is_flag=True, help="Show progress and return when the job is done.")
+@service_options
+def submit(spec: str, wait: bool, url: str, token: str | None) -> None:
+    """Hand in the sweep in the file SPEC and print its job's id.
+
+    SPEC ends in .json or .toml, or is - for JSON on standard input. The same sweep is the same job: one
+    that is done is not computed again, one that failed or was cancelled goes on.
+    """
+    from service.client.specification import read
+
+    with _client(url, token) as client:
+        job = client.submit(spec if spec != "-" else read(sys.stdin.buffer.read()))
+        click.echo(job.id)
+        if wait:
+            _wait(job)
+
+
+@main.command()
+@click.argument("job_id", metavar="ID")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@service_options
+def status(job_id: str, as_json: bool, url: str, token: str | None) -> None:
+    """Say how far job ID is."""
+    from service import listing
+
+    with _client(url, token) as client:
+        job = client.job(job_id)
+        click.echo(listing.as_json(job.view) if as_json else listing.report(job))
+
+
+@main.command()
+@click.argument("job_id", metavar="ID")
+@click.option("--timeout", type=click.FloatRange(min=0), help="Give up waiting after so many seconds.")
+@service_options
+def wait(job_id: str, timeout: float | None, url: str, token: str | None) -> None:
+    """Show job ID's progress until it is done.
+
+    The exit code is 0 only if the job succeeded.
+    """
+    with _client(url, token) as client:
+        _wait(client.job(job_id), timeout)
+
+
+@main.command()
+@click.argument("job_id", metavar="ID")
+@service_options
+def cancel(job_id: str, url: str, token: str | None) -> None:
+    """Stop job ID. What it has computed is kept; submitting the same sweep again resumes it."""
+    from service.client.display import summary
+
+    with _client(url, token) as client:
+        click.echo(summary(client.job(job_id).cancel()), err=True)
+
+
+@main.command("list")
+@click.option(
+    "--state", type=click.Choice(["queued", "running", "done", "failed", "cancelled"]), help="Only these."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@service_options
+def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> None:
+    """List the jobs, newest first."""
+    from service import listing
+
+    with _client(url, token) as client:
+        jobs = list(client.jobs(state))
+    click.echo(listing.as_json([job.view for job in jobs]) if as_json else listing.table(jobs))
+
+
+@main.command()
+@click.argument("job_id", metavar="ID")
+@line_options
+@click.option("--format", type=click.Choice(FORMATS), help="What to write.  [default: the ending of FILE]")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
+              help="File to write; - writes to standard output.")  # fmt: skip
+@service_options
+def diagram(job_id: str, output: str, format: str | None, url: str, token: str | None, **line: Any) -> None:  # noqa: ANN401
+    """Draw job ID's bifurcation diagram along one axis.
+
+    With csv or json, write its points instead. For example:
+
+      bounce diagram ID --along gamma --omega 0.5 --xi 0.26 -o fig.png
+    """
+    chosen = format or _format_of(output, FORMATS)
+    with _client(url, token) as client:
+        job = client.job(job_id)
+        _write(output, job.picture(format=chosen, **line))
+    if job.state != "done":
+        click.echo(
+            f"the job is {job.state} at {job.progress.whole_percent}%: the diagram is incomplete", err=True
+        )
+
+
+@main.command()
+@click.argument("number", type=int, metavar="N")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
+              help="File to write, .png or .svg.  [default: figure-N.png]")  # fmt: skip
+@click.option(
+    "--data", type=click.Path(file_okay=False), help="Folder of ledger and stores.  [default: ./bounce-data]"
+)
+@click.option("--workers", type=int, help="Processes of the embedded cluster.  [default: 2]")
+@click.option("--url", help="Use the service that listens here instead of an embedded one.")
+@click.option("--token", envvar="BOUNCE_TOKEN", help="What that service asks for, if it does.")
+def figure(
+    number: int, output: str | None, url: str | None, token: str | None, **given: str | int | None
+) -> None:
+    """Make figure N of the paper, start to end.
+
+    Starts a service of its own with two worker processes, hands it the figure's sweeps, and draws what it
+    found. A second run finds the finished job in the data folder and only draws.
+    """
+    from service import figures
+
+    chosen = figures.figure(number)
+    target = output or f"figure-{number}.png"
+    format = _format_of(target, PICTURES)
+    with _service(url, given) as address, _client(address, token) as client:
+        _write(target, chosen.make(client, format))
+    click.echo(f"{target}: {chosen.title}", err=True)
+
+
+@contextmanager
+def _service(url: str | None, given: dict[str, str | int | None]) -> Iterator[str]:
+    """The address of the service that was named, or of one that lives as long as this block."""
+    if url is not None:
+        yield url
+        return
+    from service import embedded
+
+    click.echo("starting a service with its workers", err=True)
+    with embedded.running(embedded.settings(**given, host="127.0.0.1", port=0)) as address:
+        yield address
+
+
+def _client(url: str, token: str | None) -> "Client":
+    from service.client import Client
+
+    return Client(url, token)
+
+
+def _wait(job: "Job", timeout: float | None = None) -> None:
+    try:
+        job.wait(timeout=timeout)
+    except KeyboardInterrupt:
+        click.echo(f"stopped waiting; the job goes on (stop it with: bounce cancel {job.id})", err=True)
+        sys.exit(130)
+
+
+def _format_of(output: str, formats: tuple[str, ...]) -> str:
+    """The format that a file's ending asks for. Raises a usage error naming those there are."""
+    ending = Path(output).suffix.lower().removeprefix(".")
+    if ending not in formats:
+        raise click.BadParameter(
+            f"{output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"
+        )
+    return ending
+
+
+def _write(output: str, content: bytes) -> None:
+    """Write a file whole or not at all: what was there stays until the new content is complete."""
+    with click.open_file(output, "wb", atomic=output != "-") as file:
+        file.write(content)
+
+
+if __name__ == "__main__":
+    main()

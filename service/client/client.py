@@ -1,0 +1,103 @@
+"""The way in: one service, its jobs and its closed forms."""
+
+import re
+from collections.abc import Iterator
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from service.client.errors import NotFound, Problem, UnexpectedAnswer
+from service.client.job import Job
+from service.client.specification import Specification, body
+from service.client.transport import Transport, document
+
+if TYPE_CHECKING:
+    import httpx2
+
+DEFAULT_URL = "http://127.0.0.1:8000"
+
+
+class Client:
+    """A running service.
+
+        with Client() as client:
+            job = client.submit({"gamma": {"start": 1, "stop": 6, "num": 1001}, "omega": 0.5, "xi": 0.26})
+            diagram = job.wait().diagram()
+
+    `url` is where it listens, `token` what it asks for when it does not listen on loopback, `timeout` the
+    seconds one answer may take. `http` carries the requests instead of the client's own connection (for
+    proxies, certificates, or an application in this process); it stays open when the client is closed.
+    Every error raised on purpose is a `BounceError`.
+    """
+
+    def __init__(
+        self,
+        url: str = DEFAULT_URL,
+        token: str | None = None,
+        timeout: float = 30.0,
+        *,
+        http: "httpx2.Client | None" = None,
+    ) -> None:
+        self._transport = Transport(url, token=token, timeout=timeout, http=http)
+
+    @property
+    def url(self) -> str:
+        """Where the service is."""
+        return self._transport.url
+
+    def submit(self, spec: Specification) -> Job:
+        """Hand in a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
+
+        The same sweep is the same job, however often it is handed in: one that is done comes back done, one
+        that failed or was cancelled goes on. Raises InvalidSpecification naming field and rule, TooLarge,
+        or Busy.
+        """
+        return Job(self._transport, self._transport.post("/v1/jobs", body(spec), repeat=True))
+
+    def job(self, id: str) -> Job:
+        """The job with this id. Raises NotFound."""
+        return Job(self._transport, self._transport.get(f"/v1/jobs/{_job_id(id)}"))
+
+    def jobs(self, state: str | None = None) -> Iterator[Job]:
+        """All jobs, newest first, or those in one state; fetched page by page."""
+        query: dict[str, Any] = {"state": state}
+        while True:
+            page = document(self._transport.get("/v1/jobs", query))
+            for view in _views(page):
+                yield Job.listed(self._transport, view)
+            if not page.get("next"):
+                return
+            query["cursor"] = page["next"]
+
+    def threshold(self, omega: float, xi: float) -> float:
+        """Γ_th, where a spring at rest begins to bounce (the paper's Eq. 25). Raises BadRequest."""
+        answer = document(self._transport.get("/v1/threshold", {"omega": omega, "xi": xi}))
+        return float(answer["threshold"])
+
+    def close(self) -> None:
+        """Close the connections. The jobs go on."""
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<Client {self.url}>"
+
+
+def _views(page: dict[str, Any]) -> list[Any]:
+    if not isinstance(page.get("jobs"), list):
+        raise UnexpectedAnswer("the service answered with something that is not a list of jobs")
+    return list(page["jobs"])
+
+
+def _job_id(text: str) -> str:
+    """The id if it can be one, so that no text given as an id reaches another address."""
+    if not re.fullmatch("[0-9a-f]{32}", text):
+        detail = f"no job has the id {text!r}: an id is 32 hex digits"
+        raise NotFound(Problem(status=404, title="Not Found", detail=detail))
+    return text
