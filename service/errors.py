@@ -1,0 +1,181 @@
+"""What the service refuses, and the one table that turns it into HTTP.
+
+    ServiceError
+    ├── WrongMediaType         the body is declared as something else
+    ├── BodyTimeout            the body did not arrive in time
+    ├── InvalidRequest         a field breaks a rule; names both
+    ├── UnknownJob             no job has this id
+    ├── IllegalTransition      the job is not in a state that allows this
+    ├── TooLarge               body, sweep or answer above a cap; says what would fit
+    ├── QueueFull              too many jobs wait already
+    ├── DataFolderBusy         another service uses the data folder (only at start)
+    └── LedgerUnusable         the ledger was written by a newer version (only at start)
+
+A specification that cannot be used is the worker's `SpecError`, told in its own words.
+Errors travel as `application/problem+json` (RFC 9457) with an extension:
+`errors`, a list of `{"field", "rule"}`.
+"""
+
+import json
+import logging
+import sqlite3
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, Final, cast
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+
+from worker.problems import Problem as Broken
+from worker.problems import SpecError, SpecTooLarge, SpecUnreadable
+
+log = logging.getLogger(__name__)
+
+
+class ServiceError(Exception):
+    """Root of what the service refuses on purpose; the text is fit to show to a user."""
+
+    def __init__(self, detail: str, rules: Sequence[Broken] = ()) -> None:
+        super().__init__(detail)
+        self.problems = tuple(rules)
+
+
+class WrongMediaType(ServiceError):
+    """The body is declared as something else than JSON."""
+
+
+class BodyTimeout(ServiceError):
+    """The body did not arrive in time."""
+
+
+class InvalidRequest(ServiceError):
+    """A field of the request breaks a rule."""
+
+    @classmethod
+    def of(cls, field: str, rule: str) -> "InvalidRequest":
+        """The error for one field."""
+        return cls(f"{field}: {rule}", [Broken(field, rule)])
+
+
+class UnknownJob(ServiceError):
+    """No job has this id."""
+
+
+class IllegalTransition(ServiceError):
+    """The job is not in a state that allows this."""
+
+
+class TooLarge(ServiceError):
+    """Body, sweep or answer above a cap."""
+
+
+class QueueFull(ServiceError):
+    """Too many jobs wait already."""
+
+
+class DataFolderBusy(ServiceError):
+    """Another service uses the data folder."""
+
+
+class LedgerUnusable(ServiceError):
+    """The ledger was written by a newer version."""
+
+
+#: The one table, the first that fits. What is not here is a defect of the service and answers 500.
+STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
+    SpecUnreadable: HTTPStatus.BAD_REQUEST,
+    SpecTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    SpecError: HTTPStatus.UNPROCESSABLE_ENTITY,
+    WrongMediaType: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
+    BodyTimeout: HTTPStatus.REQUEST_TIMEOUT,
+    InvalidRequest: HTTPStatus.UNPROCESSABLE_ENTITY,
+    UnknownJob: HTTPStatus.NOT_FOUND,
+    IllegalTransition: HTTPStatus.CONFLICT,
+    TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
+    sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
+}
+
+#: Seconds a client is asked to wait before it tries again.
+RETRY_AFTER: Final[Mapping[HTTPStatus, int]] = {
+    HTTPStatus.TOO_MANY_REQUESTS: 5,
+    HTTPStatus.SERVICE_UNAVAILABLE: 2,
+}
+
+
+class Problem(Response):
+    """A problem document."""
+
+    media_type = "application/problem+json"
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        rules: Sequence[Broken] = (),
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        status = HTTPStatus(status)
+        waits = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
+        document: dict[str, Any] = {"title": status.phrase, "status": int(status), "detail": detail}
+        if rules:
+            document["errors"] = [rule._asdict() for rule in rules]
+        super().__init__(json.dumps(document), status, {**waits, **(headers or {})})
+
+
+def install(app: FastAPI) -> None:
+    """Make every error of `app` a problem document."""
+    for kind in STATUS:
+        app.add_exception_handler(kind, _refused)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(Exception, _defect)
+
+
+def problem_of(error: Exception) -> Problem:
+    """The problem document of an error in STATUS."""
+    status = next(status for kind, status in STATUS.items() if isinstance(error, kind))
+    if isinstance(error, sqlite3.OperationalError):
+        log.error("the ledger does not answer: %s", error)
+        return Problem(status, f"the ledger does not answer: {error}")
+    return Problem(status, str(error), getattr(error, "problems", ()))
+
+
+def _refused(_: Request, error: Exception) -> Response:
+    return problem_of(error)
+
+
+def _invalid(_: Request, error: Exception) -> Response:
+    """Query parameters that break a rule; the input is not repeated, it may not be valid JSON."""
+    entries = cast(RequestValidationError, error).errors()
+    rules = [Broken(_name(entry["loc"]), _rule(entry)) for entry in entries]
+    return Problem(422, "; ".join(f"{field}: {rule}" for field, rule in rules), rules)
+
+
+def _name(location: Sequence[str | int]) -> str:
+    """`("query", "limit")` → `limit`."""
+    return ".".join(str(part) for part in location[1:]) or str(location[0])
+
+
+def _rule(entry: Mapping[str, Any]) -> str:
+    if entry["type"] == "extra_forbidden":
+        return "there is no such parameter"
+    message = str(entry["msg"])
+    return message.removeprefix("Value error, ").removeprefix("Input ")
+
+
+def _http(request: Request, error: Exception) -> Response:
+    """Starlette's own 404 and 405."""
+    refusal = cast(HTTPException, error)
+    detail = refusal.detail
+    if refusal.status_code == HTTPStatus.NOT_FOUND:
+        detail = f"there is nothing at {request.url.path}; the calls are listed at /docs"
+    if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        detail = f"{request.url.path} does not answer {request.method}"
+    return Problem(refusal.status_code, detail, headers=refusal.headers)
+
+
+def _defect(request: Request, error: Exception) -> Response:
+    log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    return Problem(500, "this is a defect of the service; its log says more")

@@ -1,0 +1,278 @@
+"""Jobs and their finished chunks in one SQLite file: the truth about what is done.
+
+WAL and synchronous=FULL: what a transaction has said is on the disk when it returns.
+One connection writes and one reads, each behind its lock, so that a poll never waits for a commit.
+Only finished chunks have a row; a chunk without one is to be computed.
+"""
+
+import fcntl
+import json
+import sqlite3
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import IO, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import DataFolderBusy, LedgerUnusable
+from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState, NewJob, check_transition
+
+#: Script n takes a ledger from version n to n + 1; `user_version` remembers how many have run.
+MIGRATIONS: Final = (
+    """
+    CREATE TABLE jobs (
+        seq INTEGER PRIMARY KEY AUTOINCREMENT,
+        id TEXT NOT NULL UNIQUE,
+        name TEXT NOT NULL,
+        spec TEXT NOT NULL,
+        kernel_version TEXT NOT NULL,
+        chunk_shape TEXT NOT NULL,
+        state TEXT NOT NULL,
+        cancel_requested INTEGER NOT NULL DEFAULT 0,
+        error TEXT,
+        created REAL NOT NULL,
+        started REAL,
+        finished REAL,
+        run_started REAL,
+        run_cells INTEGER NOT NULL DEFAULT 0,
+        chunks_done INTEGER NOT NULL DEFAULT 0,
+        chunks_total INTEGER NOT NULL,
+        cells_done INTEGER NOT NULL DEFAULT 0,
+        cells_total INTEGER NOT NULL
+    );
+    CREATE INDEX jobs_by_state ON jobs (state, seq);
+    CREATE TABLE chunks (
+        job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
+        chunk INTEGER NOT NULL,
+        cells INTEGER NOT NULL,
+        seconds REAL NOT NULL,
+        checksum TEXT NOT NULL,
+        outcomes TEXT NOT NULL,
+        PRIMARY KEY (job, chunk)
+    ) WITHOUT ROWID;
+    """,
+)
+
+Column = str | float | bool | None
+
+#: Rows of the chunks table read at once, so that a huge job does not keep the pollers waiting.
+PAGE: Final = 50_000
+
+
+class Reading:
+    """Questions to the ledger, on one connection."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._sql = connection
+
+    def find(self, job_id: str) -> JobRecord | None:
+        """The job, if there is one."""
+        row = self._sql.execute("SELECT * FROM jobs WHERE id = ?", (job_id,)).fetchone()
+        return _record(row) if row else None
+
+    def newest(self, state: JobState | None, limit: int) -> list[JobRecord]:
+        """Jobs, the last accepted first."""
+        where, values = ("WHERE state = ?", [state]) if state else ("", [])
+        rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", [*values, limit])
+        return [_record(row) for row in rows]
+
+    def count(self, states: Sequence[JobState]) -> int:
+        """Number of jobs in any of `states`."""
+        marks = ",".join("?" * len(states))
+        row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE state IN ({marks})", states).fetchone()
+        return int(row[0])
+
+    def unfinished(self, limit: int) -> list[JobRecord]:
+        """Running jobs, then queued ones, each in the order they were accepted."""
+        found: list[JobRecord] = []
+        for state in reversed(UNFINISHED):
+            rows = self._sql.execute(
+                "SELECT * FROM jobs WHERE state = ? ORDER BY seq LIMIT ?", (state, limit - len(found))
+            )
+            found += [_record(row) for row in rows]
+        return found
+
+    def done_chunks(self, job: JobRecord, first: int, last: int) -> list[int]:
+        """Indices of the finished chunks from `first` up to but without `last`."""
+        rows = self._sql.execute(
+            "SELECT chunk FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?", (job.seq, first, last)
+        )
+        return [row[0] for row in rows]
+
+
+class Writing(Reading):
+    """Changes of the ledger, within one transaction."""
+
+    def insert(self, job: NewJob, now: float) -> None:
+        """Accept a job."""
+        self._sql.execute(
+            "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
+            " cells_total) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                job.id,
+                job.name,
+                job.spec,
+                job.kernel_version,
+                json.dumps(job.chunk_shape),
+                JobState.QUEUED,
+                now,
+                job.chunks_total,
+                job.cells_total,
+            ),
+        )
+
+    def queue(self, job: JobRecord) -> None:
+        """Let a job that ended start again; what is done of it is kept."""
+        self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False)
+
+    def run(self, job: JobRecord, now: float) -> None:
+        """The supervisor picks the job up."""
+        if job.state is not JobState.RUNNING:
+            check_transition(job.state, JobState.RUNNING)
+        self._update(
+            job,
+            state=JobState.RUNNING,
+            started=job.started or now,
+            run_started=now,
+            run_cells=job.cells_done,
+        )
+
+    def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
+        """End the job as done, failed or cancelled."""
+        self._move(job, state, finished=now, error=error, cancel_requested=False)
+
+    def request_cancel(self, job: JobRecord, wanted: bool) -> None:
+        """Note that a running job shall stop, or after all go on."""
+        self._update(job, cancel_requested=wanted)
+
+    def mark_done(self, job: JobRecord, chunks: Iterable[DoneChunk]) -> None:
+        """Mark chunks that are written; one that is marked already stays as it is."""
+        fresh = [chunk for chunk in chunks if self._insert_chunk(job, chunk)]
+        self._sql.execute(
+            "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ? WHERE seq = ?",
+            (len(fresh), sum(chunk.cells for chunk in fresh), job.seq),
+        )
+
+    def _insert_chunk(self, job: JobRecord, done: DoneChunk) -> bool:
+        counts = json.dumps(list(done.outcomes))
+        inserted = self._sql.execute(
+            "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?)",
+            (job.seq, done.chunk, done.cells, done.seconds, done.checksum, counts),
+        )
+        return inserted.rowcount == 1
+
+    def _move(self, job: JobRecord, state: JobState, **columns: Column) -> None:
+        check_transition(job.state, state)
+        self._update(job, state=state, **columns)
+
+    def _update(self, job: JobRecord, **columns: Column) -> None:
+        settings = ", ".join(f"{name} = ?" for name in columns)
+        self._sql.execute(f"UPDATE jobs SET {settings} WHERE seq = ?", [*columns.values(), job.seq])
+
+
+class Ledger:
+    """The ledger of one data folder; used by one process at a time.
+
+    Raises DataFolderBusy if another one has it, LedgerUnusable if a newer version wrote it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._hold = _hold(path.with_suffix(".lock"))
+        self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
+        self._writer, self._reader = _connect(path), _connect(path)
+        try:
+            _migrate(self._writer)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file and let go of the data folder."""
+        with self._write_lock, self._read_lock:
+            self._reader.close()
+            self._writer.close()
+            self._hold.close()
+
+    @contextmanager
+    def reading(self) -> Iterator[Reading]:
+        """Ask; never waits for a writer."""
+        with self._read_lock:
+            yield Reading(self._reader)
+
+    @contextmanager
+    def writing(self) -> Iterator[Writing]:
+        """Change, all or nothing; on the disk when it returns."""
+        with self._write_lock:
+            self._writer.execute("BEGIN IMMEDIATE")
+            try:
+                yield Writing(self._writer)
+                self._writer.execute("COMMIT")
+            except BaseException:
+                if self._writer.in_transaction:
+                    self._writer.execute("ROLLBACK")
+                raise
+
+    def find(self, job_id: str) -> JobRecord | None:
+        """The job, if there is one."""
+        with self.reading() as ledger:
+            return ledger.find(job_id)
+
+    def done_mask(self, job: JobRecord) -> NDArray[np.bool_]:
+        """(chunks_total,) which chunks are done; read in pages so that others get their turn."""
+        mask = np.zeros(job.chunks_total, np.bool_)
+        for first in range(0, job.chunks_total, PAGE):
+            with self.reading() as ledger:
+                mask[ledger.done_chunks(job, first, first + PAGE)] = True
+        return mask
+
+
+_COLUMNS: Final = frozenset(field.name for field in fields(JobRecord))
+
+
+def _record(row: sqlite3.Row) -> JobRecord:
+    columns = {name: row[name] for name in _COLUMNS}
+    columns["state"] = JobState(columns["state"])
+    columns["cancel_requested"] = bool(columns["cancel_requested"])
+    columns["chunk_shape"] = tuple(json.loads(columns["chunk_shape"]))
+    return JobRecord(**columns)
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    connection.row_factory = sqlite3.Row
+    for pragma in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=10000", "foreign_keys=ON"):
+        connection.execute(f"PRAGMA {pragma}")
+    return connection
+
+
+def _migrate(connection: sqlite3.Connection) -> None:
+    """Bring the file to this version, each step whole or not at all."""
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version > len(MIGRATIONS):
+        raise LedgerUnusable(
+            f"the ledger is of version {version}, this service knows up to {len(MIGRATIONS)}: use a newer one"
+        )
+    for number, script in enumerate(MIGRATIONS[version:], version + 1):
+        connection.executescript(f"BEGIN IMMEDIATE; {script}; PRAGMA user_version = {number}; COMMIT;")
+
+
+def _hold(path: Path) -> IO[str]:
+    """Keep a file locked for as long as it is open; the system lets go when the process dies."""
+    file = path.open("w")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise DataFolderBusy(f"another service uses the data folder {path.parent}") from error
+    return file

@@ -1,0 +1,47 @@
+"""Everything a person running the service may set, from `BOUNCE_*` variables or options of the same names."""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+Port = Annotated[int, Field(ge=0, le=65535)]
+
+
+class Settings(BaseSettings):
+    """Where to listen, where to keep data, where to compute, and how much one request may ask for."""
+
+    model_config = SettingsConfigDict(env_prefix="BOUNCE_", frozen=True, extra="forbid")
+
+    host: str = "127.0.0.1"
+    port: Port = 8000  # 0: any free port
+    data: Path = Path("bounce-data")
+
+    workers: PositiveInt = 2  # processes of the embedded cluster; unused with a scheduler
+    scheduler: str | None = None  # address of a Dask scheduler
+    scheduler_file: Path | None = None  # written by `dask scheduler --scheduler-file`
+
+    max_body_bytes: PositiveInt = 1_000_000
+    body_seconds: PositiveFloat = 10.0  # for a request's body to arrive
+    max_cells: PositiveInt = 20_000_000  # of one sweep
+    max_bytes: PositiveInt = 32 * 2**30  # of one sweep's stored arrays before compression
+    max_queue: PositiveInt = 1_000  # jobs queued or running
+    max_points: PositiveInt = 1_000_000  # flights, or cells of a map, in one answer
+
+    active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued
+    window: PositiveInt = 2  # chunks in flight per worker, over all jobs
+    chunk_tries: PositiveInt = 4  # for a chunk whose worker died
+    failed_chunks: PositiveInt = 8  # after so many a job submits no more
+    heartbeat_seconds: PositiveFloat = 2.0  # how often the supervisor looks round with nothing to wake it
+    shutdown_seconds: PositiveFloat = 5.0  # for requests under way to finish
+
+    @property
+    def ledger_path(self) -> Path:
+        """The SQLite file that says what is done."""
+        return self.data / "ledger.sqlite"
+
+    @property
+    def stores(self) -> Path:
+        """The folder of the jobs' zarr stores."""
+        return self.data / "stores"
