@@ -1,0 +1,180 @@
+"""Room: the values an axis of a sweep takes: a number, a list of numbers, or a range.
+
+Imports pydantic, numpy and worker.problems only; loads quickly, so that clients can.
+"""
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    model_validator,
+)
+
+from worker.problems import BrokenRuleError, describe
+
+#: Checked before any value of a range is computed.
+MAX_AXIS_VALUES: Final = 100_000
+
+
+class Strict(BaseModel):
+    """A frozen value object: no coercion, no unknown fields."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+def _plain(value: object) -> object:
+    """numpy's numbers as Python's; everything else as it is."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _to_float(value: object) -> object:
+    """Numbers finite, and -0.0 as 0.0: the two are the same sweep."""
+    value = _plain(value)
+    if isinstance(value, float) and not np.isfinite(value):
+        raise BrokenRuleError("", f"must be finite, not {describe(value)}")
+    if isinstance(value, int) and abs(value) > 2**1023:
+        raise BrokenRuleError("", f"must be finite, not {describe(value)}")
+    return value + 0.0 if isinstance(value, float) else value
+
+
+def _to_int(value: object) -> object:
+    """200.0 is the whole number 200; 200.5 is told its neighbours."""
+    value = _plain(value)
+    if not isinstance(value, float) or not np.isfinite(value):
+        return value
+    if value != int(value):
+        low = int(np.floor(value))
+        raise BrokenRuleError(
+            "", f"must be a whole number, not {describe(value)}; {low} or {low + 1} would do"
+        )
+    return int(value)
+
+
+#: Put last into an `Annotated[float, ...]`: a finite number, never text or a boolean.
+NUMBER: Final = BeforeValidator(_to_float)
+#: Put last into an `Annotated[int, ...]`: a whole number, which 200.0 is too.
+WHOLE: Final = BeforeValidator(_to_int)
+
+Number = Annotated[float, NUMBER]
+
+
+class Range(Strict):
+    """`num` values from `start` to `stop`, both included, at equal steps or equal ratios."""
+
+    start: Number
+    stop: Number
+    num: Annotated[int, Field(ge=1, le=MAX_AXIS_VALUES), WHOLE]
+    spacing: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def _rules(self) -> "Range":
+        if self.start > self.stop:
+            rule = (
+                "must not be above stop: axes increase; swap the two (protocol.direction turns a ramp round)"
+            )
+            raise BrokenRuleError("start", rule)
+        if self.num == 1 and self.start < self.stop:
+            raise BrokenRuleError("num", "must be at least 2 to reach from start to stop")
+        if self.num > 1 and self.start == self.stop:
+            raise BrokenRuleError("num", "must be 1 where start equals stop")
+        if self.spacing == "log" and self.start <= 0:
+            rule = f"must be above 0 for spacing 'log', not {self.start!r}; spacing 'linear' may start there"
+            raise BrokenRuleError("start", rule)
+        return self
+
+
+def _to_tuple(value: object) -> object:
+    """A list or a numpy array as a tuple, its length checked before its elements are."""
+    if isinstance(value, np.ndarray):
+        if value.ndim != 1:
+            raise BrokenRuleError("", f"must have one dimension, not {value.ndim}")
+        value = value.tolist()
+    values: Any = value
+    if not values:
+        raise BrokenRuleError("", "must hold at least one number")
+    if len(values) > MAX_AXIS_VALUES:
+        raise BrokenRuleError("", f"must hold at most {MAX_AXIS_VALUES} numbers, not {len(values)}")
+    return tuple(values)
+
+
+def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
+    for place, (one, two) in enumerate(pairwise(values)):
+        if not one < two:
+            rule = f"must increase, but {one!r} at [{place}] is followed by {two!r}; sort and drop repeats"
+            raise BrokenRuleError("", rule)
+    return values
+
+
+def _form(value: object) -> str:
+    if isinstance(value, dict | Range):
+        return "<range>"
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim > 0):
+        return "<list>"
+    return "<number>"
+
+
+def _number_or_forms(value: object) -> object:
+    if isinstance(_plain(value), bool | str | None) or not isinstance(_plain(value), int | float):
+        forms = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
+        raise BrokenRuleError("", f"must be {forms}, not {describe(value)}")
+    return value
+
+
+Axis = Annotated[
+    Annotated[Number, BeforeValidator(_number_or_forms), Tag("<number>")]
+    | Annotated[tuple[Number, ...], BeforeValidator(_to_tuple), AfterValidator(_increasing), Tag("<list>")]
+    | Annotated[Range, Tag("<range>")],
+    Discriminator(_form),
+]
+
+
+#: An axis as it is kept: a number, its values, or a range.
+AxisValue = float | tuple[float, ...] | Range
+
+
+def values_of(axis: AxisValue) -> NDArray[np.float64]:
+    """The axis's values, (n,) increasing; a range hits its ends exactly.
+
+    The only place where a range becomes numbers, so that specification, store and
+    task cannot disagree about the last digit.
+    """
+    if not isinstance(axis, Range):
+        return np.atleast_1d(np.asarray(axis, dtype=np.float64))
+    space = np.geomspace if axis.spacing == "log" else np.linspace
+    values = np.asarray(space(axis.start, axis.stop, axis.num), dtype=np.float64)
+    values[0], values[-1] = axis.start, axis.stop
+    return values
+
+
+def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
+    """A validator: all of an axis lies in [low, high], and its values are distinct."""
+
+    def check(axis: AxisValue) -> AxisValue:
+        for field, value in _ends(axis):
+            if value < low:
+                raise BrokenRuleError(field, f"must be at least {low:g}, not {value!r}")
+            if value > high:
+                raise BrokenRuleError(field, f"must be at most {high:g}, not {value!r}")
+        if isinstance(axis, Range) and not np.all(np.diff(values_of(axis)) > 0):
+            rule = f"must be small enough for distinct values: {axis.start!r} and {axis.stop!r} are too close"
+            raise BrokenRuleError("num", rule)
+        return axis
+
+    return check
+
+
+def _ends(axis: AxisValue) -> list[tuple[str, float]]:
+    if isinstance(axis, Range):
+        return [("start", axis.start), ("stop", axis.stop)]
+    values = axis if isinstance(axis, tuple) else (axis,)
+    return [("", values[0]), ("", values[-1])]

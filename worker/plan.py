@@ -1,0 +1,219 @@
+"""Room: how a sweep is cut into chunks, and which chunk waits for which.
+
+Pure: computes no physics, touches no disk, holds no list of chunks, so that a plan of
+a million of them costs nothing. Imports numpy and its neighbours in worker.
+
+Chunks lie on a regular grid. They are numbered in the order they can be run: from rest
+that is the grid's own order; on a ramp all lines' first chunks come before any line's
+second ones, down after up, so that a chunk never waits for a later number and
+neighbouring numbers hardly ever wait for each other.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple, overload
+
+import numpy as np
+
+from worker.contacts import penetration_of
+from worker.layout import bytes_per_cell
+from worker.problems import Problem, SpecTooLarge
+from worker.spec import AXES, SweepSpec
+
+#: Core-microseconds of one cell for one plate period. `stepped` goes like 1/d, here at d = 1e-3.
+COST_US: Final = {"rigid": 0.6, "soft": 8.0, "ball": 0.1, "stepped": 240.0, "auto": 8.0}
+
+#: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small
+#: enough to show progress, to lose little, and to share out a small job.
+TARGET_SECONDS: Final = 1.5
+SMALLEST_SECONDS: Final = 0.02
+FEWEST_CHUNKS: Final = 8
+MAX_CHUNK_BYTES: Final = 64 * 2**20
+
+DEFAULT_MAX_CELLS: Final = 10_000_000
+DEFAULT_MAX_BYTES: Final = 64 * 2**30
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A block of cells: half-open index spans into the grid. `after`: the chunk to wait for."""
+
+    index: int
+    direction: int  # index into the specification's directions
+    xi: Span
+    omega: Span
+    gamma: Span
+    after: int | None = None
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Cells along (xi, omega, gamma)."""
+        xi, omega, gamma = (high - low for low, high in (self.xi, self.omega, self.gamma))
+        return xi, omega, gamma
+
+    @property
+    def cells(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def slices(self) -> tuple[slice, slice, slice, slice]:
+        """Its place in an array of the store."""
+        here = slice(self.direction, self.direction + 1)
+        return here, slice(*self.xi), slice(*self.omega), slice(*self.gamma)
+
+
+@dataclass(frozen=True)
+class Plan(Sequence[Chunk]):
+    """The chunks of a sweep, worked out one by one when asked for."""
+
+    directions: tuple[str, ...]
+    grid: tuple[int, int, int]  # cells along (xi, omega, gamma)
+    chunk_shape: tuple[int, int, int]
+    ramp_axis: str | None
+
+    @property
+    def chunks(self) -> Sequence[Chunk]:
+        return self
+
+    @property
+    def cells(self) -> int:
+        return len(self.directions) * math.prod(self.grid)
+
+    @cached_property
+    def counts(self) -> tuple[int, int, int]:
+        """Chunks along (xi, omega, gamma)."""
+        xi, omega, gamma = (-(-n // size) for n, size in zip(self.grid, self.chunk_shape, strict=True))
+        return xi, omega, gamma
+
+    @cached_property
+    def lines(self) -> int:
+        """Chunks that start without a predecessor: independent lines of a ramp, or all."""
+        return math.prod(self._counts_beside_ramp)
+
+    def __len__(self) -> int:
+        return len(self.directions) * math.prod(self.counts)
+
+    def __iter__(self) -> Iterator[Chunk]:
+        return map(self.chunk, range(len(self)))
+
+    @overload
+    def __getitem__(self, index: int) -> Chunk: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Chunk]: ...
+    def __getitem__(self, index: int | slice) -> Chunk | Sequence[Chunk]:
+        if isinstance(index, slice):
+            return [self.chunk(i) for i in range(len(self))[index]]
+        return self.chunk(range(len(self))[index])
+
+    def chunk(self, index: int) -> Chunk:
+        """The chunk of that number, 0 <= index < len(plan)."""
+        wave, line = divmod(index, self.lines)
+        _, omega, gamma = self._counts_beside_ramp
+        block = [line // (omega * gamma), line // gamma % omega, line % gamma]
+        direction = 0
+        if self.ramp_axis is not None:
+            ramp = AXES.index(self.ramp_axis)
+            steps = self.counts[ramp]
+            direction, visit = divmod(wave, steps)
+            block[ramp] = steps - 1 - visit if self.directions[direction] == "down" else visit
+        first, second, third = (self._span(axis, place) for axis, place in enumerate(block))
+        return Chunk(index, direction, first, second, third, index - self.lines if wave else None)
+
+    def _span(self, axis: int, place: int) -> Span:
+        size = self.chunk_shape[axis]
+        return place * size, min((place + 1) * size, self.grid[axis])
+
+    @cached_property
+    def _counts_beside_ramp(self) -> tuple[int, int, int]:
+        xi, omega, gamma = (
+            1 if axis == self.ramp_axis else n for axis, n in zip(AXES, self.counts, strict=True)
+        )
+        return xi, omega, gamma
+
+
+class Estimate(NamedTuple):
+    """What a sweep will take: `bytes` before compression, `core_seconds` of computing."""
+
+    cells: int
+    chunks: int
+    bytes: int
+    core_seconds: float
+
+
+def make_plan(
+    spec: SweepSpec, *, chunk_cells: int | None = None, chunk_shape: tuple[int, int, int] | None = None
+) -> Plan:
+    """Cut a sweep into chunks of about `chunk_cells` cells, or of exactly `chunk_shape` (xi, omega, gamma).
+
+    With neither given, a chunk is worth a second or so of computing. The cut decides nothing
+    but speed: every number stored is the same for any. Raises ValueError for a size below 1.
+    """
+    _, *grid = spec.shape
+    if chunk_shape is None:
+        chunk_shape = _block(spec, chunk_cells if chunk_cells is not None else _cells_per_chunk(spec))
+    if len(chunk_shape) != 3 or min(chunk_shape) < 1:
+        raise ValueError(
+            f"chunk_shape: must be three sizes of at least 1 (xi, omega, gamma), not {chunk_shape}"
+        )
+    xi, omega, gamma = (min(size, n) for size, n in zip(chunk_shape, grid, strict=True))
+    return Plan(spec.directions, (grid[0], grid[1], grid[2]), (xi, omega, gamma), spec.ramp_axis)
+
+
+def cell_seconds(spec: SweepSpec) -> float:
+    """Core-seconds one cell of the sweep takes, from the table above."""
+    cost = COST_US[spec.model.kind]
+    if spec.model.kind == "stepped":
+        gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
+        depths = penetration_of(spec.model, gamma[[0, -1]], omega[[0, -1]])
+        cost *= 1e-3 / float(np.sqrt(np.prod(depths)))
+    return cost * 1e-6 * (spec.settle + spec.observe)
+
+
+def estimate(spec: SweepSpec, plan: Plan | None = None) -> Estimate:
+    """What a sweep will take, worked out without computing or storing any of it."""
+    cells = math.prod(spec.shape)
+    chunks = len(plan if plan is not None else make_plan(spec))
+    return Estimate(cells, chunks, cells * bytes_per_cell(spec), cells * cell_seconds(spec))
+
+
+def check_size(
+    spec: SweepSpec, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES
+) -> None:
+    """Raise `SpecTooLarge` for more cells or stored bytes than allowed; takes no memory itself."""
+    cells, per_cell = math.prod(spec.shape), bytes_per_cell(spec)
+    if cells > max_cells:
+        raise SpecTooLarge(
+            [Problem("", f"asks for {cells} cells; at most {max_cells} are allowed: take fewer values")]
+        )
+    if cells * per_cell > max_bytes:
+        rule = f"asks for {cells * per_cell} bytes, {per_cell} a cell; at most {max_bytes} are allowed"
+        raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
+
+
+def _cells_per_chunk(spec: SweepSpec) -> int:
+    cost = cell_seconds(spec)
+    share = math.prod(spec.shape) * cost / FEWEST_CHUNKS
+    seconds = min(max(share, SMALLEST_SECONDS), TARGET_SECONDS)
+    return max(1, min(math.ceil(seconds / cost), MAX_CHUNK_BYTES // bytes_per_cell(spec)))
+
+
+def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
+    """Up to `cells` cells: as far along the ramp as they go, then gamma, omega, xi."""
+    if cells < 1:
+        raise ValueError(f"chunk_cells: must be at least 1, not {cells}")
+    grid = dict(zip(AXES, spec.shape[1:], strict=True))
+    size = {}
+    for axis in dict.fromkeys([spec.ramp_axis or "gamma", "gamma", "omega", "xi"]):
+        size[axis] = _even(grid[axis], cells)
+        cells = max(1, cells // size[axis])
+    return size["xi"], size["omega"], size["gamma"]
+
+
+def _even(n: int, most: int) -> int:
+    """The size that cuts n into as few parts as `most` allows, as equal as can be."""
+    parts = -(-n // most)
+    return -(-n // parts)

@@ -1,0 +1,178 @@
+"""Room: what is wrong with a specification, said so that it can be put right.
+
+Every problem is one line: the field, the rule, and the nearest thing that works.
+Imports pydantic only.
+
+The errors, all `ValueError`s:
+
+    SpecError               something about a specification; carries `problems`
+    ├── SpecUnreadable      the file or text is not JSON or TOML at all
+    ├── SpecInvalid         a field breaks a rule
+    └── SpecTooLarge        every field is fine, but together they ask for more than is allowed
+"""
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from pydantic import ValidationError
+
+#: One finding of pydantic's: type, loc, msg, input, ctx.
+_Entry = Mapping[str, Any]
+
+#: A body that is wrong in a thousand places is told the first few.
+MAX_PROBLEMS: Final = 20
+
+
+_DESCRIPTIONS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
+    (type(None), lambda _: "null"),
+    (bool, lambda value: "true" if value else "false"),
+    (int, repr),
+    (float, repr),
+    (str, lambda value: f"text {_shorten(ascii(value))}"),
+    (dict, lambda _: "an object"),
+    (list, lambda value: f"a list of {len(value)}"),
+    (tuple, lambda value: f"a list of {len(value)}"),
+)
+
+
+class Problem(NamedTuple):
+    """One broken rule. `field` is a path such as `gamma.num` or `gamma[3]`; empty for the whole."""
+
+    field: str
+    rule: str
+
+    def __str__(self) -> str:
+        return f"{self.field}: {self.rule}" if self.field else self.rule
+
+
+class SpecError(ValueError):
+    """A specification that cannot be used; `problems` says why, one line each."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__(self.problems)
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.problems))
+
+
+class SpecUnreadable(SpecError):
+    """The text is not JSON or TOML."""
+
+
+class SpecInvalid(SpecError):
+    """A field breaks a rule."""
+
+
+class SpecTooLarge(SpecError):
+    """More cells or bytes than is allowed here."""
+
+
+class BrokenRuleError(ValueError):
+    """Raised inside a validator: `field` (relative to where it is raised) breaks `rule`."""
+
+    def __init__(self, field: str, rule: str) -> None:
+        super().__init__(rule)
+        self.field = field
+        self.rule = rule
+
+
+def describe(value: object) -> str:
+    """Any value in a few safe printable characters, for echoing bad input back."""
+    if isinstance(value, int) and value.bit_length() > 128:
+        return f"a whole number of about {round(value.bit_length() * 0.30103)} digits"
+    for kind, words in _DESCRIPTIONS:
+        if isinstance(value, kind):
+            return words(value)
+    return _shorten(f"a value of type {type(value).__name__}")
+
+
+def one_of(names: Iterable[str]) -> str:
+    """`'a', 'b' or 'c'`."""
+    quoted = [f"'{name}'" for name in names]
+    return " or ".join(filter(None, [", ".join(quoted[:-1]), quoted[-1]]))
+
+
+def did_you_mean(wrong: object, right: Iterable[str]) -> str:
+    """A hint at the closest of the right words, or nothing."""
+    close = difflib.get_close_matches(wrong.lower(), list(right), n=1) if isinstance(wrong, str) else []
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def problems_of(error: ValidationError, fields: Mapping[str, Sequence[str]]) -> list[Problem]:
+    """Pydantic's findings in our words.
+
+    `fields` lists the field names of every object by its tag (a union's tags look
+    like `<range>` and are no part of a field's path); `""` is the specification itself.
+    """
+    found = error.errors(include_url=False)
+    problems = [_problem(entry, fields) for entry in found[:MAX_PROBLEMS]]
+    if len(found) > MAX_PROBLEMS:
+        problems.append(Problem("", f"and {len(found) - MAX_PROBLEMS} more problems"))
+    return problems
+
+
+def _shorten(text: str, limit: int = 40) -> str:
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def _is_tag(part: object) -> bool:
+    return isinstance(part, str) and part.startswith("<")
+
+
+def _path(parts: Iterable[int | str]) -> str:
+    path = ""
+    for part in parts:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif not _is_tag(part):
+            name = part if part.isidentifier() and len(part) <= 40 else _shorten(ascii(part))
+            path += f".{name}" if path else name
+    return path
+
+
+def _problem(entry: _Entry, fields: Mapping[str, Sequence[str]]) -> Problem:
+    location = list(entry["loc"])
+    cause = entry.get("ctx", {}).get("error")
+    if isinstance(cause, BrokenRuleError):
+        return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule)
+    if entry["type"] == "extra_forbidden":
+        tag = next((part for part in reversed(location) if _is_tag(part)), "")
+        return Problem(_path(location), _unknown(location[-1], fields[str(tag)]))
+    rule = _RULES.get(entry["type"])
+    return Problem(_path(location), rule(entry) if rule else _shorten(str(entry["msg"]), 200))
+
+
+def _unknown(name: object, known: Sequence[str]) -> str:
+    return f"is not a field here{did_you_mean(name, known) or ';'} the fields are {', '.join(known)}"
+
+
+def _literal(entry: _Entry) -> str:
+    expected, value = entry["ctx"]["expected"], entry["input"]
+    hint = did_you_mean(value, expected.split("'")[1::2])
+    return f"must be {expected}, not {describe(value)}{hint}"
+
+
+def _bound(phrase: str, key: str) -> Callable[[_Entry], str]:
+    return lambda entry: f"must be {phrase} {entry['ctx'][key]:g}, not {describe(entry['input'])}"
+
+
+_RULES: Final[dict[str, Callable[[_Entry], str]]] = {
+    "missing": lambda _: "is required",
+    "float_type": lambda e: f"must be a number, not {describe(e['input'])}",
+    "int_type": lambda e: f"must be a whole number, not {describe(e['input'])}",
+    "bool_type": lambda e: f"must be true or false, not {describe(e['input'])}",
+    "string_type": lambda e: f"must be text, not {describe(e['input'])}",
+    "string_unicode": lambda _: "must be text that UTF-8 can write, without lone surrogates",
+    "string_too_long": lambda e: (
+        f"must have at most {e['ctx']['max_length']} characters, not {len(e['input'])}"
+    ),
+    "model_type": lambda e: f"must be an object, not {describe(e['input'])}",
+    "finite_number": lambda e: f"must be finite, not {describe(e['input'])}",
+    "literal_error": _literal,
+    "greater_than": _bound("above", "gt"),
+    "greater_than_equal": _bound("at least", "ge"),
+    "less_than": _bound("below", "lt"),
+    "less_than_equal": _bound("at most", "le"),
+}

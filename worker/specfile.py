@@ -1,0 +1,78 @@
+"""Room: specification files and request bodies as plain values, read without surprises.
+
+Standard library and worker.problems only. Python's own readers accept more than a
+specification means: NaN, repeated keys, integers of any length, nesting without end.
+"""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from worker.problems import Problem, SpecUnreadable, describe
+
+MAX_FILE_BYTES: Final = 4_000_000
+MAX_DIGITS: Final = 400  # beyond this no whole number fits a double
+
+
+def _unreadable(rule: str) -> SpecUnreadable:
+    return SpecUnreadable([Problem("", rule)])
+
+
+def _no_constant(word: str) -> object:
+    raise _unreadable(f"{word} is not a number in JSON; leave the value out or give a finite one")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MAX_DIGITS:
+        raise _unreadable(f"a number of {len(digits)} digits is too long; {MAX_DIGITS} is the most")
+    return int(digits)
+
+
+def _no_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise _unreadable(f"field {describe(key)} is given twice; give it once")
+        found[key] = value
+    return found
+
+
+def read_json(text: str | bytes) -> object:
+    """JSON text as plain values. Raises `SpecUnreadable` saying where it stops being JSON."""
+    try:
+        decoded = text if isinstance(text, str) else text.decode("utf-8")
+        return json.loads(
+            decoded, parse_constant=_no_constant, parse_int=_whole, object_pairs_hook=_no_repeats
+        )
+    except UnicodeDecodeError as error:
+        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise _unreadable(f"the text is not JSON: {error.msg} at {where}") from None
+    except RecursionError:
+        raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
+
+
+def read_file(path: Path) -> object:
+    """A .json or .toml file as plain values. Raises `SpecUnreadable`, also for a missing file."""
+    if path.suffix not in (".json", ".toml"):
+        raise _unreadable(f"{path}: a specification file ends in .json or .toml")
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise _unreadable(f"{path}: must be at most {MAX_FILE_BYTES} bytes; give long axes as ranges")
+        content = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(f"{path}: {error.strerror or error}") from None
+    return read_json(content) if path.suffix == ".json" else _read_toml(content)
+
+
+def _read_toml(content: bytes) -> object:
+    try:
+        return tomllib.loads(content.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise _unreadable(f"the text is not TOML: {error}") from None
+    except (RecursionError, ValueError) as error:
+        raise _unreadable(f"the TOML cannot be read: {error}") from None
