@@ -4,7 +4,7 @@ Imports numpy, kernel.params and worker.spec; knows nothing of zarr.
 """
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ class Array(NamedTuple):
     dims: tuple[str, ...]
     dtype: str
     fill: float | int
-    attrs: dict[str, object]
+    attrs: dict[str, Any]
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
@@ -34,21 +34,21 @@ class Coordinate(NamedTuple):
     """The values along one dimension."""
 
     name: str
-    attrs: dict[str, object]
+    attrs: dict[str, Any]
 
 
-_OUTCOMES: Final[dict[str, object]] = {
+_OUTCOMES: Final[dict[str, Any]] = {
     "flag_values": [int(outcome) for outcome in Outcome],
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
 
 
 _NAN: Final = float("nan")
-_COUNT: Final[dict[str, object]] = {"units": "1"}
-_ANGLE: Final[dict[str, object]] = {"units": "rad"}
+_COUNT: Final[dict[str, Any]] = {"units": "1"}
+_ANGLE: Final[dict[str, Any]] = {"units": "rad"}
 
 
-def _array(name: str, dtype: str, long_name: str, attrs: dict[str, object], extra: str = "") -> Array:
+def _array(name: str, dtype: str, long_name: str, attrs: dict[str, Any], extra: str = "") -> Array:
     dims = (*CELL_DIMS, extra) if extra else CELL_DIMS
     return Array(name, dims, dtype, _NAN if dtype == "<f8" else 0, {"long_name": long_name, **attrs})
 
