@@ -25,11 +25,21 @@ ALLOWED = {
     "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic"},
 }
 
+#: What a specification is made of: light, so that clients can hold one.
+SPECIFICATION = {
+    "worker.spec",
+    "worker.specfile",
+    "worker.axes",
+    "worker.contacts",
+    "worker.problems",
+    "kernel.params",
+}
+
 #: Of the project's own rooms, all that these may reach.
 ROOMS = {
-    "worker.spec": {"worker.spec", "kernel.params"},
-    "worker.plan": {"worker.spec", "worker.plan", "worker.layout", "kernel.params"},
-    "service.client": {"service.client", "worker.spec", "kernel.params"},
+    "worker.spec": SPECIFICATION,
+    "worker.plan": SPECIFICATION | {"worker.plan", "worker.layout"},
+    "service.client": SPECIFICATION | {"service.client"},
 }
 
 
