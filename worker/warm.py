@@ -1,0 +1,138 @@
+"""Room: compiled kernels ready before the first task, each process with a cache of its own.
+
+Must be imported before any kernel is, and imports none itself until told to: numba reads
+`NUMBA_CACHE_DIR` when kernels are declared.
+
+Two processes writing one numba cache can crash, and numba notices a changed source only in
+the outermost function. So compiled kernels live in
+
+    ROOT/DIGEST/slot-N/     one process at a time, held by a lock that dies with it
+    ROOT/DIGEST/ready/      what the first to finish compiling left for the others to copy
+
+where DIGEST names the kernel's sources, and ROOT is what is asked for, or NUMBA_CACHE_DIR,
+or a folder in the user's cache.
+"""
+
+import asyncio
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from importlib.util import find_spec
+from itertools import count
+from pathlib import Path
+from typing import Any, Final
+
+from distributed import WorkerPlugin
+
+_VARIABLE: Final = "NUMBA_CACHE_DIR"
+_LOCK: Final = "held"
+_READY: Final = "ready"
+
+#: The slot this process holds, until it ends: its lock is never closed on purpose.
+_held: list[Path] = []
+
+
+def warm(root: str | Path | None = None) -> None:
+    """Claim a cache for this process and compile every kernel into it, or read what is there.
+
+    Takes a second or so from a cache, and half a minute the first time.
+    """
+    slot = claim_cache(root)
+    # Not at the top: the kernels' declarations look for the cache that was just claimed.
+    from kernel import ramp  # noqa: PLC0415
+
+    ramp.warm()
+    if slot is not None:
+        _publish(slot)
+
+
+def claim_cache(root: str | Path | None = None) -> Path | None:
+    """Point numba at a cache folder that no other living process uses; it outlives this one.
+
+    The same folder if called again; None if kernels were declared without one already.
+    """
+    if _held:
+        return _held[0]
+    if "kernel.jit" in sys.modules:
+        return None
+    slot = _claim(Path(root) if root else default_root())
+    os.environ[_VARIABLE] = str(slot)
+    if "numba" in sys.modules:
+        sys.modules["numba"].core.config.reload_config()
+    return slot
+
+
+def default_root() -> Path:
+    """Where caches go unless told otherwise."""
+    given = os.environ.get(_VARIABLE)
+    if not given:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "bouncing-spring"
+    # A process that claimed a slot hands its environment down to those it starts.
+    inherited = (Path(given) / _LOCK).exists()
+    return Path(given).parent.parent if inherited else Path(given)
+
+
+class WarmKernels(WorkerPlugin):
+    """Makes every worker of a cluster ready when it starts or joins, before it takes a task."""
+
+    name = "bouncing-spring-kernels"
+
+    def __init__(self, root: str | None = None) -> None:
+        self._root = root
+
+    async def setup(self, worker: Any) -> None:
+        """Called by distributed in the worker's process; compiles beside its event loop."""
+        claim_cache(self._root)
+        await asyncio.to_thread(warm, self._root)
+
+
+def _claim(root: Path) -> Path:
+    try:
+        return _first_free_slot(root / _digest())
+    except OSError:  # no home, a read-only disk, a file system without locks
+        return _first_free_slot(Path(tempfile.mkdtemp(prefix="bouncing-spring-")))
+
+
+def _first_free_slot(folder: Path) -> Path:
+    for number in count():
+        slot = folder / f"slot-{number}"
+        slot.mkdir(parents=True, exist_ok=True)
+        lock = os.open(slot / _LOCK, os.O_RDWR | os.O_CREAT)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            continue
+        _held.append(slot)
+        if len(list(slot.iterdir())) == 1 and (folder / _READY).is_dir():
+            shutil.copytree(folder / _READY, slot, dirs_exist_ok=True)
+        return slot
+    raise AssertionError
+
+
+def _publish(slot: Path) -> None:
+    """Leave a finished cache for others; it appears whole, once, and is never written again."""
+    ready = slot.parent / _READY
+    if ready.exists():
+        return
+    draft = Path(tempfile.mkdtemp(prefix="draft-", dir=slot.parent))
+    shutil.copytree(slot, draft, dirs_exist_ok=True, ignore=shutil.ignore_patterns(_LOCK))
+    try:
+        draft.rename(ready)
+    except OSError:  # somebody else was first
+        shutil.rmtree(draft)
+
+
+def _digest() -> str:
+    """A name for this version of the kernel's sources, by what numba looks at and what it overlooks."""
+    package = find_spec("kernel")
+    folder = Path(next(iter(package.submodule_search_locations or ()))) if package else Path()
+    digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
+    for source in sorted(folder.glob("*.py")):
+        digest.update(f"{source.name} {source.stat().st_mtime_ns}\n".encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
