@@ -118,10 +118,11 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         f1 = t.smooth1 + t.ring1
         if not math.isfinite(f0 + f1 + t.smooth4 + t.ring4):
             return tau, BROKEN, used + 1
-        if f0 <= t.noise and f1 < 0.0:
+        if f1 < 0.0 and f0 <= max(t.noise, -f1 * 4.0 * EPS * tau):
             return max(tau - f0 / f1, start), ROOT, used + 1
         f0 = max(f0, 0.0)
-        step = safe_step(f0, f1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4, guess)
+        f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+        step = safe_step(f0, f1, f2, f3, f4, guess)
         clear = t.smooth - t.amplitude
         if clear > 0.0:
             step = max(step, safe_step(clear, t.smooth1, t.smooth2, t.smooth3, t.smooth4, guess))

@@ -16,6 +16,7 @@ from kernel.jit import jit
 from kernel.model import flies, prepare, rest
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Start
 from kernel.rigid import RigidPlate
+from kernel.soft import SoftPlate
 from kernel.trajectory import DIVERGED, Flights, Window, classify, run_cell
 
 #: Flights remembered for finding the mode, when fewer are to be kept.
@@ -27,7 +28,7 @@ def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any,
     carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
 ) -> None:  # fmt: skip
-    """Run a line cell by cell; `state` and `before` = (gamma, omega) are what to carry on from, if `started`."""
+    """Run a line cell by cell, from `state` in the units of `before` = (gamma, omega) if `started`."""
     keep = line.flight_time.shape[1]
     size = max(keep, REMEMBERED)
     flights = Flights(np.empty(size), np.empty(size), np.empty(size, dtype=np.int64))
@@ -64,7 +65,7 @@ def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
     state[5] *= velocity
 
 
-_MODELS: Final = (Model.RIGID,)
+_MODELS: Final = (Model.SOFT, Model.RIGID)
 
 
 def run_line(
@@ -115,7 +116,11 @@ def run_line(
     state = np.zeros(len(STATE_FIELDS)) if start is None else _checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     window = Window(int(settle), int(observe), float(micro_flight))
-    plate = RigidPlate(restitution)
+    plate: RigidPlate | SoftPlate
+    if model == Model.RIGID:
+        plate = RigidPlate(restitution)
+    else:
+        plate = SoftPlate(restitution, penetration, bool(adhesive))
     _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line)
     return line
 

@@ -13,10 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, departure_step, first_root, terms
+from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
+from kernel.flight import landing, state_after, take_off
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion, oscillator
+from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
 
 #: A hop that leaves the plate slower than this (plate amplitudes per rad) sticks instead.
 SLOWEST_HOP: Final = 1e-9
@@ -55,19 +56,6 @@ class Stuck(NamedTuple):
     phi: float
     ring: float  # h'' at tau = 0
     ring1: float  # h'''
-
-
-class Flight(NamedTuple):
-    """The gap during a flight, from what held at tau = 0."""
-
-    spring: Spring
-    phi: float
-    gap: float
-    gap1: float
-    gap2: float  # -n
-    drift: float  # the centre's velocity, gap' - sin phi + q'/2
-    q: float
-    q1: float
 
 
 @prepare.register(RigidPlate)
@@ -143,64 +131,6 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
     )
 
 
-@terms.register(Flight)
-@jit
-def _flight_terms(p: Flight, tau: float) -> Terms:
-    """The gap during a flight, written so that a short one keeps its digits."""
-    s = p.spring
-    sin, cos = math.sin(p.phi + tau), math.cos(p.phi + tau)
-    q, q1 = motion(s.flight, p.q, p.q1, tau)
-    q2, q3, q4 = derivatives(s.flight, q, q1)
-    if tau * max(s.flight.rate, 1.0) < SHORT:
-        gap, gap1, noise = short_flight(p, tau)
-        gap2, gap3, bound = cos - s.gravity - 0.5 * q2, -sin - 0.5 * q3, 1.0 + 0.5 * q4
-        return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
-    fall = 0.5 * s.gravity * tau * tau
-    smooth = p.gap + 2.0 * math.sin(p.phi + 0.5 * tau) * math.sin(0.5 * tau) + p.drift * tau - fall
-    if tau * s.flight.rate < SHORT:
-        stretch = displacement(s.flight, p.q, p.q1, tau)
-        ring, amplitude, size = -0.5 * stretch, math.inf, abs(stretch)
-    else:
-        smooth += 0.5 * p.q
-        ring, amplitude, size = -0.5 * q, 0.5 * envelope(s.flight, q, q1), abs(p.q) + abs(q)
-    return Terms(
-        smooth=smooth,
-        smooth1=sin + p.drift - s.gravity * tau,
-        smooth2=cos - s.gravity,
-        smooth3=-sin,
-        smooth4=1.0,
-        ring=ring,
-        ring1=-0.5 * q1,
-        ring2=-0.5 * q2,
-        ring3=-0.5 * q3,
-        ring4=0.5 * q4,
-        amplitude=amplitude,
-        noise=2.0 * EPS * (p.gap + 2.0 + abs(p.drift) * tau + fall + size),
-    )
-
-
-@jit
-def short_flight(p: Flight, tau: float) -> tuple[float, float, float]:
-    """Gap, gap' and the gap's rounding by the power series, whose first terms vanish at a take-off."""
-    s = p.spring
-    before = -2.0 * s.dashpot * p.q1 - s.flight.stiffness * p.q
-    last = -2.0 * s.dashpot * before - s.flight.stiffness * p.q1
-    turn, turn_next = -math.sin(p.phi), -math.cos(p.phi)  # third and fourth derivative of -cos(phi)
-    power = 0.5 * tau * tau
-    gap = p.gap + p.gap1 * tau + p.gap2 * power
-    gap1 = p.gap1 + p.gap2 * tau
-    size = p.gap + abs(p.gap1) * tau + abs(p.gap2) * power
-    for order in range(3, 17):
-        derivative = turn - 0.5 * last
-        gap1 += derivative * power
-        power *= tau / order
-        gap += derivative * power
-        size += abs(derivative) * power
-        before, last = last, -2.0 * s.dashpot * last - s.flight.stiffness * before
-        turn, turn_next = turn_next, -turn
-    return gap, gap1, 4.0 * EPS * size
-
-
 @contact.register(Spring)
 @jit
 def _contact(
@@ -229,27 +159,17 @@ def _flight(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
     """In flight until landing, or to the horizon (rad from now)."""
-    lifting = gap == 0.0 and gap1 == 0.0
-    gap2 = -normal_force(s, phi, q, q1)
-    if lifting and gap2 < 0.0:
-        gap2 = 0.0  # n = 0 at a take-off; what is left is rounding
-    p = Flight(s, phi, gap, gap1, gap2, gap1 - math.sin(phi) + 0.5 * q1, q, q1)
-    start = 0.0
-    if lifting:
-        t = _flight_terms(p, 0.0)
-        start = departure_step(gap2, t.smooth3, t.smooth4)
-    tau, ending, used = first_root(p, start, horizon, budget)
-    t = _flight_terms(p, tau)
-    gap, gap1 = t.smooth + t.ring, t.smooth1 + t.ring1
-    q, q1 = motion(s.flight, q, q1, tau)
+    p = take_off(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    tau, ending, used = landing(p, 0.0, horizon, budget)
+    gap, gap1, q, q1 = state_after(p, tau)
     if ending != ROOT:
         return Phase(tau, ending, True, gap, gap1, q, q1, used)
-    return land(s, phi + tau, tau, gap1, q, q1, used)
+    return _land(s, phi + tau, tau, gap1, q, q1, used)
 
 
 @jit
-def land(s: Spring, phi: float, tau: float, impact: float, q: float, q1: float, used: int) -> Phase:
-    """What follows a landing at relative velocity `impact` < 0: a hop, sticking, or at once a new take-off."""
+def _land(s: Spring, phi: float, tau: float, impact: float, q: float, q1: float, used: int) -> Phase:
+    """What follows an impact at relative velocity < 0: a hop, sticking, or at once a new take-off."""
     hop = -s.restitution * impact
     if hop < SLOWEST_HOP:
         hop = 0.0

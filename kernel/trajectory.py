@@ -57,7 +57,7 @@ def run_cell(
     window: Window,
     flights: Flights,
 ) -> Run:
-    """Run one cell from `state` (6,), see params.STATE_FIELDS, which becomes the state at the window's end."""
+    """Run one cell from `state` (6,), see params.STATE_FIELDS; it becomes the state at the window's end."""
     phase, in_flight = state[0], state[1] != 0.0
     gap, gap1, q, q1 = state[2], state[3], state[4], state[5]
     total = window.settle + window.observe
@@ -73,7 +73,7 @@ def run_cell(
         else:
             p = contact(cell, phase, gap, gap1, q, q1, horizon, budget)
         budget -= p.used
-        turns = int(math.floor((phase + p.tau) / TWO_PI))
+        turns = math.floor((phase + p.tau) / TWO_PI)
         phase += p.tau - TWO_PI * turns
         period += turns
         if in_flight and p.tau > SHORTEST_FLIGHT:

@@ -1,0 +1,109 @@
+"""The spring in flight: its centre falls freely, its elongation rings (MODEL section 3).
+
+The same for every model of the plate, with or without a lower mass that starts below it.
+"""
+
+import math
+from typing import NamedTuple
+
+from kernel.events import EPS, Terms, departure_step, first_root, terms
+from kernel.jit import jit
+from kernel.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
+
+
+class Flight(NamedTuple):
+    """The gap as a phase function, from what held at tau = 0."""
+
+    osc: Oscillator  # the elongation's
+    gravity: float  # 1/Gamma
+    phi: float
+    gap: float
+    gap1: float
+    gap2: float
+    drift: float  # the centre's velocity, gap' - sin phi + q'/2
+    q: float
+    q1: float
+
+
+@jit
+def take_off(
+    osc: Oscillator, gravity: float, phi: float, gap: float, gap1: float, q: float, q1: float
+) -> Flight:
+    """A flight from this state."""
+    gap2 = math.cos(phi) - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
+    if gap == 0.0 and gap1 == 0.0 and gap2 < 0.0:
+        gap2 = 0.0  # n = 0 where a stuck mass takes off; what is left is rounding
+    return Flight(osc, gravity, phi, gap, gap1, gap2, gap1 - math.sin(phi) + 0.5 * q1, q, q1)
+
+
+@jit
+def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
+    """When the gap first falls to zero after `start`: see events.first_root."""
+    if start == 0.0 and p.gap == 0.0 and p.gap1 == 0.0:
+        t = flight_terms(p, 0.0)
+        start = departure_step(p.gap2, t.smooth3, t.smooth4)
+    return first_root(p, start, horizon, budget)
+
+
+@jit
+def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
+    """Gap, gap', q, q' tau rad into the flight."""
+    t = flight_terms(p, tau)
+    q, q1 = motion(p.osc, p.q, p.q1, tau)
+    return t.smooth + t.ring, t.smooth1 + t.ring1, q, q1
+
+
+@terms.register(Flight)
+@jit
+def flight_terms(p: Flight, tau: float) -> Terms:
+    """The gap, written so that a short flight keeps its digits."""
+    sin, cos = math.sin(p.phi + tau), math.cos(p.phi + tau)
+    q, q1 = motion(p.osc, p.q, p.q1, tau)
+    q2, q3, q4 = derivatives(p.osc, q, q1)
+    if tau * max(p.osc.rate, 1.0) < SHORT:
+        gap, gap1, noise = _short(p, tau)
+        gap2, gap3, bound = cos - p.gravity - 0.5 * q2, -sin - 0.5 * q3, 1.0 + 0.5 * q4
+        return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
+    fall = 0.5 * p.gravity * tau * tau
+    smooth = p.gap + 2.0 * math.sin(p.phi + 0.5 * tau) * math.sin(0.5 * tau) + p.drift * tau - fall
+    if tau * p.osc.rate < SHORT:
+        stretch = displacement(p.osc, p.q, p.q1, tau)
+        ring, amplitude, size = -0.5 * stretch, math.inf, abs(stretch)
+    else:
+        smooth += 0.5 * p.q
+        ring, amplitude, size = -0.5 * q, 0.5 * envelope(p.osc, q, q1), abs(p.q) + abs(q)
+    return Terms(
+        smooth=smooth,
+        smooth1=sin + p.drift - p.gravity * tau,
+        smooth2=cos - p.gravity,
+        smooth3=-sin,
+        smooth4=1.0,
+        ring=ring,
+        ring1=-0.5 * q1,
+        ring2=-0.5 * q2,
+        ring3=-0.5 * q3,
+        ring4=0.5 * q4,
+        amplitude=amplitude,
+        noise=2.0 * EPS * (abs(p.gap) + 2.0 + abs(p.drift) * tau + fall + size),
+    )
+
+
+@jit
+def _short(p: Flight, tau: float) -> tuple[float, float, float]:
+    """Gap, gap' and the gap's rounding by the power series, whose first terms vanish at a take-off."""
+    before = -2.0 * p.osc.damping * p.q1 - p.osc.stiffness * p.q
+    last = -2.0 * p.osc.damping * before - p.osc.stiffness * p.q1
+    turn, turn_next = -math.sin(p.phi), -math.cos(p.phi)  # third and fourth derivative of -cos(phi)
+    power = 0.5 * tau * tau
+    gap = p.gap + p.gap1 * tau + p.gap2 * power
+    gap1 = p.gap1 + p.gap2 * tau
+    size = abs(p.gap) + abs(p.gap1) * tau + abs(p.gap2) * power
+    for order in range(3, 17):
+        derivative = turn - 0.5 * last
+        gap1 += derivative * power
+        power *= tau / order
+        gap += derivative * power
+        size += abs(derivative) * power
+        before, last = last, -2.0 * p.osc.damping * last - p.osc.stiffness * before
+        turn, turn_next = turn_next, -turn
+    return gap, gap1, 4.0 * EPS * size

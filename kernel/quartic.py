@@ -1,0 +1,112 @@
+"""A quartic with positive coefficients as two real quadratics, slow and fast.
+
+The free motion of the spring on a soft plate has four roots. Taken in two pairs they are
+two damped oscillators, whose closed forms are safe at every damping; a single root, which
+may be one of a double pair, is never used by itself.
+"""
+
+import math
+from typing import Final, NamedTuple
+
+from kernel.jit import jit
+
+#: Rounds of Aberth's method; a dozen is the rule, wide spreads of roots take more.
+ROUNDS: Final = 100
+
+#: How far apart (0 to 1, see `_pairing`) fast and slow roots must lie to be paired by size.
+CLOSE: Final = 1e-3
+
+
+class Factors(NamedTuple):
+    """(s^2 + a1 s + b1)(s^2 + a2 s + b2) with b1 <= b2."""
+
+    a1: float
+    b1: float
+    a2: float
+    b2: float
+
+
+@jit
+def roots(c3: float, c2: float, c1: float, c0: float) -> list[complex]:
+    """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, c0 > 0, by Aberth's method."""
+    unit = c0**0.25  # in units of the geometric mean of the roots' sizes
+    c3, c2, c1 = c3 / unit, c2 / unit**2, c1 / unit**3
+    size = max(c3, math.sqrt(c2), c1 ** (1.0 / 3.0), 1.0)
+    small = 1.0 / max(c1, math.sqrt(c2), c3 ** (1.0 / 3.0), 1.0)
+    z = [complex(-0.6 * size, 0.8 * size), complex(-0.8 * size, -0.7 * size),
+         complex(-0.6 * small, 0.8 * small), complex(-0.8 * small, -0.7 * small)]  # fmt: skip
+    for _ in range(ROUNDS):
+        moved = 0.0
+        for i in range(4):
+            s = z[i]
+            value = (((s + c3) * s + c2) * s + c1) * s + 1.0
+            slope = ((4.0 * s + 3.0 * c3) * s + 2.0 * c2) * s + c1
+            crowd = complex(0.0, 0.0)
+            for j in range(4):
+                if j != i:
+                    crowd += 1.0 / (s - z[j])
+            if value == 0.0:
+                continue
+            step = 1.0 / (slope / value - crowd)
+            z[i] = s - step
+            moved = max(moved, abs(step) / abs(s))
+        if moved < 1e-14:
+            break
+    return [unit * s for s in z]
+
+
+@jit
+def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Factors]:
+    """The quadratics of {p, q} and {r, s}, and how far apart their roots are, in [0, 1]; 0 if not real."""
+    first, second = p * q, r * s
+    strayed = abs(first.imag) / abs(first) + abs(second.imag) / abs(second)
+    strayed += abs((p + q).imag) / (abs(p) + abs(q)) + abs((r + s).imag) / (abs(r) + abs(s))
+    if strayed > 1e-4:
+        return 0.0, Factors(0.0, 0.0, 0.0, 0.0)
+    apart = abs(p - r) / (abs(p) + abs(r)) * (abs(p - s) / (abs(p) + abs(s)))
+    apart *= abs(q - r) / (abs(q) + abs(r)) * (abs(q - s) / (abs(q) + abs(s)))
+    if first.real <= second.real:
+        return apart, Factors(-(p + q).real, first.real, -(r + s).real, second.real)
+    return apart, Factors(-(r + s).real, second.real, -(p + q).real, first.real)
+
+
+@jit
+def _pair(c3: float, c2: float, c1: float, c0: float) -> Factors:
+    """The two largest roots and the two smallest, or the pairing furthest apart where those nearly touch."""
+    z = roots(c3, c2, c1, c0)
+    for i in range(1, 4):
+        for j in range(i, 0, -1):
+            if abs(z[j]) < abs(z[j - 1]):
+                z[j], z[j - 1] = z[j - 1], z[j]
+    best, chosen = _pairing(z[0], z[1], z[2], z[3])
+    if best > CLOSE:
+        return chosen
+    apart, other = _pairing(z[0], z[2], z[1], z[3])
+    if apart > best:
+        best, chosen = apart, other
+    apart, other = _pairing(z[0], z[3], z[1], z[2])
+    return other if apart > best else chosen
+
+
+@jit
+def factor(c3: float, c2: float, c1: float, c0: float) -> Factors:
+    """The two quadratics, polished to rounding by Newton's method on the slow one."""
+    f = _pair(c3, c2, c1, c0)
+    a1, b1 = f.a1, f.b1
+    for _ in range(3):
+        # divide by the slow quadratic: the remainder u s + v must vanish
+        a2 = c3 - a1
+        b2 = c2 - b1 - a1 * a2
+        u = c1 - a1 * b2 - b1 * a2
+        v = c0 - b1 * b2
+        # d(u, v)/d(a1, b1), with a2 and b2 following
+        ua = -b2 + b1 + a1 * (a2 - a1)
+        ub = a1 - a2
+        va = b1 * (a2 - a1)
+        vb = b1 - b2
+        det = ua * vb - ub * va
+        if det == 0.0:
+            break
+        a1 -= (u * vb - ub * v) / det
+        b1 -= (ua * v - va * u) / det
+    return Factors(a1, b1, c3 - a1, c2 - b1 - a1 * (c3 - a1))
