@@ -29,6 +29,7 @@ from starlette.exceptions import HTTPException
 
 from worker.problems import Problem as Broken
 from worker.problems import SpecError, SpecTooLarge, SpecUnreadable
+from worker.store import StoreError
 
 log = logging.getLogger(__name__)
 
@@ -60,6 +61,11 @@ class InvalidRequest(ServiceError):
 
 class UnknownJob(ServiceError):
     """No job has this id."""
+
+    @classmethod
+    def of(cls, job_id: str) -> "UnknownJob":
+        """The error for one id."""
+        return cls(f"no job has the id {job_id[:64]!a}")
 
 
 class IllegalTransition(ServiceError):
@@ -94,6 +100,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     IllegalTransition: HTTPStatus.CONFLICT,
     TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
     QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
+    StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
     sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
 }
 

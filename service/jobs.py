@@ -74,9 +74,9 @@ class NewJob:
 
     id: str
     name: str
-    spec: str  # JSON
+    spec: str  # JSON, as `SweepSpec.as_submitted` gives it
     kernel_version: str
-    chunk_shape: tuple[int, ...]  # cells of a chunk along direction, xi, omega, gamma
+    chunk_shape: tuple[int, int, int]  # cells of a chunk along xi, omega, gamma
     chunks_total: int
     cells_total: int
 

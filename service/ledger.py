@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import IO, Final, Self
+from typing import IO, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,13 @@ Column = str | float | bool | None
 PAGE: Final = 50_000
 
 
+class Unfinished(NamedTuple):
+    """What the supervisor needs to know of a job at every look."""
+
+    id: str
+    cancel_requested: bool
+
+
 class Reading:
     """Questions to the ledger, on one connection."""
 
@@ -86,15 +93,13 @@ class Reading:
         row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE state IN ({marks})", states).fetchone()
         return int(row[0])
 
-    def unfinished(self, limit: int) -> list[JobRecord]:
+    def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
-        found: list[JobRecord] = []
-        for state in reversed(UNFINISHED):
-            rows = self._sql.execute(
-                "SELECT * FROM jobs WHERE state = ? ORDER BY seq LIMIT ?", (state, limit - len(found))
-            )
-            found += [_record(row) for row in rows]
-        return found
+        rows = self._sql.execute(
+            "SELECT id, cancel_requested FROM jobs WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?",
+            (*UNFINISHED, JobState.QUEUED, limit),
+        )
+        return [Unfinished(row["id"], bool(row["cancel_requested"])) for row in rows]
 
     def done_chunks(self, job: JobRecord, first: int, last: int) -> list[int]:
         """Indices of the finished chunks from `first` up to but without `last`."""

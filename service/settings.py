@@ -31,7 +31,7 @@ class Settings(BaseSettings):
 
     active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued
     window: PositiveInt = 2  # chunks in flight per worker, over all jobs
-    chunk_tries: PositiveInt = 4  # for a chunk whose worker died
+    chunk_tries: PositiveInt = 3  # for a chunk whose worker died
     failed_chunks: PositiveInt = 8  # after so many a job submits no more
     heartbeat_seconds: PositiveFloat = 2.0  # how often the supervisor looks round with nothing to wake it
     shutdown_seconds: PositiveFloat = 5.0  # for requests under way to finish
@@ -41,7 +41,6 @@ class Settings(BaseSettings):
         """The SQLite file that says what is done."""
         return self.data / "ledger.sqlite"
 
-    @property
-    def stores(self) -> Path:
-        """The folder of the jobs' zarr stores."""
-        return self.data / "stores"
+    def store_of(self, job_id: str) -> str:
+        """Where a job's zarr store is."""
+        return str(self.data.absolute() / "stores" / f"{job_id}.zarr")

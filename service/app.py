@@ -1,0 +1,70 @@
+"""The application: one data folder, one supervisor, the calls, and nothing that outlives it."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from functools import partial
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from service import docs, errors, routes
+from service.bodies import BodyLimit
+from service.health import Health
+from service.ledger import Ledger
+from service.lifecycle import Lifecycle
+from service.routes import Service
+from service.schemas import ProblemDocument
+from service.settings import Settings
+from worker.executors import Executor
+from worker.spec import SweepSpec
+
+SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
+
+
+def create_app(settings: Settings, executor: Executor) -> FastAPI:
+    """The service as an ASGI application, computing on `executor`, which stays its owner's to close.
+
+    Starting it raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
+    version wrote its ledger.
+    """
+    app = FastAPI(
+        title="bouncing-spring",
+        summary=SUMMARY,
+        version="0.1.0",
+        docs_url=None,  # /docs is our own: the usual ones fetch their scripts from elsewhere
+        redoc_url=None,
+        lifespan=partial(_lifespan, settings=settings, executor=executor),
+    )
+    app.include_router(routes.router)
+    app.include_router(routes.probes)
+    app.include_router(docs.router)
+    errors.install(app)
+    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
+    app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
+    return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI, *, settings: Settings, executor: Executor) -> AsyncIterator[None]:
+    """Open the ledger and compute what it has unfinished until the application stops."""
+    with Ledger(settings.ledger_path) as ledger:
+        lifecycle = Lifecycle(ledger, executor, settings)
+        app.state.service = Service(settings, ledger, lifecycle, Health(executor))
+        lifecycle.start()
+        try:
+            yield
+        finally:
+            lifecycle.stop()
+
+
+def _openapi(app: FastAPI) -> dict[str, Any]:
+    """The API document, with the schemas of what FastAPI does not parse itself."""
+    if app.openapi_schema is None:
+        document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
+        schemas = document.setdefault("components", {}).setdefault("schemas", {})
+        for model in (SweepSpec, ProblemDocument):
+            schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+            schemas |= schema.pop("$defs", {}) | {model.__name__: schema}
+        app.openapi_schema = document
+    return app.openapi_schema

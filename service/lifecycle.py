@@ -1,0 +1,111 @@
+"""What people ask of jobs: submit, cancel, resume. Changes the ledger and rings for the supervisor."""
+
+import json
+import time
+from typing import NamedTuple
+
+from kernel.params import KERNEL_VERSION
+from service.errors import IllegalTransition, QueueFull, UnknownJob
+from service.jobs import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
+from service.ledger import Ledger, Writing
+from service.settings import Settings
+from service.supervisor import Supervisor
+from worker.executors import Executor
+from worker.plan import check_size, make_plan
+from worker.spec import SweepSpec
+
+
+class Submission(NamedTuple):
+    """What became of a submitted sweep; `accepted`: there is something to compute that was not asked for."""
+
+    job: JobRecord
+    accepted: bool
+
+
+class Lifecycle:
+    """The jobs of one data folder. Its methods may be called from any thread."""
+
+    def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
+        self._ledger, self._settings = ledger, settings
+        self._supervisor = Supervisor(ledger, executor, settings)
+
+    def start(self) -> None:
+        """Go on with every job that was queued or running when the service last stopped."""
+        self._supervisor.start()
+
+    def stop(self) -> None:
+        """Stop computing; unfinished jobs go on at the next start."""
+        self._supervisor.stop()
+
+    def submit(self, spec: SweepSpec) -> Submission:
+        """Accept a sweep, or find the job that it is already; one that failed or was cancelled goes on.
+
+        Raises SpecTooLarge, QueueFull.
+        """
+        check_size(spec, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
+        job = _new_job(spec)
+        with self._ledger.writing() as ledger:
+            accepted = self._accept(ledger, job)
+            record = _found(ledger.find(job.id), job.id)
+        if accepted:
+            self._supervisor.ring()
+        return Submission(record, accepted)
+
+    def cancel(self, job_id: str) -> JobRecord:
+        """Stop a job: at once if it is queued, as soon as nothing writes any more if it is running.
+
+        Cancelling twice is once. Raises UnknownJob, and IllegalTransition if it is done or failed.
+        """
+        with self._ledger.writing() as ledger:
+            _cancel(ledger, _found(ledger.find(job_id), job_id))
+            record = _found(ledger.find(job_id), job_id)
+        self._supervisor.ring()
+        return record
+
+    def _accept(self, ledger: Writing, job: NewJob) -> bool:
+        known = ledger.find(job.id)
+        if known is None:
+            self._check_queue(ledger)
+            ledger.insert(job, time.time())
+        elif known.state in RESUMABLE:
+            self._check_queue(ledger)
+            ledger.queue(known)
+        elif known.cancel_requested:
+            ledger.request_cancel(known, wanted=False)
+        else:
+            return False
+        return True
+
+    def _check_queue(self, ledger: Writing) -> None:
+        waiting = ledger.count(UNFINISHED)
+        if waiting >= self._settings.max_queue:
+            most = self._settings.max_queue
+            raise QueueFull(f"{waiting} jobs are queued or running already, at most {most} may be")
+
+
+def _cancel(ledger: Writing, job: JobRecord) -> None:
+    if job.state is JobState.QUEUED:
+        ledger.finish(job, JobState.CANCELLED, time.time())
+    elif job.state is JobState.RUNNING:
+        ledger.request_cancel(job, wanted=True)
+    elif job.state is not JobState.CANCELLED:
+        raise IllegalTransition(f"the job is {job.state}: only a queued or running job can be cancelled")
+
+
+def _found(job: JobRecord | None, job_id: str) -> JobRecord:
+    if job is None:
+        raise UnknownJob.of(job_id)
+    return job
+
+
+def _new_job(spec: SweepSpec) -> NewJob:
+    plan = make_plan(spec)
+    return NewJob(
+        id=spec.job_id(KERNEL_VERSION),
+        name=spec.name,
+        spec=json.dumps(spec.as_submitted()),
+        kernel_version=KERNEL_VERSION,
+        chunk_shape=plan.chunk_shape,
+        chunks_total=len(plan),
+        cells_total=plan.cells,
+    )

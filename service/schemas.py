@@ -1,0 +1,193 @@
+"""The HTTP contract: what queries may ask and what answers hold."""
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
+
+from service.jobs import JobRecord, JobState
+
+#: A specification longer than this (in characters of JSON) is left out of lists.
+LONG_SPEC: Final = 10_000
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Format(StrEnum):
+    """What a diagram comes as."""
+
+    JSON = "json"
+    CSV = "csv"
+    PNG = "png"
+    SVG = "svg"
+
+
+class Query(BaseModel):
+    """Query parameters; a misspelt one is refused, not ignored."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class JobsQuery(Query):
+    """Which jobs to list."""
+
+    state: JobState | None = None
+    limit: Annotated[int, Field(ge=1, le=1000)] = 100
+
+
+class LineQuery(Query):
+    """One line of cells through the grid: along one axis, the others fixed at the nearest grid value."""
+
+    along: Literal["gamma", "omega", "xi"] = "gamma"
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: str | None = Field(None, description="rest, up or down; the sweep's first if left out")
+    min_flight: Annotated[Number, Field(ge=0, description="rad; shorter flights are left out")] = 0.0
+
+
+class DiagramQuery(LineQuery):
+    """A line and the form it comes in."""
+
+    format: Format = Format.JSON
+
+
+class ThresholdQuery(Query):
+    """Where Eq. 25 is asked for."""
+
+    omega: Annotated[Number, Field(gt=0, le=1e6)]
+    xi: Annotated[Number, Field(ge=0, le=1e6)]
+
+
+class JobThresholdQuery(Query):
+    """At which xi, the nearest grid value; may be left out where the sweep has one."""
+
+    xi: Number | None = None
+
+
+class NoQuery(Query):
+    """No parameters."""
+
+
+class ProgressView(BaseModel):
+    """How far a job is."""
+
+    chunks_done: int
+    chunks_total: int
+    cells_done: int
+    cells_total: int
+    percent: float
+    eta_seconds: float | None
+
+
+class JobView(BaseModel):
+    """A job as its reader sees it."""
+
+    id: str
+    name: str
+    state: JobState
+    progress: ProgressView
+    error: str | None
+    created: datetime
+    started: datetime | None
+    finished: datetime | None
+    spec: dict[str, JsonValue] | None = Field(description="null in lists where it is long")
+    links: dict[str, str]
+
+
+class JobList(BaseModel):
+    """Jobs, the last accepted first."""
+
+    jobs: list[JobView]
+    total: int = Field(description="how many there are, also beyond the limit")
+
+
+class Threshold(BaseModel):
+    """Eq. 25 at one point."""
+
+    omega: float
+    xi: float
+    threshold: float | None = Field(description="the lowest Γ that bounces from rest; null where none does")
+
+
+class Thresholds(BaseModel):
+    """Per Ω of a sweep, at one xi: where bouncing begins and ends."""
+
+    xi: float
+    omega: list[float]
+    analytic: list[float | None] = Field(description="Eq. 25")
+    up: list[float | None] = Field(description="lowest Γ that bounces, ascending or from rest")
+    down: list[float | None] = Field(description="lowest Γ that bounces, descending")
+    complete: bool
+
+
+class BrokenRule(BaseModel):
+    """A field and the rule it breaks."""
+
+    field: str
+    rule: str
+
+
+class ProblemDocument(BaseModel):
+    """An error (RFC 9457)."""
+
+    title: str
+    status: int
+    detail: str
+    errors: list[BrokenRule] = []
+
+
+class Health(BaseModel):
+    """Whether the service can do its work, and if not, why."""
+
+    status: Literal["ok"]
+
+
+def job_view(job: JobRecord, now: float, store: str, *, in_list: bool = False) -> JobView:
+    """The view of a job at `now` (seconds since 1970) whose store is at `store`."""
+    progress = job.progress(now)
+    return JobView(
+        id=job.id,
+        name=job.name,
+        state=job.state,
+        progress=ProgressView(
+            chunks_done=progress.chunks_done,
+            chunks_total=progress.chunks_total,
+            cells_done=progress.cells_done,
+            cells_total=progress.cells_total,
+            percent=progress.percent,
+            eta_seconds=progress.eta_seconds,
+        ),
+        error=job.error,
+        created=_time(job.created),
+        started=_time(job.started),
+        finished=_time(job.finished),
+        spec=None if in_list and len(job.spec) > LONG_SPEC else json.loads(job.spec),
+        links=_links(job.id, store),
+    )
+
+
+def etag(job: JobRecord) -> str:
+    """Changes when the view does, but for the time to go, which changes all the time."""
+    facts = (job.id, job.state, job.error, job.chunks_done, job.started, job.finished)
+    return f'W/"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
+
+
+def _links(job_id: str, store: str) -> dict[str, str]:
+    here = f"/v1/jobs/{job_id}"
+    parts = {part: f"{here}/{part}" for part in ("cancel", "diagram", "threshold")}
+    return {"self": here, **parts, "store": Path(store).as_uri()}
+
+
+def _time(seconds: float | None) -> Any:
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+
+
+def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """What the API document says of errors."""
+    content = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}}
+    return {status: {"description": "see the problem document", "content": content} for status in statuses}

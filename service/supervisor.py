@@ -1,0 +1,240 @@
+"""The one thread that moves jobs on: picks them up, keeps workers supplied, marks what is written.
+
+It sleeps until it is rung for (a submission, a cancel, a chunk that came back) or a heartbeat has passed.
+Whatever it holds in memory can be rebuilt from the ledger.
+"""
+
+import logging
+import threading
+import time
+from concurrent.futures import CancelledError, Future
+from functools import partial
+from queue import Empty, SimpleQueue
+
+from kernel.params import KERNEL_VERSION
+from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState
+from service.ledger import Ledger
+from service.running import Limits, Run, Settled
+from service.settings import Settings
+from worker import store
+from worker.executors import ClusterLost, Executor, WorkerDied
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.tasks import ChunkCancelled, ChunkReport
+
+log = logging.getLogger(__name__)
+
+
+class KernelChanged(Exception):
+    """A job was begun by a kernel whose numbers may differ."""
+
+
+class Supervisor:
+    """Computes the ledger's unfinished jobs on an executor until it is stopped.
+
+    A small window of chunks is in flight over all jobs, and the job with the fewest gets
+    the next place, so that a small job passes a huge one.
+    """
+
+    def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
+        self._ledger, self._executor, self._settings = ledger, executor, settings
+        self._limits = Limits(settings.chunk_tries, settings.failed_chunks)
+        self._inbox: SimpleQueue[Settled | None] = SimpleQueue()  # None: look at the ledger
+        self._runs: dict[str, Run] = {}
+        self._places = 0  # for chunks in flight, over all jobs
+        self._next_look = time.monotonic()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
+
+    def start(self) -> None:
+        """Begin, with what the ledger has unfinished."""
+        self.ring()
+        self._thread.start()
+
+    def ring(self) -> None:
+        """Say that the ledger has news. From any thread."""
+        self._inbox.put(None)
+
+    def stop(self) -> None:
+        """Let go of everything in flight and end; unfinished jobs stay so in the ledger."""
+        self._stop.set()
+        self.ring()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _work(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self._turn(self._news())
+            except Exception:  # the ledger may be out of reach; nothing is lost by trying again
+                log.exception("the supervisor stumbled; it goes on in %g s", self._settings.heartbeat_seconds)
+                self._stop.wait(self._settings.heartbeat_seconds)
+                self.ring()
+        for run in self._runs.values():
+            for future in list(run.in_flight.values()):
+                future.cancel()
+
+    def _news(self) -> list[Settled | None]:
+        """All that has come in; sleeps until there is something or it is time to look round."""
+        try:
+            news = [self._inbox.get(timeout=max(self._next_look - time.monotonic(), 0))]
+        except Empty:
+            return [None]
+        while not self._inbox.empty():
+            news.append(self._inbox.get())
+        return news if time.monotonic() < self._next_look else [*news, None]
+
+    def _turn(self, news: list[Settled | None]) -> None:
+        for settled in filter(None, news):
+            self._take_in(settled)
+        for run in list(self._runs.values()):
+            self._mark(run)
+        if None in news:
+            self._adopt()
+        self._submit()
+        for run in list(self._runs.values()):
+            self._end(run)
+
+    # What came back
+
+    def _take_in(self, settled: Settled) -> None:
+        """Sort a chunk that came back into written, to be done again, or failed."""
+        run, chunk = self._runs[settled.job_id], settled.chunk
+        del run.in_flight[chunk]
+        error = _error_of(settled.future)
+        if error is None:
+            run.written.append(_done(settled.future.result()))
+        elif isinstance(error, ChunkCancelled | CancelledError):
+            run.put_back(chunk)
+        elif isinstance(error, ClusterLost):
+            run.put_back(chunk)
+            self._places = 0  # until the next look finds workers
+        elif isinstance(error, WorkerDied):
+            log.warning("job %s, chunk %d: %s", run.job.id, chunk, error)
+            run.lost(chunk, str(error), self._limits)
+        else:
+            log.error("job %s, chunk %d: %s", run.job.id, chunk, error, exc_info=error)
+            run.failed(chunk, f"{type(error).__name__}: {error}")
+
+    def _mark(self, run: Run) -> None:
+        """Chunks are written; now say so, in one transaction."""
+        if run.written:
+            with self._ledger.writing() as ledger:
+                ledger.mark_done(run.job, run.written)
+            run.marked()
+
+    # What the ledger wants
+
+    def _adopt(self) -> None:
+        """Pick up jobs that wait, stop those that shall stop, let go on those that after all shall."""
+        self._next_look = time.monotonic() + self._settings.heartbeat_seconds
+        self._places = self._settings.window * self._executor.workers()
+        with self._ledger.reading() as ledger:
+            unfinished = ledger.unfinished(self._settings.active_jobs)
+        for brief in unfinished:
+            run = self._runs.get(brief.id)
+            if run is None:
+                self._pick_up(brief.id)
+            elif run.stopping != brief.cancel_requested:
+                self._stop_or_go_on(run, stop=brief.cancel_requested)
+
+    def _pick_up(self, job_id: str) -> None:
+        """Make a job's store and give it a place among the running."""
+        job = self._ledger.find(job_id)
+        if job is None:
+            return
+        try:
+            run = self._opened(job)
+        except Exception as error:
+            log.exception("job %s cannot begin", job_id)
+            self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
+            return
+        if self._mark_running(job_id):
+            self._runs[job_id] = run
+            log.info("job %s runs, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
+
+    def _opened(self, job: JobRecord) -> Run:
+        if job.kernel_version != KERNEL_VERSION:
+            raise KernelChanged(
+                f"kernel {job.kernel_version} began it, this is {KERNEL_VERSION}: submit it again"
+            )
+        spec = SweepSpec.from_json(job.spec)
+        plan = make_plan(spec, chunk_shape=job.chunk_shape)
+        url = self._settings.store_of(job.id)
+        store.create(url, spec, plan)
+        store.clear_cancelled(url)
+        run = Run(job, spec, plan, url, self._ledger.done_mask(job))
+        run.stopping = job.cancel_requested  # the service stopped before the job could
+        return run
+
+    def _mark_running(self, job_id: str) -> bool:
+        """Whether the job may run: it may have been cancelled since it was seen in the queue."""
+        with self._ledger.writing() as ledger:
+            job = ledger.find(job_id)
+            if job is None or job.state not in UNFINISHED:
+                return False
+            ledger.run(job, time.time())
+            return True
+
+    def _stop_or_go_on(self, run: Run, stop: bool) -> None:
+        """Tell the workers of a job by the mark at its store.
+
+        Every chunk in flight still comes back: only then is it sure that nothing writes any more.
+        """
+        mark = store.set_cancelled if stop else store.clear_cancelled
+        mark(run.url)
+        run.stopping = stop
+
+    # What comes next
+
+    def _submit(self) -> None:
+        """Fill the free places, the job with the fewest chunks in flight first."""
+        while sum(len(run.in_flight) for run in self._runs.values()) < self._places:
+            able = [run for run in self._runs.values() if run.may_submit(self._limits)]
+            if not able or not self._send(min(able, key=lambda run: (len(run.in_flight), run.job.seq))):
+                return
+
+    def _send(self, run: Run) -> bool:
+        """Give a job's next chunk to the executor; whether it took it."""
+        chunk = run.take()
+        try:
+            future = self._executor.submit(run.spec, chunk, run.url)
+        except Exception:
+            log.exception("the executor takes no chunk; it is tried again soon")
+            run.put_back(chunk.index)
+            return False
+        run.in_flight[chunk.index] = future
+        future.add_done_callback(partial(self._came_back, run.job.id, chunk.index))
+        return True
+
+    def _came_back(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
+        self._inbox.put(Settled(job_id, chunk, future))
+
+    def _end(self, run: Run) -> None:
+        """End a job that has nothing left to do or to wait for."""
+        state = run.ending(self._limits)
+        if state is None:
+            return
+        if self._finish(run.job.id, state, run.error if state is JobState.FAILED else None):
+            del self._runs[run.job.id]
+            log.info("job %s is %s", run.job.id, state)
+        self.ring()  # one that waits may have its place; one whose cancel was taken back goes on
+
+    def _finish(self, job_id: str, state: JobState, error: str | None) -> bool:
+        """Write the end of a job down; False if it shall go on after all."""
+        with self._ledger.writing() as ledger:
+            job = ledger.find(job_id)
+            if job is None or job.state not in UNFINISHED:
+                return True
+            if state is JobState.CANCELLED and not job.cancel_requested:
+                return False
+            ledger.finish(job, state, time.time(), error)
+            return True
+
+
+def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
+    return CancelledError() if future.cancelled() else future.exception()
+
+
+def _done(report: ChunkReport) -> DoneChunk:
+    return DoneChunk(report.index, report.cells, report.seconds, report.checksum, report.outcomes)
