@@ -103,29 +103,69 @@ def departure_step(f2: float, f3: float, f4: float) -> float:
 
 
 @jit
+def monotone_width(f0: float, f1: float, f2: float, f3: float, f4: float) -> float:
+    """A width over which F surely falls all the way and through zero; 0 where that is not sure."""
+    if f1 >= 0.0:
+        return 0.0
+    width = -2.0 * f0 / f1
+    steepest = f1 + width * (max(f2, 0.0) + width * (0.5 * max(f3, 0.0) + width * f4 / 6.0))
+    return width if f0 + steepest * width < 0.0 else 0.0
+
+
+@jit
+def halley(f0: float, f1: float, f2: float, f3: float) -> tuple[float, float]:
+    """Halley's step from F, F', F'' towards its zero, and the size of what that leaves."""
+    newton = -f0 / f1
+    bend = 0.5 * f2 / f1
+    left = abs(newton) ** 3 * (bend * bend + abs(f3 / (6.0 * f1)))
+    return newton / (1.0 + newton * bend), left
+
+
+@jit
+def close_in(phase: Any, low: float, high: float, tau: float, budget: int) -> tuple[float, int, int]:
+    """The only zero in [low, high], where F falls monotonically; as first_root."""
+    for used in range(budget):
+        t = terms(phase, tau)
+        f0 = t.smooth + t.ring
+        step, left = halley(f0, t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3)
+        tau = min(max(tau + step, low), high)
+        if left <= EPS * tau or abs(f0) <= t.noise:
+            return tau, ROOT, used + 1
+    return tau, SPENT, budget
+
+
+@jit
 def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
     """First time after `start` at which the phase's function, positive just after it, falls to zero.
 
-    Times in rad from the start of the phase. Returns (tau, ROOT | HORIZON | SPENT | BROKEN, evaluations used).
+    Times in rad from the start of the phase. Returns
+    (tau, ROOT | HORIZON | SPENT | BROKEN, evaluations used).
     """
     tau = start
     guess = 0.5
-    for used in range(budget):
+    for used in range(1, budget + 1):
         if tau >= horizon:
             return horizon, HORIZON, used
         t = terms(phase, tau)
-        f0 = t.smooth + t.ring
-        f1 = t.smooth1 + t.ring1
-        if not math.isfinite(f0 + f1 + t.smooth4 + t.ring4):
-            return tau, BROKEN, used + 1
-        if f1 < 0.0 and f0 <= max(t.noise, -f1 * 4.0 * EPS * tau):
-            return max(tau - f0 / f1, start), ROOT, used + 1
-        f0 = max(f0, 0.0)
+        f0, f1 = t.smooth + t.ring, t.smooth1 + t.ring1
         f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+        if not math.isfinite(f0 + f1 + f4):
+            return tau, BROKEN, used
+        if f1 < 0.0 and f0 <= max(t.noise, -f1 * 4.0 * EPS * tau):
+            return max(tau - f0 / f1, start), ROOT, used
+        f0 = max(f0, 0.0)
+        width = monotone_width(f0, f1, f2, f3, f4)
+        if width > 0.0:
+            step, _ = halley(f0, f1, f2, f3)
+            tau, ending, more = close_in(phase, tau, tau + width, tau + step, budget - used)
+            if tau >= horizon:
+                return horizon, HORIZON, used + more
+            return tau, ending, used + more
         step = safe_step(f0, f1, f2, f3, f4, guess)
-        clear = t.smooth - t.amplitude
-        if clear > 0.0:
-            step = max(step, safe_step(clear, t.smooth1, t.smooth2, t.smooth3, t.smooth4, guess))
+        if t.ring4 > t.smooth4 and t.smooth > t.amplitude:
+            step = max(
+                step, safe_step(t.smooth - t.amplitude, t.smooth1, t.smooth2, t.smooth3, t.smooth4, guess)
+            )
         guess = 2.0 * step
         tau += step
     return tau, SPENT, budget

@@ -40,17 +40,21 @@ def take_off(
 def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
     """When the gap first falls to zero after `start`: see events.first_root."""
     if start == 0.0 and p.gap == 0.0 and p.gap1 == 0.0:
-        t = flight_terms(p, 0.0)
-        start = departure_step(p.gap2, t.smooth3, t.smooth4)
+        _, q3, q4 = derivatives(p.osc, p.q, p.q1)
+        start = departure_step(p.gap2, -math.sin(p.phi) - 0.5 * q3, 1.0 + 0.5 * q4)
     return first_root(p, start, horizon, budget)
 
 
 @jit
 def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
     """Gap, gap', q, q' tau rad into the flight."""
-    t = flight_terms(p, tau)
     q, q1 = motion(p.osc, p.q, p.q1, tau)
-    return t.smooth + t.ring, t.smooth1 + t.ring1, q, q1
+    if tau * max(p.osc.rate, 1.0) < SHORT:
+        gap, gap1, _ = _short(p, tau)
+        return gap, gap1, q, q1
+    gap = p.gap + (math.cos(p.phi) - math.cos(p.phi + tau)) + p.drift * tau - 0.5 * p.gravity * tau * tau
+    gap1 = math.sin(p.phi + tau) + p.drift - p.gravity * tau - 0.5 * q1
+    return gap - 0.5 * (q - p.q), gap1, q, q1
 
 
 @terms.register(Flight)
@@ -65,7 +69,7 @@ def flight_terms(p: Flight, tau: float) -> Terms:
         gap2, gap3, bound = cos - p.gravity - 0.5 * q2, -sin - 0.5 * q3, 1.0 + 0.5 * q4
         return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
     fall = 0.5 * p.gravity * tau * tau
-    smooth = p.gap + 2.0 * math.sin(p.phi + 0.5 * tau) * math.sin(0.5 * tau) + p.drift * tau - fall
+    smooth = p.gap + (math.cos(p.phi) - cos) + p.drift * tau - fall
     if tau * p.osc.rate < SHORT:
         stretch = displacement(p.osc, p.q, p.q1, tau)
         ring, amplitude, size = -0.5 * stretch, math.inf, abs(stretch)

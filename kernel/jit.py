@@ -42,7 +42,7 @@ class by_type:  # noqa: N801 - a decorator
 
     def _resolve(self, first: Any) -> Callable[..., Any] | None:
         chosen = self._implementations.get(getattr(first, "instance_class", type(None)))
-        return None if chosen is None else lambda first, *rest: chosen(first, *rest)
+        return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
 
     def register(self, kind: type) -> Callable[[_Function], _Function]:
         """Decorator: this function answers for first arguments of type `kind`."""

@@ -6,15 +6,15 @@ amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities
 (Gamma_old/Gamma_new)(Omega_new/Omega_old) (MODEL section 4).
 """
 
-from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.inputs import check_arrays, check_window, checked_state
 from kernel.jit import jit
 from kernel.model import flies, prepare, rest
-from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Start
+from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
 from kernel.rigid import RigidPlate
 from kernel.soft import SoftPlate
 from kernel.trajectory import DIVERGED, Flights, Window, classify, run_cell
@@ -65,7 +65,8 @@ def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
     state[5] *= velocity
 
 
-_MODELS: Final = (Model.SOFT, Model.RIGID)
+#: The models there are.
+MODELS: Final = (Model.SOFT, Model.RIGID)
 
 
 def run_line(
@@ -99,10 +100,9 @@ def run_line(
         "restitution": restitution,
         "penetration": penetration,
     }
-    _check_arrays(arrays)
-    _check_window(settle, observe, keep, micro_flight)
-    if model not in _MODELS:
-        raise KernelInputError("model", f"must be one of {', '.join(m.name.lower() for m in _MODELS)}")
+    check_arrays(arrays)
+    check_window(settle, observe, keep, micro_flight)
+    gamma, omega, xi, restitution, penetration = (np.ascontiguousarray(a) for a in arrays.values())
     n = len(gamma)
     line = Line(
         np.full((n, keep), np.nan),
@@ -113,71 +113,31 @@ def run_line(
         np.zeros(n, dtype=np.int16),
         np.full((n, len(STATE_FIELDS)), np.nan),
     )
-    state = np.zeros(len(STATE_FIELDS)) if start is None else _checked_state(start)
+    state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     window = Window(int(settle), int(observe), float(micro_flight))
-    plate: RigidPlate | SoftPlate
-    if model == Model.RIGID:
-        plate = RigidPlate(restitution)
-    else:
-        plate = SoftPlate(restitution, penetration, bool(adhesive))
+    plate = _plate(model, restitution, penetration, bool(adhesive))
     _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line)
     return line
+
+
+def _plate(
+    model: Model, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool
+) -> RigidPlate | SoftPlate:
+    if model == Model.RIGID:
+        return RigidPlate(restitution)
+    if model == Model.SOFT:
+        return SoftPlate(restitution, penetration, adhesive)
+    raise KernelInputError(
+        "model", f"must be one of {', '.join(m.name.lower() for m in MODELS)}, got {model!r}"
+    )
 
 
 def warm() -> None:
     """Compile every kernel a worker may be asked for."""
     one = np.ones(1)
-    for model in _MODELS:
+    for model in MODELS:
         run_line(
             one, one, one, model=model, restitution=0.5 * one, penetration=1e-3 * one, adhesive=True,
-            carry=True, settle=0, observe=1, keep=1, start=Start(np.zeros(len(STATE_FIELDS)), Cell(1.0, 1.0, 1.0)),
+            carry=False, settle=0, observe=1, keep=1,
         )  # fmt: skip
-
-
-#: What a cell's numbers must satisfy: name -> (test, rule).
-_RULES: Final[dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.bool_]], str]]] = {
-    "gamma": (lambda a: a > 0.0, "must be > 0"),
-    "omega": (lambda a: a > 0.0, "must be > 0"),
-    "xi": (lambda a: a >= 0.0, "must be >= 0"),
-    "restitution": (lambda a: (a >= 0.0) & (a <= 1.0), "must lie in [0, 1]"),
-    "penetration": (lambda a: a > 0.0, "must be > 0"),
-}
-
-
-def _check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
-    shape = None
-    for name, array in arrays.items():
-        if not isinstance(array, np.ndarray) or array.dtype != np.float64:
-            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-            raise KernelInputError(
-                name, f"must be a float64 array, got {kind}; numpy.asarray(..., dtype=float) makes one"
-            )
-        if array.ndim != 1 or len(array) == 0:
-            raise KernelInputError(name, f"must have shape (n,) with n >= 1, got {array.shape}")
-        shape = shape or array.shape
-        if array.shape != shape:
-            raise KernelInputError(name, f"must have the shape of gamma, {shape}, got {array.shape}")
-        test, rule = _RULES[name]
-        wrong = np.flatnonzero(~(np.isfinite(array) & test(array)))
-        if len(wrong):
-            raise KernelInputError(name, f"{rule} and be finite, got {array[wrong[0]]} at index {wrong[0]}")
-
-
-def _check_window(settle: int, observe: int, keep: int, micro_flight: float) -> None:
-    for name, value, least in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise KernelInputError(name, f"must be an integer >= {least}, got {value!r}")
-    if not np.isfinite(micro_flight) or micro_flight < 0.0:
-        raise KernelInputError("micro_flight", f"must be >= 0 and finite, got {micro_flight!r}")
-
-
-def _checked_state(start: Start) -> NDArray[np.float64]:
-    state = np.array(start.state, dtype=np.float64)
-    if state.shape != (len(STATE_FIELDS),) or not np.all(np.isfinite(state)):
-        raise KernelInputError(
-            "start", f"must hold {len(STATE_FIELDS)} finite numbers: {', '.join(STATE_FIELDS)}"
-        )
-    if not all(np.isfinite(v) and v > 0.0 for v in start.cell[:2]):
-        raise KernelInputError("start", "must name the gamma > 0 and omega > 0 its lengths are measured in")
-    return state

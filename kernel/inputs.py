@@ -1,0 +1,59 @@
+"""What a kernel's Python entry accepts; a refusal names the argument and the rule."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.params import STATE_FIELDS, KernelInputError, Start
+
+#: What a cell's numbers must satisfy: name -> (test, rule).
+_RULES: Final[dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.bool_]], str]]] = {
+    "gamma": (lambda a: a > 0.0, "must be > 0"),
+    "omega": (lambda a: a > 0.0, "must be > 0"),
+    "xi": (lambda a: a >= 0.0, "must be >= 0"),
+    "restitution": (lambda a: (a >= 0.0) & (a <= 1.0), "must lie in [0, 1]"),
+    "penetration": (lambda a: a > 0.0, "must be > 0"),
+}
+
+
+def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
+    """Float64 arrays (n,) of one length, each within its rule."""
+    shape = None
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64:
+            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise KernelInputError(
+                name, f"must be a float64 array, got {kind}; numpy.asarray(..., dtype=float) makes one"
+            )
+        if array.ndim != 1 or len(array) == 0:
+            raise KernelInputError(name, f"must have shape (n,) with n >= 1, got {array.shape}")
+        shape = shape or array.shape
+        if array.shape != shape:
+            raise KernelInputError(name, f"must have the shape of gamma, {shape}, got {array.shape}")
+        test, rule = _RULES[name]
+        wrong = np.flatnonzero(~(np.isfinite(array) & test(array)))
+        if len(wrong):
+            raise KernelInputError(name, f"{rule} and be finite, got {array[wrong[0]]} at index {wrong[0]}")
+
+
+def check_window(settle: int, observe: int, keep: int, micro_flight: float) -> None:
+    """Plate periods, flights and rad of an observation window."""
+    for name, value, least in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise KernelInputError(name, f"must be an integer >= {least}, got {value!r}")
+    if not np.isfinite(micro_flight) or micro_flight < 0.0:
+        raise KernelInputError("micro_flight", f"must be >= 0 and finite, got {micro_flight!r}")
+
+
+def checked_state(start: Start) -> NDArray[np.float64]:
+    """A copy of a start's state, finite and complete."""
+    state = np.array(start.state, dtype=np.float64)
+    if state.shape != (len(STATE_FIELDS),) or not np.all(np.isfinite(state)):
+        raise KernelInputError(
+            "start", f"must hold {len(STATE_FIELDS)} finite numbers: {', '.join(STATE_FIELDS)}"
+        )
+    if not all(np.isfinite(v) and v > 0.0 for v in start.cell[:2]):
+        raise KernelInputError("start", "must name the gamma > 0 and omega > 0 its lengths are measured in")
+    return state
