@@ -9,6 +9,7 @@ handed over; who wants a chunk done again submits it again.
 """
 
 import asyncio
+import json
 import time
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
@@ -129,12 +130,12 @@ class Dask:
             self._cluster.close()
 
     def _connect(self, address: str | None, scheduler_file: str | Path | None, timeout: float) -> Any:
-        where = self._cluster or address
-        file = str(scheduler_file) if scheduler_file is not None else None
+        if scheduler_file is not None:
+            address = _address_in(Path(scheduler_file), timeout)
         try:
-            return Client(where, scheduler_file=file, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
+            return Client(self._cluster or address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:  # a time-out is an OSError
-            raise ClusterLost(f"no scheduler answers at {address or scheduler_file}: {error}") from error
+            raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
     def _ping(self) -> int:
         """The scheduler's own count of threads, 0 if it does not answer in time."""
@@ -163,6 +164,18 @@ async def _outcome(task: Any) -> ChunkReport:
         raise
     finally:
         task.release()
+
+
+def _address_in(file: Path, timeout: float) -> str:
+    """The address a scheduler wrote; waits for the file, which distributed itself would do for ever."""
+    deadline = time.monotonic() + timeout
+    while True:
+        try:
+            return str(json.loads(file.read_text())["address"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            if time.monotonic() > deadline:
+                raise ClusterLost(f"no scheduler has written its address to {file}: {error}") from error
+        time.sleep(0.1)
 
 
 def _local_cluster(workers: int) -> Any:

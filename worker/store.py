@@ -16,7 +16,7 @@ import threading
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import zarr
@@ -174,13 +174,20 @@ def _open_store(url: str, *, read_only: bool) -> Store:
     return LocalStore(Path(url), read_only=read_only)
 
 
-def _open(url: str, mode: Any) -> zarr.Group:
+def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
+    group, trouble = None, ""
     try:
         group = zarr.open_group(_open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
-        raise StoreMissing(f"{url}: no store here") from None
+        pass
     except (ValueError, KeyError, TypeError) as error:
-        raise StoreDamaged(f"{url}: the store's metadata cannot be read: {error}") from error
+        trouble = f"{type(error).__name__}: {error}"
+    # Raised out here, because zarr's errors, kept as ours' context, would not survive the way back
+    # from a worker.
+    if trouble:
+        raise StoreDamaged(f"{url}: the store's metadata cannot be read: {trouble}")
+    if group is None:
+        raise StoreMissing(f"{url}: no store here")
     if group.metadata.consolidated_metadata is None:
         raise StoreMissing(f"{url}: the store was never finished; create it again")
     return group
@@ -251,7 +258,8 @@ def _read(array: zarr.Array[Any], where: tuple[Index, ...]) -> NDArray[Any]:
     try:
         return np.asarray(array[where or ...])
     except (RuntimeError, ValueError) as error:  # what codecs raise for bytes that are not theirs
-        raise StoreDamaged(f"{array.store_path}: cannot be read back: {error}") from error
+        trouble = str(error)
+    raise StoreDamaged(f"{array.store_path}: cannot be read back: {trouble}")
 
 
 def _chunk_shape(group: zarr.Group) -> tuple[int, ...]:

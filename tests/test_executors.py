@@ -1,0 +1,161 @@
+"""Executors: the same four calls whatever is behind them, and errors that say who failed."""
+
+import os
+import re
+import signal
+import threading
+import time
+from concurrent.futures import CancelledError
+
+import dask
+import psutil
+import pytest
+
+from worker import store
+from worker.executors import ClusterLost, Dask, Executor, Inline, WorkerDied
+from worker.plan import Plan, make_plan
+from worker.spec import SweepSpec
+from worker.tasks import ChunkCancelled, ChunkReport
+
+
+@pytest.fixture
+def inline():
+    executor = Inline()
+    yield executor
+    executor.close()
+
+
+@pytest.fixture(params=["inline", "cluster"])
+def executor(request) -> Executor:
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def planned(small_spec, tmp_path) -> tuple[SweepSpec, Plan, str]:
+    spec = small_spec()
+    plan, url = make_plan(spec, chunk_shape=(1, 3, 5)), str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    return spec, plan, url
+
+
+def test_every_chunk_comes_back_with_a_report(executor, planned):
+    spec, plan, url = planned
+    futures = [executor.submit(spec, chunk, url) for chunk in plan]
+    reports = [future.result(60) for future in futures]
+    assert [report.index for report in reports] == [0, 1, 2, 3]
+    assert all(isinstance(report, ChunkReport) and report.cells == 15 for report in reports)
+    assert all(store.verify(url, chunk, report.checksum) for chunk, report in zip(plan, reports, strict=True))
+
+
+def test_is_ready_and_counts_its_workers(executor):
+    assert executor.ready()
+    assert executor.workers() == (1 if isinstance(executor, Inline) else 2)
+
+
+def test_a_task_that_fails_says_why(executor, planned, tmp_path):
+    spec, plan, _ = planned
+    nowhere = str(tmp_path / "nowhere.zarr")
+    with pytest.raises(store.StoreMissing, match="no store here"):
+        executor.submit(spec, plan[0], nowhere).result(60)
+
+
+def test_a_cancelled_store_stops_its_tasks(executor, planned):
+    spec, plan, url = planned
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled):
+        executor.submit(spec, plan[0], url).result(60)
+    store.clear_cancelled(url)
+    executor.submit(spec, plan[0], url).result(60)
+
+
+def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tmp_path):
+    """Twenty chunks on two workers: the last ones have not begun when they are taken back."""
+    spec = small_spec(gamma={"start": 2.0, "stop": 5.0, "num": 200}, settle=2000)
+    plan, url = make_plan(spec, chunk_shape=(1, 1, 60)), str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    futures = [cluster.submit(spec, chunk, url) for chunk in plan]
+    assert futures[-1].cancel()
+    with pytest.raises(CancelledError):
+        futures[-1].result(60)
+    for future in futures[:-1]:
+        future.result(60)
+    last = store.read_chunk(url, plan[len(plan) - 1], ["outcome"])["outcome"]
+    assert not last.any()
+
+
+def test_two_workers_never_share_a_kernel_cache(cluster):
+    caches = cluster._client.run(lambda: os.environ["NUMBA_CACHE_DIR"])
+    assert len(set(caches.values())) == 2
+    assert os.environ["NUMBA_CACHE_DIR"] not in caches.values()
+
+
+def test_the_cluster_listens_on_loopback_only(cluster):
+    here = psutil.Process()
+    listening = [
+        connection.laddr.ip
+        for process in (here, *here.children(recursive=True))
+        for connection in process.net_connections("inet")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+    assert set(listening) == {"127.0.0.1"}
+
+
+def test_nothing_is_kept_of_a_chunk_that_is_done(cluster, planned):
+    spec, plan, url = planned
+    cluster.submit(spec, plan[0], url).result(60)
+    deadline = time.monotonic() + 5
+    while cluster._client.futures and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not cluster._client.futures
+
+
+def test_inline_after_close_is_not_ready(planned):
+    executor = Inline()
+    executor.close()
+    assert not executor.ready()
+    assert executor.workers() == 0
+
+
+def test_no_scheduler_at_an_address_is_said():
+    with pytest.raises(ClusterLost, match=re.escape("tcp://127.0.0.1:9")):
+        Dask("tcp://127.0.0.1:9", timeout=0.5)
+
+
+def test_no_scheduler_file_is_said(tmp_path):
+    with pytest.raises(ClusterLost, match=r"nothing\.json"):
+        Dask(scheduler_file=tmp_path / "nothing.json", timeout=0.5)
+
+
+def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp_path):
+    spec, plan, url = planned
+    file = tmp_path / "scheduler.json"
+    writer = threading.Timer(0.3, cluster._client.write_scheduler_file, [str(file)])
+    writer.start()
+    executor = Dask(scheduler_file=file, timeout=10)
+    writer.join()
+    try:
+        assert executor.workers() == 2
+        assert executor.submit(spec, plan[0], url).result(60).cells == 15
+    finally:
+        executor.close()
+
+
+def test_a_chunk_whose_worker_dies_says_so_and_the_next_worker_is_ready(small_spec, tmp_path):
+    spec = small_spec(gamma=[3.0, 3.5], settle=3_000_000)
+    plan, url = make_plan(spec, chunk_shape=(2, 3, 2)), str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        executor = Dask(workers=1)
+    try:
+        [pid] = executor._client.run(os.getpid).values()
+        future = executor.submit(spec, plan[0], url)
+        time.sleep(0.5)
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(WorkerDied):
+            future.result(60)
+        quick = small_spec()
+        other = str(tmp_path / "other.zarr")
+        store.create(other, quick, make_plan(quick))
+        assert executor.submit(quick, make_plan(quick)[0], other).result(60).outcomes[0] == 0
+    finally:
+        executor.close()
