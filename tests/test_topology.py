@@ -1,7 +1,6 @@
 """The compose file's containers as plain processes here: same commands, same health checks, one job."""
 
 import json
-import os
 import re
 import socket
 import subprocess
@@ -43,7 +42,6 @@ class Process:
             self.popen = subprocess.Popen(
                 self._here(self._container["command"]),
                 cwd=folder,
-                env=os.environ | {"NUMBA_CACHE_DIR": str(folder / "numba-cache" / name)},
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
