@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from worker.warm import claim_cache
+from worker.warm import claim_cache, warm
 
 CACHE = Path(__file__).parents[1] / ".numba-cache"
 claim_cache(CACHE)
@@ -22,6 +22,7 @@ from worker.spec import SweepSpec  # noqa: E402
 @pytest.fixture(scope="session")
 def cluster() -> Iterator[Dask]:
     """A Dask executor on two worker processes, for everybody: leave it running."""
+    warm(CACHE)  # so that on a fresh machine one process compiles instead of three
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()

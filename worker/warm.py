@@ -21,6 +21,7 @@ import platform
 import shutil
 import sys
 import tempfile
+import time
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
@@ -31,6 +32,7 @@ from distributed import WorkerPlugin
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _LOCK: Final = "held"
 _READY: Final = "ready"
+_OLD_SECONDS: Final = 14 * 24 * 3600
 
 #: The slot this process holds, until it ends: its lock is never closed on purpose.
 _held: list[Path] = []
@@ -39,14 +41,20 @@ _held: list[Path] = []
 def warm(root: str | Path | None = None) -> None:
     """Claim a cache for this process and compile every kernel into it, or read what is there.
 
-    Takes a second or so from a cache, and half a minute the first time.
+    Takes a second or so from a cache, and half a minute the first time; of several processes
+    that start together one compiles and the others wait for it.
     """
     slot = claim_cache(root)
     # Not at the top: the kernels' declarations look for the cache that was just claimed.
     from kernel import ramp  # noqa: PLC0415
 
-    ramp.warm()
-    if slot is not None:
+    if slot is None or (slot.parent / _READY).exists():
+        ramp.warm()
+        return
+    with (slot.parent / "compiling").open("a") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        _seed(slot)
+        ramp.warm()
         _publish(slot)
 
 
@@ -107,24 +115,36 @@ def _first_free_slot(folder: Path) -> Path:
         except BlockingIOError:
             os.close(lock)
             continue
+        os.utime(lock)  # when it was last used
         _held.append(slot)
-        if len(list(slot.iterdir())) == 1 and (folder / _READY).is_dir():
-            shutil.copytree(folder / _READY, slot, dirs_exist_ok=True)
+        _seed(slot)
         return slot
     raise AssertionError
 
 
+def _seed(slot: Path) -> None:
+    """Give an empty cache what the first process left, if it has finished."""
+    ready = slot.parent / _READY
+    if ready.is_dir() and [path.name for path in slot.iterdir()] == [_LOCK]:
+        shutil.copytree(ready, slot, dirs_exist_ok=True)
+
+
 def _publish(slot: Path) -> None:
     """Leave a finished cache for others; it appears whole, once, and is never written again."""
-    ready = slot.parent / _READY
-    if ready.exists():
+    if (slot.parent / _READY).exists():
         return
     draft = Path(tempfile.mkdtemp(prefix="draft-", dir=slot.parent))
     shutil.copytree(slot, draft, dirs_exist_ok=True, ignore=shutil.ignore_patterns(_LOCK))
-    try:
-        draft.rename(ready)
-    except OSError:  # somebody else was first
-        shutil.rmtree(draft)
+    draft.rename(slot.parent / _READY)
+    _forget_old(slot.parent.parent, keep=slot.parent)
+
+
+def _forget_old(root: Path, keep: Path) -> None:
+    """Remove caches of kernels that nobody has run for a fortnight; touches nothing but our own folders."""
+    for lock in root.glob(f"*/slot-0/{_LOCK}"):
+        folder = lock.parents[1]
+        if folder != keep and time.time() - lock.stat().st_mtime > _OLD_SECONDS:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _digest() -> str:
