@@ -16,11 +16,11 @@ from numba.extending import overload
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-_OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
+_OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 
 
 def jit(function: _Function) -> _Function:
-    """Compile for scalars and arrays: no GIL, no exceptions, IEEE arithmetic as written."""
+    """Compile without the GIL and without exceptions; IEEE arithmetic, a product and a sum may be fused."""
     cache = "NUMBA_CACHE_DIR" in os.environ
     return cast(_Function, numba.njit(cache=cache, **_OPTIONS)(function))
 

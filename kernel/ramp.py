@@ -11,16 +11,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.events import BROKEN
 from kernel.inputs import check_arrays, check_window, checked_state
 from kernel.jit import jit
 from kernel.model import flies, prepare, rest
 from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
 from kernel.rigid import RigidPlate
 from kernel.soft import SoftPlate
-from kernel.trajectory import DIVERGED, Flights, Window, classify, run_cell
-
-#: Flights remembered for finding the mode, when fewer are to be kept.
-REMEMBERED: Final = 256
+from kernel.trajectory import Window, leave, room_for_flights, run_cell, write
 
 
 @jit
@@ -29,9 +27,7 @@ def _walk(
     carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
 ) -> None:  # fmt: skip
     """Run a line cell by cell, from `state` in the units of `before` = (gamma, omega) if `started`."""
-    keep = line.flight_time.shape[1]
-    size = max(keep, REMEMBERED)
-    flights = Flights(np.empty(size), np.empty(size), np.empty(size, dtype=np.int64))
+    flights = room_for_flights(line.flight_time.shape[1])
     for i in range(len(gamma)):
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
         if carry and started:
@@ -42,17 +38,10 @@ def _walk(
         in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
         state[1] = 1.0 if in_flight else 0.0
         run = run_cell(cell, state, window, flights)
-        outcome, bounces, periods = classify(run, flights, window.micro_flight)
-        line.flights[i], line.outcome[i] = run.recorded, outcome
-        line.bounces[i], line.periods[i] = bounces, periods
-        kept = min(run.recorded, keep)
-        for k in range(kept):
-            slot = (run.recorded - kept + k) % size
-            line.flight_time[i, k] = flights.time[slot]
-            line.takeoff_phase[i, k] = flights.phase[slot]
-        line.end_state[i] = state
+        leave(run, state)
+        write(line, i, run, flights, state, window)
         before[0], before[1] = gamma[i], omega[i]
-        started = outcome != DIVERGED  # nothing can be carried on from there
+        started = run.ending != BROKEN  # nothing can be carried on from there
 
 
 @jit

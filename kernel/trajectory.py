@@ -7,14 +7,19 @@ long a cell runs.
 import math
 from typing import Any, Final, NamedTuple
 
-from kernel.events import BROKEN, HORIZON, ROOT
+import numpy as np
+
+from kernel.events import BROKEN, HORIZON, ROOT, Phase
 from kernel.jit import jit
 from kernel.model import contact, flight
 from kernel.modes import TWO_PI, find_cycle
-from kernel.params import Outcome
+from kernel.params import Line, Outcome
 
 #: A flight shorter than this (rad) cannot be told from none; it is not recorded.
 SHORTEST_FLIGHT: Final = 1e-9
+
+#: Flights remembered for finding the mode, when fewer are to be kept.
+REMEMBERED: Final = 256
 
 #: Evaluations of a phase function a cell may use, for each plate period.
 BUDGET: Final = 20_000
@@ -42,62 +47,98 @@ class Flights(NamedTuple):
     period: Any  # int64, plate periods since the cell began, at take-off
 
 
-class Run(NamedTuple):
-    """How a cell's run went."""
+class Progress(NamedTuple):
+    """Where a cell's run stands."""
 
+    phase: float  # of the plate, rad modulo 2 pi
+    period: int  # plate periods since the cell began
+    in_flight: bool
+    gap: float
+    gap1: float
+    q: float
+    q1: float
+    takeoff_phase: float
+    takeoff_period: int  # -1 for a flight that came in with the state: it is not this cell's
     recorded: int  # flights that took off and landed inside the window
     flew: bool  # whether a flight that counts was under way in the window
-    ending: int  # events.HORIZON if the window's end was reached
+    budget: int  # evaluations left
+    ending: int  # events.ROOT while running, HORIZON once the window's end is reached
 
 
 @jit
-def run_cell(
-    cell: Any,
-    state: Any,
-    window: Window,
-    flights: Flights,
-) -> Run:
-    """Run one cell from `state` (6,), see params.STATE_FIELDS; it becomes the state at the window's end."""
-    phase, in_flight = state[0], state[1] != 0.0
-    gap, gap1, q, q1 = state[2], state[3], state[4], state[5]
-    total = window.settle + window.observe
-    counts = max(window.micro_flight, SHORTEST_FLIGHT)
-    budget = BUDGET * total
-    recorded, flew, ending = 0, False, HORIZON
-    period = 0
-    takeoff_phase, takeoff_period = phase, -1  # a flight that came in with the state is not this cell's
-    while period < total:
-        horizon = TWO_PI * (total - period) - phase
-        if in_flight:
-            p = flight(cell, phase, gap, gap1, q, q1, horizon, budget)
+def begin(state: Any, window: Window) -> Progress:
+    """A run from `state` (6,), see params.STATE_FIELDS."""
+    budget = BUDGET * (window.settle + window.observe)
+    return Progress(
+        state[0],
+        0,
+        state[1] != 0.0,
+        state[2],
+        state[3],
+        state[4],
+        state[5],
+        state[0],
+        -1,
+        0,
+        False,
+        budget,
+        ROOT,
+    )
+
+
+@jit
+def horizon_of(run: Progress, window: Window) -> float:
+    """Rad from now to the window's end."""
+    return TWO_PI * (window.settle + window.observe - run.period) - run.phase
+
+
+@jit
+def record(run: Progress, p: Phase, window: Window, flights: Flights) -> Progress:
+    """The run after phase `p`; a flight that took off and landed inside the window goes to `flights`."""
+    turns = math.floor((run.phase + p.tau) / TWO_PI)
+    phase = run.phase + p.tau - TWO_PI * turns
+    period = run.period + turns
+    recorded, flew = run.recorded, run.flew
+    if run.in_flight and p.tau > SHORTEST_FLIGHT:
+        flew = flew or (period >= window.settle and p.tau > window.micro_flight)
+        if p.ending == ROOT and run.takeoff_period >= window.settle:
+            slot = recorded % len(flights.time)
+            flights.time[slot] = p.tau
+            flights.phase[slot] = run.takeoff_phase
+            flights.period[slot] = run.takeoff_period
+            recorded += 1
+    ending = p.ending
+    if ending == HORIZON or (ending == ROOT and period >= window.settle + window.observe):
+        phase, ending = 0.0, HORIZON
+    return Progress(
+        phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
+        phase, period, recorded, flew, run.budget - p.used, ending,
+    )  # fmt: skip
+
+
+@jit
+def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progress:
+    """Run one cell from `state` (6,) to the end of its window."""
+    run = begin(state, window)
+    while run.ending == ROOT:
+        horizon = horizon_of(run, window)
+        if run.in_flight:
+            p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
-            p = contact(cell, phase, gap, gap1, q, q1, horizon, budget)
-        budget -= p.used
-        turns = math.floor((phase + p.tau) / TWO_PI)
-        phase += p.tau - TWO_PI * turns
-        period += turns
-        if in_flight and p.tau > SHORTEST_FLIGHT:
-            flew = flew or (period >= window.settle and p.tau > counts)
-            if p.ending == ROOT and takeoff_period >= window.settle:
-                slot = recorded % len(flights.time)
-                flights.time[slot] = p.tau
-                flights.phase[slot] = takeoff_phase
-                flights.period[slot] = takeoff_period
-                recorded += 1
-        gap, gap1, q, q1, in_flight = p.gap, p.gap1, p.q, p.q1, p.in_flight
-        if p.ending != ROOT:
-            ending = p.ending
-            break
-        takeoff_phase, takeoff_period = phase, period
-    if ending == HORIZON:
-        phase = 0.0
-    state[0], state[1] = phase, 1.0 if in_flight else 0.0
-    state[2], state[3], state[4], state[5] = gap, gap1, q, q1
-    return Run(recorded, flew, ending)
+            p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        run = record(run, p, window, flights)
+    return run
 
 
 @jit
-def classify(run: Run, flights: Flights, micro_flight: float) -> tuple[int, int, int]:
+def leave(run: Progress, state: Any) -> None:
+    """Write the state a run ended in to `state` (6,)."""
+    state[0], state[1] = run.phase, 1.0 if run.in_flight else 0.0
+    state[2], state[3], state[4], state[5] = run.gap, run.gap1, run.q, run.q1
+
+
+@jit
+def classify(run: Progress, flights: Flights, micro_flight: float) -> tuple[int, int, int]:
     """Outcome, bounces and plate periods of a cell that has been run."""
     if run.ending != HORIZON:
         return DIVERGED if run.ending == BROKEN else UNRESOLVED, 0, 0
@@ -116,3 +157,25 @@ def classify(run: Run, flights: Flights, micro_flight: float) -> tuple[int, int,
             count += 1
     bounces, periods = find_cycle(time[:count], phase[:count], period[:count])
     return PERIODIC if bounces else APERIODIC, bounces, periods
+
+
+@jit
+def room_for_flights(keep: int) -> Flights:
+    """A ring for one cell's flights."""
+    size = max(keep, REMEMBERED)
+    return Flights(np.empty(size), np.empty(size), np.empty(size, dtype=np.int64))
+
+
+@jit
+def write(line: Line, i: int, run: Progress, flights: Flights, state: Any, window: Window) -> None:
+    """The record of a cell that has been run, as the i-th of its line."""
+    outcome, bounces, periods = classify(run, flights, window.micro_flight)
+    line.flights[i], line.outcome[i] = run.recorded, outcome
+    line.bounces[i], line.periods[i] = bounces, periods
+    size, keep = len(flights.time), line.flight_time.shape[1]
+    kept = min(run.recorded, keep)
+    for k in range(kept):
+        slot = (run.recorded - kept + k) % size
+        line.flight_time[i, k] = flights.time[slot]
+        line.takeoff_phase[i, k] = flights.phase[slot]
+    line.end_state[i] = state
