@@ -99,7 +99,8 @@ def cancel(job_id: str, url: str, token: str | None) -> None:
     from service.client.display import summary
 
     with _client(url, token) as client:
-        click.echo(summary(client.job(job_id).cancel()), err=True)
+        job = client.job(job_id).cancel()
+    click.echo(summary(job) if job.finished else f"{summary(job)}: asked to stop", err=True)
 
 
 @main.command("list")
@@ -124,7 +125,7 @@ def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> 
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
               help="File to write; - writes to standard output.")  # fmt: skip
 @service_options
-def diagram(job_id: str, output: str, format: str | None, url: str, token: str | None, **line: Any) -> None:  # noqa: ANN401
+def diagram(job_id: str, output: str, format: str | None, url: str, token: str | None, **line: Any) -> None:
     """Draw job ID's bifurcation diagram along one axis.
 
     With csv or json, write its points instead. For example:

@@ -14,7 +14,9 @@ SLOW = {"xarray", "pandas", "numpy", "rich", "pydantic"}
 def loaded_by(code: str) -> set[str]:
     """Top-level names of all modules that a fresh interpreter holds after running `code`."""
     report = "import sys, json; print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
-    done = subprocess.run([sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
+    )
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 

@@ -2,8 +2,9 @@
 
 import re
 from collections.abc import Iterator
+from math import inf
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from service.client.errors import NotFound, Problem, UnexpectedAnswer
 from service.client.job import Job
@@ -13,7 +14,10 @@ from service.client.transport import Transport, document
 if TYPE_CHECKING:
     import httpx2
 
-DEFAULT_URL = "http://127.0.0.1:8000"
+DEFAULT_URL: Final = "http://127.0.0.1:8000"
+
+#: Jobs asked for at a time.
+PAGE: Final = 1000
 
 
 class Client:
@@ -59,7 +63,7 @@ class Client:
 
     def jobs(self, state: str | None = None) -> Iterator[Job]:
         """All jobs, newest first, or those in one state; fetched page by page."""
-        query: dict[str, Any] = {"state": state}
+        query: dict[str, Any] = {"state": state, "limit": PAGE}
         while True:
             page = document(self._transport.get("/v1/jobs", query))
             for view in _views(page):
@@ -69,9 +73,13 @@ class Client:
             query["cursor"] = page["next"]
 
     def threshold(self, omega: float, xi: float) -> float:
-        """Γ_th, where a spring at rest begins to bounce (the paper's Eq. 25). Raises BadRequest."""
+        """Γ_th, above which a spring at rest begins to bounce (Eq. 25); infinite where none does.
+
+        Raises BadRequest.
+        """
         answer = document(self._transport.get("/v1/threshold", {"omega": omega, "xi": xi}))
-        return float(answer["threshold"])
+        found = answer.get("threshold")
+        return inf if found is None else float(found)
 
     def close(self) -> None:
         """Close the connections. The jobs go on."""

@@ -89,8 +89,10 @@ class Job:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """The specification as the service holds it."""
-        return dict(self.view.get("spec") or {})
+        """The specification as the service holds it; fetched if a list left it out for being long."""
+        if self.view.get("spec") is None:
+            self.refresh()
+        return dict(self.view["spec"])
 
     @property
     def links(self) -> dict[str, str]:
@@ -171,8 +173,9 @@ class Job:
 
         Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
         there is no flight; `flights`, `outcome`, `bounces`, `periods` along the axis. Its attribute
-        `complete` is 0 while cells are still missing. `direction` is needed for a ramp both ways;
-        flights shorter than `min_flight` (rad) are left out. Raises BadRequest naming the parameter.
+        `complete` is 0 while cells are still missing. `direction` is up or down for a ramp both ways (up if
+        left out); flights shorter than `min_flight` (rad) are left out. Raises BadRequest naming the
+        parameter, TooLarge.
         """
         from service.client.datasets import diagram_dataset
 
@@ -194,7 +197,10 @@ class Job:
         direction: str | None = None,
         min_flight: float | None = None,
     ) -> bytes:
-        """The same diagram as the bytes of a file: `format` is png, svg or csv."""
+        """The same diagram as the bytes of a file: `format` is png, svg, csv or json.
+
+        A ramp both ways shows both directions unless one is named. Raises as `diagram`.
+        """
         query = {
             **_line(along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight),
             "format": format,
