@@ -1,0 +1,531 @@
+"""Jobs from submission to their end, through everything that may come between.
+
+The executors here compute with the real task into real stores; a script says what goes wrong.
+"""
+
+import resource
+import sqlite3
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kernel.params import Outcome
+from service.errors import IllegalTransition, QueueFull, UnknownJob
+from service.jobs import JobRecord, JobState
+from service.ledger import Ledger
+from service.lifecycle import Lifecycle
+from service.settings import Settings
+from worker import store
+from worker.executors import ClusterLost, Executor, Inline, WorkerDied
+from worker.plan import Chunk, make_plan
+from worker.problems import SpecTooLarge
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport, run_chunk
+
+DEADLINE = 30.0
+
+
+class Scripted(Inline):
+    """Computes like Inline, but first raises what the script has for a chunk, one error a try."""
+
+    def __init__(self, script: dict[int, list[Exception]] | None = None) -> None:
+        super().__init__()
+        self.script = defaultdict(list, script or {})
+        self.tried: list[int] = []
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        return self._thread.submit(self._run, spec, chunk, store_url)
+
+    def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+        self.tried.append(chunk.index)
+        if self.script[chunk.index]:
+            raise self.script[chunk.index].pop(0)
+        return run_chunk(spec, chunk, store_url)
+
+
+class Held:
+    """Keeps chunks until the test lets them go; `capacity` workers."""
+
+    def __init__(self, capacity: int = 2) -> None:
+        self.capacity = capacity
+        self.lock = threading.Lock()
+        self.chunks: list[tuple[Future[ChunkReport], SweepSpec, Chunk, str]] = []
+        self.order: list[tuple[str, int]] = []  # the spec's name and the chunk, as submitted
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        future: Future[ChunkReport] = Future()
+        with self.lock:
+            self.chunks.append((future, spec, chunk, store_url))
+            self.order.append((spec.name, chunk.index))
+        return future
+
+    def ready(self) -> bool:
+        return self.capacity > 0
+
+    def workers(self) -> int:
+        return self.capacity
+
+    def close(self) -> None: ...
+
+    def held(self, name: str | None = None) -> int:
+        with self.lock:
+            return sum(name in (None, spec.name) for _, spec, _, _ in self.chunks)
+
+    def let_go(self) -> None:
+        """Compute the chunk that was submitted first."""
+        with self.lock:
+            future, *task = self.chunks.pop(0)
+        if not future.set_running_or_notify_cancel():
+            return
+        try:
+            future.set_result(run_chunk(*task))
+        except Exception as error:  # noqa: BLE001 - as an executor does
+            future.set_exception(error)
+
+
+class Running:
+    """A lifecycle on its ledger, and ways to wait for what it does."""
+
+    def __init__(self, ledger: Ledger, lifecycle: Lifecycle, settings: Settings) -> None:
+        self.ledger, self.lifecycle, self.settings = ledger, lifecycle, settings
+
+    def submit(self, spec: SweepSpec) -> JobRecord:
+        return self.lifecycle.submit(spec).job
+
+    def job(self, job: JobRecord) -> JobRecord:
+        found = self.ledger.find(job.id)
+        assert found is not None
+        return found
+
+    def until(self, job: JobRecord, *states: JobState) -> JobRecord:
+        wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}")
+        return self.job(job)
+
+    def outcomes(self, job: JobRecord) -> np.ndarray:
+        return store.read_slice(self.settings.store_of(job.id), ("outcome",))["outcome"]
+
+
+def wait_for(condition: Callable[[], bool], told: Callable[[], str] = lambda: "it never came") -> None:
+    give_up = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < give_up, told()
+        time.sleep(0.005)
+
+
+@contextmanager
+def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]:
+    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, **given})
+    with Ledger(settings.ledger_path) as ledger:
+        lifecycle = Lifecycle(ledger, executor, settings)
+        lifecycle.start()
+        try:
+            yield Running(ledger, lifecycle, settings)
+        finally:
+            lifecycle.stop()
+
+
+@pytest.fixture
+def inline() -> Iterator[Inline]:
+    executor = Inline()
+    yield executor
+    executor.close()
+
+
+def sweep(name: str = "", **given: Any) -> SweepSpec:
+    """60 cells at rest or nearly so, in four chunks or more."""
+    fields: dict[str, Any] = {
+        "name": name,
+        "gamma": {"start": 0.5, "stop": 1.2, "num": 60},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": 2000,
+        "observe": 10,
+        "keep": 4,
+    }
+    return SweepSpec(**(fields | given))
+
+
+def chunks_of(spec: SweepSpec) -> int:
+    return len(make_plan(spec))
+
+
+def test_a_job_is_queued_runs_and_is_done(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        first = service.submit(sweep())
+        assert first.state is JobState.QUEUED
+        job = service.until(first, JobState.DONE)
+    assert job.chunks_done == job.chunks_total >= 4
+    assert job.cells_done == job.cells_total == 60
+    assert job.created <= (job.started or 0) <= (job.finished or 0)
+
+
+def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: Path, inline: Inline):
+    spec = sweep()
+    with running(tmp_path, inline) as service:
+        job = service.until(service.submit(spec), JobState.DONE)
+        assert np.all(service.outcomes(job) != Outcome.MISSING)
+        with service.ledger.reading() as ledger:
+            rows = ledger._sql.execute("SELECT chunk, checksum, cells FROM chunks ORDER BY chunk").fetchall()
+    plan = make_plan(spec, chunk_shape=job.chunk_shape)
+    assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan.chunks]
+    assert all(store.verify(service.settings.store_of(job.id), plan.chunks[row[0]], row[1]) for row in rows)
+
+
+def test_the_same_sweep_is_the_same_job(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        job, accepted = service.lifecycle.submit(sweep("one name"))
+        assert accepted
+        service.until(job, JobState.DONE)
+        again, accepted = service.lifecycle.submit(sweep("another name"))
+    assert not accepted
+    assert (again.id, again.name, again.state) == (job.id, "one name", JobState.DONE)
+
+
+def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        answers: list[bool] = []
+        threads = [
+            threading.Thread(target=lambda: answers.append(service.lifecycle.submit(sweep()).accepted))
+            for _ in range(8)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        service.until(service.lifecycle.submit(sweep()).job, JobState.DONE)
+    assert sorted(answers) == [False] * 7 + [True]
+
+
+def test_a_stopped_service_goes_on_where_it_was(tmp_path: Path, inline: Inline):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        for _ in range(2):
+            wait_for(held.held)
+            held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 2)
+    assert all(future.cancelled() for future, *_ in held.chunks)
+    rest = Scripted()
+    with running(tmp_path, rest) as service:
+        job = service.until(job, JobState.DONE)
+    rest.close()
+    assert len(rest.tried) == job.chunks_total - 2
+    assert job.cells_done == 60
+
+
+def test_a_ramps_chunks_go_one_after_the_other(tmp_path: Path):
+    held = Held()
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep(protocol=ramp))
+        for _ in range(job.chunks_total):
+            wait_for(held.held)
+            assert held.held() == 1
+            held.let_go()
+        service.until(job, JobState.DONE)
+        assert np.all(service.outcomes(job) != Outcome.MISSING)
+
+
+def test_no_more_is_in_flight_than_the_window_has_places(tmp_path: Path):
+    held = Held(capacity=1)
+    with running(tmp_path, held, window=2) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 2)
+        time.sleep(0.5)  # heartbeats pass
+        assert held.held() == 2
+        while service.job(job).state is not JobState.DONE:
+            if held.held():
+                held.let_go()
+            assert held.held() <= 2
+
+
+def test_a_small_job_passes_a_huge_one(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        huge = service.submit(sweep("huge", gamma={"start": 0.5, "stop": 1.2, "num": 1000}))
+        wait_for(lambda: held.held() == 4)
+        small = service.submit(sweep("small"))
+        wait_for(lambda: service.job(small).state is JobState.RUNNING)
+        while service.job(small).state is not JobState.DONE:
+            wait_for(lambda: held.held() == 4 or service.job(small).chunks_done > 0)
+            if held.held():
+                held.let_go()
+        assert service.job(huge).chunks_done <= service.job(small).chunks_total + 4
+
+
+def test_only_so_many_jobs_are_active(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held, active_jobs=1) as service:
+        first, second = service.submit(sweep("1")), service.submit(sweep("2", omega=0.6))
+        wait_for(held.held)
+        assert service.job(second).state is JobState.QUEUED
+        while service.job(first).state is not JobState.DONE:
+            if held.held():
+                held.let_go()
+        service.until(second, JobState.RUNNING)
+
+
+# Cancelling and resuming
+
+
+def test_a_queued_job_is_cancelled_at_once(tmp_path: Path):
+    with running(tmp_path, Held(), active_jobs=1) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        waiting = service.submit(sweep(omega=0.6))
+        assert service.lifecycle.cancel(waiting.id).state is JobState.CANCELLED
+
+
+def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep("", gamma={"start": 0.5, "stop": 1.2, "num": 300}))
+        wait_for(lambda: held.held() == 4)
+        held.let_go()  # one is written before the cancel
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
+        service.lifecycle.cancel(job.id)
+        url = service.settings.store_of(job.id)
+        wait_for(lambda: store.is_cancelled(url))
+        assert service.lifecycle.cancel(job.id).state is JobState.RUNNING  # twice is once
+        for _ in range(4):
+            assert service.job(job).state is JobState.RUNNING
+            held.let_go()
+        job = service.until(job, JobState.CANCELLED)
+    assert (job.chunks_done, job.error) == (1, None)
+    assert held.held() == 0
+
+
+def test_a_cancelled_job_resumes_with_what_it_had(tmp_path: Path):
+    held, spec = Held(), sweep()
+    with running(tmp_path, held) as service:
+        job = service.submit(spec)
+        wait_for(lambda: held.held() > 1)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+        service.lifecycle.cancel(job.id)
+        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
+        while held.held():
+            held.let_go()
+        service.until(job, JobState.CANCELLED)
+        began = len(held.order)
+        assert service.lifecycle.submit(spec).accepted
+        while service.job(job).state is not JobState.DONE:
+            if held.held():
+                held.let_go()
+        assert not store.is_cancelled(service.settings.store_of(job.id))
+        assert len(held.order) - began == service.job(job).chunks_total - 1
+
+
+def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
+    held, spec = Held(), sweep()
+    with running(tmp_path, held) as service:
+        job = service.submit(spec)
+        wait_for(held.held)
+        service.lifecycle.cancel(job.id)
+        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
+        again = service.lifecycle.submit(spec)
+        assert again.accepted
+        assert again.job.state is JobState.RUNNING
+        wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.id)))
+        while service.job(job).state is not JobState.DONE:
+            if held.held():
+                held.let_go()
+
+
+def test_a_cancel_survives_the_service(tmp_path: Path, inline: Inline):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(held.held)
+        service.lifecycle.cancel(job.id)
+    with running(tmp_path, inline) as service:
+        assert service.until(job, JobState.CANCELLED).chunks_done == 0
+
+
+def test_a_job_that_is_done_cannot_be_cancelled(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        job = service.until(service.submit(sweep()), JobState.DONE)
+        with pytest.raises(IllegalTransition, match="the job is done"):
+            service.lifecycle.cancel(job.id)
+        with pytest.raises(UnknownJob, match="no job has the id 'nobody'"):
+            service.lifecycle.cancel("nobody")
+
+
+# What goes wrong
+
+
+def test_a_chunk_that_fails_fails_the_job_and_the_rest_is_computed(tmp_path: Path):
+    executor, spec = Scripted({1: [ValueError("the spring broke")]}), sweep()
+    with running(tmp_path, executor) as service:
+        job = service.until(service.submit(spec), JobState.FAILED)
+        assert job.error is not None
+        assert job.error.startswith("chunk 1 (rest, gamma 0.")
+        assert job.error.endswith("omega 0.5, xi 0.26): ValueError: the spring broke")
+        assert job.chunks_done == job.chunks_total - 1
+        tried = len(executor.tried)
+        service.until(service.submit(spec), JobState.DONE)
+    executor.close()
+    assert executor.tried[tried:] == [1]
+
+
+def test_what_waits_for_a_chunk_that_failed_is_not_tried(tmp_path: Path):
+    executor = Scripted({1: [ValueError("no")]})
+    with running(tmp_path, executor) as service:
+        ramp = sweep(protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+        service.until(service.submit(ramp), JobState.FAILED)
+    executor.close()
+    assert executor.tried == [0, 1]
+
+
+def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
+    executor = Scripted({chunk: [ValueError("no")] for chunk in range(100)})
+    with running(tmp_path, executor, failed_chunks=3) as service:
+        job = service.until(
+            service.submit(sweep(gamma={"start": 0.5, "stop": 1.2, "num": 300})), JobState.FAILED
+        )
+    executor.close()
+    assert len(executor.tried) <= 3 + 2
+    assert job.error is not None
+    assert "more chunks failed" in job.error
+
+
+def test_a_chunk_whose_worker_died_is_tried_again(tmp_path: Path):
+    executor = Scripted({0: [WorkerDied("gone")], 2: [WorkerDied("gone"), WorkerDied("gone")]})
+    with running(tmp_path, executor, chunk_tries=3) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    executor.close()
+    assert (executor.tried.count(0), executor.tried.count(2)) == (2, 3)
+
+
+def test_a_chunk_that_kills_its_workers_is_given_up(tmp_path: Path):
+    executor = Scripted({2: [WorkerDied("gone")] * 9})
+    with running(tmp_path, executor, chunk_tries=3) as service:
+        job = service.until(service.submit(sweep()), JobState.FAILED)
+    executor.close()
+    assert executor.tried.count(2) == 3
+    assert job.error is not None
+    assert job.error.endswith("gone (3 times)")
+    assert job.chunks_done == job.chunks_total - 1
+
+
+def test_a_lost_cluster_costs_no_tries(tmp_path: Path):
+    executor = Scripted({0: [ClusterLost("gone")] * 5})
+    with running(tmp_path, executor, chunk_tries=1) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    executor.close()
+    assert executor.tried.count(0) == 6
+
+
+def test_an_executor_that_takes_nothing_is_asked_again(tmp_path: Path):
+    class Closed(Scripted):
+        refusals = 3
+
+        def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+            if self.refusals:
+                self.refusals -= 1
+                raise ClusterLost("not connected")
+            return super().submit(spec, chunk, store_url)
+
+    executor = Closed()
+    with running(tmp_path, executor) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    executor.close()
+
+
+def test_jobs_wait_for_workers(tmp_path: Path):
+    held = Held(capacity=0)
+    with running(tmp_path, held) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        time.sleep(0.5)
+        assert held.held() == 0
+        held.capacity = 1
+        wait_for(lambda: held.held() == 2)
+
+
+def test_a_ledger_that_cannot_be_written_delays_the_job_and_no_more(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep("", gamma={"start": 0.5, "stop": 1.2, "num": 300}))
+        wait_for(lambda: held.held() == 4)
+        service.ledger._writer.execute("PRAGMA busy_timeout = 50")
+        with closing(sqlite3.connect(service.settings.ledger_path, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            held.let_go()
+            time.sleep(0.5)  # several tries to mark it
+            assert (service.job(job).chunks_done, held.held()) == (0, 3)
+            other.execute("ROLLBACK")
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
+
+
+def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline: Inline):
+    spec = sweep()
+    with running(tmp_path, inline) as service:
+        place = Path(service.settings.store_of(spec.job_id("1")))
+        place.parent.mkdir(parents=True)
+        place.write_text("in the way")
+        job = service.until(service.submit(spec), JobState.FAILED)
+        assert job.error is not None
+        assert job.error.startswith("the job cannot begin: ")
+        service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
+        place.unlink()
+        service.until(service.submit(spec), JobState.DONE)
+
+
+def test_a_job_begun_by_another_kernel_is_not_finished_by_this_one(tmp_path: Path, inline: Inline):
+    with running(tmp_path, Held()) as service:
+        job = service.submit(sweep())
+        with service.ledger.writing() as ledger:
+            ledger._sql.execute("UPDATE jobs SET kernel_version = '0'")
+    with running(tmp_path, inline) as service:
+        job = service.until(job, JobState.FAILED)
+    assert job.error is not None
+    assert "kernel 0 began it" in job.error
+
+
+# Limits
+
+
+def test_a_full_queue_refuses(tmp_path: Path):
+    with running(tmp_path, Held(), max_queue=2) as service:
+        service.submit(sweep(omega=0.5))
+        service.submit(sweep(omega=0.6))
+        with pytest.raises(QueueFull, match="2 jobs are queued or running already, at most 2"):
+            service.submit(sweep(omega=0.7))
+        assert not service.lifecycle.submit(sweep(omega=0.5)).accepted  # what is there is no news
+
+
+@pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}])
+def test_a_sweep_that_is_too_large_is_refused_before_anything_is_made(
+    tmp_path: Path, inline: Inline, limit: dict[str, int]
+):
+    with running(tmp_path, inline, **limit) as service:
+        with pytest.raises(SpecTooLarge, match="at most"):
+            service.submit(sweep())
+        with service.ledger.reading() as ledger:
+            assert ledger.newest(None, 1) == []
+
+
+def test_waiting_takes_no_processor_time(tmp_path: Path):
+    with running(tmp_path, Held(), heartbeat_seconds=60.0) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        time.sleep(0.2)
+        before = resource.getrusage(resource.RUSAGE_SELF)
+        time.sleep(1.0)
+        after = resource.getrusage(resource.RUSAGE_SELF)
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 0.2
+
+
+def test_stopping_is_prompt(tmp_path: Path):
+    with running(tmp_path, Held(), heartbeat_seconds=60.0) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        began = time.monotonic()
+        service.lifecycle.stop()
+        assert time.monotonic() - began < 1.0
