@@ -7,8 +7,7 @@ import resource
 import sqlite3
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scripted import Held, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
 from service.errors import IllegalTransition, QueueFull, UnknownJob
@@ -28,67 +28,7 @@ from worker.executors import ClusterLost, Executor, Inline, WorkerDied
 from worker.plan import Chunk, make_plan
 from worker.problems import SpecTooLarge
 from worker.spec import SweepSpec
-from worker.tasks import ChunkReport, run_chunk
-
-DEADLINE = 30.0
-
-
-class Scripted(Inline):
-    """Computes like Inline, but first raises what the script has for a chunk, one error a try."""
-
-    def __init__(self, script: dict[int, list[Exception]] | None = None) -> None:
-        super().__init__()
-        self.script = defaultdict(list, script or {})
-        self.tried: list[int] = []
-
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
-        return self._thread.submit(self._run, spec, chunk, store_url)
-
-    def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
-        self.tried.append(chunk.index)
-        if self.script[chunk.index]:
-            raise self.script[chunk.index].pop(0)
-        return run_chunk(spec, chunk, store_url)
-
-
-class Held:
-    """Keeps chunks until the test lets them go; `capacity` workers."""
-
-    def __init__(self, capacity: int = 2) -> None:
-        self.capacity = capacity
-        self.lock = threading.Lock()
-        self.chunks: list[tuple[Future[ChunkReport], SweepSpec, Chunk, str]] = []
-        self.order: list[tuple[str, int]] = []  # the spec's name and the chunk, as submitted
-
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
-        future: Future[ChunkReport] = Future()
-        with self.lock:
-            self.chunks.append((future, spec, chunk, store_url))
-            self.order.append((spec.name, chunk.index))
-        return future
-
-    def ready(self) -> bool:
-        return self.capacity > 0
-
-    def workers(self) -> int:
-        return self.capacity
-
-    def close(self) -> None: ...
-
-    def held(self, name: str | None = None) -> int:
-        with self.lock:
-            return sum(name in (None, spec.name) for _, spec, _, _ in self.chunks)
-
-    def let_go(self) -> None:
-        """Compute the chunk that was submitted first."""
-        with self.lock:
-            future, *task = self.chunks.pop(0)
-        if not future.set_running_or_notify_cancel():
-            return
-        try:
-            future.set_result(run_chunk(*task))
-        except Exception as error:  # noqa: BLE001 - as an executor does
-            future.set_exception(error)
+from worker.tasks import ChunkReport
 
 
 class Running:
@@ -113,13 +53,6 @@ class Running:
         return store.read_slice(self.settings.store_of(job.id), ("outcome",))["outcome"]
 
 
-def wait_for(condition: Callable[[], bool], told: Callable[[], str] = lambda: "it never came") -> None:
-    give_up = time.monotonic() + DEADLINE
-    while not condition():
-        assert time.monotonic() < give_up, told()
-        time.sleep(0.005)
-
-
 @contextmanager
 def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]:
     settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, **given})
@@ -137,25 +70,6 @@ def inline() -> Iterator[Inline]:
     executor = Inline()
     yield executor
     executor.close()
-
-
-def sweep(name: str = "", **given: Any) -> SweepSpec:
-    """60 cells at rest or nearly so, in four chunks or more."""
-    fields: dict[str, Any] = {
-        "name": name,
-        "gamma": {"start": 0.5, "stop": 1.2, "num": 60},
-        "omega": 0.5,
-        "xi": 0.26,
-        "model": {"kind": "rigid"},
-        "settle": 2000,
-        "observe": 10,
-        "keep": 4,
-    }
-    return SweepSpec(**(fields | given))
-
-
-def chunks_of(spec: SweepSpec) -> int:
-    return len(make_plan(spec))
 
 
 def test_a_job_is_queued_runs_and_is_done(tmp_path: Path, inline: Inline):

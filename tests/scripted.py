@@ -1,0 +1,95 @@
+"""Executors whose course a test decides, computing with the real task; a sweep for them; waiting."""
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from worker.executors import Inline
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport, run_chunk
+
+DEADLINE = 30.0
+
+
+class Scripted(Inline):
+    """Computes like Inline, but first raises what the script has for a chunk, one error a try."""
+
+    def __init__(self, script: dict[int, list[Exception]] | None = None) -> None:
+        super().__init__()
+        self.script = defaultdict(list, script or {})
+        self.tried: list[int] = []
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        return self._thread.submit(self._run, spec, chunk, store_url)
+
+    def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+        self.tried.append(chunk.index)
+        if self.script[chunk.index]:
+            raise self.script[chunk.index].pop(0)
+        return run_chunk(spec, chunk, store_url)
+
+
+class Held:
+    """Keeps chunks until the test lets them go; `capacity` workers."""
+
+    def __init__(self, capacity: int = 2) -> None:
+        self.capacity = capacity
+        self.lock = threading.Lock()
+        self.chunks: list[tuple[Future[ChunkReport], SweepSpec, Chunk, str]] = []
+        self.order: list[tuple[str, int]] = []  # the spec's name and the chunk, as submitted
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        future: Future[ChunkReport] = Future()
+        with self.lock:
+            self.chunks.append((future, spec, chunk, store_url))
+            self.order.append((spec.name, chunk.index))
+        return future
+
+    def ready(self) -> bool:
+        return self.capacity > 0
+
+    def workers(self) -> int:
+        return self.capacity
+
+    def close(self) -> None: ...
+
+    def held(self, name: str | None = None) -> int:
+        with self.lock:
+            return sum(name in (None, spec.name) for _, spec, _, _ in self.chunks)
+
+    def let_go(self) -> None:
+        """Compute the chunk that was submitted first."""
+        with self.lock:
+            future, *task = self.chunks.pop(0)
+        if not future.set_running_or_notify_cancel():
+            return
+        try:
+            future.set_result(run_chunk(*task))
+        except Exception as error:  # noqa: BLE001 - as an executor does
+            future.set_exception(error)
+
+
+def wait_for(condition: Callable[[], bool], told: Callable[[], str] = lambda: "it never came") -> None:
+    give_up = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < give_up, told()
+        time.sleep(0.005)
+
+
+def sweep(name: str = "", **given: Any) -> SweepSpec:
+    """60 cells at rest or nearly so, in four chunks or more."""
+    fields: dict[str, Any] = {
+        "name": name,
+        "gamma": {"start": 0.5, "stop": 1.2, "num": 60},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": 2000,
+        "observe": 10,
+        "keep": 4,
+    }
+    return SweepSpec(**(fields | given))
