@@ -151,8 +151,9 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
         if not math.isfinite(f0 + f1 + f4):
             return tau, BROKEN, used
-        if f1 < 0.0 and f0 <= max(t.noise, -f1 * 4.0 * EPS * tau):
-            return max(tau - f0 / f1, start), ROOT, used
+        if f0 <= max(t.noise, -f1 * 4.0 * EPS * tau) and (f1 < 0.0 or (f1 == 0.0 and f2 < 0.0)):
+            # from F = F' = 0 about to fall no step could be told from none
+            return max(tau - f0 / f1, start) if f1 < 0.0 else tau, ROOT, used
         f0 = max(f0, 0.0)
         width = monotone_width(f0, f1, f2, f3, f4)
         if width > 0.0:

@@ -22,7 +22,7 @@ from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscilla
 #: A hop that leaves the plate slower than this (plate amplitudes per rad) sticks instead.
 SLOWEST_HOP: Final = 1e-9
 
-#: |1 - Omega**2 + 2i xi Omega| is kept above this: an undamped spring exactly at resonance is
+#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
 #: computed as one 5e-9 beside it, where the closed form still has eight digits.
 NEAREST_RESONANCE: Final = 1e-8
 
@@ -63,12 +63,11 @@ class Stuck(NamedTuple):
 def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -> Spring:
     stiffness = 1.0 / (omega * omega)
     dashpot = 2.0 * xi / omega
+    if math.hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE:
+        stiffness = 1.0 + NEAREST_RESONANCE
     # Q = 1/(w - 1 + i b) and N = 1 + (w + i b) Q
     re, im = stiffness - 1.0, dashpot
     size = math.hypot(re, im)
-    nearest = NEAREST_RESONANCE * stiffness
-    if size < nearest:
-        re, im, size = nearest, 0.0, nearest
     q_re, q_im = re / size / size, -im / size / size
     return Spring(
         gravity=1.0 / gamma,

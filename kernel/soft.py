@@ -23,7 +23,7 @@ from kernel.model import contact, flies, flight, prepare, rest
 from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
 from kernel.quartic import factor
 
-#: As in `rigid`: the driven response is kept this far from infinite, relative to its denominator.
+#: As in `rigid`: an undamped spring exactly at resonance is computed as one this far beside it.
 NEAREST_RESONANCE: Final = 1e-8
 
 
@@ -103,12 +103,14 @@ def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) ->
     d = plate.penetration[i]
     zeta = damping_ratio(plate.restitution[i], plate.adhesive)
     w, b, kappa, beta = 1.0 / (omega * omega), 2.0 * xi / omega, 1.0 / (d * d), 2.0 * zeta / d
-    f = factor(beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa)
     # G (K (z - 1) - (2z - 1)) = 2z - 1 and (2z - 1) Q = K G, with z = w + i b and K = kappa + i beta
     z, k = complex(w, b), complex(kappa, beta)
     below = (z - 1.0) - (2.0 * z - 1.0) / k
     if abs(below) < NEAREST_RESONANCE * w:
-        below = complex(NEAREST_RESONANCE * w, 0.0)
+        w *= 1.0 + 2.0 * NEAREST_RESONANCE
+        z = complex(w, b)
+        below = (z - 1.0) - (2.0 * z - 1.0) / k
+    f = factor(beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa)
     driven_q = 1.0 / below
     driven_gap = (2.0 * z - 1.0) / k * driven_q
     # the two masses together weigh on the plate alone: q'' + b q' + w q = -gap'' in every free motion
