@@ -39,6 +39,7 @@ __all__ = [
     "StoreDamaged",
     "StoreError",
     "StoreMissing",
+    "check_chunk",
     "checksum",
     "chunk_shape",
     "clear_cancelled",
@@ -98,6 +99,11 @@ def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | Non
     with _consolidating, warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)
         zarr.consolidate_metadata(store, zarr_format=3)
+
+
+def check_chunk(url: str, chunk: Chunk) -> None:
+    """Raise what `write_chunk` would raise for a store that is missing, damaged or cut otherwise."""
+    _check_owns(_open(url, "r"), url, chunk)
 
 
 def write_chunk(url: str, chunk: Chunk, record: Mapping[str, NDArray[Any]]) -> str:

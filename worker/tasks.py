@@ -64,6 +64,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     nothing that counts, has been written, and the chunk can simply be run again.
     """
     began = time.perf_counter()
+    store.check_chunk(store_url, chunk)  # before minutes are spent on what cannot be stored
     record = _empty_record(spec, chunk)
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}

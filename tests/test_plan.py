@@ -1,0 +1,242 @@
+"""The plan: chunks partition the grid whatever its size and cut, and never wait for what comes later."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worker.plan import (
+    FEWEST_CHUNKS,
+    TARGET_SECONDS,
+    Chunk,
+    Plan,
+    cell_seconds,
+    check_size,
+    estimate,
+    make_plan,
+)
+from worker.problems import SpecTooLarge
+from worker.spec import AXES, SweepSpec
+
+RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
+
+
+def sweep(xi=1, omega=1, gamma=1, ramp=None, **more) -> SweepSpec:
+    """A grid of so many values; `ramp` is (axis, direction)."""
+    axes = {
+        name: {"start": 1.0, "stop": 1.0 + (num > 1), "num": num}
+        for name, num in (("xi", xi), ("omega", omega), ("gamma", gamma))
+    }
+    protocol = {"kind": "ramp", "axis": ramp[0], "direction": ramp[1]} if ramp else {"kind": "rest"}
+    return SweepSpec(**(axes | {"protocol": protocol, "model": {"kind": "rigid"}} | more))
+
+
+sizes = st.integers(2, 9)
+shapes = st.tuples(st.integers(1, 10), st.integers(1, 10), st.integers(1, 10))
+grids = st.builds(sweep, sizes, sizes, sizes, st.none() | st.sampled_from(RAMPS))
+
+
+@given(grids, shapes)
+def test_chunks_partition_the_grid(spec, shape):
+    times = np.zeros(spec.shape, dtype=int)
+    for chunk in make_plan(spec, chunk_shape=shape):
+        times[chunk.slices] += 1
+        assert times[chunk.slices].size == chunk.cells == math.prod(chunk.shape)
+    assert np.all(times == 1)
+
+
+@given(grids, shapes)
+def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
+    plan = make_plan(spec, chunk_shape=shape)
+    chunks = list(plan)
+    assert [chunk.index for chunk in chunks] == list(range(len(plan)))
+    assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
+    assert sum(chunk.after is None for chunk in chunks) == plan.lines
+    assert [plan.chunk(i) for i in range(len(plan))] == chunks == list(plan.chunks)
+
+
+@given(grids, st.integers(1, 2000))
+def test_chunks_hold_no_more_cells_than_asked_for(spec, cells):
+    assert all(chunk.cells <= cells for chunk in make_plan(spec, chunk_cells=cells))
+
+
+@given(grids, shapes)
+def test_stored_chunks_are_whole_ones(spec, shape):
+    """A task owns exactly one cell of the store's regular grid of chunks."""
+    plan = make_plan(spec, chunk_shape=shape)
+    for chunk in plan:
+        for axis, size, n in zip(AXES, plan.chunk_shape, plan.grid, strict=True):
+            low, high = getattr(chunk, axis)
+            assert low % size == 0
+            assert high == min(low + size, n)
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("direction", ["up", "down", "both"])
+@given(shape=shapes)
+def test_each_line_of_a_ramp_is_walked_through_from_end_to_end(axis, direction, shape):
+    """Going from predecessor to successor visits every cell of a line once, in the ramp's order."""
+    spec = sweep(3, 4, 7, (axis, direction))
+    plan = make_plan(spec, chunk_shape=shape)
+    n = plan.grid[AXES.index(axis)]
+    up = [("up", place) for place in range(n)]
+    down = [("down", place) for place in reversed(range(n))]
+    expected = {"up": up, "down": down, "both": up + down}[direction]
+    for last in plan[len(plan) - plan.lines :]:
+        visited = [cell for chunk in line_up_to(plan, last) for cell in cells_along(spec, chunk, axis)]
+        assert visited == expected
+
+
+def line_up_to(plan: Plan, chunk: Chunk) -> list[Chunk]:
+    """A chunk and all it waits for, first to last."""
+    line = [chunk]
+    while line[0].after is not None:
+        line.insert(0, plan.chunk(line[0].after))
+    return line
+
+
+def cells_along(spec: SweepSpec, chunk: Chunk, axis: str) -> list[tuple[str, int]]:
+    direction = spec.directions[chunk.direction]
+    places = range(*getattr(chunk, axis))
+    return [(direction, place) for place in (reversed(places) if direction == "down" else places)]
+
+
+@given(st.sampled_from(RAMPS), shapes)
+def test_a_ramp_chunk_and_its_predecessor_lie_on_the_same_lines(ramp, shape):
+    plan = make_plan(sweep(3, 4, 7, ramp), chunk_shape=shape)
+    for chunk in plan:
+        before = chunk if chunk.after is None else plan.chunk(chunk.after)
+        assert all(getattr(before, name) == getattr(chunk, name) for name in AXES if name != ramp[0])
+
+
+def test_a_ramp_chunk_follows_its_neighbour_and_down_follows_up():
+    plan = make_plan(sweep(gamma=10, ramp=("gamma", "both")), chunk_shape=(1, 1, 4))
+    assert [(c.direction, c.gamma, c.after) for c in plan] == [
+        (0, (0, 4), None),
+        (0, (4, 8), 0),
+        (0, (8, 10), 1),
+        (1, (8, 10), 2),
+        (1, (4, 8), 3),
+        (1, (0, 4), 4),
+    ]
+
+
+def test_down_alone_starts_at_the_top():
+    plan = make_plan(sweep(gamma=10, ramp=("gamma", "down")), chunk_shape=(1, 1, 4))
+    assert (plan[0].gamma, plan[0].after) == ((8, 10), None)
+
+
+def test_chunks_from_rest_wait_for_nobody():
+    plan = make_plan(sweep(2, 3, 10), chunk_shape=(1, 1, 4))
+    assert plan.lines == len(plan) == 18
+    assert all(chunk.after is None for chunk in plan)
+
+
+def test_lines_of_a_ramp_are_independent():
+    plan = make_plan(sweep(omega=40, gamma=100, ramp=("gamma", "up")), chunk_shape=(1, 1, 50))
+    assert plan.lines == 40
+    assert [chunk.after for chunk in plan[:40]] == [None] * 40
+
+
+# How large a chunk is
+
+
+def test_small_job_is_cut_so_that_it_shows_progress_and_uses_both_workers():
+    assert len(make_plan(sweep(gamma=1000))) == FEWEST_CHUNKS
+
+
+def test_tiny_job_is_one_chunk():
+    assert len(make_plan(sweep(gamma=10))) == 1
+
+
+def test_chunks_of_a_large_job_cost_a_second_or_so():
+    spec = sweep(10, 100, 1000)
+    chunk = make_plan(spec)[0]
+    assert 0.5 * TARGET_SECONDS <= chunk.cells * cell_seconds(spec) <= TARGET_SECONDS * 1.001
+
+
+def test_dear_cells_make_small_chunks():
+    spec = sweep(gamma=100, model={"kind": "soft"}, settle=10_000_000)
+    assert make_plan(spec)[0].cells == 1
+
+
+def test_chunks_fit_into_memory_however_many_flights_are_kept():
+    spec = sweep(gamma=10_000, omega=10, keep=10_000, settle=0, observe=1)
+    assert make_plan(spec)[0].cells * 10_000 * 16 <= 64 * 2**20
+
+
+def test_chunk_along_a_ramp_comes_before_chunk_across_it():
+    assert make_plan(sweep(omega=50, gamma=20, ramp=("omega", "up")), chunk_cells=100).chunk_shape == (
+        1,
+        50,
+        2,
+    )
+    assert make_plan(sweep(omega=50, gamma=20), chunk_cells=100).chunk_shape == (1, 5, 20)
+
+
+def test_parts_are_as_equal_as_can_be():
+    assert make_plan(sweep(gamma=101), chunk_cells=100).chunk_shape == (1, 1, 51)
+
+
+def test_million_chunks_are_planned_without_being_made():
+    spec = sweep(omega=1000, gamma=1000)
+    plan = make_plan(spec, chunk_shape=(1, 1, 1))
+    assert len(plan) == 10**6
+    assert plan.cells == 10**6
+    assert plan[-1].slices == (slice(0, 1), slice(0, 1), slice(999, 1000), slice(999, 1000))
+    assert plan[123_456].omega == (123, 124)
+    assert isinstance(plan, Plan)
+
+
+@pytest.mark.parametrize("wrong", [{"chunk_cells": 0}, {"chunk_shape": (1, 0, 1)}, {"chunk_shape": (1, 1)}])
+def test_impossible_chunks_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"^chunk_(cells|shape): must be "):
+        make_plan(sweep(gamma=10), **wrong)
+
+
+@pytest.mark.parametrize("index", [6, -7])
+def test_no_chunk_outside_the_plan(index):
+    plan = make_plan(sweep(gamma=6), chunk_shape=(1, 1, 1))
+    with pytest.raises(IndexError):
+        plan[index]
+
+
+# What it will take
+
+
+def test_estimate_counts_what_the_store_holds():
+    spec = sweep(2, 3, 1000, ramp=("gamma", "both"), keep=10, settle=100, observe=200)
+    found = estimate(spec)
+    assert found.cells == 2 * 2 * 3 * 1000
+    assert found.chunks == len(make_plan(spec))
+    # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
+    assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 2 + 2 + 6 * 8 + 1)
+    assert found.core_seconds == pytest.approx(found.cells * 300 * 0.6e-6)
+
+
+def test_estimate_of_an_absurd_sweep_takes_neither_time_nor_memory():
+    assert estimate(sweep(100_000, 100_000, 100_000)).cells == 10**15
+
+
+def test_too_many_cells_are_refused_with_the_limit():
+    with pytest.raises(
+        SpecTooLarge, match=r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"
+    ):
+        check_size(sweep(gamma=1000), max_cells=999)
+    check_size(sweep(gamma=1000), max_cells=1000)
+
+
+def test_too_many_bytes_are_refused_with_the_limit():
+    spec = sweep(gamma=1000, keep=64)
+    with pytest.raises(
+        SpecTooLarge, match=r"^keep: asks for 1033000 bytes, 1033 a cell; at most 1032999 are"
+    ):
+        check_size(spec, max_bytes=1_032_999)
+    check_size(spec, max_bytes=1_033_000)
+
+
+def test_absurd_sweep_is_refused_by_default():
+    with pytest.raises(SpecTooLarge):
+        check_size(sweep(100_000, 100_000, 100_000))

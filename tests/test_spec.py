@@ -1,0 +1,481 @@
+"""The specification: what it accepts, and for every rule the very line that a user reads."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from kernel.params import Model
+from worker.axes import MAX_AXIS_VALUES
+from worker.contacts import AVAILABLE_MODELS, kernel_model, penetration_of, restitution_of
+from worker.problems import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
+from worker.spec import SweepSpec
+
+POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
+FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
+AXES_ONLY = "the fields are name, gamma, omega, xi, protocol, model, settle, observe, keep, micro_flight"
+
+
+def sweep(**changes) -> SweepSpec:
+    return SweepSpec(**(POINT | changes))
+
+
+def range_(start=1.0, stop=2.0, num=3, **more):
+    return {"start": start, "stop": stop, "num": num, **more}
+
+
+def ramp(axis="gamma", direction="up"):
+    return {"kind": "ramp", "axis": axis, "direction": direction}
+
+
+def message(**changes) -> str:
+    with pytest.raises(SpecInvalid) as caught:
+        SweepSpec.parse(POINT | changes)
+    return str(caught.value)
+
+
+AXIS_RULES = [
+    (True, f"gamma: must be {FORMS}, not true"),
+    ("2", f"gamma: must be {FORMS}, not text '2'"),
+    (None, f"gamma: must be {FORMS}, not null"),
+    (1j, f"gamma: must be {FORMS}, not a value of type complex"),
+    (float("nan"), "gamma: must be finite, not nan"),
+    (float("inf"), "gamma: must be finite, not inf"),
+    (10**400, "gamma: must be finite, not a whole number of about 400 digits"),
+    (0, "gamma: must be at least 1e-06, not 0.0"),
+    (-1.0, "gamma: must be at least 1e-06, not -1.0"),
+    (5e-324, "gamma: must be at least 1e-06, not 5e-324"),
+    (1e9, "gamma: must be at most 1e+06, not 1000000000.0"),
+    ([], "gamma: must hold at least one number"),
+    ([1.0, True], "gamma[1]: must be a number, not true"),
+    ([1.0, "a"], "gamma[1]: must be a number, not text 'a'"),
+    ([1.0, None], "gamma[1]: must be a number, not null"),
+    ([1.0, float("nan")], "gamma[1]: must be finite, not nan"),
+    ([[1.0]], "gamma[0]: must be a number, not a list of 1"),
+    ([2.0, 1.0], "gamma: must increase, but 2.0 at [0] is followed by 1.0; sort and drop repeats"),
+    ([1.0, 1.0], "gamma: must increase, but 1.0 at [0] is followed by 1.0; sort and drop repeats"),
+    ([0.0, 1.0], "gamma: must be at least 1e-06, not 0.0"),
+    ([1.0, 1e7], "gamma: must be at most 1e+06, not 10000000.0"),
+    ([1.0] * (MAX_AXIS_VALUES + 1), "gamma: must hold at most 100000 numbers, not 100001"),
+    (np.ones((2, 2)), "gamma: must have one dimension, not 2"),
+    ({"start": 1.0}, "gamma.stop: is required\ngamma.num: is required"),
+    (range_(start="1"), "gamma.start: must be a number, not text '1'"),
+    (range_(stop=False), "gamma.stop: must be a number, not false"),
+    (range_(stop=float("inf")), "gamma.stop: must be finite, not inf"),
+    (range_(num=2.5), "gamma.num: must be a whole number, not 2.5; 2 or 3 would do"),
+    (range_(num=True), "gamma.num: must be a whole number, not true"),
+    (range_(num="3"), "gamma.num: must be a whole number, not text '3'"),
+    (range_(num=0), "gamma.num: must be at least 1, not 0"),
+    (range_(num=10**9), "gamma.num: must be at most 100000, not 1000000000"),
+    (range_(num=1e300), "gamma.num: must be at most 100000, not a whole number of about 300 digits"),
+    (range_(num=10**5000), "gamma.num: must be at most 100000, not a whole number of about 5000 digits"),
+    (
+        range_(start=2.0, stop=1.0),
+        "gamma.start: must not be above stop: axes increase; swap the two "
+        "(protocol.direction turns a ramp round)",
+    ),
+    (range_(start=1.0, stop=1.0), "gamma.num: must be 1 where start equals stop"),
+    (range_(num=1), "gamma.num: must be at least 2 to reach from start to stop"),
+    (range_(start=0.0), "gamma.start: must be at least 1e-06, not 0.0"),
+    (range_(stop=1e7), "gamma.stop: must be at most 1e+06, not 10000000.0"),
+    (
+        range_(stop=1.0 + 1e-15, num=100),
+        "gamma.num: must be small enough for distinct values: 1.0 and 1.000000000000001 are too close",
+    ),
+    (
+        range_(spacing="lin"),
+        "gamma.spacing: must be 'linear' or 'log', not text 'lin'; did you mean 'linear'?",
+    ),
+    (
+        range_(start=0.0, spacing="log"),
+        "gamma.start: must be above 0 for spacing 'log', not 0.0; spacing 'linear' may start there",
+    ),
+    (
+        range_(step=0.1),
+        "gamma.step: is not a field here; did you mean 'stop'? the fields are start, stop, num, spacing",
+    ),
+]
+
+DEPTH = "plate amplitudes deep, allowed are 1e-12 to 1"
+
+RULES = [
+    ({"omega": 0}, "omega: must be at least 1e-06, not 0.0"),
+    ({"xi": -0.1}, "xi: must be at least 0, not -0.1"),
+    ({"xi": 1e7}, "xi: must be at most 1e+06, not 10000000.0"),
+    ({"xi": range_(start=-1.0)}, "xi.start: must be at least 0, not -1.0"),
+    ({"gama": 1}, f"gama: is not a field here; did you mean 'gamma'? {AXES_ONLY}"),
+    ({"?": 1}, f"'?': is not a field here; {AXES_ONLY}"),
+    ({"\ud800": 1}, "field names must be printable text, not text '\\ud800'"),
+    ({"name": 3}, "name: must be text, not 3"),
+    ({"name": "x" * 201}, "name: must have at most 200 characters, not 201"),
+    ({"name": "two\nlines"}, "name: must be one line of printable characters"),
+    ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
+    ({"protocol": "rest"}, 'protocol: must be an object such as {"kind": "rest"}, not text \'rest\''),
+    ({"protocol": {}}, "protocol.kind: is required: 'rest' or 'ramp'"),
+    ({"protocol": {"kind": "rump"}}, "protocol.kind: must be 'rest' or 'ramp', not text 'rump'"),
+    ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
+    ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
+    ({"protocol": ramp(axis="g")}, "protocol.axis: must be 'gamma', 'omega' or 'xi', not text 'g'"),
+    (
+        {"protocol": ramp(direction="sideways"), "gamma": [1.0, 2.0]},
+        "protocol.direction: must be 'up', 'down' or 'both', not text 'sideways'",
+    ),
+    (
+        {"protocol": ramp()},
+        "protocol.axis: must name an axis of at least 2 values, and gamma has 1; give gamma a range",
+    ),
+    (
+        {"protocol": ramp(), "omega": [0.5, 0.6]},
+        "protocol.axis: must name an axis of at least 2 values, and gamma has 1; ramp along 'omega'",
+    ),
+    ({"model": "soft"}, 'model: must be an object such as {"kind": "soft"}, not text \'soft\''),
+    (
+        {"model": {"kind": "rigid", "penetration": 1e-3}},
+        "model.penetration: is not a field here; the fields are kind, restitution",
+    ),
+    ({"model": {"restitution": 1.5}}, "model.restitution: must be at most 1, not 1.5"),
+    ({"model": {"restitution": -0.5}}, "model.restitution: must be at least 0, not -0.5"),
+    ({"model": {"kind": "rigid", "restitution": 2}}, "model.restitution: must be at most 1, not 2"),
+    ({"model": {"restitution": None}}, "model.restitution: must be a number, not null"),
+    ({"model": {"penetration": 0}}, "model.penetration: must be at least 1e-12, not 0"),
+    ({"model": {"penetration": 2.0}}, "model.penetration: must be at most 1, not 2.0"),
+    ({"model": {"penetration": "1"}}, "model.penetration: must be a number, not text '1'"),
+    ({"model": {"adhesive": 1}}, "model.adhesive: must be true or false, not 1"),
+    (
+        {"model": {"adhesive": False, "restitution": 0}},
+        "model.restitution: must be at least 1e-06 where adhesive is false, not 0.0: "
+        "without pull, less needs damping without bound",
+    ),
+    (
+        {"model": {"penetration": 1e-3, "rest_length": 1.0}},
+        "model.rest_length: must be absent or null where penetration is given: "
+        "each alone sets the contact's depth",
+    ),
+    ({"model": {"rest_length": 0}}, "model.rest_length: must be above 0, not 0"),
+    (
+        {"model": {"rest_length": 1e9}},
+        f"model.rest_length: gives contacts 1.25e+04 to 1.25e+04 {DEPTH}; 8e-08 to 8e+04 works",
+    ),
+    (
+        {"model": {"rest_length": 1.0}, "gamma": [1e-6, 1e6], "omega": [1e-3, 1e3]},
+        f"model.rest_length: gives contacts 1e-16 to 1e+08 {DEPTH}; narrow gamma or omega",
+    ),
+    ({"settle": -1}, "settle: must be at least 0, not -1"),
+    ({"settle": 1.5}, "settle: must be a whole number, not 1.5; 1 or 2 would do"),
+    ({"settle": True}, "settle: must be a whole number, not true"),
+    ({"settle": "3"}, "settle: must be a whole number, not text '3'"),
+    ({"settle": float("nan")}, "settle: must be a whole number, not nan"),
+    ({"settle": 10**8}, "settle: must be at most 1e+07, not 100000000"),
+    ({"observe": 0}, "observe: must be at least 1, not 0"),
+    ({"observe": 10**8}, "observe: must be at most 1e+07, not 100000000"),
+    ({"keep": 0}, "keep: must be at least 1, not 0"),
+    ({"keep": 10**6}, "keep: must be at most 10000, not 1000000"),
+    ({"micro_flight": -1}, "micro_flight: must be at least 0, not -1"),
+    ({"micro_flight": float("inf")}, "micro_flight: must be finite, not inf"),
+    ({"micro_flight": None}, "micro_flight: must be a number, not null"),
+]
+
+
+@pytest.mark.parametrize(("gamma", "expected"), AXIS_RULES, ids=range(len(AXIS_RULES)))
+def test_axis_rule_says(gamma, expected):
+    assert message(gamma=gamma) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"), RULES, ids=range(len(RULES))
+)  # fmt: skip
+def test_rule_says(changes, expected):
+    assert message(**changes) == expected
+
+
+@pytest.mark.parametrize("field", ["gamma", "omega", "xi"])
+def test_axes_are_required(field):
+    with pytest.raises(SpecInvalid, match=f"^{field}: is required$"):
+        SweepSpec(**{name: value for name, value in POINT.items() if name != field})
+
+
+def test_unknown_model_names_the_ones_there_are():
+    said = message(model={"kind": "rigit"})
+    assert said.startswith("model.kind: must be ")
+    assert said.endswith("not text 'rigit'; did you mean 'rigid'?")
+    assert all(f"'{kind}'" in said for kind in AVAILABLE_MODELS)
+    assert message(model={"kind": []}).endswith("not a list of 0")
+
+
+@pytest.mark.parametrize("kind", sorted({"soft", "stepped", "rigid", "ball", "auto"} - set(AVAILABLE_MODELS)))
+def test_model_not_built_yet_is_refused_by_name(kind):
+    assert message(model={"kind": kind}).startswith(f"model.kind: '{kind}' is not built yet; use 'soft'")
+
+
+def test_every_broken_field_is_named_at_once():
+    assert message(settle=-1, keep=0, gamma="x").count("\n") == 2
+
+
+def test_a_thousand_problems_are_told_shortly():
+    said = message(gamma=["x"] * 1000)
+    assert said.count("\n") == 20
+    assert said.endswith("and 980 more problems")
+
+
+def test_long_values_are_echoed_shortly():
+    assert len(message(settle="x" * 10**6)) < 100
+    assert describe(object()) == "a value of type object"
+
+
+@pytest.mark.parametrize("data", [None, [1], "text", 3, True])
+def test_specification_must_be_an_object(data):
+    with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not "):
+        SweepSpec.parse(data)
+
+
+def test_field_names_must_be_text():
+    with pytest.raises(SpecInvalid, match=r"^field names must be printable text, not 3$"):
+        SweepSpec.parse(POINT | {3: 1})
+
+
+def test_errors_are_value_errors_with_fields_and_survive_pickling():
+    with pytest.raises(ValueError, match="settle") as caught:
+        sweep(settle=-1, keep=0)
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert type(copy) is SpecInvalid
+    assert [problem.field for problem in copy.problems] == ["settle", "keep"]
+    assert issubclass(SpecUnreadable, SpecError)
+    assert issubclass(SpecTooLarge, SpecError)
+
+
+def test_is_frozen():
+    with pytest.raises(ValidationError, match="frozen"):
+        sweep().settle = 3
+
+
+# What is accepted
+
+
+def test_defaults_are_those_of_the_design():
+    assert sweep().canonical() == {
+        "gamma": [2.0],
+        "omega": [0.5],
+        "xi": [0.26],
+        "protocol": {"kind": "rest"},
+        "model": {
+            "kind": "soft",
+            "restitution": 0.01,
+            "penetration": 0.001,
+            "rest_length": None,
+            "adhesive": True,
+        },
+        "settle": 200,
+        "observe": 100,
+        "keep": 64,
+        "micro_flight": 0.0,
+    }
+
+
+def test_whole_numbers_may_be_written_as_floats_and_the_other_way_round():
+    assert sweep(settle=200.0, keep=64.0, gamma=2) == sweep(settle=200, keep=64, gamma=2.0)
+
+
+def test_numpy_numbers_and_arrays_are_numbers_and_lists():
+    spec = sweep(gamma=np.linspace(1, 2, 3), xi=np.float64(0.1), settle=np.int64(7), keep=np.float64(3))
+    assert spec == sweep(gamma=[1.0, 1.5, 2.0], xi=0.1, settle=7, keep=3)
+
+
+@pytest.mark.parametrize("spacing", ["linear", "log"])
+def test_range_hits_its_ends_exactly(spacing):
+    values = sweep(gamma=range_(0.1, 0.7, 1001, spacing=spacing)).axis_values("gamma")
+    assert len(values) == 1001
+    assert (values[0], values[-1]) == (0.1, 0.7)
+    assert np.all(np.diff(values) > 0)
+
+
+@given(
+    st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 300), st.sampled_from(["linear", "log"])
+)  # fmt: skip
+def test_any_accepted_range_increases(one, two, num, spacing):
+    start, stop = sorted((one, two))
+    assume(start * (1 + 1e-9) < stop)  # closer ones are refused, see above
+    spec = sweep(gamma=range_(start, stop, num, spacing=spacing))
+    values = spec.axis_values("gamma")
+    assert values.dtype == np.float64
+    assert len(values) == num
+    assert np.all(np.diff(values) > 0)
+
+
+def test_range_of_one_value_where_start_equals_stop():
+    assert sweep(gamma=range_(1.5, 1.5, 1)).axis_values("gamma").tolist() == [1.5]
+
+
+def test_xi_may_be_zero_and_minus_zero_is_the_same():
+    assert sweep(xi=0).job_id("1") == sweep(xi=-0.0).job_id("1") == sweep(xi=[-0.0]).job_id("1")
+
+
+def test_shape_and_directions():
+    axes = {"gamma": range_(num=5), "omega": [0.5, 0.6], "xi": 0.1}
+    assert sweep(**axes).shape == (1, 1, 2, 5)
+    assert sweep(**axes).directions == ("rest",)
+    assert sweep(**axes).ramp_axis is None
+    for direction, expected in (("up", ("up",)), ("down", ("down",)), ("both", ("up", "down"))):
+        spec = sweep(**axes, protocol=ramp("omega", direction))
+        assert spec.directions == expected
+        assert spec.shape == (len(expected), 1, 2, 5)
+        assert spec.ramp_axis == "omega"
+
+
+def test_shape_of_a_huge_sweep_takes_no_memory():
+    axis = range_(1.0, 2.0, MAX_AXIS_VALUES)
+    assert sweep(gamma=axis, omega=axis, xi=axis).shape == (1, 10**5, 10**5, 10**5)
+
+
+# Identity
+
+
+def test_same_sweep_written_differently_is_the_same_job():
+    one = sweep(gamma=range_(1.0, 2.0, 3), name="a", settle=200.0)
+    two = sweep(gamma=[1, 1.5, 2], name="b", model={"penetration": 1e-3}, protocol={"kind": "rest"})
+    assert one.job_id("1") == two.job_id("1")
+    assert len(one.job_id("1")) == 32
+    assert int(one.job_id("1"), 16) >= 0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gamma": 2.0000000000000004},
+        {"omega": 0.6},
+        {"xi": 0.27},
+        {"settle": 201},
+        {"observe": 101},
+        {"keep": 63},
+        {"micro_flight": 1e-3},
+        {"model": {"kind": "rigid"}},
+        {"model": {"adhesive": False}},
+        {"model": {"rest_length": 1.0}},
+    ],
+)
+def test_any_other_number_is_another_job(changes):
+    assert sweep(**changes).job_id("1") != sweep().job_id("1")
+
+
+def test_another_kernel_version_is_another_job():
+    assert sweep().job_id("1") != sweep().job_id("2")
+
+
+def test_identity_is_not_forgotten_from_release_to_release():
+    """If this fails, every stored job is computed anew: a thing to do on purpose only."""
+    assert sweep().job_id("1") == "07e4a0b73fc29560de65d362ac80685e"
+
+
+def test_canonical_form_is_json_and_a_specification_again():
+    spec = sweep(gamma=range_(1.0, 2.0, 7, spacing="log"), protocol=ramp(), name="label")
+    again = SweepSpec.from_json(json.dumps(spec.canonical(), allow_nan=False))
+    assert again.job_id("1") == spec.job_id("1")
+    assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
+
+
+def test_survives_pickling():
+    spec = sweep(gamma=range_(), protocol=ramp(), model={"kind": "rigid"})
+    assert pickle.loads(pickle.dumps(spec)) == spec
+
+
+# Models
+
+
+def test_models_have_their_kernels():
+    assert kernel_model(sweep().model) is Model.SOFT
+    assert kernel_model(sweep(model={"kind": "rigid"}).model) is Model.RIGID
+
+
+def test_rest_length_sets_each_cells_depth():
+    """MODEL section 2: d = 1e-4 * Lambda * Omega**2 / Gamma."""
+    model = sweep(model={"rest_length": 50.0}).model
+    depth = penetration_of(model, np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.5, 1.0]))
+    assert depth == pytest.approx([1.25e-3, 6.25e-4, 1.25e-3])
+    assert model.penetration is None
+
+
+def test_given_depth_and_restitution_are_every_cells():
+    model = sweep(model={"penetration": 1e-4, "restitution": 0.2}).model
+    assert penetration_of(model, np.ones(3), np.ones(3)).tolist() == [1e-4] * 3
+    assert restitution_of(model, np.ones(2)).tolist() == [0.2] * 2
+
+
+@pytest.mark.parametrize(
+    "model", [{"restitution": 0}, {"restitution": 1}, {"kind": "rigid", "restitution": 1}]
+)
+def test_restitution_from_nothing_to_one(model):
+    assert sweep(model=model)
+
+
+# Files and text
+
+
+def test_json_and_toml_files_are_the_same_sweep(tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps(POINT | {"gamma": range_(), "model": {"kind": "rigid"}}))
+    (tmp_path / "a.toml").write_text(
+        'omega = 0.5\nxi = 0.26\ngamma = {start = 1, stop = 2, num = 3}\n[model]\nkind = "rigid"\n'
+    )
+    assert SweepSpec.from_file(tmp_path / "a.json") == SweepSpec.from_file(str(tmp_path / "a.toml"))
+
+
+UNREADABLE = [
+    (b"", "the text is not JSON: Expecting value at line 1, column 1"),
+    (b'{"gamma": 1,}', "the text is not JSON: "),
+    (b"\xff", "the text is not UTF-8 at byte 0"),
+    (b'{"gamma": NaN}', "NaN is not a number in JSON; leave the value out or give a finite one"),
+    (b'{"gamma": -Infinity}', "-Infinity is not a number in JSON"),
+    (b'{"xi": 1, "xi": 2}', "field text 'xi' is given twice; give it once"),
+    (b'{"xi": ' + b"1" * 5000 + b"}", "a number of 5000 digits is too long; 400 is the most"),
+    (b"[" * 100_000, "the JSON is nested too deeply; a specification needs two levels"),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), UNREADABLE, ids=range(len(UNREADABLE)))
+def test_unreadable_text_says(text, expected):
+    with pytest.raises(SpecUnreadable) as caught:
+        SweepSpec.from_json(text)
+    assert str(caught.value).startswith(expected)
+
+
+def test_number_too_large_for_json_readers_is_not_finite():
+    with pytest.raises(SpecInvalid, match=r"^gamma: must be finite, not inf$"):
+        SweepSpec.from_json('{"gamma": 1e999, "omega": 1, "xi": 1}')
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.yaml", b"", "a specification file ends in .json or .toml"),
+        ("a.toml", b"gamma = ", "the text is not TOML: "),
+        ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
+        ("a.json", b" " * 4_000_001, "must be at most 4000000 bytes; give long axes as ranges"),
+    ],
+)
+def test_unreadable_file_says(tmp_path, name, content, expected):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SpecUnreadable) as caught:
+        SweepSpec.from_file(tmp_path / name)
+    assert expected in str(caught.value)
+
+
+def test_missing_file_says_its_name(tmp_path):
+    with pytest.raises(SpecUnreadable, match=r"nothing\.json: No such file"):
+        SweepSpec.from_file(tmp_path / "nothing.json")
+
+
+def test_toml_infinity_and_dates_are_no_numbers(tmp_path):
+    (tmp_path / "a.toml").write_text("gamma = inf\nomega = 2020-01-01\nxi = 0.1\n")
+    with pytest.raises(SpecInvalid, match=f"omega: must be {FORMS[:8]}") as caught:
+        SweepSpec.from_file(tmp_path / "a.toml")
+    assert "gamma: must be finite, not inf" in str(caught.value)
+
+
+def test_json_schema_tells_the_bounds():
+    schema = SweepSpec.model_json_schema()
+    assert schema["properties"]["keep"] == {
+        "default": 64, "maximum": 10_000, "minimum": 1, "title": "Keep", "type": "integer"
+    }  # fmt: skip
+    assert schema["required"] == ["gamma", "omega", "xi"]

@@ -1,0 +1,327 @@
+"""The store: opens with plain xarray, keeps what it is given, and never reads damage as data."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
+from worker import layout, store
+from worker.plan import Chunk, Plan, make_plan
+from worker.spec import SweepSpec
+
+
+@pytest.fixture
+def spec(small_spec) -> SweepSpec:
+    return small_spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}, name="a label")
+
+
+@pytest.fixture
+def plan(spec) -> Plan:
+    return make_plan(spec, chunk_shape=(1, 2, 4))
+
+
+@pytest.fixture
+def url(tmp_path, spec, plan) -> str:
+    url = str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    return url
+
+
+def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndarray]:
+    """Numbers of the right kinds and shapes; no physics."""
+    random = np.random.default_rng([seed, chunk.index])
+    length = layout.sizes(spec)
+
+    def some(array: layout.Array) -> np.ndarray:
+        shape = (*chunk.shape, *(length[dim] for dim in array.extra_dims))
+        return random.integers(1, 5, shape).astype(array.dtype)
+
+    return {array.name: some(array) for array in layout.arrays(spec)}
+
+
+def files(url: str) -> dict[str, bytes]:
+    return {str(path.relative_to(url)): path.read_bytes() for path in Path(url).rglob("*") if path.is_file()}
+
+
+# What xarray sees
+
+
+def test_opens_with_plain_xarray(url, spec):
+    with xr.open_zarr(url) as dataset:
+        assert dict(dataset.sizes) == {
+            "direction": 2, "xi": 2, "omega": 3, "gamma": 10, "flight": 8, "state": len(STATE_FIELDS)
+        }  # fmt: skip
+        assert dataset["direction"].values.tolist() == ["up", "down"]
+        for axis in ("gamma", "omega", "xi"):
+            assert dataset[axis].values.tolist() == spec.axis_values(axis).tolist()
+            assert dataset[axis].attrs["long_name"]
+        assert dataset["flight_time"].dims == ("direction", "xi", "omega", "gamma", "flight")
+        assert dataset["takeoff_phase"].dims == dataset["flight_time"].dims
+        for name, dtype in (("flights", "i4"), ("outcome", "u1"), ("bounces", "i2"), ("periods", "i2")):
+            assert dataset[name].dims == ("direction", "xi", "omega", "gamma")
+            assert dataset[name].dtype == np.dtype(dtype)
+        assert dataset["flight_time"].attrs["units"] == "rad"
+        assert dataset["end_state"].attrs["fields"].split() == list(STATE_FIELDS)
+        assert dataset["outcome"].attrs["flag_meanings"].split()[3] == "at_rest"
+
+
+def test_slices_by_name(url, spec, plan):
+    chunk = plan[0]
+    record = record_of(spec, chunk)
+    store.write_chunk(url, chunk, record)
+    with xr.open_zarr(url) as dataset:
+        cell = dataset.sel(direction="up", gamma=1.5, omega=0.5, xi=0.05, method=None)
+        assert cell["flight_time"].values.tolist() == record["flight_time"][0, 0, 2].tolist()
+
+
+def test_nothing_is_missing_but_outcomes(url):
+    with xr.open_zarr(url) as dataset:
+        assert np.all(dataset["outcome"] == Outcome.MISSING)
+        assert np.all(np.isnan(dataset["flight_time"]))
+        assert np.all(dataset["flights"] == 0)
+
+
+def test_attributes_say_what_it_is(url, spec):
+    attrs = store.read_attrs(url)
+    assert SweepSpec.parse(attrs["spec"]) == spec
+    assert attrs["job"] == spec.job_id(KERNEL_VERSION)
+    assert attrs["kernel_version"] == KERNEL_VERSION
+    assert attrs["model"] == "rigid"
+    assert attrs["title"] == "a label"
+    assert attrs["Conventions"].startswith("CF-")
+
+
+def test_attributes_of_the_creator_are_kept(tmp_path, spec, plan):
+    url = str(tmp_path / "other.zarr")
+    store.create(url, spec, plan, {"institution": "here"})
+    assert store.read_attrs(url)["institution"] == "here"
+
+
+def test_rest_stores_no_state_to_carry_on_from(tmp_path, small_spec):
+    url = str(tmp_path / "rest.zarr")
+    store.create(url, small_spec(), make_plan(small_spec()))
+    with xr.open_zarr(url) as dataset:
+        assert "end_state" not in dataset
+        assert dataset["direction"].values.tolist() == ["rest"]
+
+
+def test_metadata_is_consolidated_and_the_same_every_time(tmp_path, url, spec, plan):
+    again = str(tmp_path / "again.zarr")
+    store.create(again, spec, plan)
+    assert files(again) == files(url)
+    assert "consolidated_metadata" in json.loads((Path(url) / "zarr.json").read_text())
+
+
+# Creation
+
+
+def test_creating_it_again_changes_nothing(url, spec, plan):
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    before = files(url)
+    store.create(url, spec, plan)
+    assert files(url) == before
+
+
+def test_creation_that_was_interrupted_is_finished(url, spec, plan):
+    before = files(url)
+    root = Path(url) / "zarr.json"
+    metadata = json.loads(root.read_text())
+    del metadata["consolidated_metadata"]
+    root.write_text(json.dumps(metadata))
+    (Path(url) / "outcome" / "zarr.json").unlink()
+    with pytest.raises(store.StoreMissing, match="never finished"):
+        store.read_attrs(url)
+    store.create(url, spec, plan)
+    assert files(url) == before
+
+
+def test_another_sweep_is_not_overwritten(url, small_spec, plan):
+    with pytest.raises(store.StoreConflict, match="holds job"):
+        store.create(url, small_spec(settle=21), plan)
+
+
+def test_another_cut_is_not_overwritten(url, spec):
+    with pytest.raises(store.StoreConflict, match=r"is cut into chunks of \[1, 2, 4\], not \[2, 3, 10\]"):
+        store.create(url, spec, make_plan(spec, chunk_shape=(2, 3, 10)))
+    store.create(url, spec, make_plan(spec, chunk_shape=store.chunk_shape(url)))
+
+
+# Writing and reading
+
+
+def test_every_chunk_reads_back_as_written(url, spec, plan):
+    written = {chunk: record_of(spec, chunk) for chunk in plan}
+    for chunk, record in written.items():
+        store.write_chunk(url, chunk, record)
+    for chunk, record in written.items():
+        found = store.read_chunk(url, chunk, record)
+        assert all(np.array_equal(found[name], record[name]) for name in record)
+
+
+def test_reads_touch_any_part_of_the_grid(url, spec, plan):
+    for chunk in plan:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    with xr.open_zarr(url) as dataset:
+        found = store.read_slice(url, ["flight_time", "outcome"], direction=1, omega=2, gamma=slice(3, 9))
+        assert np.array_equal(found["flight_time"], dataset["flight_time"][1, :, 2, 3:9])
+        assert np.array_equal(found["outcome"], dataset["outcome"][1, :, 2, 3:9])
+        assert found["flight_time"].shape == (2, 6, 8)
+
+
+def test_reads_outside_the_grid_are_refused(url):
+    with pytest.raises(IndexError):
+        store.read_slice(url, ["outcome"], gamma=10)
+
+
+def test_coordinates(url, spec):
+    found = store.read_coordinates(url)
+    assert found["direction"].tolist() == ["up", "down"]
+    assert found["gamma"].tolist() == spec.axis_values("gamma").tolist()
+
+
+def test_same_record_gives_the_same_bytes(url, spec, plan):
+    record = record_of(spec, plan[1])
+    first = store.write_chunk(url, plan[1], record)
+    before = files(url)
+    assert store.write_chunk(url, plan[1], record) == first == store.checksum(url, plan[1])
+    assert files(url) == before
+    assert store.write_chunk(url, plan[1], record_of(spec, plan[1], seed=1)) != first
+
+
+def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
+    """zarr leaves such chunks out by default, and their checksum with them."""
+    record = {
+        array.name: np.full_like(record_of(spec, plan[0])[array.name], array.fill)
+        for array in layout.arrays(spec)
+    }
+    before = set(files(url))
+    store.write_chunk(url, plan[0], record)
+    assert len(set(files(url)) - before) == len(record)
+
+
+def test_chunk_that_is_not_the_stores_own_is_refused(url, spec):
+    chunk = make_plan(spec, chunk_shape=(1, 2, 5))[0]
+    with pytest.raises(store.StoreConflict, match="spans gamma 0 to 5, but chunks here are 4 long"):
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+
+
+def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(lambda chunk: store.write_chunk(url, chunk, record_of(spec, chunk)), plan))
+    for chunk in plan:
+        expected = record_of(spec, chunk)
+        found = store.read_chunk(url, chunk, expected)
+        assert all(np.array_equal(found[name], expected[name]) for name in expected)
+
+
+# Damage
+
+
+def stored_files(url: str, chunk: Chunk) -> list[Path]:
+    place = f"{chunk.direction}/{chunk.xi[0]}/{chunk.omega[0] // 2}/{chunk.gamma[0] // 4}"
+    found = [*Path(url).glob(f"*/c/{place}"), *Path(url).glob(f"*/c/{place}/0")]
+    return sorted(path for path in found if path.is_file())
+
+
+def flip(path: Path, place: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[place % len(content)] ^= 1 << place % 8
+    path.write_bytes(content)
+
+
+def cut(path: Path, place: int) -> None:
+    path.write_bytes(path.read_bytes()[: place % path.stat().st_size])
+
+
+def delete(path: Path, place: int) -> None:
+    path.unlink()
+
+
+@pytest.mark.parametrize("harm", [flip, cut, delete])
+def test_no_harm_to_a_chunk_goes_unnoticed(url, spec, plan, harm):
+    chunk = plan[2]
+    record = record_of(spec, chunk)
+    good = store.write_chunk(url, chunk, record)
+    names = stored_files(url, chunk)
+    assert len(names) == len(record)
+    for place, path in enumerate(names * 6):
+        kept = path.read_bytes()
+        harm(path, 7 * place + 1)
+        assert not store.verify(url, chunk, good)
+        path.write_bytes(kept)
+    assert store.verify(url, chunk, good)
+
+
+@pytest.mark.parametrize("harm", [flip, cut])
+def test_damaged_bytes_are_never_read_as_data(url, spec, plan, harm):
+    chunk = plan[2]
+    record = record_of(spec, chunk)
+    store.write_chunk(url, chunk, record)
+    for path in stored_files(url, chunk):
+        harm(path, path.stat().st_size // 2)
+    for name in record:
+        with pytest.raises(store.StoreDamaged, match=f"{name}: cannot be read back"):
+            store.read_chunk(url, chunk, [name])
+
+
+def test_damaged_chunk_can_be_written_anew(url, spec, plan):
+    chunk = plan[2]
+    good = store.write_chunk(url, chunk, record_of(spec, chunk))
+    for path in stored_files(url, chunk):
+        cut(path, 9)
+    assert store.write_chunk(url, chunk, record_of(spec, chunk)) == good
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b'{"zarr_format": 3}'])
+def test_damaged_metadata_is_said(url, content):
+    (Path(url) / "zarr.json").write_bytes(content)
+    with pytest.raises(store.StoreError):
+        store.read_attrs(url)
+
+
+def test_no_store_is_said(tmp_path):
+    nowhere = str(tmp_path / "nowhere.zarr")
+    with pytest.raises(store.StoreMissing, match="no store here"):
+        store.read_attrs(nowhere)
+    assert not Path(nowhere).exists()
+
+
+def test_only_folders_can_hold_a_store(spec, plan):
+    with pytest.raises(store.StoreError, match="only folders can hold a store"):
+        store.create("s3://bucket/sweep.zarr", spec, plan)
+
+
+def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    before = files(url)
+    (stored_files(url, plan[0])[0].parent / "0.0123456789abcdef.partial").write_bytes(b"half")
+    (Path(url) / "zarr.0123456789abcdef.partial").write_bytes(b"half")
+    assert store.sweep_leftovers(url) == 2
+    assert store.sweep_leftovers(url) == 0
+    assert files(url) == before
+
+
+# The cancel mark
+
+
+def test_cancel_mark_is_no_part_of_the_store(url):
+    before = files(url)
+    assert not store.is_cancelled(url)
+    store.set_cancelled(url)
+    store.set_cancelled(url)
+    assert store.is_cancelled(url)
+    assert files(url) == before
+    store.clear_cancelled(url)
+    store.clear_cancelled(url)
+    assert not store.is_cancelled(url)
+
+
+def test_cancel_mark_before_there_is_a_store(tmp_path, spec, plan):
+    url = str(tmp_path / "stores" / "later.zarr")
+    store.set_cancelled(url)
+    store.create(url, spec, plan)
+    assert store.is_cancelled(url)

@@ -1,0 +1,181 @@
+"""One chunk: what is stored is what the kernel says of its cells, line by line, and nothing else."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from kernel.params import STATE_FIELDS, Cell, Model, Outcome
+from kernel.ramp import run_line
+from worker import store, tasks
+from worker.plan import Plan, make_plan
+from worker.spec import AXES, SweepSpec
+from worker.tasks import ChunkCancelled, PredecessorMissing, run_chunk
+
+RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
+
+
+def stored(tmp_path, spec: SweepSpec, shape=None) -> tuple[Plan, str]:
+    plan = make_plan(spec, chunk_shape=shape)
+    url = str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    return plan, url
+
+
+def naive_line(spec: SweepSpec, gamma, omega, xi, carry: bool):
+    """The kernel called once for a whole line, without plan, chunk or store."""
+    n = len(gamma)
+    model = spec.model.model_dump()
+    depth = model.get("penetration") or 1e-3
+    if model.get("rest_length"):
+        depth = 1e-4 * model["rest_length"] * omega**2 / gamma
+    return run_line(
+        gamma,
+        omega,
+        xi,
+        model=Model[model["kind"].upper()],
+        restitution=np.full(n, float(model["restitution"])),
+        penetration=np.full(n, 1.0) * depth,
+        adhesive=model.get("adhesive", True),
+        carry=carry,
+        settle=spec.settle,
+        observe=spec.observe,
+        keep=spec.keep,
+        micro_flight=spec.micro_flight,
+    )
+
+
+def ramp(axis, direction):
+    return {"kind": "ramp", "axis": axis, "direction": direction}
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        {"kind": "rigid"},
+        {"kind": "rigid", "restitution": 0.3},
+        {"kind": "soft", "penetration": 1e-2},
+        {"kind": "soft", "rest_length": 50.0, "adhesive": False},
+    ],
+    ids=["rigid", "rigid e", "soft", "soft rest length"],
+)
+def test_cells_from_rest_are_the_kernels(tmp_path, small_spec, model):
+    spec = small_spec(model=model, gamma=[0.5, 1.5, 2.3, 3.6], micro_flight=1e-3)
+    plan, url = stored(tmp_path, spec, (1, 2, 3))
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    found = store.read_slice(url, RECORD, direction=0)
+    for place in np.ndindex(spec.shape[1:]):
+        values = [np.array([spec.axis_values(axis)[i]]) for axis, i in zip(AXES, place, strict=True)]
+        expected = naive_line(spec, *reversed(values), carry=False)
+        for name in RECORD:
+            assert np.array_equal(found[name][place], getattr(expected, name)[0], equal_nan=True), name
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_ramp_carries_its_state_across_chunks(tmp_path, small_spec, axis, direction):
+    axes = {name: [0.4, 0.9] for name in AXES} | {axis: {"start": 0.2, "stop": 4.0, "num": 12}}
+    spec = small_spec(**axes, protocol=ramp(axis, direction))
+    plan, url = stored(tmp_path, spec, tuple(5 if name == axis else 1 for name in AXES))
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    names = (*RECORD, "end_state")
+    found = store.read_slice(url, names, direction=0)
+    order = slice(None, None, -1 if direction == "down" else 1)
+    beside = [name for name in AXES if name != axis]
+    for place in np.ndindex(2, 2):
+        fixed = {name: np.full(12, spec.axis_values(name)[i]) for name, i in zip(beside, place, strict=True)}
+        values = fixed | {axis: spec.axis_values(axis)[order]}
+        expected = naive_line(spec, values["gamma"], values["omega"], values["xi"], carry=True)
+        where = tuple(
+            slice(None) if name == axis else place[beside.index(name)] for name in AXES
+        )  # fmt: skip
+        for name in names:
+            assert np.array_equal(found[name][where][order], getattr(expected, name), equal_nan=True), name
+
+
+def test_down_after_up_goes_on_from_the_top(tmp_path, small_spec):
+    spec = small_spec(omega=0.6, xi=0.05, protocol=ramp("gamma", "both"))
+    plan, url = stored(tmp_path, spec, (1, 1, 4))
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    found = store.read_slice(url, (*RECORD, "end_state"), xi=0, omega=0)
+    gamma = spec.axis_values("gamma")
+    there_and_back = np.concatenate([gamma, gamma[::-1]])
+    expected = naive_line(spec, there_and_back, np.full(20, 0.6), np.full(20, 0.05), carry=True)
+    for name, values in found.items():
+        walked = np.concatenate([values[0], values[1][::-1]])
+        assert np.array_equal(walked, getattr(expected, name), equal_nan=True), name
+
+
+def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path, small_spec):
+    spec = small_spec(protocol=ramp("gamma", "up"))
+    plan, url = stored(tmp_path, spec, (2, 3, 5))
+    with pytest.raises(PredecessorMissing, match="chunk 1 carries on from chunk 0, which is not stored"):
+        run_chunk(spec, plan[1], url)
+    assert not store.read_slice(url, ["outcome"])["outcome"].any()
+    run_chunk(spec, plan[0], url)
+    run_chunk(spec, plan[1], url)
+    assert store.read_slice(url, ["outcome"])["outcome"].all()
+
+
+def test_after_a_diverged_cell_a_ramp_starts_from_rest():
+    state, cell = np.zeros(len(STATE_FIELDS)), Cell(1.0, 1.0, 1.0)
+    assert tasks._start(state, Outcome.DIVERGED, cell) is None
+    assert tasks._start(state, Outcome.UNRESOLVED, cell) is not None
+
+
+def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
+    spec = small_spec()
+    plan, url = stored(tmp_path, spec)
+    report = run_chunk(spec, plan[0], url)
+    outcome = store.read_slice(url, ["outcome"])["outcome"]
+    assert report.index == 0
+    assert report.cells == outcome.size == sum(report.outcomes)
+    assert report.outcomes == tuple(np.count_nonzero(outcome == one) for one in Outcome)
+    assert report.outcomes[Outcome.MISSING] == 0
+    assert report.outcomes[Outcome.AT_REST] > 0
+    assert report.outcomes[Outcome.PERIODIC] > 0
+    assert store.verify(url, plan[0], report.checksum)
+    assert 0 < report.kernel_seconds <= report.seconds
+
+
+def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
+    spec = small_spec(protocol=ramp("gamma", "both"))
+    plan, url = stored(tmp_path, spec, (1, 3, 5))
+    first = [run_chunk(spec, chunk, url).checksum for chunk in plan]
+    assert [run_chunk(spec, chunk, url).checksum for chunk in reversed(plan)] == first[::-1]
+
+
+def test_cancelled_chunk_writes_nothing(tmp_path, small_spec):
+    spec = small_spec()
+    plan, url = stored(tmp_path, spec)
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled, match="cancelled"):
+        run_chunk(spec, plan[0], url)
+    assert not store.read_slice(url, ["outcome"])["outcome"].any()
+
+
+def test_cancelling_stops_a_chunk_within_a_piece(tmp_path, small_spec):
+    """The chunk would take minutes; it is cancelled while it runs."""
+    spec = small_spec(gamma={"start": 2.0, "stop": 5.0, "num": 1000}, settle=100_000)
+    plan, url = stored(tmp_path, spec, (2, 3, 1000))
+    timer = threading.Timer(0.5, store.set_cancelled, [url])
+    timer.start()
+    began = time.monotonic()
+    with pytest.raises(ChunkCancelled):
+        run_chunk(spec, plan[0], url)
+    timer.join()
+    assert time.monotonic() - began < 10
+
+
+def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
+    """Computing it would take an hour."""
+    spec = small_spec(gamma=[2.0, 3.0], settle=10_000_000)
+    with pytest.raises(store.StoreMissing, match="no store here"):
+        run_chunk(spec, make_plan(spec, chunk_cells=12)[0], str(tmp_path / "nowhere.zarr"))
+    _, url = stored(tmp_path, spec, (1, 3, 2))
+    with pytest.raises(store.StoreConflict, match="spans xi 0 to 2, but chunks here are 1 long"):
+        run_chunk(spec, make_plan(spec, chunk_shape=(2, 3, 2))[0], url)
