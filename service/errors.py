@@ -168,6 +168,8 @@ def _name(location: Sequence[str | int]) -> str:
 def _rule(entry: Mapping[str, Any]) -> str:
     if entry["type"] == "extra_forbidden":
         return "there is no such parameter"
+    if entry["type"] == "missing":
+        return "is required"
     message = str(entry["msg"])
     return message.removeprefix("Value error, ").removeprefix("Input ")
 

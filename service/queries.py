@@ -55,7 +55,8 @@ class Diagram:
     def shown(self) -> NDArray[np.bool_]:
         """(n, keep) which entries are flights that count."""
         kept = np.arange(self.flight_time.shape[1]) < self.flights[:, None]
-        return kept & (self.flight_time >= self.min_flight)
+        finite = np.isfinite(self.flight_time) & np.isfinite(self.takeoff_phase)
+        return kept & finite & (self.flight_time >= self.min_flight)
 
     @property
     def missing(self) -> int:
