@@ -159,9 +159,8 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         if width > 0.0:
             step, _ = halley(f0, f1, f2, f3)
             tau, ending, more = close_in(phase, tau, tau + width, tau + step, budget - used)
-            if tau >= horizon:
-                return horizon, HORIZON, used + more
-            return tau, ending, used + more
+            beyond = tau >= horizon
+            return (horizon if beyond else tau), (HORIZON if beyond else ending), used + more
         step = safe_step(f0, f1, f2, f3, f4, guess)
         if t.ring4 > t.smooth4 and t.smooth > t.amplitude:
             step = max(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from kernel.events import BROKEN
 from kernel.inputs import check_arrays, check_window, checked_state
 from kernel.jit import jit
+from kernel.lockstep import run_lockstep
 from kernel.model import flies, prepare, rest
 from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
 from kernel.rigid import RigidPlate
@@ -106,6 +107,9 @@ def run_line(
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     window = Window(int(settle), int(observe), float(micro_flight))
     plate = _plate(model, restitution, penetration, bool(adhesive))
+    if isinstance(plate, RigidPlate) and not carry:
+        run_lockstep(plate, gamma, omega, xi, window, line)
+        return line
     _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line)
     return line
 

@@ -146,8 +146,7 @@ def classify(run: Progress, flights: Flights, micro_flight: float) -> tuple[int,
         return AT_REST, 0, 0
     size = len(flights.time)
     kept = min(run.recorded, size)
-    time, phase = flights.time.copy()[:kept], flights.phase.copy()[:kept]
-    period = flights.period.copy()[:kept]
+    time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0
     for i in range(run.recorded - kept, run.recorded):
         if flights.time[i % size] > micro_flight:
@@ -178,4 +177,5 @@ def write(line: Line, i: int, run: Progress, flights: Flights, state: Any, windo
         slot = (run.recorded - kept + k) % size
         line.flight_time[i, k] = flights.time[slot]
         line.takeoff_phase[i, k] = flights.phase[slot]
-    line.end_state[i] = state
+    for field in range(len(state)):
+        line.end_state[i, field] = state[field]

@@ -1,0 +1,158 @@
+"""Phase functions of many cells advanced in lockstep, one lane a cell.
+
+The same search as `events.first_root`, for phase functions of one form,
+
+    F(tau) = k0 + k1 tau - k2 tau^2 + a cos(phi + tau) + b sin(phi + tau) + p y + r y',
+
+with y a free damped oscillator: a rigid plate's normal force and the gap of a flight are both
+of it. One call of `advance` evaluates every lane's F once and moves every lane on, without a
+branch, so that the compiler turns it into vector instructions. What a lane does never depends
+on its neighbours.
+"""
+
+import math
+from typing import Any, Final
+
+from kernel.elementary import exp, sincos
+from kernel.events import EPS
+from kernel.jit import jit
+from kernel.oscillator import NEAR_CRITICAL, Oscillator
+
+#: Lanes: two vectors of eight doubles, so that one computes while the other waits.
+LANES: Final = 16
+
+#: Evaluations after which a lane's search is handed to `events.first_root`.
+PATIENCE: Final = 60
+
+#: How much wider than its last step a lane tries the next.
+WIDEN: Final = 1.5
+
+#: A lane's status after `advance`.
+SEARCHING: Final = 0.0
+AT_ROOT: Final = 1.0  # the zero is MOVE away from TAU
+AT_HORIZON: Final = 2.0
+STRAYED: Final = 3.0  # patience ran out, or a number stopped being finite
+
+# Rows of the table of lanes, each LANES wide: what a phase is, ...
+(PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, UNDER, STIFFNESS, Y0, V0) = range(10)
+(P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(10, 19)
+# ... where the search for its root stands, and what F's last evaluation gave.
+(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(19, 29)
+ROWS: Final = 29
+
+
+@jit
+def fits(osc: Oscillator) -> bool:
+    """Whether lanes can compute this oscillator: all but nearly critical and very slow ones."""
+    near = osc.discriminant >= 0.0 and osc.root <= NEAR_CRITICAL * osc.damping
+    return not near and osc.rate > 0.03
+
+
+@jit
+def load(
+    table: Any, k: int, osc: Oscillator, phi: float, y: float, v: float, start: float, horizon: float
+) -> None:
+    """Begin a phase in lane k; its coefficients P to B are the caller's to set, then `settle`."""
+    table[PHI * LANES + k] = phi
+    table[DAMPING * LANES + k] = osc.damping
+    table[ROOT * LANES + k] = osc.root
+    table[INVERSE * LANES + k] = 1.0 / osc.root
+    table[SLOW * LANES + k] = osc.slow
+    table[RATE * LANES + k] = math.sqrt(osc.stiffness)
+    table[UNDER * LANES + k] = 1.0 if osc.discriminant < 0.0 else 0.0
+    table[STIFFNESS * LANES + k] = osc.stiffness
+    table[Y0 * LANES + k] = y
+    table[V0 * LANES + k] = v
+    table[HORIZON * LANES + k] = horizon
+    table[TAU * LANES + k] = min(start, horizon)
+    table[GUESS * LANES + k] = 0.5
+    table[CLOSING * LANES + k] = 0.0
+    table[COUNT * LANES + k] = 0.0
+
+
+@jit
+def coefficients(
+    table: Any, k: int, p: float, r: float, k0: float, k1: float, k2: float, a: float, b: float
+) -> None:
+    """The coefficients of lane k's phase function, and what rounding does to it at tau = 0."""
+    table[P * LANES + k] = p
+    table[R * LANES + k] = r
+    table[K0 * LANES + k] = k0
+    table[K1 * LANES + k] = k1
+    table[K2 * LANES + k] = k2
+    table[A * LANES + k] = a
+    table[B * LANES + k] = b
+    ring = abs(p * table[Y0 * LANES + k]) + abs(r * table[V0 * LANES + k])
+    table[NOISE * LANES + k] = 4.0 * EPS * (abs(k0) + abs(a) + abs(b) + ring)
+
+
+@jit
+def advance(table: Any) -> None:  # noqa: PLR0915 - one loop body is what becomes vector instructions
+    """Evaluate every lane once and move it on; a lane whose phase has ended stays, with its STATUS."""
+    for k in range(LANES):
+        tau = table[TAU * LANES + k]
+        sin, cos = sincos(table[PHI * LANES + k] + tau)
+        damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
+        root, slow, under = table[ROOT * LANES + k], table[SLOW * LANES + k], table[UNDER * LANES + k] > 0.0
+        # the free oscillator, under- and overdamped alike (oscillator.response)
+        decay = exp((-damping if under else slow) * tau)
+        lost = exp(-2.0 * root * tau)
+        turn, turn1 = sincos(root * tau)
+        fast = -(damping + root)
+        scale = 0.5 * decay * table[INVERSE * LANES + k]
+        sine = 2.0 * scale * turn if under else scale * (1.0 - lost)
+        cosine = decay * turn1 + damping * sine if under else scale * (slow * lost - fast)
+        sine1 = decay * turn1 - damping * sine if under else scale * (slow - fast * lost)
+        y0, v0 = table[Y0 * LANES + k], table[V0 * LANES + k]
+        y = y0 * cosine + v0 * sine
+        y1 = v0 * sine1 - stiffness * sine * y0
+        y2 = -2.0 * damping * y1 - stiffness * y
+        y3 = -2.0 * damping * y2 - stiffness * y1
+        y4 = -2.0 * damping * y3 - stiffness * y2
+        y5 = -2.0 * damping * y4 - stiffness * y3
+        # F, its derivatives, and a bound on the fourth from now on
+        p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
+        k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
+        wave, wave1 = a * cos + b * sin, b * cos - a * sin
+        f0 = k0 + (k1 - k2 * tau) * tau + wave + (p * y + r * y1)
+        f1 = k1 - 2.0 * k2 * tau + wave1 + (p * y1 + r * y2)
+        f2 = -2.0 * k2 - wave + (p * y2 + r * y3)
+        f3 = -wave1 + (p * y3 + r * y4)
+        rate = table[RATE * LANES + k]
+        swing = abs(p) * (abs(y4) + rate * abs(y3)) + abs(r) * (abs(y5) + rate * abs(y4))
+        f4 = abs(a) + abs(b) + swing
+        # where F surely falls through zero at once, Halley's step, else one that cannot miss a zero
+        inverse = 1.0 / f1
+        newton, bend = -f0 * inverse, 0.5 * f2 * inverse
+        move = newton / (1.0 + newton * bend)
+        left = abs(newton * newton * newton) * (bend * bend + abs(f3 * inverse) * (1.0 / 6.0))
+        width = 2.0 * newton
+        steepest = f1 + width * (max(f2, 0.0) + width * (0.5 * max(f3, 0.0) + width * f4 * (1.0 / 6.0)))
+        falls = (f1 < 0.0) & (f0 > 0.0) & (f0 + steepest * width < 0.0)
+        closing = 1.0 if falls else table[CLOSING * LANES + k]
+        positive, guess = max(f0, 0.0), table[GUESS * LANES + k]
+        curve = max(-f2 - min(f3, 0.0) * guess + 0.5 * f4 * guess * guess, 1e-300)
+        chord = math.sqrt(f1 * f1 + 2.0 * curve * positive)
+        rising = f1 > 0.0
+        step = min((f1 + chord if rising else 2.0 * positive) / (curve if rising else chord - f1), guess)
+        # how this evaluation ends
+        horizon = table[HORIZON * LANES + k]
+        noise = table[NOISE * LANES + k] + 2.0 * EPS * (abs(k1) + k2 * tau) * tau
+        exact = (abs(f0) <= noise) | (left <= EPS * tau)
+        found = (f1 < 0.0) & (tau + move <= horizon) & (((closing > 0.0) & exact) | (f0 <= noise))
+        status = AT_ROOT if found else SEARCHING
+        status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not found) else status
+        count = table[COUNT * LANES + k] + 1.0
+        lost_way = (count > PATIENCE) | (not (abs(f0) + f4 < math.inf))
+        status = STRAYED if lost_way else status
+        onward = min(tau + (move if closing > 0.0 else step), horizon)
+        table[TAU * LANES + k] = onward if status == SEARCHING else tau
+        table[GUESS * LANES + k] = WIDEN * step
+        table[CLOSING * LANES + k] = closing
+        table[COUNT * LANES + k] = count
+        table[STATUS * LANES + k] = status
+        table[MOVE * LANES + k] = move if found else 0.0
+        table[Y * LANES + k] = y
+        table[Y1 * LANES + k] = y1
+        table[SIN * LANES + k] = sin
+        table[COS * LANES + k] = cos

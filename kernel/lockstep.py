@@ -1,0 +1,190 @@
+"""The rigid spring, many cells at a time: `rigid` from rest, in lanes.
+
+Every lane holds one cell and one of its phases; `lanes.advance` moves all of them on, and a
+lane whose phase has ended is taken through the landing or the take-off here and given its next
+phase, or, at the end of its window, the next cell of the line. What lanes cannot do well, such
+as a flight short enough to need the power series, is done by the functions of `rigid` there
+and then, so that a cell's record depends on nothing but the cell.
+"""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from kernel.events import HORIZON, ROOT, Phase, departure_step
+from kernel.jit import jit
+from kernel.lanes import (
+    AT_ROOT,
+    COS,
+    COUNT,
+    K0,
+    K1,
+    LANES,
+    MOVE,
+    ROWS,
+    SEARCHING,
+    SIN,
+    STATUS,
+    STRAYED,
+    TAU,
+    Y1,
+    Y,
+    advance,
+    coefficients,
+    fits,
+    load,
+)
+from kernel.model import contact, flies, flight, prepare, rest
+from kernel.oscillator import derivatives, envelope
+from kernel.params import STATE_FIELDS, Line
+from kernel.rigid import SLOWEST_HOP, RigidPlate, Spring
+from kernel.trajectory import (
+    Progress,
+    Window,
+    begin,
+    horizon_of,
+    leave,
+    record,
+    room_for_flights,
+    write,
+)
+
+#: A flight shorter than this (rad) is left to the power series, ...
+BRIEF: Final = 0.05
+
+#: ... and so is one whose first safe step is shorter than this.
+TIMID: Final = 1e-4
+
+
+@jit
+def _load_stuck(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float) -> bool:
+    h = run.q - s.sag - (s.q_re * cos - s.q_im * sin)
+    h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
+    h2, h3, _ = derivatives(s.stuck, h, h1)
+    if 2.0 * s.gravity - math.hypot(s.n_re, s.n_im) > envelope(s.stuck, h2, h3):
+        return False  # it never takes off again: `contact` says so at once
+    load(table, k, s.stuck, run.phase, h, h1, 0.0, horizon)
+    coefficients(table, k, -s.stiffness, -s.dashpot, 2.0 * s.gravity, 0.0, 0.0, -s.n_re, s.n_im)
+    return True
+
+
+@jit
+def _load_flight(
+    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    if run.gap != 0.0 or run.gap1 != 0.0:
+        return False
+    q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
+    gap2 = max(cos - s.gravity - 0.5 * q2, 0.0)
+    start = departure_step(gap2, -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+    if start < TIMID:
+        return False
+    load(table, k, s.flight, run.phase, run.q, run.q1, start, horizon)
+    coefficients(table, k, -0.5, 0.0, cos + 0.5 * run.q, 0.5 * run.q1 - sin, 0.5 * s.gravity, -1.0, 0.0)
+    return True
+
+
+@jit
+def _brief(table: Any, k: int, run: Progress) -> bool:
+    return run.in_flight and table[STATUS * LANES + k] == AT_ROOT and table[TAU * LANES + k] < BRIEF
+
+
+@jit
+def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, float, float]:
+    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+    sin, cos = table[SIN * LANES + k], table[COS * LANES + k]
+    move = table[MOVE * LANES + k]
+    tau = table[TAU * LANES + k] + move
+    y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
+    osc = s.flight if run.in_flight else s.stuck
+    y2, y3, _ = derivatives(osc, y, y1)
+    y += move * (y1 + 0.5 * move * y2)
+    y1 += move * (y2 + 0.5 * move * y3)
+    sin, cos = sin + move * (cos - 0.5 * move * sin), cos - move * (sin + 0.5 * move * cos)
+    ending = ROOT if table[STATUS * LANES + k] == AT_ROOT else HORIZON
+    used = int(table[COUNT * LANES + k])
+    if not run.in_flight:
+        q = s.sag + (s.q_re * cos - s.q_im * sin) + y
+        q1 = y1 - (s.q_re * sin + s.q_im * cos)
+        return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used), sin, cos
+    drift = table[K1 * LANES + k]
+    gap1 = sin + drift - s.gravity * tau - 0.5 * y1
+    if ending != ROOT:
+        gap = table[K0 * LANES + k] - cos + (drift - 0.5 * s.gravity * tau) * tau - 0.5 * y
+        return Phase(tau, ending, True, gap, gap1, y, y1, used), sin, cos
+    hop = -s.restitution * gap1
+    if hop < SLOWEST_HOP:
+        hop = 0.0
+    y1 += gap1 - hop
+    force = s.gravity - cos - s.dashpot * y1 - s.stiffness * y
+    return Phase(tau, ROOT, hop > 0.0 or force < 0.0, 0.0, hop, y, y1, used), sin, cos
+
+
+@jit
+def _by_itself(s: Spring, run: Progress, window: Window) -> Phase:
+    """The next phase by the functions of `rigid`."""
+    horizon = horizon_of(run, window)
+    p: Phase
+    if run.in_flight:
+        p = flight(s, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+    else:
+        p = contact(s, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+    return p
+
+
+@jit
+def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, window: Window) -> bool:
+    """Put the next phase into lane k, unless it is better done by itself."""
+    horizon = horizon_of(run, window)
+    if run.in_flight:
+        loaded = _load_flight(table, k, s, run, sin, cos, horizon)
+    else:
+        loaded = _load_stuck(table, k, s, run, sin, cos, horizon)
+    return loaded and fits(s.stuck) and fits(s.flight)
+
+
+@jit
+def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
+    state[0] = 0.0
+    state[2], state[3], state[4], state[5] = rest(s)
+    state[1] = 1.0 if flies(s, 0.0, state[2], state[3], state[4], state[5]) else 0.0
+    return begin(state, window)
+
+
+@jit
+def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line) -> None:
+    """Run a line of independent cells from rest; arrays as in ramp.run_line."""
+    table = np.zeros(ROWS * LANES)
+    rings = [room_for_flights(line.flight_time.shape[1]) for _ in range(LANES)]
+    springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
+    state = np.zeros(len(STATE_FIELDS))
+    runs = [begin(state, window) for _ in range(LANES)]
+    index = np.full(LANES, -1)  # the cell in each lane
+    begun, left = 0, len(gamma)
+    while left > 0:
+        for k in range(LANES):
+            while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
+                if index[k] < 0:
+                    if begun == len(gamma):
+                        break
+                    springs[k] = prepare(plate, begun, gamma[begun], omega[begun], xi[begun])
+                    runs[k] = _from_rest(springs[k], state, window)
+                    index[k], sin, cos = begun, 0.0, 1.0
+                    begun += 1
+                elif table[STATUS * LANES + k] == STRAYED or _brief(table, k, runs[k]):
+                    p = _by_itself(springs[k], runs[k], window)
+                    runs[k] = record(runs[k], p, window, rings[k])
+                    sin, cos = math.sin(runs[k].phase), math.cos(runs[k].phase)
+                else:
+                    p, sin, cos = _phase_of(table, k, springs[k], runs[k])
+                    runs[k] = record(runs[k], p, window, rings[k])
+                if runs[k].ending != ROOT:
+                    leave(runs[k], state)
+                    write(line, index[k], runs[k], rings[k], state, window)
+                    index[k] = -1
+                    left -= 1
+                else:
+                    loaded = _load(table, k, springs[k], runs[k], sin, cos, window)
+                    table[STATUS * LANES + k] = SEARCHING if loaded else STRAYED
+        advance(table)
