@@ -53,16 +53,25 @@ def test_ci_sets_up_and_tests_as_the_readme_says():
     assert SET_UP.splitlines()[1] in (ROOT / ".ci" / "run").read_text().splitlines()
 
 
-def test_links_and_rooms_lead_somewhere():
+def rooms() -> set[str]:
+    """The modules and folders that the table of rooms names."""
+    rows = re.findall(r"^\| `(kernel|worker|service)/(.*?) \|", README, re.MULTILINE)
+    return {f"{folder}/{name}" for folder, names in rows for name in re.findall(r"[\w.]+/?", names)}
+
+
+def test_links_lead_somewhere():
     links = [link for link in re.findall(r"\]\(([^)]+)\)", README) if "://" not in link]
-    rooms = [
-        f"{folder}/{name}"
-        for row in re.findall(r"^\| (`(?:kernel|worker|service)/.*?) \|", README, re.MULTILINE)
-        for folder in [row.split("/")[0].strip("`")]
-        for name in re.findall(r"`(?:\w+/)?([\w.]+/?)`", row)
-    ]
-    assert len(rooms) > 10
-    assert [path for path in (*links, *rooms) if not (ROOT / path).exists()] == []
+    assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+def test_table_of_rooms_names_every_module():
+    found = {
+        "service/client/" if path.is_relative_to(ROOT / "service" / "client") else str(path.relative_to(ROOT))
+        for package in ("kernel", "worker", "service")
+        for path in (ROOT / package).rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    assert rooms() == found
 
 
 def parse(command: click.Command, words: list[str]) -> None:

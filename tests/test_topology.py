@@ -17,8 +17,9 @@ import yaml
 ROOT = Path(__file__).parents[1]
 SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
 
-#: Seconds for a process to become healthy, and to end when asked to.
-PATIENCE = 90
+#: Seconds for a process to become healthy (longest: the service, whose workers may have to compile the
+#: kernels first), and to end when asked to.
+PATIENCE = 240
 FAREWELL = 20
 
 #: MODEL: what Fig. 2 has at these values of gamma; below threshold the mass never leaves the plate.
@@ -131,7 +132,7 @@ def topology(tmp_path: Path) -> Iterator[Topology]:
         topology.end()
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
     from service.client import Client
 
