@@ -40,8 +40,13 @@ def take_off(
 def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float, int, int]:
     """When the gap first falls to zero after `start`: see events.first_root."""
     if start == 0.0 and p.gap == 0.0 and p.gap1 == 0.0:
-        _, q3, q4 = derivatives(p.osc, p.q, p.q1)
-        start = departure_step(p.gap2, -math.sin(p.phi) - 0.5 * q3, 1.0 + 0.5 * q4)
+        q2, q3, bound4 = derivatives(p.osc, p.q, p.q1)
+        gap3 = -math.sin(p.phi) - 0.5 * q3
+        start = departure_step(p.gap2, gap3, 1.0 + 0.5 * bound4)
+        if start == 0.0:  # n' was zero as well: gap' stays positive as long as its own bound says
+            q4, _, _ = derivatives(p.osc, q2, q3)
+            _, _, bound5 = derivatives(p.osc, p.q1, q2)
+            start = departure_step(gap3, -math.cos(p.phi) - 0.5 * q4, 1.0 + 0.5 * bound5)
     return first_root(p, start, horizon, budget)
 
 
