@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.ball import BallPlate
 from kernel.events import BROKEN
 from kernel.inputs import check_arrays, check_window, checked_state
 from kernel.jit import jit
@@ -19,6 +20,7 @@ from kernel.model import flies, prepare, rest
 from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
 from kernel.rigid import RigidPlate
 from kernel.soft import SoftPlate
+from kernel.stepped import SteppedPlate, stepped_plate
 from kernel.trajectory import Window, leave, room_for_flights, run_cell, write
 
 
@@ -56,7 +58,7 @@ def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
 
 
 #: The models there are.
-MODELS: Final = (Model.SOFT, Model.RIGID)
+MODELS: Final = (Model.SOFT, Model.STEPPED, Model.RIGID, Model.BALL)
 
 
 def run_line(
@@ -74,12 +76,15 @@ def run_line(
     keep: int,
     micro_flight: float = 0.0,
     start: Start | None = None,
+    steps_per_contact: int = 20,
+    scheme: str = "verlet",
 ) -> Line:
     """Run n cells in the order given and return their record.
 
     gamma, omega, xi, restitution, penetration: float64 (n,). With `carry` each cell goes on from
     its predecessor's end, the first from `start` or from rest; without, every cell starts from
-    rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad.
+    rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad. The last two are
+    for `stepped` alone: see kernel.steps, which says what is stable.
 
     A trajectory that fails is an outcome. Raises KernelInputError for arguments no cell can have.
     """
@@ -106,7 +111,11 @@ def run_line(
     state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     window = Window(int(settle), int(observe), float(micro_flight))
-    plate = _plate(model, restitution, penetration, bool(adhesive))
+    plate: RigidPlate | SoftPlate | BallPlate | SteppedPlate
+    if model == Model.STEPPED:
+        plate = stepped_plate(restitution, penetration, bool(adhesive), steps_per_contact, scheme)
+    else:
+        plate = _plate(model, restitution, penetration, bool(adhesive))
     if isinstance(plate, RigidPlate) and not carry:
         run_lockstep(plate, gamma, omega, xi, window, line)
         return line
@@ -116,11 +125,13 @@ def run_line(
 
 def _plate(
     model: Model, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool
-) -> RigidPlate | SoftPlate:
+) -> RigidPlate | SoftPlate | BallPlate:
     if model == Model.RIGID:
         return RigidPlate(restitution)
     if model == Model.SOFT:
         return SoftPlate(restitution, penetration, adhesive)
+    if model == Model.BALL:
+        return BallPlate(restitution)
     raise KernelInputError(
         "model", f"must be one of {', '.join(m.name.lower() for m in MODELS)}, got {model!r}"
     )
