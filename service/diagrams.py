@@ -50,20 +50,20 @@ _drawing: Final = threading.Lock()
 
 def as_json(diagram: Diagram) -> bytes:
     """The diagram as a JSON document; every list of flights is as long as there are flights to show."""
-    document = {
-        "along": diagram.along,
-        "fixed": diagram.fixed,
-        "direction": diagram.direction,
-        "values": diagram.values.tolist(),
+    members = {
+        "along": _json(diagram.along),
+        "fixed": _json(diagram.fixed),
+        "direction": _json(diagram.direction),
+        "values": _json(diagram.values.tolist()),
         "flight_time": _lists(diagram.flight_time, diagram.shown),
         "takeoff_phase": _lists(diagram.takeoff_phase, diagram.shown),
-        "flights": diagram.flights.tolist(),
-        "outcome": diagram.outcome.tolist(),
-        "bounces": diagram.bounces.tolist(),
-        "periods": diagram.periods.tolist(),
-        "complete": diagram.complete,
+        "flights": _json(diagram.flights.tolist()),
+        "outcome": _json(diagram.outcome.tolist()),
+        "bounces": _json(diagram.bounces.tolist()),
+        "periods": _json(diagram.periods.tolist()),
+        "complete": _json(diagram.complete),
     }
-    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return ("{" + ",".join(f'"{name}":{text}' for name, text in members.items()) + "}").encode()
 
 
 def as_csv(diagrams: Sequence[Diagram]) -> bytes:
@@ -89,8 +89,13 @@ def as_picture(diagrams: Sequence[Diagram], spec: SweepSpec, format: str) -> byt
     return file.getvalue()
 
 
-def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> list[list[float]]:
-    return [row[mask].tolist() for row, mask in zip(values, shown, strict=True)]
+def _json(value: object) -> str:
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> str:
+    """A list for every cell; written one by one, so that other threads get their turn in between."""
+    return "[" + ",".join(_json(row[mask].tolist()) for row, mask in zip(values, shown, strict=True)) + "]"
 
 
 def _rows(diagram: Diagram) -> Iterator[list[Any]]:

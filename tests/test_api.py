@@ -217,6 +217,16 @@ def test_the_cluster_computes_what_inline_computes(
     assert there == get(client, f"{figure_2}/diagram")
 
 
+def test_figure_2_is_done_in_five_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
+    with service(tmp_path, cluster) as client:
+        finished(client, {**FIGURE_2, "gamma": 1.5})
+        for kind in ("rigid", "soft"):
+            gamma = {"start": 1.0, "stop": 6.0, "num": 1000}
+            began = time.monotonic()
+            finished(client, {**FIGURE_2, "gamma": gamma, "model": {"kind": kind}})
+            assert time.monotonic() - began < 5
+
+
 # Diagrams
 
 
