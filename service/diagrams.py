@@ -34,8 +34,10 @@ COLUMNS: Final = (
 
 SYMBOLS: Final = {"gamma": r"$\Gamma$", "omega": r"$\Omega$", "xi": r"$\xi$"}
 
-#: Colours that survive colour blindness and a photocopier.
-COLOURS: Final = {"rest": "black", "up": "#9a9a9a", "down": "#b2182b"}
+#: Colour and relative size of the points: of one direction; of up below down, a rim where the two agree.
+#: The colours survive colour blindness and a photocopier.
+ALONE: Final = (("black", 1.0),)
+OVERLAID: Final = (("#a6a6a6", 1.7), ("#b2182b", 0.8))
 
 FONT: Final = "STIXGeneral"
 TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
@@ -111,8 +113,8 @@ def _rows(diagram: Diagram) -> Iterator[list[Any]]:
 
 def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
     first = diagrams[0]
-    for diagram in sorted(diagrams, key=lambda one: one.direction == "down"):
-        _draw_points(axes, diagram)
+    for diagram, (colour, size) in zip(diagrams, ALONE if len(diagrams) == 1 else OVERLAID, strict=True):
+        _draw_points(axes, diagram, colour, size)
     _scale(axes, first.values, max(_highest(diagram) for diagram in diagrams))
     _draw_turns(axes)
     if first.along == "gamma":
@@ -123,7 +125,7 @@ def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
     _warn(axes, sum(diagram.missing for diagram in diagrams), sum(len(one.values) for one in diagrams))
 
 
-def _draw_points(axes: Axes, diagram: Diagram) -> None:
+def _draw_points(axes: Axes, diagram: Diagram, colour: str, scale: float = 1.0) -> None:
     cells, flights = np.nonzero(diagram.shown)
     size = float(np.clip(450 / max(len(diagram.values), 1), 0.7, 3.5))
     axes.plot(
@@ -131,9 +133,9 @@ def _draw_points(axes: Axes, diagram: Diagram) -> None:
         diagram.flight_time[cells, flights],
         linestyle="none",
         marker=".",
-        markersize=2 * size,  # the dot is half as wide as its marker
+        markersize=2 * size * scale,  # the dot is half as wide as its marker
         markeredgewidth=0,
-        color=COLOURS[diagram.direction],
+        color=colour,
         alpha=0.8,
         rasterized=len(cells) > MANY_POINTS,
         label=diagram.direction,
