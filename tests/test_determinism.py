@@ -146,3 +146,34 @@ def test_killed_while_writing_and_resumed(small_spec, tmp_path, delay):
     compute(spec, url, (1, 1, 3))
     store.sweep_leftovers(str(url))
     assert files(url) == files(whole)
+
+
+KERNEL = """
+import sys
+from worker.warm import claim_cache
+print(claim_cache(sys.argv[1]))
+import hashlib
+import numpy as np
+from kernel.params import Model
+from kernel.ramp import run_line
+gamma, one = np.linspace(0.5, 5.0, 100), np.ones(100)
+line = run_line(
+    gamma, one, 0.26 * one, model=Model.RIGID, restitution=0 * one, penetration=one, adhesive=True,
+    carry=False, settle=20, observe=20, keep=8,
+)
+print(hashlib.sha256(line.flight_time.tobytes() + line.end_state.tobytes()).hexdigest())
+"""
+
+
+def test_code_from_the_cache_computes_what_code_just_compiled_does(tmp_path):
+    """A worker that compiled and one that found compiled code, side by side in one job."""
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", KERNEL, str(tmp_path)],
+            stdout=subprocess.PIPE,
+            cwd=Path(__file__).parents[1],
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert said[0] == said[1]

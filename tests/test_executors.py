@@ -18,6 +18,10 @@ from worker.spec import SweepSpec
 from worker.tasks import ChunkCancelled, ChunkReport
 
 
+#: Seconds for anything to come back, on a machine that may be compiling kernels meanwhile.
+PATIENCE = 180
+
+
 @pytest.fixture
 def inline():
     executor = Inline()
@@ -41,7 +45,7 @@ def planned(small_spec, tmp_path) -> tuple[SweepSpec, Plan, str]:
 def test_every_chunk_comes_back_with_a_report(executor, planned):
     spec, plan, url = planned
     futures = [executor.submit(spec, chunk, url) for chunk in plan]
-    reports = [future.result(60) for future in futures]
+    reports = [future.result(PATIENCE) for future in futures]
     assert [report.index for report in reports] == [0, 1, 2, 3]
     assert all(isinstance(report, ChunkReport) and report.cells == 15 for report in reports)
     assert all(store.verify(url, chunk, report.checksum) for chunk, report in zip(plan, reports, strict=True))
@@ -56,16 +60,16 @@ def test_a_task_that_fails_says_why(executor, planned, tmp_path):
     spec, plan, _ = planned
     nowhere = str(tmp_path / "nowhere.zarr")
     with pytest.raises(store.StoreMissing, match="no store here"):
-        executor.submit(spec, plan[0], nowhere).result(60)
+        executor.submit(spec, plan[0], nowhere).result(PATIENCE)
 
 
 def test_a_cancelled_store_stops_its_tasks(executor, planned):
     spec, plan, url = planned
     store.set_cancelled(url)
     with pytest.raises(ChunkCancelled):
-        executor.submit(spec, plan[0], url).result(60)
+        executor.submit(spec, plan[0], url).result(PATIENCE)
     store.clear_cancelled(url)
-    executor.submit(spec, plan[0], url).result(60)
+    executor.submit(spec, plan[0], url).result(PATIENCE)
 
 
 def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tmp_path):
@@ -76,9 +80,9 @@ def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tm
     futures = [cluster.submit(spec, chunk, url) for chunk in plan]
     assert futures[-1].cancel()
     with pytest.raises(CancelledError):
-        futures[-1].result(60)
+        futures[-1].result(PATIENCE)
     for future in futures[:-1]:
-        future.result(60)
+        future.result(PATIENCE)
     last = store.read_chunk(url, plan[len(plan) - 1], ["outcome"])["outcome"]
     assert not last.any()
 
@@ -102,7 +106,7 @@ def test_the_cluster_listens_on_loopback_only(cluster):
 
 def test_nothing_is_kept_of_a_chunk_that_is_done(cluster, planned):
     spec, plan, url = planned
-    cluster.submit(spec, plan[0], url).result(60)
+    cluster.submit(spec, plan[0], url).result(PATIENCE)
     deadline = time.monotonic() + 5
     while cluster._client.futures and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -135,7 +139,7 @@ def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp
     writer.join()
     try:
         assert executor.workers() == 2
-        assert executor.submit(spec, plan[0], url).result(60).cells == 15
+        assert executor.submit(spec, plan[0], url).result(PATIENCE).cells == 15
     finally:
         executor.close()
 
@@ -152,10 +156,10 @@ def test_a_chunk_whose_worker_dies_says_so_and_the_next_worker_is_ready(small_sp
         time.sleep(0.5)
         os.kill(pid, signal.SIGKILL)
         with pytest.raises(WorkerDied):
-            future.result(60)
+            future.result(PATIENCE)
         quick = small_spec()
         other = str(tmp_path / "other.zarr")
         store.create(other, quick, make_plan(quick))
-        assert executor.submit(quick, make_plan(quick)[0], other).result(60).outcomes[0] == 0
+        assert executor.submit(quick, make_plan(quick)[0], other).result(PATIENCE).outcomes[0] == 0
     finally:
         executor.close()
