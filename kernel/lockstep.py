@@ -38,7 +38,7 @@ from kernel.lanes import (
 from kernel.model import contact, flies, flight, prepare, rest
 from kernel.oscillator import derivatives, envelope
 from kernel.params import STATE_FIELDS, Line
-from kernel.rigid import SLOWEST_HOP, RigidPlate, Spring
+from kernel.rigid import RigidPlate, Spring, land
 from kernel.trajectory import (
     Progress,
     Window,
@@ -113,12 +113,7 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
     if ending != ROOT:
         gap = table[K0 * LANES + k] - cos + (drift - 0.5 * s.gravity * tau) * tau - 0.5 * y
         return Phase(tau, ending, True, gap, gap1, y, y1, used), sin, cos
-    hop = -s.restitution * gap1
-    if hop < SLOWEST_HOP:
-        hop = 0.0
-    y1 += gap1 - hop
-    force = s.gravity - cos - s.dashpot * y1 - s.stiffness * y
-    return Phase(tau, ROOT, hop > 0.0 or force < 0.0, 0.0, hop, y, y1, used), sin, cos
+    return land(s, sin, cos, tau, gap1, y, y1, used), sin, cos
 
 
 @jit

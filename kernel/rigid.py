@@ -3,8 +3,10 @@
 While stuck, the lower mass moves with the plate and the elongation q is a driven damped
 oscillator; it takes off where the plate's normal force n falls to zero. In flight the
 centre of mass falls freely and q rings; it lands where the gap falls to zero. There the
-lower mass leaves again at -e times its relative velocity, or, where e = 0 or the hop would
-be slower than `SLOWEST_HOP`, takes the plate's velocity.
+lower mass leaves again at -e times its relative velocity, and where e = 0 takes the plate's.
+A cascade of ever smaller hops is followed hop by hop, each of them a flight, until the plate
+presses steadily over all that is left of it (`kernel.cascade`): from there on the mass counts
+as stuck, which over so short a time moves the spring as the hops would.
 """
 
 import math
@@ -13,14 +15,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.cascade import collapses
 from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import landing, state_after, take_off
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
 from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
-
-#: A hop that leaves the plate slower than this (plate amplitudes per rad) sticks instead.
-SLOWEST_HOP: Final = 1e-9
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
 #: computed as one 5e-9 beside it, where the closed form still has eight digits.
@@ -85,9 +85,9 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
 
 
 @jit
-def normal_force(s: Spring, phi: float, q: float, q1: float) -> float:
-    """n if the lower mass moved with the plate (Eq. 8)."""
-    return s.gravity - math.cos(phi) - s.dashpot * q1 - s.stiffness * q
+def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
+    """n if the lower mass moved with the plate (Eq. 8), cos being the plate's position."""
+    return s.gravity - cos - s.dashpot * q1 - s.stiffness * q
 
 
 @rest.register(Spring)
@@ -101,7 +101,7 @@ def _rest(s: Spring) -> tuple[float, float, float, float]:
 @jit
 def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
     """Whether this state is a flight: off the plate, or on it with nothing to hold it there."""
-    return gap > 0.0 or gap1 > 0.0 or normal_force(s, phi, q, q1) < 0.0
+    return gap > 0.0 or gap1 > 0.0 or normal_force(s, math.cos(phi), q, q1) < 0.0
 
 
 @terms.register(Stuck)
@@ -163,14 +163,32 @@ def _flight(
     gap, gap1, q, q1 = state_after(p, tau)
     if ending != ROOT:
         return Phase(tau, ending, True, gap, gap1, q, q1, used)
-    return _land(s, phi + tau, tau, gap1, q, q1, used)
+    return land(s, math.sin(phi + tau), math.cos(phi + tau), tau, gap1, q, q1, used)
 
 
 @jit
-def _land(s: Spring, phi: float, tau: float, impact: float, q: float, q1: float, used: int) -> Phase:
-    """What follows an impact at relative velocity < 0: a hop, sticking, or at once a new take-off."""
-    hop = -s.restitution * impact
-    if hop < SLOWEST_HOP:
+def land(
+    s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
+) -> Phase:
+    """What follows an impact at relative velocity < 0: a hop, sticking, or at once a new take-off.
+
+    sin and cos are of the plate's phase there.
+    """
+    hop = max(-s.restitution * impact, 0.0)
+    q1 += impact  # as if it stuck
+    if hop > 0.0 and _settles(s, sin, cos, hop, q, q1):
         hop = 0.0
-    q1 += impact - hop
-    return Phase(tau, ROOT, _flies(s, phi, 0.0, hop, q, q1), 0.0, hop, q, q1, used)
+    q1 -= hop
+    in_flight = hop > 0.0 or normal_force(s, cos, q, q1) < 0.0
+    return Phase(tau, ROOT, in_flight, 0.0, hop, q, q1, used)
+
+
+@jit
+def _settles(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float) -> bool:
+    """Whether the cascade that begins with `hop` is over before n, of a mass that sticks, has changed."""
+    h, h1 = q - s.sag - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos)
+    h2, h3, _ = derivatives(s.stuck, h, h1)
+    h4, h5, _ = derivatives(s.stuck, h2, h3)
+    rate = h3 + s.n_re * sin + s.n_im * cos
+    bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5)
+    return collapses(hop, normal_force(s, cos, q, q1), rate, bound, s.restitution)
