@@ -1,0 +1,106 @@
+"""How the kernel's tests call it: by its stable entries, with whatever they do not care about filled in."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from naive import Setting, State
+
+from kernel import model
+from kernel.events import ROOT
+from kernel.params import Line, Model
+from kernel.ramp import run_line
+from kernel.rigid import RigidPlate
+from kernel.soft import SoftPlate
+
+TWO_PI = 2.0 * math.pi
+
+
+def run(
+    gamma: Any,
+    omega: Any,
+    xi: Any,
+    which: Model = Model.RIGID,
+    *,
+    restitution: Any = 0.0,
+    penetration: Any = 1e-3,
+    adhesive: bool = True,
+    settle: int = 40,
+    observe: int = 20,
+    keep: int = 64,
+    carry: bool = False,
+    **others: Any,
+) -> Line:
+    """Run a line; numbers and arrays are broadcast."""
+    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in (
+        gamma, omega, xi, restitution, penetration)))  # fmt: skip
+    gamma, omega, xi, restitution, penetration = (np.ascontiguousarray(a) for a in arrays)
+    return run_line(
+        gamma, omega, xi, model=which, restitution=restitution, penetration=penetration,
+        adhesive=adhesive, carry=carry, settle=settle, observe=observe, keep=keep, **others,
+    )  # fmt: skip
+
+
+def run_setting(s: Setting, **others: Any) -> Line:
+    """Run one cell."""
+    return run(
+        s.gamma, s.omega, s.xi, Model.SOFT if s.soft else Model.RIGID, restitution=s.restitution,
+        penetration=s.penetration, adhesive=s.adhesive, **others,
+    )  # fmt: skip
+
+
+def recorded(line: Line, i: int = 0) -> np.ndarray:
+    """The flight times kept of a cell, oldest first."""
+    return line.flight_time[i, : min(line.flights[i], line.flight_time.shape[1])]
+
+
+def last_cycle(line: Line, flights: int) -> np.ndarray:
+    """The last so many flights of the first cell, sorted."""
+    return np.sort(recorded(line)[-flights:])
+
+
+def assert_same_bytes(one: Line, other: Line) -> None:
+    for name, a, b in zip(Line._fields, one, other, strict=True):
+        assert a.tobytes() == b.tobytes(), name
+
+
+class Step(NamedTuple):
+    """One contact or flight of a trajectory, as the model answered."""
+
+    flying: bool
+    phi: float  # where it began
+    before: State
+    tau: float
+    ending: int
+    after: State  # what the next phase begins with
+    flies_on: bool
+    used: int  # evaluations
+
+
+def constants(s: Setting) -> Any:
+    """The kernel's constants of a setting."""
+    restitution = np.array([s.restitution])
+    soft = SoftPlate(restitution, np.array([s.penetration]), s.adhesive)
+    return model.prepare(soft if s.soft else RigidPlate(restitution), 0, s.gamma, s.omega, s.xi)
+
+
+def one_phase(s: Setting, flying: bool, phi: float, state: State, horizon: float, budget: int) -> Step:
+    """The contact or flight that begins in this state."""
+    answer = (model.flight if flying else model.contact)(constants(s), phi, *state, horizon, budget)
+    after = (answer.gap, answer.gap1, answer.q, answer.q1)
+    return Step(flying, phi, state, answer.tau, answer.ending, after, answer.in_flight, answer.used)
+
+
+def phases(s: Setting, periods: int, most: int, budget: int = 100_000) -> Iterator[Step]:
+    """The first phases from rest, until the window ends, `most` have passed, or one fails."""
+    cell = constants(s)
+    phi, passed, state = 0.0, 0.0, model.rest(cell)
+    flying = model.flies(cell, phi, *state)
+    for _ in range(most):
+        step = one_phase(s, flying, phi, state, TWO_PI * periods - passed, budget)
+        yield step
+        if step.ending != ROOT:
+            return
+        phi, passed = math.fmod(phi + step.tau, TWO_PI), passed + step.tau
+        state, flying = step.after, step.flies_on

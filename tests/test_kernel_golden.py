@@ -1,0 +1,61 @@
+"""Reference numbers, each with where it comes from (tests/golden)."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kernel_runs import last_cycle, run
+
+from kernel.params import Model, Outcome
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+def read(name: str):
+    return json.loads((GOLDEN / name).read_text())
+
+
+def label(cell) -> str:
+    return f"{cell['gamma']:g}-{cell['omega']:g}-{cell['xi']:g}"
+
+
+FACTS = read("facts.json")
+
+
+@pytest.mark.parametrize("cell", read("rigid.json"), ids=label)
+def test_rigid_reference(cell):
+    line = run(cell["gamma"], cell["omega"], cell["xi"], settle=500, observe=40)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert line.bounces[0] == cell["bounces"] == len(cell["flights"])
+    assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-9)
+
+
+@pytest.mark.parametrize("cell", read("soft.json"), ids=label)
+def test_soft_reference(cell):
+    contact = {name: cell[name] for name in ("restitution", "penetration", "adhesive")}
+    line = run(cell["gamma"], cell["omega"], cell["xi"], Model.SOFT, **contact, settle=500, observe=40)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert line.bounces[0] == cell["bounces"] == len(cell["flights"])
+    assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-8)
+
+
+@pytest.mark.parametrize("cell", FACTS["cycles"], ids=label)
+def test_the_papers_cycles(cell):
+    line = run(cell["gamma"], cell["omega"], cell["xi"], settle=500, observe=40)
+    assert [line.bounces[0], line.periods[0]] == cell["mode"]
+    expected = Outcome.PERIODIC if cell["flights"] else Outcome.APERIODIC
+    assert line.outcome[0] == expected
+    if cell["flights"]:
+        assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-9)
+
+
+def test_descending_thresholds():
+    facts = FACTS["descending"]
+    gamma = 1.2 - facts["step"] * np.arange(210)
+    for (omega, last), (_, ascending) in zip(facts["last_bouncing"], facts["threshold"], strict=True):
+        line = run(gamma, omega, facts["xi"], carry=True, settle=facts["periods"] // 2, observe=60, keep=1)
+        bouncing = line.outcome != Outcome.AT_REST
+        lowest = gamma[np.flatnonzero(bouncing)[-1]]
+        assert lowest == pytest.approx(last, abs=facts["step"])
+        assert lowest < ascending
