@@ -142,7 +142,7 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
     (tau, ROOT | HORIZON | SPENT | BROKEN, evaluations used).
     """
     tau = start
-    guess = 0.5
+    guess = 0.0
     for used in range(1, budget + 1):
         if tau >= horizon:
             return horizon, HORIZON, used
@@ -161,6 +161,8 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
             tau, ending, more = close_in(phase, tau, tau + width, tau + step, budget - used)
             beyond = tau >= horizon
             return (horizon if beyond else tau), (HORIZON if beyond else ending), used + more
+        if guess == 0.0:  # the time over which F can change its shape
+            guess = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / max(f4, EPS)
         step = safe_step(f0, f1, f2, f3, f4, guess)
         if t.ring4 > t.smooth4 and t.smooth > t.amplitude:
             step = max(

@@ -119,6 +119,15 @@ def _recoil_terms(p: Recoil, tau: float) -> Terms:
     )
 
 
+@jit
+def _springs_clear(s: SoftSpring, p: Flight, clear: float) -> bool:
+    """Whether kappa gap + beta gap', zero at take-off, surely only grows for `clear` rad."""
+    _, q3, q4 = derivatives(p.osc, p.q, p.q1)
+    gap3 = -math.sin(p.phi) - 0.5 * q3
+    least = min(p.gap2 + clear * (min(gap3, 0.0) - 0.5 * clear * (1.0 + 0.5 * q4)), 0.0)  # gap'' is above it
+    return s.kappa * (p.gap1 + clear * least) + s.beta * least > 0.0
+
+
 @flight.register(SoftSpring)
 @jit
 def _flight(
@@ -128,8 +137,10 @@ def _flight(
     clear, used = 0.0, 0
     if gap < 0.0:
         clear, ending, used = first_root(Dip(p), 0.0, horizon, budget)
-        tau, pressed, more = first_root(Recoil(p, s.kappa, s.beta), 0.0, clear, budget - used)
-        used += more
+        tau, pressed = clear, HORIZON
+        if not _springs_clear(s, p, clear):
+            tau, pressed, more = first_root(Recoil(p, s.kappa, s.beta), 0.0, clear, budget - used)
+            used += more
         if pressed != HORIZON or ending != ROOT:
             # the plate bears again before the mass is clear of it, or the window ends first
             gap, gap1, q, q1 = state_after(p, tau)
