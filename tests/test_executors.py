@@ -3,9 +3,12 @@
 import os
 import re
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import CancelledError
+from pathlib import Path
 
 import dask
 import psutil
@@ -16,7 +19,6 @@ from worker.executors import ClusterLost, Dask, Executor, Inline, WorkerDied
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
 from worker.tasks import ChunkCancelled, ChunkReport
-
 
 #: Seconds for anything to come back, on a machine that may be compiling kernels meanwhile.
 PATIENCE = 180
@@ -161,5 +163,44 @@ def test_a_chunk_whose_worker_dies_says_so_and_the_next_worker_is_ready(small_sp
         other = str(tmp_path / "other.zarr")
         store.create(other, quick, make_plan(quick))
         assert executor.submit(quick, make_plan(quick)[0], other).result(PATIENCE).outcomes[0] == 0
+    finally:
+        executor.close()
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """A scheduler in a process of its own, without workers; gives the process and its file."""
+    file = tmp_path / "scheduler.json"
+    command = [str(Path(sys.executable).with_name("dask")), "scheduler", "--host", "127.0.0.1", "--port", "0"]
+    quiet = ["--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
+    with (tmp_path / "scheduler.log").open("wb") as log:
+        process = subprocess.Popen([*command, *quiet], stdout=log, stderr=log)
+    yield process, file
+    process.kill()
+    process.wait()
+
+
+def test_a_cluster_without_workers_a_frozen_and_a_dead_one(scheduler, planned):
+    process, file = scheduler
+    spec, plan, url = planned
+    executor = Dask(scheduler_file=file)
+    try:
+        assert not executor.ready()
+        assert executor.workers() == 0
+        waiting = executor.submit(spec, plan[0], url)
+
+        process.send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        assert not executor.ready()
+        assert time.monotonic() - began < 10
+        process.send_signal(signal.SIGCONT)
+        assert not waiting.done()
+
+        process.kill()
+        with pytest.raises(ClusterLost):
+            waiting.result(PATIENCE)
+        assert not executor.ready()
+        with pytest.raises(ClusterLost):
+            executor.submit(spec, plan[0], url).result(PATIENCE)
     finally:
         executor.close()

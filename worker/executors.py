@@ -18,9 +18,9 @@ from typing import Any, Final, Protocol
 from distributed import Client, KilledWorker, LocalCluster
 
 from worker.plan import Chunk
+from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
-from worker.warm import WarmKernels
 
 #: A frozen scheduler never answers and never fails: after so long it counts as not there.
 PING_SECONDS: Final = 2.0

@@ -1,7 +1,7 @@
 """Room: compiled kernels ready before the first task, each process with a cache of its own.
 
-Must be imported before any kernel is, and imports none itself until told to: numba reads
-`NUMBA_CACHE_DIR` when kernels are declared.
+Standard library only. Must be imported before any kernel is, and imports none itself until told
+to: numba reads `NUMBA_CACHE_DIR` when kernels are declared.
 
 Two processes writing one numba cache can crash, and numba notices a changed source only in
 the outermost function. So compiled kernels live in
@@ -13,7 +13,6 @@ where DIGEST names the kernel's sources, and ROOT is what is asked for, or NUMBA
 or a folder in the user's cache.
 """
 
-import asyncio
 import fcntl
 import hashlib
 import os
@@ -25,9 +24,7 @@ import time
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
-from typing import Any, Final
-
-from distributed import WorkerPlugin
+from typing import Final
 
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _LOCK: Final = "held"
@@ -82,20 +79,6 @@ def default_root() -> Path:
     # A process that claimed a slot hands its environment down to those it starts.
     inherited = (Path(given) / _LOCK).exists()
     return Path(given).parent.parent if inherited else Path(given)
-
-
-class WarmKernels(WorkerPlugin):
-    """Makes every worker of a cluster ready when it starts or joins, before it takes a task."""
-
-    name = "bouncing-spring-kernels"
-
-    def __init__(self, root: str | None = None) -> None:
-        self._root = root
-
-    async def setup(self, worker: Any) -> None:
-        """Called by distributed in the worker's process; compiles beside its event loop."""
-        claim_cache(self._root)
-        await asyncio.to_thread(warm, self._root)
 
 
 def _claim(root: Path) -> Path:
