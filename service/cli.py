@@ -178,7 +178,7 @@ def _service(url: str | None, given: dict[str, str | int | None]) -> Iterator[st
         return
     from service import embedded
 
-    click.echo("starting a service with its workers", err=True)
+    click.echo("starting a service and its workers (the first time, half a minute to compile)", err=True)
     with embedded.running(embedded.settings(**given, host="127.0.0.1", port=0)) as address:
         yield address
 
@@ -198,12 +198,14 @@ def _wait(job: "Job", timeout: float | None = None) -> None:
 
 
 def _format_of(output: str, formats: tuple[str, ...]) -> str:
-    """The format that a file's ending asks for. Raises a usage error naming those there are."""
+    """The format that a file's ending asks for; checked, like its folder, before any work is done."""
     ending = Path(output).suffix.lower().removeprefix(".")
     if ending not in formats:
         raise click.BadParameter(
             f"{output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"
         )
+    if not Path(output).parent.is_dir():
+        raise click.BadParameter(f"there is no folder {Path(output).parent}", param_hint="'-o'")
     return ending
 
 

@@ -35,5 +35,7 @@ def test_importing_does_not_load(code: str, forbidden: set[str]):
 
 
 def test_showing_help_loads_no_library_but_clicks():
-    code = "from click.testing import CliRunner; from service.cli import main; CliRunner().invoke(main, ['--help'])"
+    code = (
+        "from click.testing import CliRunner as C; from service.cli import main; C().invoke(main, ['--help'])"
+    )
     assert loaded_by(code) & (SERVER | COMPUTING | SLOW | {"httpx2"}) == set()

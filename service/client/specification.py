@@ -42,15 +42,14 @@ def read(source: Path | bytes) -> Mapping[str, Any]:
     """The object in a .json or .toml file, or in JSON text. Raises InvalidSpecification."""
     from worker import problems, specfile
 
+    where = "" if isinstance(source, bytes) else f"{source}: "
     try:
         content = specfile.read_json(source) if isinstance(source, bytes) else specfile.read_file(source)
     except problems.SpecUnreadable as error:
-        name = "" if isinstance(source, bytes) or str(source) in str(error) else f"{source}: "
-        raise InvalidSpecification.local(f"{name}{error}") from error
+        raise InvalidSpecification.local(where + str(error).removeprefix(where)) from error
     if not isinstance(content, Mapping):
-        raise InvalidSpecification.local(
-            f"a specification must be an object, not {problems.describe(content)}"
-        )
+        found = problems.describe(content)
+        raise InvalidSpecification.local(f"{where}a specification must be an object, not {found}")
     return content
 
 

@@ -1,0 +1,343 @@
+"""The client against answers, and silences, that a test writes out: what goes over the wire, and when."""
+
+import io
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Any
+
+import pytest
+
+from service.client import (
+    Busy,
+    Client,
+    NotFound,
+    Refused,
+    ServiceError,
+    ServiceUnreachable,
+    TooLarge,
+    Unauthorized,
+    UnexpectedAnswer,
+)
+
+ID = "0123456789abcdef" * 2
+LOST = None  # the connection is closed instead of an answer
+
+
+def view(state: str = "running", done: int = 0) -> dict[str, Any]:
+    progress = {
+        "chunks_done": 0,
+        "chunks_total": 1,
+        "cells_done": done,
+        "cells_total": 10,
+        "percent": 10.0 * done,
+    }
+    return {"id": ID, "name": "", "state": state, "progress": progress | {"eta_seconds": None}, "error": None}
+
+
+class Answer:
+    """One answer, as written in a script."""
+
+    def __init__(self, status: int = 200, body: Any = None, **headers: str) -> None:
+        self.status, self.headers = status, {name.replace("_", "-"): value for name, value in headers.items()}
+        self.body = (
+            body if isinstance(body, bytes) else json.dumps(body).encode() if body is not None else b""
+        )
+
+
+class Server(HTTPServer):
+    """Gives the answers of a script one by one, and remembers what was asked."""
+
+    script: list[Answer | None]
+    asked: list[tuple[str, str, dict[str, str]]]
+    when: list[float]
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server
+
+    def answer(self) -> None:
+        self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        self.server.asked.append((self.command, self.path, dict(self.headers)))
+        self.server.when.append(time.monotonic())
+        answer = self.server.script.pop(0)
+        if answer is LOST:
+            self.connection.shutdown(socket.SHUT_RDWR)
+            return
+        self.send_response(answer.status)
+        for name, value in answer.headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(answer.body)
+
+    do_GET = do_POST = answer  # noqa: N815 - the names http.server looks for
+
+    def log_message(self, *_: object) -> None: ...
+
+
+@contextmanager
+def scripted(*script: Answer | None) -> Iterator[tuple[Server, Client]]:
+    """A server that gives these answers, all of which must have been asked for at the end, and a client."""
+    with Server(("127.0.0.1", 0), Handler) as server:
+        server.script, server.asked, server.when = list(script), [], []
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            with Client(f"http://127.0.0.1:{server.server_port}/") as client:
+                yield server, client
+        finally:
+            server.shutdown()
+            thread.join()
+        assert server.script == []
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
+
+
+# Getting through
+
+
+def test_nobody_there_is_said_with_what_to_do():
+    url = f"http://127.0.0.1:{free_port()}"
+    with Client(url) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
+        client.job(ID)
+    assert url in str(caught.value)
+    assert caught.value.url == url
+
+
+@pytest.mark.parametrize("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
+def test_an_address_that_is_none_is_refused(url: str):
+    with pytest.raises(ServiceUnreachable):
+        Client(url)
+
+
+def test_a_lost_connection_is_tried_again():
+    with scripted(LOST, LOST, Answer(body=view())) as (server, client):
+        assert client.job(ID).state == "running"
+        assert [path for _, path, _ in server.asked] == [f"/v1/jobs/{ID}"] * 3
+
+
+def test_but_not_for_ever():
+    with scripted(LOST, LOST, LOST) as (_, client), pytest.raises(ServiceUnreachable):
+        client.job(ID)
+
+
+def test_submitting_may_be_repeated_since_the_same_sweep_is_the_same_job():
+    with scripted(LOST, Answer(202, view("queued"))) as (server, client):
+        assert client.submit({"xi": 1}).id == ID
+        assert [method for method, _, _ in server.asked] == ["POST", "POST"]
+
+
+def test_a_silent_service_is_unreachable():
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        with Client(url, timeout=0.2) as client, pytest.raises(ServiceUnreachable, match="in time"):
+            client.job(ID)
+
+
+def test_a_proxy_is_not_asked_for_this_machine(monkeypatch: pytest.MonkeyPatch):
+    for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
+        monkeypatch.setenv(name, f"http://127.0.0.1:{free_port()}")
+    for name in ("NO_PROXY", "no_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    with scripted(Answer(body=view())) as (_, client):
+        assert client.job(ID).id == ID
+
+
+def test_the_token_goes_with_every_call():
+    with scripted(Answer(body=view())) as (server, client), Client(client.url, token="s3cret") as known:
+        known.job(ID)
+        assert server.asked[0][2]["Authorization"] == "Bearer s3cret"
+        assert "s3cret" not in repr(known)
+
+
+# What comes back
+
+
+@pytest.mark.parametrize(
+    ("status", "kind"),
+    [
+        (401, Unauthorized),
+        (403, Unauthorized),
+        (404, NotFound),
+        (413, TooLarge),
+        (418, Refused),
+        (429, Busy),
+        (500, ServiceError),
+        (502, ServiceError),
+        (503, Busy),
+    ],
+)
+def test_every_status_has_its_error(status: int, kind: type[Refused]):
+    problem = {
+        "title": "No",
+        "status": status,
+        "detail": "because",
+        "errors": [{"field": "xi", "rule": "is odd"}],
+    }
+    with scripted(Answer(status, problem)) as (_, client), pytest.raises(Refused) as caught:
+        client.job(ID)
+    assert type(caught.value) is kind
+    assert caught.value.problem.title == "No"
+    assert caught.value.fields == (("xi", "is odd"),)
+    assert str(caught.value) == "because\n  xi: is odd"
+
+
+def test_a_busy_service_says_when_to_come_back():
+    with (
+        scripted(Answer(429, {"detail": "full"}, Retry_After="7")) as (_, client),
+        pytest.raises(Busy) as caught,
+    ):
+        client.submit({})
+    assert caught.value.retry_after == 7.0
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        Answer(200, b"<html>hello</html>"),
+        Answer(200, b"\xff\xfe"),
+        Answer(200, [1, 2]),
+        Answer(200, {"id": ID}),
+        Answer(200, view() | {"progress": None}),
+        Answer(302, b"", Location="http://127.0.0.1:1/"),
+    ],
+)
+def test_another_program_at_the_address_is_told_apart(answer: Answer):
+    with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer):
+        client.job(ID)
+
+
+def test_a_proxys_own_error_page_is_no_problem_document():
+    with (
+        scripted(Answer(502, b"<html>Bad Gateway</html>")) as (_, client),
+        pytest.raises(ServiceError, match="502"),
+    ):
+        client.job(ID)
+
+
+def test_strange_problem_documents_are_read_as_far_as_they_go():
+    for errors in ("none", [1, "two", {"field": 3}], {"field": "xi"}):
+        answer = Answer(422, {"detail": ["a", "list"], "errors": errors})
+        with scripted(answer) as (_, client), pytest.raises(Refused) as caught:
+            client.threshold(1.0, 1.0)
+        assert caught.value.status == 422
+
+
+# Waiting
+
+
+def test_a_wait_goes_at_the_pace_the_service_asks_for():
+    slow = Answer(200, view("running", 1), Retry_After="0.5")
+    with scripted(Answer(202, view("queued"), Retry_After="0.3"), slow, Answer(200, view("done", 10))) as (
+        server,
+        client,
+    ):
+        client.submit({}).wait(progress=False)
+        first, second, third = server.when
+    assert second - first >= 0.3
+    assert third - second >= 0.5
+
+
+def test_a_wait_without_a_pace_looks_often_at_first_and_then_seldom():
+    looks = [Answer(200, view("running")) for _ in range(5)]
+    with scripted(Answer(202, view("queued")), *looks, Answer(200, view("done", 10))) as (server, client):
+        client.submit({}).wait(progress=False)
+        gaps = [b - a for a, b in zip(server.when, server.when[1:], strict=False)]
+    assert 0.1 <= gaps[0] < 0.5
+    assert gaps[-1] > 3 * 0.1
+
+
+def test_an_unchanged_job_is_asked_for_by_its_etag():
+    first = Answer(200, view("running", 3), ETag='W/"one"', Retry_After="0")
+    with scripted(first, Answer(304, Retry_After="0"), Answer(200, view("done", 10))) as (server, client):
+        job = client.job(ID)
+        assert job.refresh().progress.cells_done == 3
+        assert job.wait(progress=False).state == "done"
+        assert [headers.get("If-None-Match") for _, _, headers in server.asked] == [
+            None,
+            'W/"one"',
+            'W/"one"',
+        ]
+
+
+def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
+    from service.client import job as module
+
+    monkeypatch.setattr(module, "PATIENCE", 5.0)
+    gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
+    with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
+        assert client.job(ID).wait(progress=False).state == "done"
+
+
+def test_a_wait_gives_a_lost_service_up_in_the_end(monkeypatch: pytest.MonkeyPatch):
+    from service.client import job as module
+
+    monkeypatch.setattr(module, "PATIENCE", 0.1)
+    with scripted(Answer(body=view())) as (_, client):
+        job = client.job(ID)
+    with Client(client.url) as again:
+        job._transport = again._transport
+        with pytest.raises(ServiceUnreachable):
+            job.wait(progress=False)
+
+
+def test_a_list_goes_on_to_its_last_page():
+    pages = [Answer(body={"jobs": [view()], "next": "more"}), Answer(body={"jobs": [view("done")]})]
+    with scripted(*pages) as (server, client):
+        assert [job.state for job in client.jobs(state="running")] == ["running", "done"]
+        assert "cursor=more" in server.asked[1][1]
+        assert "state=running" in server.asked[1][1]
+    with scripted(Answer(body={"rows": []})) as (_, client), pytest.raises(UnexpectedAnswer):
+        list(client.jobs())
+
+
+# Showing how it goes
+
+
+def shown(*views: tuple[float, dict[str, Any]]) -> list[str]:
+    """The plain lines written for jobs that look like this at these seconds."""
+    from service.client.display import Lines
+    from service.client.job import Job
+
+    out, now = io.StringIO(), [0.0]
+    lines = Lines(out, clock=lambda: now[0])
+    with Client("http://127.0.0.1:9") as client:
+        for now[0], one in views:
+            lines(Job.listed(client._transport, one))
+    return out.getvalue().splitlines()
+
+
+def test_plain_lines_are_few():
+    percents = [(0.01 * done, view("running", done) | {"name": "x"}) for done in range(11)]
+    assert len(shown(*percents)) == 11
+    slow = [(float(second), view("running", 0)) for second in range(100)]
+    assert len(shown(*slow)) == 1
+    creeping = view("running", 0)
+    creep = [
+        (float(second), creeping | {"progress": creeping["progress"] | {"percent": second / 100}})
+        for second in range(100)
+    ]
+    assert len(shown(*creep)) == 10
+
+
+def test_a_plain_line_tells_how_far_and_how_long_still():
+    progress = {"cells_done": 1234, "cells_total": 5000, "percent": 24.68, "eta_seconds": 4000.0}
+    (line,) = shown((0.0, view() | {"name": "three", "progress": view()["progress"] | progress}))
+    assert line == "01234567 three: running, 24% (1,234 of 5,000 cells), 1 h 6 min left"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.4, "0 s"), (59.6, "1 min 0 s"), (125, "2 min 5 s"), (3600, "1 h 0 min"), (4e6, "1,111 h 6 min")],
+)
+def test_durations_read_well(seconds: float, text: str):
+    from service.client.display import duration
+
+    assert duration(seconds) == text
