@@ -38,13 +38,16 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
             raise KernelInputError(name, f"{rule} and be finite, got {array[wrong[0]]} at index {wrong[0]}")
 
 
-def check_window(settle: int, observe: int, keep: int, micro_flight: float) -> None:
+def check_window(
+    settle: int, observe: int, keep: int, micro_flight: float, settle_tolerance: float = 0.0
+) -> None:
     """Plate periods, flights and rad of an observation window."""
     for name, value, least in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise KernelInputError(name, f"must be an integer >= {least}, got {value!r}")
-    if not np.isfinite(micro_flight) or micro_flight < 0.0:
-        raise KernelInputError("micro_flight", f"must be >= 0 and finite, got {micro_flight!r}")
+    for name, length in (("micro_flight", micro_flight), ("settle_tolerance", settle_tolerance)):
+        if not np.isfinite(length) or length < 0.0:
+            raise KernelInputError(name, f"must be >= 0 and finite, got {length!r}")
 
 
 def checked_state(start: Start) -> NDArray[np.float64]:

@@ -12,11 +12,13 @@ REPEATS: Final = 1e-6
 
 
 @jit
-def find_cycle(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
+def find_cycle(
+    flight_time: Any, takeoff_phase: Any, takeoff_period: Any, tolerance: float = REPEATS
+) -> tuple[int, int]:
     """The shortest cycle that the last flights follow: (bounces, plate periods), or (0, 0).
 
-    Arrays (n,) in order: rad, rad modulo 2 pi, plate periods since the cell began. A cycle must
-    hold over the last half of the flights and be seen three times.
+    Arrays (n,) in order: rad, rad modulo 2 pi, plate periods since the cell began; tolerance in
+    rad. A cycle must hold over the last half of the flights and be seen three times.
     """
     n = len(flight_time)
     for bounces in range(1, n // 3 + 1):
@@ -37,7 +39,7 @@ def find_cycle(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tup
                 - takeoff_phase[j]
                 + TWO_PI * (takeoff_period[i] - takeoff_period[j] - periods)
             )
-            if abs(flight_time[i] - flight_time[j]) > REPEATS or abs(turned) > REPEATS:
+            if abs(flight_time[i] - flight_time[j]) > tolerance or abs(turned) > tolerance:
                 found = False
                 break
         if found:

@@ -75,6 +75,7 @@ def run_line(
     observe: int,
     keep: int,
     micro_flight: float = 0.0,
+    settle_tolerance: float = 0.0,
     start: Start | None = None,
     steps_per_contact: int = 20,
     scheme: str = "verlet",
@@ -83,8 +84,9 @@ def run_line(
 
     gamma, omega, xi, restitution, penetration: float64 (n,). With `carry` each cell goes on from
     its predecessor's end, the first from `start` or from rest; without, every cell starts from
-    rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad. The last two are
-    for `stepped` alone: see kernel.steps, which says what is stable.
+    rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad; with a
+    settle_tolerance (rad) > 0, flights that repeat within it end the settling early. The last two
+    are for `stepped` alone: see kernel.steps, which says what is stable.
 
     A trajectory that fails is an outcome. Raises KernelInputError for arguments no cell can have.
     """
@@ -96,7 +98,7 @@ def run_line(
         "penetration": penetration,
     }
     check_arrays(arrays)
-    check_window(settle, observe, keep, micro_flight)
+    check_window(settle, observe, keep, micro_flight, settle_tolerance)
     gamma, omega, xi, restitution, penetration = (np.ascontiguousarray(a) for a in arrays.values())
     n = len(gamma)
     line = Line(
@@ -110,7 +112,7 @@ def run_line(
     )
     state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
-    window = Window(int(settle), int(observe), float(micro_flight))
+    window = Window(int(settle), int(observe), float(micro_flight), float(settle_tolerance))
     plate: RigidPlate | SoftPlate | BallPlate | SteppedPlate
     if model == Model.STEPPED:
         plate = stepped_plate(restitution, penetration, bool(adhesive), steps_per_contact, scheme)

@@ -12,7 +12,7 @@ import numpy as np
 from kernel.events import BROKEN, HORIZON, ROOT, Phase
 from kernel.jit import jit
 from kernel.model import contact, flight
-from kernel.modes import TWO_PI, find_cycle
+from kernel.modes import REPEATS, TWO_PI, find_cycle
 from kernel.params import Line, Outcome
 
 #: A flight shorter than this (rad) cannot be told from none; it is not recorded.
@@ -20,6 +20,9 @@ SHORTEST_FLIGHT: Final = 1e-9
 
 #: Flights remembered for finding the mode, when fewer are to be kept.
 REMEMBERED: Final = 256
+
+#: Flights after which settling is looked at again, where it may end early.
+REHEARSAL: Final = 24
 
 #: Evaluations of a phase function a cell may use, for each plate period.
 BUDGET: Final = 20_000
@@ -37,6 +40,7 @@ class Window(NamedTuple):
     settle: int  # plate periods discarded
     observe: int  # plate periods recorded
     micro_flight: float  # rad; shorter flights do not count for outcome and mode
+    settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
 
 
 class Flights(NamedTuple):
@@ -59,7 +63,7 @@ class Progress(NamedTuple):
     q1: float
     takeoff_phase: float
     takeoff_period: int  # -1 for a flight that came in with the state: it is not this cell's
-    recorded: int  # flights that took off and landed inside the window
+    recorded: int  # flights that took off and landed inside the window (or so far, while settling)
     flew: bool  # whether a flight that counts was under way in the window
     budget: int  # evaluations left
     ending: int  # events.ROOT while running, HORIZON once the window's end is reached
@@ -98,15 +102,21 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights) -> Progres
     turns = math.floor((run.phase + p.tau) / TWO_PI)
     phase = run.phase + p.tau - TWO_PI * turns
     period = run.period + turns
+    settling = period < window.settle
     recorded, flew = run.recorded, run.flew
+    if run.period < window.settle and not settling:
+        recorded = 0
     if run.in_flight and p.tau > SHORTEST_FLIGHT:
-        flew = flew or (period >= window.settle and p.tau > window.micro_flight)
-        if p.ending == ROOT and run.takeoff_period >= window.settle:
+        flew = flew or (not settling and p.tau > window.micro_flight)
+        inside = run.takeoff_period >= window.settle or (settling and window.settle_tolerance > 0.0)
+        if p.ending == ROOT and inside and run.takeoff_period >= 0:
             slot = recorded % len(flights.time)
             flights.time[slot] = p.tau
             flights.phase[slot] = run.takeoff_phase
             flights.period[slot] = run.takeoff_period
             recorded += 1
+            if settling and recorded % REHEARSAL == 0 and _settled(flights, recorded, window):
+                period, recorded = window.settle, 0
     ending = p.ending
     if ending == HORIZON or (ending == ROOT and period >= window.settle + window.observe):
         phase, ending = 0.0, HORIZON
@@ -114,6 +124,13 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights) -> Progres
         phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
         phase, period, recorded, flew, run.budget - p.used, ending,
     )  # fmt: skip
+
+
+@jit
+def _settled(flights: Flights, recorded: int, window: Window) -> bool:
+    """Whether the last flights repeat within the tolerance that the specification allows."""
+    bounces, _ = _cycle(flights, recorded, REHEARSAL, window.micro_flight, window.settle_tolerance)
+    return bounces > 0
 
 
 @jit
@@ -144,18 +161,26 @@ def classify(run: Progress, flights: Flights, micro_flight: float) -> tuple[int,
         return DIVERGED if run.ending == BROKEN else UNRESOLVED, 0, 0
     if not run.flew:
         return AT_REST, 0, 0
+    bounces, periods = _cycle(flights, run.recorded, len(flights.time), micro_flight, REPEATS)
+    return PERIODIC if bounces else APERIODIC, bounces, periods
+
+
+@jit
+def _cycle(
+    flights: Flights, recorded: int, most: int, micro_flight: float, tolerance: float
+) -> tuple[int, int]:
+    """The cycle of the last `most` flights of at least `micro_flight`: see modes.find_cycle."""
     size = len(flights.time)
-    kept = min(run.recorded, size)
+    kept = min(recorded, most)
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0
-    for i in range(run.recorded - kept, run.recorded):
+    for i in range(recorded - kept, recorded):
         if flights.time[i % size] > micro_flight:
             time[count] = flights.time[i % size]
             phase[count] = flights.phase[i % size]
             period[count] = flights.period[i % size]
             count += 1
-    bounces, periods = find_cycle(time[:count], phase[:count], period[:count])
-    return PERIODIC if bounces else APERIODIC, bounces, periods
+    return find_cycle(time[:count], phase[:count], period[:count], tolerance)
 
 
 @jit
