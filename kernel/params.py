@@ -63,9 +63,12 @@ class KernelInputError(ValueError):
     """A kernel was called with something it cannot compute; names the argument and the rule."""
 
     def __init__(self, argument: str, rule: str) -> None:
-        super().__init__(f"{argument}: {rule}")
+        super().__init__(argument, rule)  # both, so that it survives pickling on its way from a worker
         self.argument = argument
         self.rule = rule
+
+    def __str__(self) -> str:
+        return f"{self.argument}: {self.rule}"
 
 
 #: The state a ramp carries from cell to cell, and its order in `Line.end_state`.
