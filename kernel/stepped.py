@@ -33,6 +33,9 @@ BLOCK: Final = 1024
 #: Where less than this part of a step is left to the next point of the grid, that point is skipped.
 SLIVER: Final = 1e-9
 
+#: A gap or elongation beyond this, in plate amplitudes, is that of a scheme that has blown up.
+LARGEST: Final = 1e30
+
 #: Rounds of regula falsi for the end of a contact or flight; it needs a handful.
 ROUNDS: Final = 60
 
@@ -155,7 +158,7 @@ def _run(
         c, d = math.cos(n % steps * h), math.sin(n % steps * h)
         row = march(s.grid, law, s.gravity, c, d, row, min(BLOCK, last - n))
         n += row.taken
-        if not math.isfinite(row.now.gap + row.now.q):
+        if not abs(row.now.gap) + abs(row.now.q) < LARGEST:
             return n * h - phi, BROKEN, row.now
         if row.over:
             break
@@ -164,6 +167,8 @@ def _run(
     if row.taken == 0:
         return n * h - phi, ROOT, row.now
     part, end = _locate(s, law, before(s.grid, row), (n - 1) % steps * h)
+    if not abs(end.gap) + abs(end.q) + abs(part) < LARGEST:
+        return n * h - phi, BROKEN, end
     return (n - 1) * h - phi + part, ROOT, end
 
 

@@ -1,0 +1,326 @@
+"""Fixed time steps against the exact soft plate and against eigenvalues; soft contacts as d, e -> 0."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kernel import isolated, scheme, steps
+from kernel.events import EPS
+from kernel.modes import TWO_PI
+from kernel.params import Cell, KernelInputError, Line, Model, Outcome, Start
+from kernel.ramp import run_line
+from kernel.steps import Scheme, largest_stable_step, stable_steps_per_contact, steps_per_period
+
+SCHEMES = [s.name.lower() for s in Scheme]
+ORDER = {"verlet": 2.0, "euler": 1.0}
+
+
+def run(
+    model, gamma, omega, xi, *, e=0.3, d=0.02, adhesive=True, settle=60, observe=30, carry=False, **more
+) -> Line:
+    gamma = np.atleast_1d(np.asarray(gamma, dtype=float))
+    full = np.full_like
+    return run_line(
+        gamma, full(gamma, omega), full(gamma, xi), model=model, restitution=full(gamma, e),
+        penetration=full(gamma, d), adhesive=adhesive, carry=carry, settle=settle, observe=observe, keep=64,
+        **more,
+    )  # fmt: skip
+
+
+def last_flights(line: Line, count: int, at_least: float = 0.0) -> np.ndarray:
+    """The last `count` flights that are long enough, sorted: the same cycle wherever the window cuts it."""
+    times = line.flight_time[0, : line.flights[0]]
+    return np.sort(times[times > at_least][-count:])
+
+
+def slope(sizes, errors) -> float:
+    return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])
+
+
+# --- accuracy -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+@pytest.mark.parametrize("name", SCHEMES)
+@pytest.mark.parametrize(
+    ("gamma", "omega", "xi", "e"), [(1.5, 0.5, 0.26, 0.1), (0.5, 1.0, 0.05, 0.1), (2.5, 2.0, 0.3, 0.3)]
+)
+def test_converges_to_exact_soft_at_its_order(gamma, omega, xi, e, name, adhesive):
+    exact = run(Model.SOFT, gamma, omega, xi, e=e, adhesive=adhesive, settle=150)
+    bounces = int(exact.bounces[0])
+    assert exact.outcome[0] == Outcome.PERIODIC
+    numbers, errors = [80, 160, 320], []
+    for number in numbers:
+        line = run(
+            Model.STEPPED, gamma, omega, xi, e=e, adhesive=adhesive, settle=150,
+            steps_per_contact=number, scheme=name,
+        )  # fmt: skip
+        assert line.bounces[0] == bounces
+        errors.append(np.abs(last_flights(line, bounces) - last_flights(exact, bounces)).max())
+    assert slope(numbers, errors) == pytest.approx(-ORDER[name], abs=0.15)
+
+
+@pytest.mark.parametrize("d", [1e-2, 1e-3])
+def test_the_papers_step_shows_no_lag(d: float):
+    """Fig. 2a: one step of lag between plate and mass turned a flight of 4.85 into 6.28."""
+    exact = run(Model.SOFT, 1.5, 0.5, 0.26, e=0.01, d=d)
+    line = run(Model.STEPPED, 1.5, 0.5, 0.26, e=0.01, d=d)
+    assert last_flights(line, 1, 0.1) == pytest.approx(last_flights(exact, 1, 0.1), abs=0.05 * d)
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+def test_soft_becomes_rigid_as_it_hardens(adhesive: bool):
+    """As d -> 0: 2 d too long where the contact holds on at take-off, of second order where it lets go."""
+    rigid = last_flights(run(Model.RIGID, 2.3, 0.5, 0.26, e=0.0, d=1.0, settle=200), 2)
+    depths = np.array([1e-2, 1e-3, 1e-4])
+    errors = []
+    for d in depths:
+        soft = run(Model.SOFT, 2.3, 0.5, 0.26, e=1e-4, d=d, adhesive=adhesive, settle=200)
+        errors.append(np.abs(last_flights(soft, 2, 0.1) - rigid).max())
+    assert slope(depths, errors) == pytest.approx(1.0 if adhesive else 1.7, abs=0.1 if adhesive else 0.3)
+    if adhesive:
+        assert errors[-1] == pytest.approx(2.0 * depths[-1], rel=0.1)
+
+
+def test_restitution_fades():
+    """As e -> 0 the small hops after a landing leave the next flight alone: their work is of third order."""
+    rigid = last_flights(run(Model.RIGID, 2.3, 0.5, 0.26, e=0.0, settle=200), 2)
+    es = np.array([0.03, 0.01, 0.003])
+    errors = []
+    for e in es:
+        line = run(Model.RIGID, 2.3, 0.5, 0.26, e=e, settle=200)
+        errors.append(np.abs(last_flights(line, 2, 0.1) - rigid).max())
+    assert slope(es, errors) == pytest.approx(3.0, abs=0.3)
+
+
+# --- one step -------------------------------------------------------------------------------
+
+
+def random_contacts(count: int) -> list[dict]:
+    random = np.random.default_rng(11)
+    return [
+        {
+            "omega": 10.0 ** random.uniform(-3, 1),
+            "xi": 10.0 ** random.uniform(-2, 1.5),
+            "restitution": 10.0 ** random.uniform(-6, 0),
+            "penetration": 10.0 ** random.uniform(-5, -1),
+            "adhesive": bool(random.integers(2)),
+        }
+        for _ in range(count)
+    ]
+
+
+def step_law(h: float, m: float, contact: dict, pressed: bool) -> scheme.Law:
+    omega, d = contact["omega"], contact["penetration"]
+    zeta = float(isolated.damping_ratio(contact["restitution"], contact["adhesive"]))
+    kappa, beta = (1.0 / d**2, 2.0 * zeta / d) if pressed else (0.0, 0.0)
+    grid = scheme.Grid(1, h, math.cos(h), math.sin(h), m)
+    return scheme.law(grid, 2.0 * contact["xi"] / omega, 1.0 / omega**2, kappa, beta, 0.0, not pressed)
+
+
+def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
+    """One step as a matrix on (gap, h gap', q, h q')."""
+    law = step_law(h, m, contact, pressed)
+    columns = []
+    for gap, gap1, q, q1 in np.diag([1.0, 1.0 / h, 1.0, 1.0 / h]):
+        end = scheme.step(law, m, 0.0, 0.0, scheme.Point(gap, gap1, q, q1), h)
+        columns.append((end.gap, h * end.gap1, end.q, h * end.q1))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("kind", list(Scheme))
+def test_limit_of_stability_is_where_an_eigenvalue_leaves_the_circle(kind: Scheme):
+    m = 0.5 if kind == Scheme.VERLET else 0.0
+    for contact in random_contacts(150):
+        limit = float(largest_stable_step(**contact, scheme=kind))
+        for part in (0.03, 0.5, 0.97, 0.9999):
+            for pressed in (True, False):
+                matrix = propagation(part * limit, m, contact, pressed)
+                assert np.abs(np.linalg.eigvals(matrix)).max() < 1.0 + 1e-7
+        grown = np.linalg.eigvals(propagation(1.001 * limit, m, contact, True))
+        assert grown[np.abs(grown).argmax()].real < -1.0
+
+
+@pytest.mark.parametrize("m", [0.5, 0.0])
+def test_marching_is_stepping(m: float):
+    h = TWO_PI / 1000
+    grid = scheme.Grid(1000, h, math.cos(h), math.sin(h), m)
+    law = scheme.law(grid, 0.5, 2.0, 400.0, 10.0, 0.0, False)
+    point, gravity = scheme.Point(-1e-2, -0.3, -0.4, 0.2), 5.0
+    start = scheme.outset(grid, law, 1.0 - gravity, point)
+    row = scheme.march(grid, law, gravity, 1.0, 0.0, start, 30)
+    for i in range(30):
+        f0, f1 = (math.cos(j * h) - gravity for j in (i, i + 1))
+        before, point = point, scheme.step(law, m, f0, f1, point, h)
+    assert (row.taken, row.over) == (30, False)
+    assert row.now == pytest.approx(point, abs=1e-13)
+    assert scheme.before(grid, row) == pytest.approx(before, abs=1e-13)
+
+
+def test_steps_fill_the_period_and_obey_the_rule():
+    for contact in random_contacts(50):
+        e, d, adhesive = contact["restitution"], contact["penetration"], contact["adhesive"]
+        time = float(isolated.contact_time(e, d, adhesive))
+        number = int(steps_per_period(e, d, 20, adhesive=adhesive))
+        assert TWO_PI / number <= time / 20 * (1.0 + 4.0 * EPS)
+        assert number == 1 or TWO_PI / (number - 1) > time / 20 * (1.0 - 4.0 * EPS)
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
+    """Let a light, free mass fall on the plate: march until it leaves."""
+    for e in (0.9, 0.3, 0.02):
+        zeta = float(isolated.damping_ratio(e, adhesive))
+        grid = scheme.Grid(100_000, 1e-4, math.cos(1e-4), math.sin(1e-4), 0.5)
+        law = scheme.law(grid, 0.0, 1e-9, 1.0, 2.0 * zeta, 0.0 if adhesive else 2.0 * zeta, False)
+        first = scheme.step(law, 0.5, 0.0, 0.0, scheme.Point(0.0, -1.0, 0.0, 0.0), 1e-4)
+        start = scheme.outset(grid, law, 0.0, first)
+        row = scheme.march(grid._replace(cos=1.0, sin=0.0), law, 0.0, 0.0, 0.0, start, 200_000)
+        assert row.over
+        assert (row.taken + 1) * 1e-4 == pytest.approx(
+            float(isolated.contact_time(e, 1.0, adhesive)), abs=3e-4
+        )
+        assert row.now.gap1 == pytest.approx(e, abs=3e-4)
+
+
+# --- stability in a run ---------------------------------------------------------------------
+
+
+def swings(h: float, m: float, contact: dict, count: int) -> float:
+    """How far `count` steps take a heavily pressed spring from balance that began 1e-6 of it away."""
+    law = step_law(h, m, contact, True)
+    grid = scheme.Grid(1, h, 1.0, 0.0, m)
+    dent, sag = -2.0 / law.kappa, -1.0 / law.stiffness  # under unit weight, the plate at rest at zero
+    start = scheme.outset(grid, law, -1.0, scheme.Point((1.0 + 1e-6) * dent, 0.0, (1.0 - 1e-6) * sag, 0.0))
+    end = scheme.march(grid, law, 1.0, 0.0, 0.0, start, count)
+    if end.over:
+        return math.inf  # swung so far that it left the plate
+    return max(abs(end.now.gap / dent - 1.0), abs(end.now.q / sag - 1.0))
+
+
+@pytest.mark.parametrize("kind", list(Scheme))
+def test_just_below_the_limit_is_bounded_and_just_above_blows_up(kind: Scheme):
+    m = 0.5 if kind == Scheme.VERLET else 0.0
+    for contact in random_contacts(60):
+        adhesive = contact | {"adhesive": True}
+        limit = float(largest_stable_step(**adhesive, scheme=kind))
+        stiff = 1.0 + contact["omega"] / contact["penetration"] + contact["penetration"] / contact["omega"]
+        assert swings(0.995 * limit, m, adhesive, 20_000) < 1e-4 * stiff**2
+        assert not swings(1.005 * limit, m, adhesive, 20_000) < 1e9
+
+
+@pytest.mark.parametrize(
+    ("name", "omega", "xi", "d"), [("euler", 10.0 / 650.0, 10.0, 1e-2), ("verlet", 2e-3, 0.1, 5e-2)]
+)
+def test_a_run_needs_the_fewest_steps_it_is_told_to(name: str, omega: float, xi: float, d: float):
+    fewest = int(stable_steps_per_contact(omega, xi, 0.1, d, scheme=Scheme[name.upper()]))
+    exact = last_flights(run(Model.SOFT, 1.5, omega, xi, e=0.1, d=d), 1, 1.0)
+
+    def outcome(number: int) -> tuple[int, np.ndarray]:
+        line = run(Model.STEPPED, 1.5, omega, xi, e=0.1, d=d, scheme=name, steps_per_contact=number)
+        return int(line.outcome[0]), last_flights(line, 1, 1.0)
+
+    assert outcome(fewest) == (Outcome.PERIODIC, pytest.approx(exact, abs=0.01))
+    assert outcome(fewest - 1)[0] != Outcome.PERIODIC
+    assert outcome(int(0.9 * fewest))[0] == Outcome.DIVERGED
+
+
+def test_largest_step_that_works_is_told():
+    for contact in random_contacts(100):
+        for kind in Scheme:
+            limit = float(largest_stable_step(**contact, scheme=kind))
+            fewest = int(stable_steps_per_contact(**contact, scheme=kind))
+            time = float(
+                isolated.contact_time(contact["restitution"], contact["penetration"], contact["adhesive"])
+            )
+            assert time / fewest < limit
+            assert fewest == 1 or time / (fewest - 1) >= limit * (1.0 - 1e-9)
+
+
+def test_a_strong_dashpot_does_not_shorten_verlets_step():
+    """At rigidity 650 explicit damping needs h < 1/(2 * 650), whatever the contact; Verlet's is implicit."""
+    euler, verlet = (
+        largest_stable_step(10.0 / 650.0, 10.0, 0.1, 1.0, scheme=kind)
+        for kind in (Scheme.EULER, Scheme.VERLET)
+    )
+    assert euler < 1.0 / 1300.0
+    assert verlet > 10.0 * euler
+
+
+def test_limits_broadcast():
+    omega, xi = np.array([0.1, 1.0, 10.0]), np.array([[0.0], [1.0]])
+    assert largest_stable_step(omega, xi, 0.1, 1e-3).shape == (2, 3)
+    assert stable_steps_per_contact(omega, xi, 0.1, 1e-3, scheme=Scheme.EULER).shape == (2, 3)
+
+
+# --- windows, ramps, refusals ---------------------------------------------------------------
+
+
+def test_ramp_does_not_depend_on_how_it_is_cut():
+    gammas = np.linspace(3.0, 0.6, 20)
+    for adhesive in (True, False):
+        whole = run(Model.STEPPED, gammas, 0.6, 0.1, adhesive=adhesive, carry=True, settle=3, observe=3)
+        start = None
+        for low in range(0, len(gammas), 6):
+            piece = slice(low, low + 6)
+            part = run(
+                Model.STEPPED, gammas[piece], 0.6, 0.1, adhesive=adhesive, carry=True, settle=3, observe=3,
+                start=start,
+            )  # fmt: skip
+            for name in Line._fields:
+                np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[piece])
+            start = Start(part.end_state[-1], Cell(gammas[piece][-1], 0.6, 0.1))
+
+
+@pytest.mark.parametrize("name", SCHEMES)
+def test_windows_join(name: str):
+    """Ten periods are five and five: the grid of steps is the same in every period."""
+    cell = (1.5, 0.5, 0.26)
+    whole = run(Model.STEPPED, *cell, settle=0, observe=10, scheme=name)
+    first = run(Model.STEPPED, *cell, settle=0, observe=5, carry=True, scheme=name)
+    assert first.end_state[0, 0] == 0.0
+    second = run(
+        Model.STEPPED,
+        *cell,
+        settle=0,
+        observe=5,
+        carry=True,
+        scheme=name,
+        start=Start(first.end_state[0], Cell(*cell)),
+    )
+    np.testing.assert_allclose(second.end_state, whole.end_state, atol=1e-9)
+
+
+def test_phase_does_not_drift():
+    """A spring that never leaves the plate swings in step with it, as well late as early."""
+    early, late = (
+        run(Model.STEPPED, 0.5, 0.7, 0.3, d=0.05, settle=settle, observe=1, steps_per_contact=5)
+        for settle in (100, 10_000)
+    )
+    assert late.outcome[0] == Outcome.AT_REST
+    np.testing.assert_allclose(late.end_state, early.end_state, atol=1e-12)
+
+
+def test_starts_from_the_softs_rest():
+    soft, line = (
+        run(model, 0.7, 3.0, 0.4, settle=0, observe=1, steps_per_contact=400)
+        for model in (Model.SOFT, Model.STEPPED)
+    )
+    np.testing.assert_allclose(line.end_state, soft.end_state, atol=1e-6)
+
+
+def test_too_many_steps_are_left_undone():
+    line = run(Model.STEPPED, 1.5, 0.5, 0.26, d=1e-9)
+    assert int(steps_per_period(0.3, 1e-9, 20)) > steps.MOST_STEPS_PER_PERIOD
+    assert line.outcome[0] == Outcome.UNRESOLVED
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("scheme", "rk4"), ("steps_per_contact", 0), ("steps_per_contact", 2.5), ("steps_per_contact", True)],
+)
+def test_refuses_what_is_no_scheme_or_number_of_steps(argument: str, value: object):
+    with pytest.raises(KernelInputError) as refused:
+        run(Model.STEPPED, 1.5, 0.5, 0.26, **{argument: value})
+    assert refused.value.argument == argument
