@@ -4,10 +4,17 @@
     ├── WrongMediaType         the body is declared as something else
     ├── BodyTimeout            the body did not arrive in time
     ├── InvalidRequest         a field breaks a rule; names both
+    ├── MustIdentify           no token came with the request, or a wrong one
+    ├── WrongHost              the Host header names no name of this service
+    ├── ForeignPage            a page from elsewhere asks for a change
     ├── UnknownJob             no job has this id
+    ├── NotInStore             a job's store has nothing under this key
+    ├── KeyReused              an Idempotency-Key came again with another body
     ├── IllegalTransition      the job is not in a state that allows this
     ├── TooLarge               body, sweep or answer above a cap; says what would fit
     ├── QueueFull              too many jobs wait already
+    ├── Busy                   too many costly requests are being answered already
+    ├── NoSpace                there is no room for a file of an answer
     ├── DataFolderBusy         another service uses the data folder (only at start)
     └── LedgerUnusable         the ledger was written by a newer version (only at start)
 
@@ -59,6 +66,26 @@ class InvalidRequest(ServiceError):
         return cls(f"{field}: {rule}", [Broken(field, rule)])
 
 
+class MustIdentify(ServiceError):
+    """No token came with the request, or a wrong one."""
+
+
+class WrongHost(ServiceError):
+    """The Host header names no name of this service."""
+
+
+class ForeignPage(ServiceError):
+    """A page from elsewhere asks for a change."""
+
+
+class NotInStore(ServiceError):
+    """A job's store has nothing under this key."""
+
+
+class KeyReused(ServiceError):
+    """An Idempotency-Key came again with another body."""
+
+
 class UnknownJob(ServiceError):
     """No job has this id."""
 
@@ -80,6 +107,14 @@ class QueueFull(ServiceError):
     """Too many jobs wait already."""
 
 
+class Busy(ServiceError):
+    """Too many costly requests are being answered already."""
+
+
+class NoSpace(ServiceError):
+    """There is no room for a file of an answer."""
+
+
 class DataFolderBusy(ServiceError):
     """Another service uses the data folder."""
 
@@ -96,10 +131,17 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     WrongMediaType: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
     BodyTimeout: HTTPStatus.REQUEST_TIMEOUT,
     InvalidRequest: HTTPStatus.UNPROCESSABLE_ENTITY,
+    MustIdentify: HTTPStatus.UNAUTHORIZED,
+    WrongHost: HTTPStatus.MISDIRECTED_REQUEST,
+    ForeignPage: HTTPStatus.FORBIDDEN,
     UnknownJob: HTTPStatus.NOT_FOUND,
+    NotInStore: HTTPStatus.NOT_FOUND,
+    KeyReused: HTTPStatus.CONFLICT,
     IllegalTransition: HTTPStatus.CONFLICT,
     TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
     QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
+    Busy: HTTPStatus.TOO_MANY_REQUESTS,
+    NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
     sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
 }

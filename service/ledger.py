@@ -20,42 +20,7 @@ from numpy.typing import NDArray
 
 from service.errors import DataFolderBusy, LedgerUnusable
 from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState, NewJob, check_transition
-
-#: Script n takes a ledger from version n to n + 1; `user_version` remembers how many have run.
-MIGRATIONS: Final = (
-    """
-    CREATE TABLE jobs (
-        seq INTEGER PRIMARY KEY AUTOINCREMENT,
-        id TEXT NOT NULL UNIQUE,
-        name TEXT NOT NULL,
-        spec TEXT NOT NULL,
-        kernel_version TEXT NOT NULL,
-        chunk_shape TEXT NOT NULL,
-        state TEXT NOT NULL,
-        cancel_requested INTEGER NOT NULL DEFAULT 0,
-        error TEXT,
-        created REAL NOT NULL,
-        started REAL,
-        finished REAL,
-        run_started REAL,
-        run_cells INTEGER NOT NULL DEFAULT 0,
-        chunks_done INTEGER NOT NULL DEFAULT 0,
-        chunks_total INTEGER NOT NULL,
-        cells_done INTEGER NOT NULL DEFAULT 0,
-        cells_total INTEGER NOT NULL
-    );
-    CREATE INDEX jobs_by_state ON jobs (state, seq);
-    CREATE TABLE chunks (
-        job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
-        chunk INTEGER NOT NULL,
-        cells INTEGER NOT NULL,
-        seconds REAL NOT NULL,
-        checksum TEXT NOT NULL,
-        outcomes TEXT NOT NULL,
-        PRIMARY KEY (job, chunk)
-    ) WITHOUT ROWID;
-    """,
-)
+from service.tables import MIGRATIONS
 
 Column = str | float | bool | None
 
@@ -70,6 +35,21 @@ class Unfinished(NamedTuple):
     cancel_requested: bool
 
 
+class Key(NamedTuple):
+    """What an idempotency key was used for."""
+
+    body: str  # the body's fingerprint
+    job_id: str
+
+
+class Pace(NamedTuple):
+    """How long the finished chunks of a job took."""
+
+    spec: str
+    seconds: float
+    cells: int
+
+
 class Reading:
     """Questions to the ledger, on one connection."""
 
@@ -81,10 +61,13 @@ class Reading:
         row = self._sql.execute("SELECT * FROM jobs WHERE id = ?", (job_id,)).fetchone()
         return _record(row) if row else None
 
-    def newest(self, state: JobState | None, limit: int) -> list[JobRecord]:
-        """Jobs, the last accepted first."""
-        where, values = ("WHERE state = ?", [state]) if state else ("", [])
-        rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", [*values, limit])
+    def newest(self, state: JobState | None, limit: int, before: int | None = None) -> list[JobRecord]:
+        """Jobs, the last accepted first; those accepted before the job of number `before`."""
+        found = {"state = ?": state, "seq < ?": before}
+        given = {rule: value for rule, value in found.items() if value is not None}
+        where = f"WHERE {' AND '.join(given)}" if given else ""
+        values = [*given.values(), limit]
+        rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", values)
         return [_record(row) for row in rows]
 
     def count(self, states: Sequence[JobState]) -> int:
@@ -107,6 +90,23 @@ class Reading:
             "SELECT chunk FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?", (job.seq, first, last)
         )
         return [row[0] for row in rows]
+
+    def key(self, key: str) -> Key | None:
+        """What an idempotency key was used for, if it is remembered."""
+        row = self._sql.execute(
+            "SELECT keys.body, jobs.id FROM keys JOIN jobs ON keys.job = jobs.seq WHERE key = ?", (key,)
+        ).fetchone()
+        return Key(row["body"], row["id"]) if row else None
+
+    def paces(self, jobs: int, longest: int) -> list[Pace]:
+        """What finished chunks took, for each of the last `jobs` whose specification is at most `longest`."""
+        rows = self._sql.execute(
+            "SELECT spec, sum(seconds) AS seconds, sum(cells) AS cells FROM chunks JOIN ("
+            "SELECT seq, spec FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? ORDER BY seq DESC LIMIT ?"
+            ") ON job = seq GROUP BY job",
+            (longest, jobs),
+        )
+        return [Pace(row["spec"], row["seconds"], row["cells"]) for row in rows]
 
 
 class Writing(Reading):
@@ -154,6 +154,10 @@ class Writing(Reading):
         """Note that a running job shall stop, or after all go on."""
         self._update(job, cancel_requested=wanted)
 
+    def delete(self, job: JobRecord) -> None:
+        """Forget a job, its chunks and its keys."""
+        self._sql.execute("DELETE FROM jobs WHERE seq = ?", (job.seq,))
+
     def mark_done(self, job: JobRecord, chunks: Iterable[DoneChunk]) -> None:
         """Mark chunks that are written; one that is marked already stays as it is."""
         fresh = [chunk for chunk in chunks if self._insert_chunk(job, chunk)]
@@ -161,6 +165,14 @@ class Writing(Reading):
             "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ? WHERE seq = ?",
             (len(fresh), sum(chunk.cells for chunk in fresh), job.seq),
         )
+
+    def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
+        """Remember what an idempotency key was used for."""
+        self._sql.execute("INSERT INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
+
+    def forget_keys(self, before: float) -> None:
+        """Forget the keys that were used before that time."""
+        self._sql.execute("DELETE FROM keys WHERE created < ?", (before,))
 
     def _insert_chunk(self, job: JobRecord, done: DoneChunk) -> bool:
         counts = json.dumps(list(done.outcomes))

@@ -1,15 +1,17 @@
-"""What people ask of jobs: submit, cancel, resume. Changes the ledger and rings for the supervisor."""
+"""What people ask of jobs: submit, cancel, resume, delete. Changes the ledger, rings for the supervisor."""
 
+import hashlib
 import json
 import time
 from typing import NamedTuple
 
 from kernel.params import KERNEL_VERSION
-from service.errors import IllegalTransition, QueueFull, UnknownJob
+from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
 from service.jobs import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.ledger import Ledger, Writing
 from service.settings import Settings
 from service.supervisor import Supervisor
+from worker import store
 from worker.executors import Executor
 from worker.plan import check_size, make_plan
 from worker.spec import SweepSpec
@@ -37,19 +39,26 @@ class Lifecycle:
         """Stop computing; unfinished jobs go on at the next start."""
         self._supervisor.stop()
 
-    def submit(self, spec: SweepSpec) -> Submission:
+    def submit(self, spec: SweepSpec, key: str | None = None) -> Submission:
         """Accept a sweep, or find the job that it is already; one that failed or was cancelled goes on.
 
-        Raises SpecTooLarge, QueueFull.
+        A request repeated under an idempotency key changes nothing, whatever became of the job since.
+        Raises SpecTooLarge, QueueFull, KeyReused.
         """
-        check_size(spec, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
+        self.check(spec)
         job = _new_job(spec)
         with self._ledger.writing() as ledger:
-            accepted = self._accept(ledger, job)
+            accepted = not self._repeats(ledger, job, key) and self._accept(ledger, job)
             record = _found(ledger.find(job.id), job.id)
+            if key is not None and ledger.key(key) is None:
+                ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
             self._supervisor.ring()
         return Submission(record, accepted)
+
+    def check(self, spec: SweepSpec) -> None:
+        """Raise SpecTooLarge for a sweep that would not be accepted."""
+        check_size(spec, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
 
     def cancel(self, job_id: str) -> JobRecord:
         """Stop a job: at once if it is queued, as soon as nothing writes any more if it is running.
@@ -61,6 +70,44 @@ class Lifecycle:
             record = _found(ledger.find(job_id), job_id)
         self._supervisor.ring()
         return record
+
+    def resume(self, job_id: str) -> Submission:
+        """Let a job that failed or was cancelled go on where it stopped; one in work stays as it is.
+
+        Raises UnknownJob, QueueFull, and IllegalTransition if it is done.
+        """
+        with self._ledger.writing() as ledger:
+            job = _found(ledger.find(job_id), job_id)
+            if job.state is JobState.DONE:
+                raise IllegalTransition("the job is done: there is nothing to resume")
+            accepted = self._accept(ledger, job)
+            record = _found(ledger.find(job_id), job_id)
+        if accepted:
+            self._supervisor.ring()
+        return Submission(record, accepted)
+
+    def delete(self, job_id: str) -> None:
+        """Forget a job and remove what it computed.
+
+        Raises UnknownJob, and IllegalTransition while workers may write: cancel it first.
+        """
+        with self._ledger.writing() as ledger:
+            job = _found(ledger.find(job_id), job_id)
+            if job.state in UNFINISHED:
+                raise IllegalTransition(f"the job is {job.state}: cancel it first, and wait until it is")
+            ledger.delete(job)
+        store.remove(self._settings.store_of(job_id))
+
+    def _repeats(self, ledger: Writing, job: NewJob, key: str | None) -> bool:
+        """Whether this very request was made before under this key."""
+        ledger.forget_keys(time.time() - self._settings.key_seconds)
+        known = ledger.key(key) if key is not None else None
+        if known is not None and known.body != _fingerprint(job):
+            raise KeyReused(
+                "the Idempotency-Key was used for another specification less than "
+                f"{self._settings.key_seconds:g} s ago: take a new key"
+            )
+        return known is not None
 
     def _accept(self, ledger: Writing, job: NewJob) -> bool:
         known = ledger.find(job.id)
@@ -96,6 +143,11 @@ def _found(job: JobRecord | None, job_id: str) -> JobRecord:
     if job is None:
         raise UnknownJob.of(job_id)
     return job
+
+
+def _fingerprint(job: NewJob) -> str:
+    """Of what was submitted, its label too, and not of how the JSON was laid out."""
+    return hashlib.sha256(job.spec.encode()).hexdigest()
 
 
 def _new_job(spec: SweepSpec) -> NewJob:

@@ -27,6 +27,7 @@ class Settings(BaseSettings):
     max_cells: PositiveInt = 20_000_000  # of one sweep
     max_bytes: PositiveInt = 32 * 2**30  # of one sweep's stored arrays before compression
     max_queue: PositiveInt = 1_000  # jobs queued or running
+    key_seconds: PositiveFloat = 24 * 3600.0  # for which an Idempotency-Key is remembered
     max_points: PositiveInt = 1_000_000  # flights, or cells of a map, in one answer
 
     active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued

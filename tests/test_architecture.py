@@ -19,7 +19,7 @@ OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
 ALLOWED = {
     "kernel": {"numpy", "numba"},
     "kernel.params": {"numpy"},
-    "worker": {"numpy", "numba", "pydantic", "zarr", "xarray", "dask", "distributed"},
+    "worker": {"numpy", "numba", "pydantic", "zarr", "obstore", "xarray", "dask", "distributed"},
     "worker.spec": {"numpy", "pydantic"},
     "worker.plan": {"numpy", "pydantic"},
     "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic"},

@@ -290,9 +290,9 @@ def test_no_store_is_said(tmp_path):
     assert not Path(nowhere).exists()
 
 
-def test_only_folders_can_hold_a_store(spec, plan):
-    with pytest.raises(store.StoreError, match="only folders can hold a store"):
-        store.create("s3://bucket/sweep.zarr", spec, plan)
+def test_only_folders_and_buckets_can_hold_a_store(spec, plan):
+    with pytest.raises(store.StoreError, match="only folders and s3://"):
+        store.create("gs://bucket/sweep.zarr", spec, plan)
 
 
 def test_leftovers_of_killed_writers_are_swept(url, spec, plan):

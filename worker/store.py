@@ -6,6 +6,7 @@ written; every byte is under a checksum. Whether a cell is there is said by its 
 never by a file's existence.
 
     StoreError              something about a store
+    ├── PlaceUnusable       no store can be kept at this address (worker.places)
     ├── StoreMissing        there is none at that place
     ├── StoreConflict       another sweep, or another cut of this one, is there already
     └── StoreDamaged        what is there cannot be read back
@@ -15,22 +16,20 @@ import hashlib
 import threading
 import warnings
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.abc.store import Store
 from zarr.codecs import ZstdCodec
 from zarr.core.buffer import default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.errors import GroupNotFoundError, ZarrUserWarning
-from zarr.storage import LocalStore
 
 from kernel.params import KERNEL_VERSION
 from worker import layout
 from worker.marks import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
+from worker.places import StoreError, open_store, remove
 from worker.plan import Chunk, Plan
 from worker.spec import AXES, SweepSpec
 
@@ -49,6 +48,7 @@ __all__ = [
     "read_chunk",
     "read_coordinates",
     "read_slice",
+    "remove",
     "set_cancelled",
     "sweep_leftovers",
     "verify",
@@ -60,10 +60,6 @@ _consolidating = threading.Lock()
 
 Index = int | slice
 _EVERYTHING: Final = slice(None)
-
-
-class StoreError(Exception):
-    """Something about a store."""
 
 
 class StoreMissing(StoreError):
@@ -88,7 +84,7 @@ def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | Non
     identity: dict[str, Any] = {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(plan.chunk_shape)}
     if _already_there(url, identity):
         return
-    store = _open_store(url, read_only=False)
+    store = open_store(url, read_only=False)
     group = zarr.open_group(store, mode="a", zarr_format=3)
     for coordinate in layout.COORDINATES:
         _create_coordinate(group, coordinate, spec)
@@ -173,17 +169,10 @@ def chunk_shape(url: str) -> tuple[int, int, int]:
     return xi, omega, gamma
 
 
-def _open_store(url: str, *, read_only: bool) -> Store:
-    """The one place that knows what kinds of address there are."""
-    if "://" in url:
-        raise StoreError(f"{url}: only folders can hold a store; give a path")
-    return LocalStore(Path(url), read_only=read_only)
-
-
 def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
     group, trouble = None, ""
     try:
-        group = zarr.open_group(_open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
+        group = zarr.open_group(open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
         pass
     except (ValueError, KeyError, TypeError) as error:

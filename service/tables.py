@@ -1,0 +1,49 @@
+"""The ledger's tables, as scripts that bring a file of any older version to this one."""
+
+from typing import Final
+
+#: Script n takes a ledger from version n to n + 1; `user_version` remembers how many have run.
+MIGRATIONS: Final = (
+    """
+    CREATE TABLE jobs (
+        seq INTEGER PRIMARY KEY AUTOINCREMENT,
+        id TEXT NOT NULL UNIQUE,
+        name TEXT NOT NULL,
+        spec TEXT NOT NULL,
+        kernel_version TEXT NOT NULL,
+        chunk_shape TEXT NOT NULL,
+        state TEXT NOT NULL,
+        cancel_requested INTEGER NOT NULL DEFAULT 0,
+        error TEXT,
+        created REAL NOT NULL,
+        started REAL,
+        finished REAL,
+        run_started REAL,
+        run_cells INTEGER NOT NULL DEFAULT 0,
+        chunks_done INTEGER NOT NULL DEFAULT 0,
+        chunks_total INTEGER NOT NULL,
+        cells_done INTEGER NOT NULL DEFAULT 0,
+        cells_total INTEGER NOT NULL
+    );
+    CREATE INDEX jobs_by_state ON jobs (state, seq);
+    CREATE TABLE chunks (
+        job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
+        chunk INTEGER NOT NULL,
+        cells INTEGER NOT NULL,
+        seconds REAL NOT NULL,
+        checksum TEXT NOT NULL,
+        outcomes TEXT NOT NULL,
+        PRIMARY KEY (job, chunk)
+    ) WITHOUT ROWID;
+    """,
+    """
+    CREATE TABLE keys (
+        key TEXT PRIMARY KEY,
+        body TEXT NOT NULL,
+        job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
+        created REAL NOT NULL
+    ) WITHOUT ROWID;
+    CREATE INDEX keys_by_age ON keys (created);
+    CREATE INDEX keys_by_job ON keys (job);
+    """,
+)
