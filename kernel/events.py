@@ -65,12 +65,21 @@ def terms(phase: Any, tau: float) -> Terms:
 
 
 @jit
+def departure_step(f2: float, f3: float, f4: float) -> float:
+    """A first step from F = F' = 0: half of where f2/2 + f3 s/6 - f4 s^2/24 reaches zero."""
+    half = 2.0 * f3 / f4
+    return 0.5 * (half + math.sqrt(max(half * half + 12.0 * max(f2, 0.0) / f4, 0.0)))
+
+
+@jit
 def safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, guess: float) -> float:
     """How far f0 + f1 s + f2 s^2/2 + f3 s^3/6 - f4 s^4/24 surely stays positive, f0 >= 0, f4 >= 0.
 
     On [0, h] the second derivative is at least f2 + min(f3, 0) h - f4 h^2/2, which leaves a
     parabola to solve. h is widened or narrowed until it is about the step it allows.
     """
+    if f0 == 0.0 and f1 == 0.0:
+        return departure_step(f2, f3, f4)
     h = guess
     best = 0.0
     for _ in range(8):
@@ -93,13 +102,6 @@ def safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, guess: floa
                 break
             h = 1.5 * step
     return best
-
-
-@jit
-def departure_step(f2: float, f3: float, f4: float) -> float:
-    """A first step from F = F' = 0: half of where f2/2 + f3 s/6 - f4 s^2/24 reaches zero."""
-    half = 2.0 * f3 / f4
-    return 0.5 * (half + math.sqrt(max(half * half + 12.0 * max(f2, 0.0) / f4, 0.0)))
 
 
 @jit
@@ -154,7 +156,7 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         if f0 <= max(t.noise, -f1 * 4.0 * EPS * tau) and (f1 < 0.0 or (f1 == 0.0 and f2 < 0.0)):
             # from F = F' = 0 about to fall no step could be told from none
             return max(tau - f0 / f1, start) if f1 < 0.0 else tau, ROOT, used
-        f0 = max(f0, 0.0)
+        f0 = max(f0, t.noise)  # or where F is all rounding, steps would vanish
         width = monotone_width(f0, f1, f2, f3, f4)
         if width > 0.0:
             step, _ = halley(f0, f1, f2, f3)
@@ -169,5 +171,5 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
                 step, safe_step(t.smooth - t.amplitude, t.smooth1, t.smooth2, t.smooth3, t.smooth4, guess)
             )
         guess = 2.0 * step
-        tau += step
+        tau += max(step, EPS * tau)
     return tau, SPENT, budget

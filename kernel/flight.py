@@ -71,7 +71,11 @@ def flight_terms(p: Flight, tau: float) -> Terms:
     q2, q3, q4 = derivatives(p.osc, q, q1)
     if tau * max(p.osc.rate, 1.0) < SHORT:
         gap, gap1, noise = _short(p, tau)
-        gap2, gap3, bound = cos - p.gravity - 0.5 * q2, -sin - 0.5 * q3, 1.0 + 0.5 * q4
+        # from gap2, as the series is: what take_off called rounding must not come back here
+        gap2 = (
+            p.gap2 + (cos - math.cos(p.phi)) - 0.5 * (q2 + 2.0 * p.osc.damping * p.q1 + p.osc.stiffness * p.q)
+        )
+        gap3, bound = -sin - 0.5 * q3, 1.0 + 0.5 * q4
         return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
     fall = 0.5 * p.gravity * tau * tau
     smooth = p.gap + (math.cos(p.phi) - cos) + p.drift * tau - fall
