@@ -1,0 +1,121 @@
+"""The atlas: Gamma x Omega x xi cells of `rigid` from rest, through REST to the embedded cluster.
+
+    python -m benchmarks.atlas [--gamma 1000 --omega 100 --xi 10] [--workers 2] [--queries 40]
+
+Prints the wall time from submission to done on a warm cluster, how much of the workers' time was
+kernel time, the peak memory of every process, the store's size, and how long diagram queries into
+the finished store take over HTTP, along each axis.
+"""
+
+import argparse
+import sqlite3
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import psutil
+
+from benchmarks.machine import describe
+from service import embedded
+from service.client import Client, Job
+
+
+def atlas(gamma: int, omega: int, xi: int) -> dict[str, Any]:
+    """The specification; 300 plate periods a cell."""
+    return {
+        "name": f"atlas {gamma} x {omega} x {xi}",
+        "gamma": {"start": 0.5, "stop": 6.0, "num": gamma},
+        "omega": {"start": 0.1, "stop": 5.0, "num": omega, "spacing": "log"},
+        "xi": {"start": 0.02, "stop": 5.0, "num": xi, "spacing": "log"},
+        "model": {"kind": "rigid"},
+        "settle": 200,
+        "observe": 100,
+        "keep": 16,
+    }
+
+
+def warm(client: Client) -> None:
+    """One small job, so that every worker has its kernels."""
+    spec = {**atlas(64, 2, 2), "omega": 1.0, "xi": 0.1, "settle": 1, "observe": 1, "name": "warm"}
+    client.submit(spec).wait(progress=False)
+
+
+def peaks() -> list[tuple[str, float]]:
+    """Peak resident memory, GiB, of this process and its children."""
+    own = psutil.Process()
+    found = []
+    for process in (own, *own.children(recursive=True)):
+        status = Path(f"/proc/{process.pid}/status").read_text()
+        high = next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]
+        found.append((process.name(), int(high) / 2**20))
+    return sorted(found, key=lambda row: -row[1])
+
+
+def kernel_seconds(data: Path) -> float:
+    """Seconds the finished chunks spent in kernels, from the ledger."""
+    with sqlite3.connect(data / "ledger.sqlite") as ledger:
+        columns = [row[1] for row in ledger.execute("PRAGMA table_info(chunks)")]
+        if "kernel_seconds" not in columns:
+            return float("nan")
+        return float(ledger.execute("SELECT sum(kernel_seconds) FROM chunks").fetchone()[0])
+
+
+def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
+    """Time diagrams at random places, along each axis."""
+    rng = np.random.default_rng(1)
+    values = {
+        axis["label"]: (np.geomspace if axis.get("spacing") == "log" else np.linspace)(
+            axis["start"], axis["stop"], axis["num"]
+        )
+        for axis in ({"label": name, **spec[name]} for name in ("gamma", "omega", "xi"))
+    }
+    print(f"\n{'diagram along':16}{'p50 ms':>10}{'p95 ms':>10}{'values':>10}")
+    with httpx2.Client(base_url=url, timeout=60) as http:
+        for along in values:
+            times = []
+            for _ in range(count):
+                fixed = {name: float(rng.choice(axis)) for name, axis in values.items() if name != along}
+                start = time.perf_counter()
+                answer = http.get(f"/v1/jobs/{job.id}/diagram", params={"along": along, **fixed})
+                answer.raise_for_status()
+                times.append((time.perf_counter() - start) * 1e3)
+            low, high = statistics.median(times), float(np.quantile(times, 0.95))
+            print(f"{along:16}{low:10.1f}{high:10.1f}{len(values[along]):10d}")
+
+
+def main() -> None:
+    """Run it and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name, size in (("gamma", 1000), ("omega", 100), ("xi", 10), ("workers", 2), ("queries", 40)):
+        parser.add_argument(f"--{name}", type=int, default=size)
+    given = parser.parse_args()
+    print(describe("dask", "zarr"))
+    spec = atlas(given.gamma, given.omega, given.xi)
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder)
+        settings = embedded.settings(data=data, workers=given.workers, host="127.0.0.1", port=0)
+        with embedded.running(settings) as url, Client(url) as client:
+            warm(client)
+            before = kernel_seconds(data)
+            start = time.perf_counter()
+            job = client.submit(spec).wait(progress=True)
+            wall = time.perf_counter() - start
+            busy = kernel_seconds(data) - before
+            cells = given.gamma * given.omega * given.xi
+            print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
+            print(
+                f"kernel time: {busy:.1f} s, {busy / wall / given.workers:.1%} of {given.workers} workers' time"
+            )
+            stored = sum(f.stat().st_size for f in data.rglob("*") if f.is_file())
+            print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
+            for name, peak in peaks():
+                print(f"peak memory of {name}: {peak:.2f} GiB")
+            queries(url, job, spec, given.queries)
+
+
+if __name__ == "__main__":
+    main()
