@@ -166,8 +166,9 @@ def _guess(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: flo
     press = -p.pull
     if a == 0.0 and fa == 0.0 and press > 0.0:
         hop = 2.0 * da / press
-        if hop < 0.5 * b:
-            return hop - p.sin * hop * hop / (3.0 * press)
+        bent = 1.0 + p.sin * hop / (3.0 * press)
+        if hop < 0.5 * b and bent > 0.5:
+            return hop / bent
     if a == p.bend and p.gap == 0.0 and p.gap1 == 0.0 and p.pull == 0.0 and p.lift < 0.5:
         return 4.0 * p.slope / p.gravity  # a barely lifting plate
     width = b - a
@@ -182,12 +183,11 @@ def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
     a, fa, da = 0.0, p.gap, p.gap1
     b, convex = p.bend, p.convex
     sine = p.slope if convex else -p.slope
-    latest = _latest(p)
     for used in range(1, budget + 1):
         if a >= horizon:
             return Bracket(a, a, a), HORIZON, used
-        if b > latest or p.lift == 0.0:
-            b = latest
+        if p.lift == 0.0:
+            b = _latest(p)
             fb, db, _, _ = state_after(p, b)
         else:
             fb, db = _inflection(p, b, sine)
@@ -207,6 +207,8 @@ def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
 def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
     """The zero in a bracket to rounding, by Halley's method; by halving where that leads astray."""
     low, high, tau = bracket
+    if not low < tau < high:
+        tau = 0.5 * (low + high)
     start, here = 0.0, p
     for used in range(1, budget + 1):
         f0, f1, f2, f3 = state_after(here, tau - start)

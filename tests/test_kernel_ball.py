@@ -169,6 +169,24 @@ def test_no_landing_is_missed():
         assert end.gap1 <= 1e-14 * scale
 
 
+def test_landings_take_few_evaluations():
+    for gamma, phi, gap, gap1 in random_drops(6000):
+        end = fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
+        scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
+        assert end.ending == ROOT
+        assert end.used < 30 + end.tau
+        assert abs(gap_after(gamma, phi, gap, gap1, end.tau)) < 1e-13 * scale
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.25, 0.5, 0.9, 0.99])
+def test_every_cell_is_resolved(epsilon: float):
+    gammas = np.concatenate([np.linspace(0.5, 8.0, 700), np.logspace(1, 2, 100)])
+    line = run(gammas, epsilon, settle=60, observe=40)
+    known = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+    assert np.isin(line.outcome, known).all()
+    assert ((line.outcome == Outcome.AT_REST) == (gammas <= 1.0))[gammas < 10.0].all()
+
+
 def test_grazes_are_told_from_misses():
     """The plate comes up to just touch the ball, or just not, and lets it go on."""
     gamma, phi, gap1 = 4.0, 4.9, -0.5
