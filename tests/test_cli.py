@@ -20,7 +20,7 @@ from service import embedded
 from service.cli import main
 from service.client import Client
 from service.settings import Settings
-from worker.executors import Executor, Inline
+from worker.executors import Dask, Executor, Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = ["cancel", "diagram", "figure", "list", "serve", "status", "submit", "wait"]
@@ -297,7 +297,8 @@ class Serve:
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Serve]:
+def serve(tmp_path: Path, cluster: Dask) -> Iterator[Serve]:
+    """Started when the shared cluster has compiled the kernels, so that this one only reads them."""
     serve = Serve(tmp_path)
     yield serve
     serve.close()

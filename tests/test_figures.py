@@ -48,7 +48,7 @@ def test_figure_2_has_the_papers_modes(cluster: Dask, tmp_path: Path):
 
 
 @pytest.mark.timeout(240)
-def test_the_first_command_of_the_readme_draws_figure_2(tmp_path: Path):
+def test_the_first_command_of_the_readme_draws_figure_2(tmp_path: Path, cluster: Dask):
     bounce = str(Path(sys.executable).with_name("bounce"))
     first, second = (
         subprocess.run(
