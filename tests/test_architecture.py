@@ -31,8 +31,11 @@ SPECIFICATION = {
     "worker.specfile",
     "worker.axes",
     "worker.contacts",
+    "worker.stepping",
     "worker.problems",
     "kernel.params",
+    "kernel.isolated",
+    "kernel.steps",
 }
 
 #: Of the project's own rooms, all that these may reach.

@@ -2,22 +2,38 @@
 
 import json
 import pickle
+import re
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from kernel.params import Model
+from kernel.steps import Scheme, stable_steps_per_contact, steps_per_period
 from worker.axes import MAX_AXIS_VALUES
-from worker.contacts import AVAILABLE_MODELS, kernel_model, penetration_of, restitution_of
-from worker.problems import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
+from worker.contacts import (
+    AVAILABLE_MODELS,
+    MODEL_FIELDS,
+    Auto,
+    Soft,
+    Stepped,
+    kernel_model,
+    penetration_of,
+    restitution_of,
+    steps_of,
+)
+from worker.problems import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe, problems_of
 from worker.spec import SweepSpec
+from worker.stepping import corners
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
-AXES_ONLY = "the fields are name, gamma, omega, xi, protocol, model, settle, observe, keep, micro_flight"
+AXES_ONLY = (
+    "the fields are name, gamma, omega, xi, protocol, model, settle, observe, keep, "
+    "micro_flight, settle_tolerance"
+)
 
 
 def sweep(**changes) -> SweepSpec:
@@ -164,6 +180,49 @@ RULES = [
         {"model": {"rest_length": 1.0}, "gamma": [1e-6, 1e6], "omega": [1e-3, 1e3]},
         f"model.rest_length: gives contacts 1e-16 to 1e+08 {DEPTH}; narrow gamma or omega",
     ),
+    (
+        {"model": {"kind": "stepped", "restitution": 0}},
+        "model.restitution: must be at least 1e-06 for 'stepped', not 0.0: at 0 a contact has no end, "
+        "so no step is a part of it; 'soft' and 'rigid' allow 0",
+    ),
+    (
+        {"model": {"kind": "stepped", "restitution": 0.5, "scheme": "rk4"}},
+        "model.scheme: must be 'verlet' or 'euler', not text 'rk4'",
+    ),
+    (
+        {"model": {"kind": "stepped", "steps_per_contact": 2.5}},
+        "model.steps_per_contact: must be a whole number, not 2.5; 2 or 3 would do",
+    ),
+    (
+        {"model": {"kind": "stepped", "steps_per_contact": 0}},
+        "model.steps_per_contact: must be at least 1, not 0",
+    ),
+    (
+        {"model": {"kind": "stepped", "penetration": 1e-8}},
+        "model.penetration: asks for 2.25e+09 steps in a plate period, at most 1e+07 are allowed; "
+        "2.4e-06 would do",
+    ),
+    (
+        {"model": {"kind": "stepped", "penetration": 1e-4, "steps_per_contact": 5000}},
+        "model.steps_per_contact: asks for 5.64e+07 steps in a plate period, at most 1e+07 are allowed; "
+        "887 would do",
+    ),
+    (
+        {"model": {"kind": "stepped", "penetration": 1e-4}, "settle": 100_000},
+        "model.steps_per_contact: asks for 2.25e+05 steps in a plate period, at most 9.99e+04 are allowed "
+        "over 100100 periods; 8 would do",
+    ),
+    (
+        {
+            "model": {"kind": "stepped", "scheme": "euler", "steps_per_contact": 2},
+            "omega": 0.1,
+            "xi": [65.0, 70.0],
+        },
+        "model.steps_per_contact: must be at least 12, not 2: longer steps are unstable with 'euler' at "
+        "gamma 2, omega 0.1, xi 70",
+    ),
+    ({"settle_tolerance": -1e-6}, "settle_tolerance: must be at least 0, not -1e-06"),
+    ({"settle_tolerance": float("nan")}, "settle_tolerance: must be finite, not nan"),
     ({"settle": -1}, "settle: must be at least 0, not -1"),
     ({"settle": 1.5}, "settle: must be a whole number, not 1.5; 1 or 2 would do"),
     ({"settle": True}, "settle: must be a whole number, not true"),
@@ -209,6 +268,82 @@ def test_unknown_model_names_the_ones_there_are():
 @pytest.mark.parametrize("kind", sorted({"soft", "stepped", "rigid", "ball", "auto"} - set(AVAILABLE_MODELS)))
 def test_model_not_built_yet_is_refused_by_name(kind):
     assert message(model={"kind": kind}).startswith(f"model.kind: '{kind}' is not built yet; use 'soft'")
+
+
+def suggestion(said: str) -> int:
+    """The number of steps a contact that a message says would work."""
+    found = re.search(r"^model.steps_per_contact: .*(?:at least (\d+),|; (\d+) would do$)", said)
+    assert found, said
+    return int(found[1] or found[2])
+
+
+@settings(max_examples=50)
+@given(
+    e=st.floats(1e-6, 0.99), d=st.floats(1e-4, 0.3), omega=st.floats(0.01, 10.0), xi=st.floats(0.0, 1e3),
+    adhesive=st.booleans(), scheme=st.sampled_from(["verlet", "euler"]),
+)  # fmt: skip
+def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, adhesive, scheme):
+    def stepped(steps):
+        model = {"kind": "stepped", "restitution": e, "penetration": d, "adhesive": adhesive}
+        return sweep(omega=omega, xi=xi, model=model | {"scheme": scheme, "steps_per_contact": steps})
+
+    try:
+        stepped(1)
+    except SpecInvalid as refused:
+        assume("penetration" not in str(refused))
+        fewest = suggestion(str(refused))
+        assert fewest > 1
+        with pytest.raises(SpecInvalid, match=f"must be at least {fewest}, not {fewest - 1}"):
+            stepped(fewest - 1)
+        try:
+            stepped(fewest)
+        except SpecInvalid as too_many:
+            assert "allowed" in str(too_many)  # stable they are
+
+
+@settings(max_examples=20)
+@given(
+    depth=st.sampled_from([{"penetration": 1e-2}, {"rest_length": 30.0}, {"rest_length": 1.0}]),
+    adhesive=st.booleans(),
+    scheme=st.sampled_from(["verlet", "euler"]),
+)
+def test_no_cell_of_a_grid_needs_more_steps_than_its_corners(depth, adhesive, scheme):
+    gamma, omega, xi = (
+        np.geomspace(0.1, 10.0, 6),
+        np.geomspace(0.03, 10.0, 7),
+        np.array([0.0, 0.1, 1.0, 80.0]),
+    )
+    model = Stepped(kind="stepped", restitution=0.1, adhesive=adhesive, scheme=scheme, **depth)
+
+    def most(gamma, omega, xi):
+        d = penetration_of(model, gamma, omega)
+        how = {"adhesive": adhesive}
+        stable = stable_steps_per_contact(omega, xi, 0.1, d, scheme=Scheme[scheme.upper()], **how)
+        return stable.max(), steps_per_period(0.1, d, 20, **how).max()
+
+    everywhere = [axis.ravel() for axis in np.meshgrid(gamma, omega, xi)]
+    assert most(*corners(gamma, omega, xi)) == most(*everywhere)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "said"),
+    [
+        (0, "must be at least 1e-09, not 0.0: the exact solution's own rounding is of that size; "
+            "ask for 'soft' where nothing else will do"),
+        (-1.0, "must be at least 1e-09, not -1.0: "),
+        (float("nan"), "must be finite, not nan"),
+        ("1", "must be a number, not text '1'"),
+    ],
+)  # fmt: skip
+def test_a_tolerance_says(tolerance, said):
+    with pytest.raises(ValidationError) as caught:
+        Auto(kind="auto", tolerance=tolerance)
+    assert said in str(problems_of(caught.value, MODEL_FIELDS)[0])
+
+
+def test_auto_is_measured_from_the_contact_it_names():
+    given = {"restitution": 0.2, "penetration": None, "rest_length": 40.0, "adhesive": False}
+    assert Auto(kind="auto", tolerance=0.1, **given).exact == Soft(**given)
 
 
 def test_every_broken_field_is_named_at_once():
@@ -354,6 +489,7 @@ def test_same_sweep_written_differently_is_the_same_job():
         {"model": {"kind": "rigid"}},
         {"model": {"adhesive": False}},
         {"model": {"rest_length": 1.0}},
+        {"settle_tolerance": 1e-9},
     ],
 )
 def test_any_other_number_is_another_job(changes):
@@ -367,6 +503,10 @@ def test_another_kernel_version_is_another_job():
 def test_identity_is_not_forgotten_from_release_to_release():
     """If this fails, every stored job is computed anew: a thing to do on purpose only."""
     assert sweep().job_id("1") == "07e4a0b73fc29560de65d362ac80685e"
+
+
+def test_settling_to_the_end_is_no_other_job_than_before_it_could_be_cut_short():
+    assert sweep(settle_tolerance=0.0).job_id("1") == sweep().job_id("1")
 
 
 def test_canonical_form_is_json_and_a_specification_again():
@@ -387,6 +527,8 @@ def test_survives_pickling():
 def test_models_have_their_kernels():
     assert kernel_model(sweep().model) is Model.SOFT
     assert kernel_model(sweep(model={"kind": "rigid"}).model) is Model.RIGID
+    assert kernel_model(sweep(model={"kind": "stepped"}).model) is Model.STEPPED
+    assert kernel_model(sweep(model={"kind": "ball"}).model) is Model.BALL
 
 
 def test_rest_length_sets_each_cells_depth():
@@ -401,6 +543,22 @@ def test_given_depth_and_restitution_are_every_cells():
     model = sweep(model={"penetration": 1e-4, "restitution": 0.2}).model
     assert penetration_of(model, np.ones(3), np.ones(3)).tolist() == [1e-4] * 3
     assert restitution_of(model, np.ones(2)).tolist() == [0.2] * 2
+
+
+def test_a_ball_that_is_given_no_restitution_has_its_springs():
+    """MODEL section 5: f(0.5) = 0.1492, f(10) = 0.0012."""
+    xi = np.array([0.5, 10.0])
+    assert restitution_of(sweep(model={"kind": "ball"}).model, xi) == pytest.approx(
+        [0.1492, 0.0012], abs=5e-5
+    )
+    given = sweep(model={"kind": "ball", "restitution": 0.3}).model
+    assert restitution_of(given, xi).tolist() == [0.3, 0.3]
+
+
+def test_only_stepped_says_how_it_steps():
+    model = {"kind": "stepped", "steps_per_contact": 50, "scheme": "euler"}
+    assert steps_of(sweep(model=model).model) == (50, "euler")
+    assert "scheme" not in sweep().canonical()["model"]
 
 
 @pytest.mark.parametrize(

@@ -1,28 +1,35 @@
 """Room: how a specification names its contact model, and what that means cell by cell.
 
-Imports pydantic, numpy, kernel.params and its neighbours in worker; never numba.
+Imports pydantic, numpy, what of the kernel needs no numba, and its neighbours in worker.
 """
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from kernel.isolated import restitution_of as spring_restitution
 from kernel.params import Model
 from worker.axes import NUMBER, WHOLE, Strict
 from worker.problems import BrokenRuleError, describe, did_you_mean, one_of
 
-#: The kinds that can be computed today. Building another one is finished by naming it here.
-AVAILABLE_MODELS: Final = ("soft", "rigid")
+#: The kinds that can be computed. Building another one is finished by naming it here.
+AVAILABLE_MODELS: Final = ("soft", "stepped", "rigid", "ball")
 
 #: Contact depths delta_c/A between these are what double precision carries.
 MIN_PENETRATION: Final = 1e-12
 MAX_PENETRATION: Final = 1.0
 DEFAULT_PENETRATION: Final = 1e-3
 
-#: A law that never pulls reaches e = 0 only as its damping grows without bound.
-MIN_NONADHESIVE_RESTITUTION: Final = 1e-6
+#: A law that never pulls reaches e = 0 only as its damping grows without bound, and under the
+#: other one the contact then has no end, which leaves time steps nothing to be a part of.
+MIN_RESTITUTION: Final = 1e-6
+
+#: The exact solution's own flights are good to about this, rad.
+MIN_TOLERANCE: Final = 1e-9
+
+MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
 _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
 
@@ -48,9 +55,9 @@ class _SoftContact(Strict):
         if self.penetration is not None and self.rest_length is not None:
             rule = "must be absent or null where penetration is given: each alone sets the contact's depth"
             raise BrokenRuleError("rest_length", rule)
-        if not self.adhesive and self.restitution < MIN_NONADHESIVE_RESTITUTION:
+        if not self.adhesive and self.restitution < MIN_RESTITUTION:
             rule = (
-                f"must be at least {MIN_NONADHESIVE_RESTITUTION:g} where adhesive is false, "
+                f"must be at least {MIN_RESTITUTION:g} where adhesive is false, "
                 f"not {self.restitution!r}: without pull, less needs damping without bound"
             )
             raise BrokenRuleError("restitution", rule)
@@ -64,10 +71,21 @@ class Soft(_SoftContact):
 
 
 class Stepped(_SoftContact):
-    """The same contact by fixed time steps."""
+    """The same contact by fixed time steps; what a sweep may ask of them, see worker.stepping."""
 
     kind: Literal["stepped"]
-    steps_per_contact: Annotated[int, Field(ge=1, le=10_000), WHOLE] = 20
+    steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
+    scheme: Literal["verlet", "euler"] = "verlet"
+
+    @model_validator(mode="after")
+    def _ends(self) -> "Stepped":
+        if self.restitution < MIN_RESTITUTION:
+            rule = (
+                f"must be at least {MIN_RESTITUTION:g} for 'stepped', not {self.restitution!r}: at 0 a "
+                "contact has no end, so no step is a part of it; 'soft' and 'rigid' allow 0"
+            )
+            raise BrokenRuleError("restitution", rule)
+        return self
 
 
 class Rigid(Strict):
@@ -88,7 +106,22 @@ class Auto(_SoftContact):
     """The cheapest model within `tolerance` (rad of flight time) of exact soft."""
 
     kind: Literal["auto"]
-    tolerance: Annotated[float, Field(gt=0.0), NUMBER] = 1e-3
+    tolerance: Annotated[float, NUMBER] = 1e-3
+
+    @model_validator(mode="after")
+    def _attainable(self) -> "Auto":
+        if self.tolerance < MIN_TOLERANCE:
+            rule = (
+                f"must be at least {MIN_TOLERANCE:g}, not {self.tolerance!r}: the exact solution's own "
+                "rounding is of that size; ask for 'soft' where nothing else will do"
+            )
+            raise BrokenRuleError("tolerance", rule)
+        return self
+
+    @property
+    def exact(self) -> Soft:
+        """The contact that the tolerance is measured from."""
+        return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
 
 
 _KINDS: Final[dict[str, type[Strict]]] = {
@@ -148,5 +181,19 @@ def penetration_of(
 
 
 def restitution_of(model: AnyContact, xi: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Restitution of an isolated impact in each cell."""
+    """Restitution of an isolated impact in each cell; a ball that is given none has its spring's, f(xi)."""
+    if model.restitution is None:
+        return spring_restitution(xi)
     return np.full(np.shape(xi), model.restitution, dtype=np.float64)
+
+
+class Steps(NamedTuple):
+    """What the kernel is told of time steps; models that take none ignore it."""
+
+    steps_per_contact: int = 20
+    scheme: str = "verlet"
+
+
+def steps_of(model: AnyContact) -> Steps:
+    """The time steps of a specification's model."""
+    return Steps(model.steps_per_contact, model.scheme) if isinstance(model, Stepped) else Steps()

@@ -1,7 +1,7 @@
 """Room: the sweep specification, the contract between client, service and workers.
 
-Imports pydantic, numpy, kernel.params and its neighbours in worker only: a client
-that holds a specification loads no kernel, no cluster and no store.
+Imports pydantic, numpy, what of the kernel needs no numba, and its neighbours in worker only: a
+client that holds a specification loads no kernel, no cluster and no store.
 """
 
 import hashlib
@@ -23,8 +23,17 @@ from pydantic import (
 
 from worker import specfile
 from worker.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
-from worker.contacts import MAX_PENETRATION, MIN_PENETRATION, MODEL_FIELDS, ContactModel, Soft, penetration_of
+from worker.contacts import (
+    MAX_PENETRATION,
+    MIN_PENETRATION,
+    MODEL_FIELDS,
+    ContactModel,
+    Soft,
+    Stepped,
+    penetration_of,
+)
 from worker.problems import BrokenRuleError, Problem, SpecError, SpecInvalid, describe, one_of, problems_of
+from worker.stepping import check_steps, corners
 
 __all__ = ["AXES", "SpecError", "SweepSpec"]
 
@@ -90,7 +99,8 @@ class SweepSpec(Strict):
     """A parameter study: which cells, started how, computed by which model, recorded how long.
 
     `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field
-    and rule. Periods are plate periods; `keep` counts flights; `micro_flight` is in rad.
+    and rule. Periods are plate periods; `keep` counts flights; `micro_flight` and
+    `settle_tolerance` are in rad.
     """
 
     name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
@@ -103,6 +113,7 @@ class SweepSpec(Strict):
     observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 100
     keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
     micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.0
+    settle_tolerance: Annotated[float, Field(ge=0.0), NUMBER] = 0.0
 
     def __init__(self, /, **data: object) -> None:
         try:
@@ -118,6 +129,9 @@ class SweepSpec(Strict):
             rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {way_out}"
             raise BrokenRuleError("protocol.axis", rule)
         self._check_depth()
+        if isinstance(self.model, Stepped):
+            axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
+            check_steps(self.model, corners(*axes), self.settle + self.observe)
         return self
 
     def _check_depth(self) -> None:
@@ -185,8 +199,9 @@ class SweepSpec(Strict):
 
     def canonical(self) -> dict[str, Any]:
         """Plain JSON values that decide every stored number: axes spelled out, defaults
-        filled in, the label left out."""
-        plain = self.model_dump(exclude={"name", *AXES})
+        filled in, the label left out; and settling that is not cut short, which older ones never named."""
+        unused = set() if self.settle_tolerance > 0.0 else {"settle_tolerance"}
+        plain = self.model_dump(exclude={"name", *AXES, *unused})
         return {axis: self.axis_values(axis).tolist() for axis in AXES} | plain
 
     def as_submitted(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from kernel.params import Cell, Line, Outcome, Start
 from kernel.ramp import run_line
 from worker import layout, store
-from worker.contacts import kernel_model, penetration_of, restitution_of
+from worker.contacts import kernel_model, penetration_of, restitution_of, steps_of
 from worker.plan import Chunk, cell_seconds
 from worker.spec import AXES, SweepSpec
 
@@ -114,7 +114,7 @@ def _run_cells(
     xi: NDArray[np.float64],
     start: Start | None,
 ) -> Line:
-    carry = spec.ramp_axis is not None
+    carry, steps = spec.ramp_axis is not None, steps_of(spec.model)
     return run_line(
         np.ascontiguousarray(gamma),
         np.ascontiguousarray(omega),
@@ -128,6 +128,9 @@ def _run_cells(
         observe=spec.observe,
         keep=spec.keep,
         micro_flight=spec.micro_flight,
+        settle_tolerance=spec.settle_tolerance,
+        steps_per_contact=steps.steps_per_contact,
+        scheme=steps.scheme,
         start=start if carry else None,
     )
 
