@@ -4,24 +4,28 @@ It falls freely (`kernel.fall`), leaves the plate again at -epsilon times the re
 it landed with (Eq. 4, its sign mended), and rests on it while n = 1/Gamma - cos(phi) > 0. The
 take-off from rest is at cos(phi) = 1/Gamma, in closed form. A cascade of ever smaller hops is
 followed hop by hop, each of them a flight, until the plate presses steadily over all that is
-left of it (`kernel.cascade`); its end is then in closed form, and its hops are no more recorded.
+left of it (`kernel.cascade`); its end is then in closed form, and its hops are no more recorded:
+they are shorter than about 1e-3 (1 - epsilon) rad.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cascade import collapse_time, collapses
 from kernel.events import HORIZON, ROOT, SPENT, Phase
-from kernel.fall import Landing, drop, landing, lifted, state_after, takes_off
+from kernel.fall import SNAP, Landing, drop, landing, lifted, state_after
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
 from kernel.modes import TWO_PI
 
-#: Evaluations that the flight from rest may use; it crosses at most about 2 Gamma inflections.
-MANY: Final = 1_000_000
+#: Flights after a take-off from rest that a cell knows in advance.
+KNOWN: Final = 16
+
+#: Evaluations that each of them may use; a flight crosses about 2 Gamma inflections.
+MANY: Final = 10_000
 
 
 class BallPlate(NamedTuple):
@@ -37,7 +41,15 @@ class Ball(NamedTuple):
     restitution: float
     lift: float  # arccos(1/Gamma): the plate falls away while |phi| < lift; 0 for Gamma <= 1
     slope: float  # sin(lift)
-    first: Landing  # the end of every flight from rest
+    known: Any  # (KNOWN, 5) what follows a take-off from rest, see `_rehearse`
+
+
+class Bounce(NamedTuple):
+    """A landing and what follows it."""
+
+    phi: float  # rad modulo 2 pi
+    hop: float  # relative velocity after it
+    flies: bool
 
 
 @prepare.register(BallPlate)
@@ -45,11 +57,28 @@ class Ball(NamedTuple):
 def _prepare(plate: BallPlate, i: int, gamma: float, omega: float, xi: float) -> Ball:
     gravity = 1.0 / gamma
     slope = math.sqrt((1.0 - gravity) * (1.0 + gravity)) if gamma > 1.0 else 0.0
-    lift = math.atan2(slope, gravity)
-    first = Landing(math.inf, HORIZON, 0.0, 0.0, 0.0, 0)
-    if lift > 0.0:
-        first = landing(drop(gravity, lift, slope, TWO_PI - lift, 0.0, 0.0), math.inf, MANY)
-    return Ball(gravity, plate.restitution[i], lift, slope, first)
+    ball = Ball(gravity, plate.restitution[i], math.atan2(slope, gravity), slope, np.full((KNOWN, 5), np.nan))
+    _rehearse(ball)
+    return ball
+
+
+@jit
+def _rehearse(b: Ball) -> None:
+    """Work out what every take-off from rest leads to, for it is always the same.
+
+    A row of `known` is a flight: its phase and velocity at take-off, its duration, the velocity
+    after its landing, and 1 if a flight follows that; NaN where the ball rests before.
+    """
+    at = Bounce(TWO_PI - b.lift, 0.0, b.lift > 0.0)
+    for row in b.known:
+        if not at.flies:
+            break
+        end = landing(drop(b.gravity, b.lift, b.slope, at.phi, 0.0, at.hop), math.inf, MANY)
+        if end.ending != ROOT:
+            break
+        row[0], row[1], row[2] = at.phi, at.hop, end.tau
+        at = _bounce(b, at.phi, end)
+        row[3], row[4] = at.hop, 1.0 if at.flies else 0.0
 
 
 @rest.register(Ball)
@@ -98,18 +127,28 @@ def _contact(
 def _flight(
     b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    if takes_off(b.lift, phi, gap, gap1) and b.first.tau < horizon:
-        end = b.first
-        used = 1
-    else:
-        p = drop(b.gravity, b.lift, b.slope, phi, gap, gap1)
-        end = landing(p, horizon, budget)
-        used = end.used
-        if end.ending != ROOT:
-            gap, gap1, _, _ = state_after(p, end.tau)
-            return Phase(end.tau, end.ending, True, max(gap, 0.0), gap1, 0.0, 0.0, used)
+    if budget <= 0:
+        return Phase(0.0, SPENT, True, gap, gap1, 0.0, 0.0, 0)
+    if gap == 0.0:
+        for k in range(KNOWN):
+            if b.known[k, 1] == gap1 and abs(b.known[k, 0] - phi) <= SNAP and b.known[k, 2] < horizon:
+                follows = b.known[k, 4] == 1.0
+                return Phase(b.known[k, 2], ROOT, follows, 0.0, b.known[k, 3], 0.0, 0.0, 1)
+            if math.isnan(b.known[k, 1]):
+                break
+    p = drop(b.gravity, b.lift, b.slope, phi, gap, gap1)
+    end = landing(p, horizon, budget)
+    if end.ending != ROOT:
+        gap, gap1, _, _ = state_after(p, end.tau)
+        return Phase(end.tau, end.ending, True, max(gap, 0.0), gap1, 0.0, 0.0, end.used)
+    at = _bounce(b, phi, end)
+    return Phase(end.tau, ROOT, at.flies, 0.0, at.hop, 0.0, 0.0, end.used)
+
+
+@jit
+def _bounce(b: Ball, phi: float, end: Landing) -> Bounce:
+    """The landing `end` of a flight that took off at phi."""
     hop = max(-b.restitution * end.gap1, 0.0)
     phi += end.tau
     phi -= TWO_PI * math.floor(phi / TWO_PI)
-    settled = _settles(b, phi, hop, -end.gap2, -end.gap3)
-    return Phase(end.tau, ROOT, not settled, 0.0, hop, 0.0, 0.0, used)
+    return Bounce(phi, hop, not _settles(b, phi, hop, -end.gap2, -end.gap3))
