@@ -26,7 +26,7 @@ def restitution(zeta: float, adhesive: bool) -> float:
             else math.exp(-2.0)
         )
     s = math.sqrt((zeta - 1.0) * (zeta + 1.0))
-    return math.exp(-2.0 * zeta / s * math.log(zeta + s)) if s > 1e-7 else math.exp(-2.0)
+    return math.exp(-2.0 * zeta / s * math.asinh(s)) if s > 1e-7 else math.exp(-2.0)
 
 
 @jit

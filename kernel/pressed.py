@@ -16,10 +16,12 @@ from kernel.events import EPS, Terms, terms
 from kernel.impact import damping_ratio
 from kernel.jit import jit
 from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
-from kernel.quartic import factor
+from kernel.quartic import paired, roots
 
 #: As in `rigid`: an undamped spring exactly at resonance is computed as one this far beside it.
 NEAREST_RESONANCE: Final = 1e-8
+
+NOTHING: Final = Oscillator(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Tie(NamedTuple):
@@ -28,6 +30,15 @@ class Tie(NamedTuple):
     value: float
     rate: float
     trust: float  # 0 to 1: how much of the numbers it was worked out from did not cancel
+
+
+class Free(NamedTuple):
+    """The free motion in contact as two damped oscillators."""
+
+    led_by_gap: Oscillator
+    led_by_q: Oscillator
+    elongation: Tie  # how the elongation follows the gap in the first
+    gap: Tie  # how the gap follows the elongation in the second
 
 
 class SoftSpring(NamedTuple):
@@ -42,7 +53,6 @@ class SoftSpring(NamedTuple):
     flight: Oscillator
     led_by_gap: Oscillator
     led_by_q: Oscillator
-    gap_rings: bool  # whether the former is the faster
     elongation: Tie  # how the elongation follows the gap
     gap: Tie  # how the gap follows the elongation
     untie: tuple[float, float, float, float]  # the inverse of 1 - gap * elongation, by rows
@@ -92,16 +102,9 @@ def soft_spring(
         w *= 1.0 + 2.0 * NEAREST_RESONANCE
         z = complex(w, b)
         below = (z - 1.0) - (2.0 * z - 1.0) / k
-    f = factor(beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa)
     driven_q = 1.0 / below
     driven_gap = (2.0 * z - 1.0) / k * driven_q
-    slow, fast = oscillator(0.5 * f.a1, f.b1), oscillator(0.5 * f.a2, f.b2)
-    elongation, gap = _ties(b, w, beta, kappa, fast, slow)
-    other_elongation, other_gap = _ties(b, w, beta, kappa, slow, fast)
-    gap_rings = elongation.trust * gap.trust >= other_elongation.trust * other_gap.trust
-    if not gap_rings:
-        elongation, gap = other_elongation, other_gap
-    led_by_gap, led_by_q = (fast, slow) if gap_rings else (slow, fast)
+    free = _told_apart(b, w, beta, kappa)
     return SoftSpring(
         gravity=1.0 / gamma,
         dashpot=b,
@@ -110,12 +113,11 @@ def soft_spring(
         beta=beta,
         adhesive=adhesive,
         flight=oscillator(b, 2.0 * w),
-        led_by_gap=led_by_gap,
-        led_by_q=led_by_q,
-        gap_rings=gap_rings,
-        elongation=elongation,
-        gap=gap,
-        untie=_untie(led_by_gap, elongation, led_by_q, gap),
+        led_by_gap=free.led_by_gap,
+        led_by_q=free.led_by_q,
+        elongation=free.elongation,
+        gap=free.gap,
+        untie=_untie(free),
         sag=-1.0 / (gamma * w),
         dent=-2.0 / (gamma * kappa),
         q_re=driven_q.real,
@@ -140,16 +142,25 @@ def _tie(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> Tie:
 
 
 @jit
-def _ties(
-    b: float, w: float, beta: float, kappa: float, led_by_gap: Oscillator, led_by_q: Oscillator
-) -> tuple[Tie, Tie]:
-    """How q follows the gap in one free motion, and the gap q in the other.
+def _told_apart(b: float, w: float, beta: float, kappa: float) -> Free:
+    """The free motion in two parts: of all ways to choose them the one in which least cancels.
 
     Free, q'' + b q' + w q = -gap'' (the masses together weigh on the plate alone) and
     gap'' + beta gap' + kappa gap = b q' + w q.
     """
-    elongation = _tie(led_by_gap, b, w, 2.0 * led_by_gap.damping, led_by_gap.stiffness)
-    return elongation, _tie(led_by_q, beta, kappa, b, w)
+    c3, c2, c1, c0 = beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa
+    z = roots(c3, c2, c1, c0)
+    most, best = -1.0, Free(NOTHING, NOTHING, Tie(0.0, 0.0, 0.0), Tie(0.0, 0.0, 0.0))
+    for partner in (1, 2, 3):
+        apart, f = paired(c3, c2, c1, c0, z, partner)
+        slow, fast = oscillator(0.5 * f.a1, f.b1), oscillator(0.5 * f.a2, f.b2)
+        for led_by_gap, led_by_q in ((fast, slow), (slow, fast)):
+            elongation = _tie(led_by_gap, b, w, 2.0 * led_by_gap.damping, led_by_gap.stiffness)
+            gap = _tie(led_by_q, beta, kappa, b, w)
+            trust = apart * elongation.trust * gap.trust
+            if trust > most:
+                most, best = trust, Free(led_by_gap, led_by_q, elongation, gap)
+    return best
 
 
 @jit
@@ -160,13 +171,11 @@ def _follow(tie: Tie, osc: Oscillator, x: float, x1: float) -> tuple[float, floa
 
 
 @jit
-def _untie(
-    led_by_gap: Oscillator, elongation: Tie, led_by_q: Oscillator, gap: Tie
-) -> tuple[float, float, float, float]:
-    q, q1 = _follow(elongation, led_by_gap, 1.0, 0.0)
-    m00, m10 = _follow(gap, led_by_q, q, q1)
-    q, q1 = _follow(elongation, led_by_gap, 0.0, 1.0)
-    m01, m11 = _follow(gap, led_by_q, q, q1)
+def _untie(f: Free) -> tuple[float, float, float, float]:
+    q, q1 = _follow(f.elongation, f.led_by_gap, 1.0, 0.0)
+    m00, m10 = _follow(f.gap, f.led_by_q, q, q1)
+    q, q1 = _follow(f.elongation, f.led_by_gap, 0.0, 1.0)
+    m01, m11 = _follow(f.gap, f.led_by_q, q, q1)
     m00, m01, m10, m11 = 1.0 - m00, -m01, -m10, 1.0 - m11
     det = m00 * m11 - m01 * m10
     return m11 / det, -m01 / det, -m10 / det, m00 / det
@@ -223,12 +232,11 @@ def pressed(s: SoftSpring, m: Split, phi: float) -> Pressed:
     gap, gap1 = _follow(s.gap, s.led_by_q, m.q, m.q1)
     led, led1 = _force(s.led_by_gap, s.kappa, c, m.gap, m.gap1)
     follows, follows1 = _force(s.led_by_q, s.kappa, c, gap, gap1)
-    slow, slow1, fast, fast1 = (
-        (follows, follows1, led, led1) if s.gap_rings else (led, led1, follows, follows1)
-    )
+    gap_rings = s.led_by_gap.stiffness >= s.led_by_q.stiffness
+    slow, slow1, fast, fast1 = (follows, follows1, led, led1) if gap_rings else (led, led1, follows, follows1)
     return Pressed(
-        s.led_by_q if s.gap_rings else s.led_by_gap,
-        s.led_by_gap if s.gap_rings else s.led_by_q,
+        s.led_by_q if gap_rings else s.led_by_gap,
+        s.led_by_gap if gap_rings else s.led_by_q,
         phi,
         still=-s.kappa * s.dent,
         w_re=-(s.kappa * s.g_re - c * s.g_im),

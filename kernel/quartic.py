@@ -13,9 +13,6 @@ from kernel.jit import jit
 #: Rounds of Aberth's method; a dozen is the rule, wide spreads of roots take more.
 ROUNDS: Final = 100
 
-#: How far apart (0 to 1, see `_pairing`) fast and slow roots must lie to be paired by size.
-CLOSE: Final = 1e-3
-
 
 class Factors(NamedTuple):
     """(s^2 + a1 s + b1)(s^2 + a2 s + b2) with b1 <= b2."""
@@ -28,7 +25,7 @@ class Factors(NamedTuple):
 
 @jit
 def roots(c3: float, c2: float, c1: float, c0: float) -> list[complex]:
-    """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, c0 > 0, by Aberth's method."""
+    """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, c0 > 0, by Aberth's method; the smallest first."""
     unit = c0**0.25  # in units of the geometric mean of the roots' sizes
     c3, c2, c1 = c3 / unit, c2 / unit**2, c1 / unit**3
     size = max(c3, math.sqrt(c2), c1 ** (1.0 / 3.0), 1.0)
@@ -52,6 +49,10 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> list[complex]:
             moved = max(moved, abs(step) / abs(s))
         if moved < 1e-14:
             break
+    for i in range(1, 4):
+        for j in range(i, 0, -1):
+            if abs(z[j]) < abs(z[j - 1]):
+                z[j], z[j - 1] = z[j - 1], z[j]
     return [unit * s for s in z]
 
 
@@ -71,27 +72,33 @@ def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Fac
 
 
 @jit
-def _pair(c3: float, c2: float, c1: float, c0: float) -> Factors:
-    """The two largest roots and the two smallest, or the pairing furthest apart where those nearly touch."""
-    z = roots(c3, c2, c1, c0)
-    for i in range(1, 4):
-        for j in range(i, 0, -1):
-            if abs(z[j]) < abs(z[j - 1]):
-                z[j], z[j - 1] = z[j - 1], z[j]
-    best, chosen = _pairing(z[0], z[1], z[2], z[3])
-    if best > CLOSE:
-        return chosen
-    apart, other = _pairing(z[0], z[2], z[1], z[3])
-    if apart > best:
-        best, chosen = apart, other
-    apart, other = _pairing(z[0], z[3], z[1], z[2])
-    return other if apart > best else chosen
+def paired(
+    c3: float, c2: float, c1: float, c0: float, z: list[complex], partner: int
+) -> tuple[float, Factors]:
+    """The quadratics in which the smallest of the roots z goes with z[partner], 1 to 3, to rounding.
+
+    First how far apart the two are, 0 to 1: at 0 they are not real or share a root, and mean nothing.
+    """
+    second, third = (2, 3) if partner == 1 else (1, 3) if partner == 2 else (1, 2)
+    apart, f = _pairing(z[0], z[partner], z[second], z[third])
+    return apart, _polished(c3, c2, c1, c0, f) if apart > 0.0 else f
 
 
 @jit
 def factor(c3: float, c2: float, c1: float, c0: float) -> Factors:
-    """The two quadratics, polished to rounding by Newton's method on the slow one."""
-    f = _pair(c3, c2, c1, c0)
+    """The two quadratics that lie furthest apart."""
+    z = roots(c3, c2, c1, c0)
+    best, chosen = paired(c3, c2, c1, c0, z, 1)
+    for partner in (2, 3):
+        apart, f = paired(c3, c2, c1, c0, z, partner)
+        if apart > best:
+            best, chosen = apart, f
+    return chosen
+
+
+@jit
+def _polished(c3: float, c2: float, c1: float, c0: float, f: Factors) -> Factors:
+    """Newton's method on the slow quadratic."""
     a1, b1 = f.a1, f.b1
     for _ in range(3):
         # divide by the slow quadratic: the remainder u s + v must vanish
