@@ -264,7 +264,7 @@ def test_damaged_bytes_are_never_read_as_data(url, spec, plan, harm):
     for path in stored_files(url, chunk):
         harm(path, path.stat().st_size // 2)
     for name in record:
-        with pytest.raises(store.StoreDamaged, match=f"{name}: cannot be read back"):
+        with pytest.raises(store.StoreDamaged, match="cannot be read back"):
             store.read_chunk(url, chunk, [name])
 
 

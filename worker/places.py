@@ -56,6 +56,27 @@ def open_store(url: str, *, read_only: bool) -> Store:
     return LocalStore(Path(url), read_only=read_only)
 
 
+def read(url: str, key: str) -> bytes | None:
+    """What lies under a key of a store; None if nothing does."""
+    try:
+        if in_bucket(url):
+            return bytes(_bucket(url).get(key).bytes())
+        return (Path(url) / key).read_bytes()
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return None
+
+
+def delete(url: str, key: str) -> None:
+    """Remove what lies under a key of a store; no harm if nothing does."""
+    try:
+        if in_bucket(url):
+            _bucket(url).delete(key)
+        else:
+            (Path(url) / key).unlink()
+    except FileNotFoundError:
+        pass
+
+
 def remove(url: str) -> None:
     """Remove everything under an address; no harm if there is nothing."""
     if in_bucket(url):

@@ -12,26 +12,25 @@ never by a file's existence.
     └── StoreDamaged        what is there cannot be read back
 """
 
-import hashlib
-import threading
-import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any, Final, Literal
 
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import ZstdCodec
-from zarr.core.buffer import default_buffer_prototype
+from zarr.abc.store import ByteRequest, Store
+from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.core.sync import sync
-from zarr.errors import GroupNotFoundError, ZarrUserWarning
+from zarr.errors import GroupNotFoundError
+from zarr.storage import WrapperStore
 
-from kernel.params import KERNEL_VERSION
-from worker import layout
+from worker import layout, stored
 from worker.marks import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.places import StoreError, open_store, remove
+from worker.places import StoreError, open_store, read, remove
 from worker.plan import Chunk, Plan
+from worker.skeleton import identity, skeleton
 from worker.spec import AXES, SweepSpec
+from worker.stored import Index, Place, harden, key, place_in, place_of, touched
 
 __all__ = [
     "StoreConflict",
@@ -44,6 +43,7 @@ __all__ = [
     "clear_cancelled",
     "create",
     "is_cancelled",
+    "mend",
     "read_attrs",
     "read_chunk",
     "read_coordinates",
@@ -55,10 +55,8 @@ __all__ = [
     "write_chunk",
 ]  # fmt: skip
 
-_CODEC: Final = ZstdCodec(level=3, checksum=True)
-_consolidating = threading.Lock()
+_ROOT: Final = "zarr.json"
 
-Index = int | slice
 _EVERYTHING: Final = slice(None)
 
 
@@ -71,7 +69,9 @@ class StoreConflict(StoreError):
 
 
 class StoreDamaged(StoreError):
-    """Stored bytes cannot be read back."""
+    """Stored bytes cannot be read back, or are gone; `places` says which chunks, where it is a chunk."""
+
+    places: tuple[Place, ...] = ()
 
 
 def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> None:
@@ -81,20 +81,21 @@ def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | Non
     interrupted. Raises `StoreConflict` if something else is there. For the same bytes from
     the same specification, `attrs` must hold no time of day.
     """
-    identity: dict[str, Any] = {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(plan.chunk_shape)}
-    if _already_there(url, identity):
-        return
+    if not _already_there(url, identity(spec, plan)):
+        mend(url, spec, plan, attrs)
+
+
+def mend(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> list[str]:
+    """Put right everything in a store but its chunks: metadata, coordinates. Returns what was not right."""
+    right = skeleton(spec, plan, attrs or {})
+    wrong = [address for address, content in right.items() if read(url, address) != content.to_bytes()]
+    # The root comes last: whoever finds consolidated metadata finds a complete store.
+    wrong.sort(key=lambda address: address == _ROOT)
     store = open_store(url, read_only=False)
-    group = zarr.open_group(store, mode="a", zarr_format=3)
-    for coordinate in layout.COORDINATES:
-        _create_coordinate(group, coordinate, spec)
-    for array in layout.arrays(spec):
-        _create_array(group, array, spec, plan)
-    group.attrs.put({**_provenance(spec), **(attrs or {}), **identity})
-    # The last step: whoever finds consolidated metadata finds a complete store.
-    with _consolidating, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        zarr.consolidate_metadata(store, zarr_format=3)
+    for address in wrong:
+        sync(store.set(address, right[address]))
+    harden(url, wrong)
+    return wrong
 
 
 def check_chunk(url: str, chunk: Chunk) -> None:
@@ -114,12 +115,15 @@ def write_chunk(url: str, chunk: Chunk, record: Mapping[str, NDArray[Any]]) -> s
         # Without this a chunk of nothing but fill values would have no file, and no checksum.
         array = _array(group, name).with_config({"write_empty_chunks": True})
         array[chunk.slices] = record[name][np.newaxis]
-    return _checksum(group, chunk)
+    place = place_of(chunk, _chunk_shape(group))
+    harden(url, [key(name, place) for name in _names(group)])
+    return stored.checksum(url, _names(group), place)
 
 
 def checksum(url: str, chunk: Chunk) -> str:
     """SHA-256 over the chunk's stored bytes in all arrays, 64 hex digits; absent ones count too."""
-    return _checksum(_open(url, "r"), chunk)
+    group = _open(url, "r")
+    return stored.checksum(url, _names(group), place_of(chunk, _chunk_shape(group)))
 
 
 def verify(url: str, chunk: Chunk, expected: str) -> bool:
@@ -141,9 +145,14 @@ def read_slice(
     A whole number drops its dimension, a slice keeps it; flights (or state fields) come last.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
-    group = _open(url, "r")
+    noting = _Noting(open_store(url, read_only=True))
+    group = _open(url, "r", noting)
     where = (direction, xi, omega, gamma)
-    return {name: _read(_array(group, name), where) for name in names}
+    # Outcomes first: a cell that had one had everything else before.
+    wanted = dict.fromkeys([layout.OUTCOME.name, *(names := list(names))])
+    found = {name: _read_cells(group, name, where) for name in wanted}
+    _check_whole(url, noting.absent)
+    return {name: found[name] for name in names}
 
 
 def read_chunk(url: str, chunk: Chunk, names: Iterable[str]) -> dict[str, NDArray[Any]]:
@@ -169,10 +178,27 @@ def chunk_shape(url: str) -> tuple[int, int, int]:
     return xi, omega, gamma
 
 
-def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
+class _Noting(WrapperStore[Store]):
+    """A store that notes what was asked for and not there: zarr reads that as fill values."""
+
+    def __init__(self, store: Store) -> None:
+        super().__init__(store)
+        self.absent: list[str] = []
+
+    async def get(
+        self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
+    ) -> Buffer | None:
+        found = await super().get(key, prototype, byte_range)
+        if found is None:
+            self.absent.append(key)
+        return found
+
+
+def _open(url: str, mode: Literal["r", "r+"], store: Store | None = None) -> zarr.Group:
     group, trouble = None, ""
     try:
-        group = zarr.open_group(open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
+        store = store or open_store(url, read_only=mode == "r")
+        group = zarr.open_group(store, mode=mode, zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
         pass
     except (ValueError, KeyError, TypeError) as error:
@@ -188,52 +214,17 @@ def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
     return group
 
 
-def _already_there(url: str, identity: Mapping[str, Any]) -> bool:
+def _already_there(url: str, wanted: Mapping[str, Any]) -> bool:
     try:
         found = read_attrs(url)
-    except StoreMissing:
+    except (StoreMissing, StoreDamaged):
         return False
-    if found.get("job") != identity["job"]:
-        raise StoreConflict(f"{url}: holds job {found.get('job')}, not {identity['job']}")
-    if found.get("chunk_shape") != identity["chunk_shape"]:
-        rule = f"is cut into chunks of {found.get('chunk_shape')}, not {identity['chunk_shape']}"
+    if found.get("job") != wanted["job"]:
+        raise StoreConflict(f"{url}: holds job {found.get('job')}, not {wanted['job']}")
+    if found.get("chunk_shape") != wanted["chunk_shape"]:
+        rule = f"is cut into chunks of {found.get('chunk_shape')}, not {wanted['chunk_shape']}"
         raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
     return True
-
-
-def _provenance(spec: SweepSpec) -> dict[str, Any]:
-    return {
-        "Conventions": "CF-1.11",
-        "title": spec.name or "bouncing spring",
-        "kernel_version": KERNEL_VERSION,
-        "model": spec.model.kind,
-        "spec": spec.as_submitted(),
-    }
-
-
-def _create_coordinate(group: zarr.Group, coordinate: layout.Coordinate, spec: SweepSpec) -> None:
-    name = coordinate.name
-    # Variable-length text: zarr has no stable form for the fixed-length one.
-    values = (
-        np.array(spec.directions, dtype=np.dtypes.StringDType())
-        if name == "direction"
-        else spec.axis_values(name).astype("<f8")
-    )
-    array = group.create_array(
-        name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
-        dimension_names=(name,), attributes=coordinate.attrs, overwrite=True,
-    )  # fmt: skip
-    array[:] = values
-
-
-def _create_array(group: zarr.Group, array: layout.Array, spec: SweepSpec, plan: Plan) -> None:
-    length = layout.sizes(spec)
-    extra = tuple(length[dim] for dim in array.extra_dims)
-    group.create_array(
-        array.name, shape=(*spec.shape, *extra), chunks=(1, *plan.chunk_shape, *extra), dtype=array.dtype,
-        fill_value=array.fill, compressors=_CODEC, dimension_names=array.dims, attributes=array.attrs,
-        overwrite=True,
-    )  # fmt: skip
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
@@ -254,7 +245,39 @@ def _read(array: zarr.Array[Any], where: tuple[Index, ...]) -> NDArray[Any]:
         return np.asarray(array[where or ...])
     except (RuntimeError, ValueError) as error:  # what codecs raise for bytes that are not theirs
         trouble = str(error)
-    raise StoreDamaged(f"{array.store_path}: cannot be read back: {trouble}")
+    raise StoreDamaged(f"{array.path}: cannot be read back: {trouble}")
+
+
+def _read_cells(group: zarr.Group, name: str, where: tuple[Index, ...]) -> NDArray[Any]:
+    """As `_read`, and damage is told with the chunks it is in."""
+    array = _array(group, name)
+    try:
+        return _read(array, where)
+    except StoreDamaged as error:
+        error.places = tuple(
+            place for place in touched(array.shape, array.chunks, where) if not _readable(array, place)
+        )
+        raise
+
+
+def _readable(array: zarr.Array[Any], place: Place) -> bool:
+    try:
+        array.get_block_selection(place)
+    except (RuntimeError, ValueError):
+        return False
+    return True
+
+
+def _check_whole(url: str, absent: Iterable[str]) -> None:
+    """Raise StoreDamaged if there are chunks whose outcomes are there and something else is not."""
+    gone = [(address.split("/")[0], place_in(address)) for address in absent if "/c/" in address]
+    unwritten = {place for name, place in gone if name == layout.OUTCOME.name}
+    torn = {place: name for name, place in gone if place not in unwritten}
+    if torn:
+        place, name = next(iter(torn.items()))
+        error = StoreDamaged(f"{key(name, place)}: is gone")
+        error.places = tuple(torn)
+        raise error
 
 
 def _chunk_shape(group: zarr.Group) -> tuple[int, ...]:
@@ -269,17 +292,3 @@ def _check_owns(group: zarr.Group, url: str, chunk: Chunk) -> None:
         if low % size or high != min(low + size, n):
             rule = f"chunk {chunk.index} spans {axis} {low} to {high}, but chunks here are {size} long"
             raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
-
-
-def _checksum(group: zarr.Group, chunk: Chunk) -> str:
-    digest = hashlib.sha256()
-    starts = (chunk.direction, chunk.xi[0], chunk.omega[0], chunk.gamma[0])
-    place = [start // size for start, size in zip(starts, (1, *_chunk_shape(group)), strict=True)]
-    for name in _names(group):
-        array = _array(group, name)
-        key = array.metadata.encode_chunk_key((*place, *(0,) * (array.ndim - len(place))))
-        stored = sync(group.store.get(f"{array.path}/{key}", default_buffer_prototype()))
-        content = b"" if stored is None else stored.to_bytes()
-        digest.update(f"{name} {len(content) if stored is not None else 'absent'}\n".encode())
-        digest.update(content)
-    return digest.hexdigest()
