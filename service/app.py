@@ -8,14 +8,18 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service import docs, errors, routes
+from service import docs, errors, exports, probes, results, routes, trajectories
 from service.bodies import BodyLimit
+from service.calls import Service
+from service.events import Watch
 from service.health import Health
 from service.ledger import Ledger
 from service.lifecycle import Lifecycle
-from service.routes import Service
+from service.metrics import Metrics
 from service.schemas import ProblemDocument
 from service.settings import Settings
+from service.trajectories import TrajectorySpec
+from service.turns import Turns
 from worker.executors import Executor
 from worker.spec import SweepSpec
 
@@ -37,7 +41,9 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
         lifespan=partial(_lifespan, settings=settings, executor=executor),
     )
     app.include_router(routes.router)
-    app.include_router(routes.probes)
+    app.include_router(results.router)
+    app.include_router(trajectories.router)
+    app.include_router(probes.router)
     app.include_router(docs.router)
     errors.install(app)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
@@ -49,13 +55,29 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
 async def _lifespan(app: FastAPI, *, settings: Settings, executor: Executor) -> AsyncIterator[None]:
     """Open the ledger and compute what it has unfinished until the application stops."""
     with Ledger(settings.ledger_path) as ledger:
-        lifecycle = Lifecycle(ledger, executor, settings)
-        app.state.service = Service(settings, ledger, lifecycle, Health(executor))
-        lifecycle.start()
+        exports.sweep_leftovers(settings.exports_path)
+        service = _service(settings, ledger, executor)
+        app.state.service = service
+        service.lifecycle.start()
         try:
             yield
         finally:
-            lifecycle.stop()
+            service.lifecycle.stop()
+
+
+def _service(settings: Settings, ledger: Ledger, executor: Executor) -> Service:
+    health, metrics = Health(executor), Metrics()
+    metrics.watch(ledger, health)
+    return Service(
+        settings=settings,
+        ledger=ledger,
+        lifecycle=Lifecycle(ledger, executor, settings),
+        health=health,
+        watch=Watch(ledger, settings.max_listeners),
+        metrics=metrics,
+        exports=Turns("files", settings.max_exports),
+        trajectories=Turns("trajectories", settings.max_trajectories),
+    )
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:
@@ -63,7 +85,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for model in (SweepSpec, ProblemDocument):
+        for model in (SweepSpec, TrajectorySpec, ProblemDocument):
             schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas |= schema.pop("$defs", {}) | {model.__name__: schema}
         app.openapi_schema = document

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.queries import Diagram
+from service.queries import Diagram, Plane
 from worker.spec import SweepSpec
 
 #: The columns of the table, with units where there are any. One row is one flight.
@@ -65,7 +65,20 @@ def as_json(diagram: Diagram) -> bytes:
         "periods": _json(diagram.periods.tolist()),
         "complete": _json(diagram.complete),
     }
-    return ("{" + ",".join(f'"{name}":{text}' for name, text in members.items()) + "}").encode()
+    return _object(members)
+
+
+def modes_as_json(plane: Plane) -> bytes:
+    """A mode map as a JSON document; arrays as lists of rows, one for each Ω."""
+    members = {
+        "xi": _json(plane.xi),
+        "direction": _json(plane.direction),
+        "omega": _json(plane.omega.tolist()),
+        "gamma": _json(plane.gamma.tolist()),
+        **{name: _rows_of(array) for name, array in plane.arrays.items()},
+        "complete": _json(plane.complete),
+    }
+    return _object(members)
 
 
 def as_csv(diagrams: Sequence[Diagram]) -> bytes:
@@ -93,6 +106,15 @@ def as_picture(diagrams: Sequence[Diagram], spec: SweepSpec, format: str) -> byt
 
 def _json(value: object) -> str:
     return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _object(members: Mapping[str, str]) -> bytes:
+    return ("{" + ",".join(f'"{name}":{text}' for name, text in members.items()) + "}").encode()
+
+
+def _rows_of(array: NDArray[Any]) -> str:
+    """Row by row, so that other threads get their turn in between."""
+    return "[" + ",".join(_json(row.tolist()) for row in array) + "]"
 
 
 def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> str:

@@ -76,6 +76,11 @@ class Reading:
         row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE state IN ({marks})", states).fetchone()
         return int(row[0])
 
+    def totals(self) -> tuple[int, int]:
+        """Chunks and cells done, over all jobs."""
+        row = self._sql.execute("SELECT total(chunks_done), total(cells_done) FROM jobs").fetchone()
+        return int(row[0]), int(row[1])
+
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         rows = self._sql.execute(

@@ -18,6 +18,9 @@ from worker.spec import AXES, SweepSpec
 #: The arrays of a diagram, by their names in the store.
 LINE_ARRAYS: Final = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
+#: The arrays of a mode map.
+MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
+
 #: Outcomes of a cell that bounces.
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 
@@ -79,6 +82,11 @@ class Plane:
     gamma: NDArray[np.float64]
     arrays: Mapping[str, NDArray[Any]]  # each (n_omega, n_gamma)
 
+    @property
+    def complete(self) -> bool:
+        """Whether every cell is computed."""
+        return bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
+
 
 @dataclass(frozen=True)
 class Thresholds:
@@ -130,6 +138,11 @@ def diagrams(
     return [diagram(sweep, along, given, one, min_flight, share) for one in wanted]
 
 
+def modes(sweep: Sweep, xi: float | None, direction: str | None, max_points: int) -> Plane:
+    """The mode map at one xi: outcome, bounces and periods of every cell. Raises as `diagram`."""
+    return plane(sweep, xi, _direction(sweep.spec, direction), MODE_ARRAYS, max_points)
+
+
 def plane(sweep: Sweep, xi: float | None, direction: str, names: tuple[str, ...], max_points: int) -> Plane:
     """The named arrays over all (omega, gamma) at the grid's xi nearest to the one given.
 
@@ -159,7 +172,7 @@ def thresholds(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
     found = {"up": nowhere, "down": nowhere} | {
         "down" if one.direction == "down" else "up": _lowest_bouncing(one) for one in planes
     }
-    complete = all(bool(np.all(one.arrays["outcome"] != Outcome.MISSING)) for one in planes)
+    complete = all(one.complete for one in planes)
     return Thresholds(first.xi, first.omega, threshold(first.omega, first.xi), complete=complete, **found)
 
 

@@ -2,13 +2,14 @@
 
 import hashlib
 import json
+import time
 from datetime import UTC, datetime
 from enum import StrEnum
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from service.exports import FileFormat
 from service.jobs import JobRecord, JobState
 
 #: A specification longer than this (in characters of JSON) is left out of lists.
@@ -37,6 +38,15 @@ class JobsQuery(Query):
 
     state: JobState | None = None
     limit: Annotated[int, Field(ge=1, le=1000)] = 100
+    cursor: Annotated[str, Field(pattern="^[0-9]{1,18}$", description="`next` of the page before")] | None = (
+        None
+    )
+
+
+class SubmitQuery(Query):
+    """Whether the sweep is accepted or only looked at."""
+
+    validate_only: bool = False
 
 
 class LineQuery(Query):
@@ -69,8 +79,17 @@ class JobThresholdQuery(Query):
     xi: Number | None = None
 
 
-class NoQuery(Query):
-    """No parameters."""
+class ModesQuery(Query):
+    """Which plane of the grid: at the xi nearest to the one given, in one direction."""
+
+    xi: Number | None = None
+    direction: str | None = Field(None, description="rest, up or down; the sweep's first if left out")
+
+
+class ExportQuery(Query):
+    """What the file is."""
+
+    format: FileFormat
 
 
 class ProgressView(BaseModel):
@@ -95,7 +114,7 @@ class JobView(BaseModel):
     created: datetime
     started: datetime | None
     finished: datetime | None
-    spec: dict[str, JsonValue] | None = Field(description="null in lists where it is long")
+    spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists where it is long")
     links: dict[str, str]
 
 
@@ -104,6 +123,32 @@ class JobList(BaseModel):
 
     jobs: list[JobView]
     total: int = Field(description="how many there are, also beyond the limit")
+    next: str | None = Field(description="cursor of the next page; null on the last")
+
+
+class Cost(BaseModel):
+    """What a sweep will take."""
+
+    cells: int
+    chunks: int
+    bytes: int = Field(description="of stored arrays before compression")
+    core_seconds: float
+    basis: Literal["measured", "table"] = Field(
+        description="measured: by the speed of this service's last jobs with the same contact model"
+    )
+
+
+class Modes(BaseModel):
+    """Outcome and mode of every cell of a plane; rows are values of Ω, columns of Γ."""
+
+    xi: float
+    direction: str
+    omega: list[float]
+    gamma: list[float]
+    outcome: list[list[int]]
+    bounces: list[list[int]]
+    periods: list[list[int]]
+    complete: bool
 
 
 class Threshold(BaseModel):
@@ -122,6 +167,34 @@ class Thresholds(BaseModel):
     analytic: list[float | None] = Field(description="Eq. 25")
     up: list[float | None] = Field(description="lowest Γ that bounces, ascending or from rest")
     down: list[float | None] = Field(description="lowest Γ that bounces, descending")
+    complete: bool
+
+
+class FlightsView(BaseModel):
+    """The flights that took off and landed within the samples; rad."""
+
+    takeoff: list[float] = Field(description="since the first sample")
+    takeoff_phase: list[float] = Field(description="of the plate, modulo 2π")
+    flight_time: list[float]
+
+
+class Trajectory(BaseModel):
+    """One cell, sample by sample; lengths in plate amplitudes, null beyond where it could be followed."""
+
+    gamma: float
+    omega: float
+    xi: float
+    model: dict[str, JsonValue]
+    rest_length: float = Field(
+        description="of the spring; where the model leaves it open, 1e4 contact depths"
+    )
+    phase: list[float] = Field(description="rad since the first sample")
+    plate: list[float]
+    z1: list[float | None] = Field(description="upper mass")
+    z2: list[float | None] = Field(description="lower mass")
+    force: list[float | None] = Field(description="of the plate on the lower mass, in mAω²")
+    in_flight: list[bool]
+    flights: FlightsView
     complete: bool
 
 
@@ -147,9 +220,9 @@ class Health(BaseModel):
     status: Literal["ok"]
 
 
-def job_view(job: JobRecord, now: float, store: str, *, in_list: bool = False) -> JobView:
-    """The view of a job at `now` (seconds since 1970) whose store is at `store`."""
-    progress = job.progress(now)
+def job_view(job: JobRecord, now: float | None = None, longest_spec: int | None = None) -> JobView:
+    """The view of a job at `now` (seconds since 1970); a specification longer than that is left out."""
+    progress = job.progress(time.time() if now is None else now)
     return JobView(
         id=job.id,
         name=job.name,
@@ -166,8 +239,8 @@ def job_view(job: JobRecord, now: float, store: str, *, in_list: bool = False) -
         created=_time(job.created),
         started=_time(job.started),
         finished=_time(job.finished),
-        spec=None if in_list and len(job.spec) > LONG_SPEC else json.loads(job.spec),
-        links=_links(job.id, store),
+        spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
+        links=_links(job.id),
     )
 
 
@@ -177,10 +250,13 @@ def etag(job: JobRecord) -> str:
     return f'W/"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
 
 
-def _links(job_id: str, store: str) -> dict[str, str]:
+#: What there is of a job besides itself.
+_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "export", "zarr")
+
+
+def _links(job_id: str) -> dict[str, str]:
     here = f"/v1/jobs/{job_id}"
-    parts = {part: f"{here}/{part}" for part in ("cancel", "diagram", "threshold")}
-    return {"self": here, **parts, "store": Path(store).as_uri()}
+    return {"self": here, **{part: f"{here}/{part}" for part in _PARTS}}
 
 
 def _time(seconds: float | None) -> Any:

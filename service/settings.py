@@ -30,6 +30,12 @@ class Settings(BaseSettings):
     key_seconds: PositiveFloat = 24 * 3600.0  # for which an Idempotency-Key is remembered
     max_points: PositiveInt = 1_000_000  # flights, or cells of a map, in one answer
 
+    max_export_bytes: PositiveInt = 2 * 2**30  # of the sweep behind one file
+    max_exports: PositiveInt = 2  # files being written at a time
+    max_trajectories: PositiveInt = 2  # being computed at a time
+    trajectory_seconds: PositiveFloat = 5.0  # of computing for one of them
+    max_listeners: PositiveInt = 1_000  # to events
+
     active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued
     window: PositiveInt = 2  # chunks in flight per worker, over all jobs
     chunk_tries: PositiveInt = 3  # for a chunk whose worker died
@@ -41,6 +47,11 @@ class Settings(BaseSettings):
     def ledger_path(self) -> Path:
         """The SQLite file that says what is done."""
         return self.data / "ledger.sqlite"
+
+    @property
+    def exports_path(self) -> Path:
+        """Where files lie while they are written."""
+        return self.data.absolute() / "exports"
 
     def store_of(self, job_id: str) -> str:
         """Where a job's zarr store is."""

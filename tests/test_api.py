@@ -152,7 +152,7 @@ def test_jobs_are_listed_newest_first(tmp_path: Path):
         assert everything["total"] == 3
         two = get(client, "/v1/jobs", limit=2)
         assert ([job["spec"]["omega"] for job in two["jobs"]], two["total"]) == ([0.6, 0.5], 3)
-        assert get(client, "/v1/jobs", state="done") == {"jobs": [], "total": 0}
+        assert get(client, "/v1/jobs", state="done") == {"jobs": [], "total": 0, "next": None}
         client.post(f"/v1/jobs/{everything['jobs'][0]['id']}/cancel")
         wait_for(lambda: get(client, "/v1/jobs", state="cancelled")["total"] == 1)
 

@@ -96,7 +96,7 @@ def _run_line(
             raise ChunkCancelled(f"cancelled: {store_url}")
         piece = slice(low, low + step)
         began = time.perf_counter()
-        done = _run_cells(spec, gamma[piece], omega[piece], xi[piece], start)
+        done = run_cells(spec, gamma[piece], omega[piece], xi[piece], start)
         yield piece, done, time.perf_counter() - began
         last = low + len(done.outcome) - 1
         start = _start(done.end_state[-1], done.outcome[-1], Cell(gamma[last], omega[last], xi[last]))
@@ -107,13 +107,14 @@ def _whole_lanes(cells: int) -> int:
     return max(1, cells - cells % 8 if cells > 8 else cells)
 
 
-def _run_cells(
+def run_cells(
     spec: SweepSpec,
     gamma: NDArray[np.float64],
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
     start: Start | None,
 ) -> Line:
+    """Cells (n,) one after the other as a sweep computes them; on a ramp from `start`, or from rest."""
     carry, steps = spec.ramp_axis is not None, steps_of(spec.model)
     return run_line(
         np.ascontiguousarray(gamma),

@@ -1,0 +1,183 @@
+"""A trajectory at evenly spaced phases, exact: each sample is a phase run from its start to there.
+
+For pictures of one cell: the masses above the plate, and the force between. Lengths are in plate
+amplitudes, which is the paper's z omega**2/g divided by Gamma (Fig. 2). Plain Python that calls the
+compiled phases, fast enough for thousands of samples.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.ball import Ball, BallPlate
+from kernel.events import HORIZON, ROOT, Phase
+from kernel.inputs import check_arrays
+from kernel.model import contact, flies, flight, prepare, rest
+from kernel.modes import TWO_PI
+from kernel.params import Cell, Contact, Model
+from kernel.pressed import SoftSpring
+from kernel.rigid import RigidPlate, Spring, normal_force
+from kernel.soft import SoftPlate
+from kernel.stepped import SteppedSpring, stepped_plate
+from kernel.trajectory import BUDGET, SHORTEST_FLIGHT
+
+
+class Trajectory(NamedTuple):
+    """n samples, and the m flights that took off and landed within them."""
+
+    phase: NDArray[np.float64]  # (n,) rad since the start
+    plate: NDArray[np.float64]  # (n,) cos(phase), plate amplitudes
+    gap: NDArray[np.float64]  # (n,) lower mass above the plate
+    elongation: NDArray[np.float64]  # (n,) spring length less its rest length
+    force: NDArray[np.float64]  # (n,) of the plate on the lower mass, in m A omega**2
+    in_flight: NDArray[np.bool_]  # (n,)
+    takeoff: NDArray[np.float64]  # (m,) rad since the start
+    flight_time: NDArray[np.float64]  # (m,) rad
+    complete: bool  # whether it reached the end; samples beyond are NaN
+
+
+class _Point(NamedTuple):
+    """A state at the beginning of a phase."""
+
+    at: float  # rad since the start
+    in_flight: bool
+    gap: float
+    gap1: float
+    q: float
+    q1: float
+
+
+def sample(
+    cell: Cell,
+    law: Contact,
+    state: NDArray[np.float64] | None,
+    *,
+    model: Model,
+    periods: int,
+    samples: int,
+    steps_per_contact: int = 20,
+    scheme: str = "verlet",
+) -> Trajectory:
+    """`samples` per plate period, over `periods` of them, from phase 0.
+
+    `state`: where it starts (see params.STATE_FIELDS), such as a cell's end state; None for rest.
+
+    `stepped` is sampled at the nearest of its own steps. Raises KernelInputError as `ramp.run_line`.
+    """
+    plate = _plate(cell, law, model, steps_per_contact, scheme)
+    spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
+    times = np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
+    return _Walk(spring, times, periods).run(_begin(spring, state))
+
+
+def _plate(cell: Cell, law: Contact, model: Model, steps_per_contact: int, scheme: str) -> Any:
+    """The plate under this one cell."""
+    given = {**cell._asdict(), "restitution": law.restitution, "penetration": law.penetration}
+    arrays = {name: np.array([value], np.float64) for name, value in given.items()}
+    check_arrays(arrays)
+    restitution, penetration = arrays["restitution"], arrays["penetration"]
+    if model == Model.RIGID:
+        return RigidPlate(restitution)
+    if model == Model.BALL:
+        return BallPlate(restitution)
+    if model == Model.SOFT:
+        return SoftPlate(restitution, penetration, law.adhesive)
+    return stepped_plate(restitution, penetration, law.adhesive, steps_per_contact, scheme)
+
+
+def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
+    gap, gap1, q, q1 = rest(spring) if state is None else (float(value) for value in state[2:])
+    return _Point(0.0, bool(flies(spring, 0.0, gap, gap1, q, q1)), gap, gap1, q, q1)
+
+
+class _Walk:
+    """Goes through a trajectory phase by phase and fills in the samples of each."""
+
+    def __init__(self, spring: Any, times: NDArray[np.float64], periods: int) -> None:
+        self._spring, self._times, self._periods = spring, times, periods
+        self._force = _FORCES[type(spring)]
+        self._budget = BUDGET * periods
+        self._gap, self._q, self._n = (np.full(len(times), np.nan) for _ in range(3))
+        self._flies = np.zeros(len(times), np.bool_)
+        self._flights: list[tuple[float, float]] = []
+        self._next = 0  # the first sample not filled in yet
+
+    def run(self, here: _Point) -> Trajectory:
+        """From `here` to the last sample."""
+        end = float(self._times[-1])
+        flew_in = here.in_flight  # its take-off was not seen
+        while self._next < len(self._times):
+            p = self._phase(here, end - here.at)
+            self._fill(here, p.tau, reached_end=p.ending == HORIZON)
+            if here.in_flight and not flew_in and p.ending == ROOT and p.tau > SHORTEST_FLIGHT:
+                self._flights.append((here.at, p.tau))
+            flew_in = flew_in and p.ending != ROOT
+            self._budget -= p.used
+            if p.ending != ROOT or self._budget <= 0:
+                break
+            here = _Point(here.at + p.tau, p.in_flight, p.gap, p.gap1, p.q, p.q1)
+        return self._trajectory()
+
+    def _phase(self, here: _Point, horizon: float) -> Phase:
+        follow = flight if here.in_flight else contact
+        phi = here.at % TWO_PI
+        found: Phase = follow(
+            self._spring, phi, here.gap, here.gap1, here.q, here.q1, max(horizon, 0.0), self._budget
+        )
+        return found
+
+    def _fill(self, here: _Point, tau: float, *, reached_end: bool) -> None:
+        """The samples within a phase that begins `here` and lasts `tau`."""
+        last = len(self._times) if reached_end else int(np.searchsorted(self._times, here.at + tau, "left"))
+        for i in range(self._next, last):
+            x: Any = here
+            if self._times[i] > here.at:
+                x = self._phase(here, float(self._times[i]) - here.at)
+            self._gap[i], self._q[i], self._flies[i] = x.gap, x.q, here.in_flight
+            if here.in_flight:
+                self._n[i] = 0.0
+            else:
+                self._n[i] = self._force(self._spring, math.cos(self._times[i]), x.gap, x.gap1, x.q, x.q1)
+        self._next = max(self._next, last)
+
+    def _trajectory(self) -> Trajectory:
+        flights = np.array(self._flights, np.float64).reshape(-1, 2)
+        return Trajectory(
+            self._times,
+            np.cos(self._times),
+            self._gap,
+            self._q,
+            self._n,
+            self._flies,
+            flights[:, 0],
+            flights[:, 1],
+            self._next == len(self._times),
+        )
+
+
+def _rigid_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return float(normal_force(s, cos, q, q1))
+
+
+def _soft_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return -(s.kappa * gap + s.beta * gap1)
+
+
+def _stepped_force(s: SteppedSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return -(s.contact.kappa * gap + s.contact.beta * gap1)
+
+
+def _ball_force(b: Ball, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return max(b.gravity - cos, 0.0)
+
+
+#: The plate's force in contact, by what a model prepares for a cell.
+_FORCES: Final[dict[type, Callable[..., float]]] = {
+    Spring: _rigid_force,
+    SoftSpring: _soft_force,
+    SteppedSpring: _stepped_force,
+    Ball: _ball_force,
+}

@@ -1,0 +1,78 @@
+"""What every call works with: the service's parts, the job that a path names, and how a job is answered."""
+
+import time
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request, Response
+
+from service import schemas
+from service.errors import UnknownJob, WrongMediaType
+from service.events import Watch
+from service.health import Health
+from service.jobs import UNFINISHED, JobRecord
+from service.ledger import Ledger
+from service.lifecycle import Lifecycle
+from service.metrics import Metrics
+from service.queries import Sweep
+from service.settings import Settings
+from service.turns import Turns
+from worker.spec import SweepSpec
+
+
+@dataclass(frozen=True)
+class Service:
+    """What the calls work with; lives as long as the application runs."""
+
+    settings: Settings
+    ledger: Ledger
+    lifecycle: Lifecycle
+    health: Health
+    watch: Watch
+    metrics: Metrics
+    exports: Turns
+    trajectories: Turns
+
+
+def _service(request: Request) -> Service:
+    service: Service = request.app.state.service
+    return service
+
+
+TheService = Annotated[Service, Depends(_service)]
+
+
+def _job(job_id: str, service: TheService) -> JobRecord:
+    job = service.ledger.find(job_id)
+    if job is None:
+        raise UnknownJob.of(job_id)
+    return job
+
+
+async def _json_body(request: Request) -> bytes:
+    """The body, if it says that it is JSON: a form on some other web page cannot say so."""
+    declared = request.headers.get("content-type", "")
+    if declared.partition(";")[0].strip().lower() != "application/json":
+        raise WrongMediaType("send the specification as JSON, with the header Content-Type: application/json")
+    return await request.body()
+
+
+TheJob = Annotated[JobRecord, Depends(_job)]
+JsonBody = Annotated[bytes, Depends(_json_body)]
+
+
+def view(job: JobRecord, status: int, headers: dict[str, str] | None = None) -> Response:
+    """A job as an answer."""
+    content = schemas.job_view(job, time.time()).model_dump_json()
+    return Response(content, status, headers, "application/json")
+
+
+def seconds_to_wait(job: JobRecord) -> int | None:
+    """When to look again: the longer a job takes, the more seldom; None for at once or never."""
+    left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
+    return None if left is None or left < 2 else int(min(max(left / 20, 1), 10))
+
+
+def sweep(service: Service, job: JobRecord) -> Sweep:
+    """What a job was asked and where its results are."""
+    return Sweep(SweepSpec.from_json(job.spec), service.settings.store_of(job.id))
