@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worker.plan import (
+    COST_US,
     FEWEST_CHUNKS,
     TARGET_SECONDS,
     Chunk,
@@ -144,7 +145,7 @@ def test_lines_of_a_ramp_are_independent():
 
 
 def test_small_job_is_cut_so_that_it_shows_progress_and_uses_both_workers():
-    assert len(make_plan(sweep(gamma=1000))) == FEWEST_CHUNKS
+    assert len(make_plan(sweep(gamma=2000))) == FEWEST_CHUNKS
 
 
 def test_tiny_job_is_one_chunk():
@@ -213,7 +214,23 @@ def test_estimate_counts_what_the_store_holds():
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 2 + 2 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(found.cells * 300 * 0.6e-6)
+    assert found.core_seconds == pytest.approx(found.cells * 300 * COST_US["rigid"] * 1e-6)
+
+
+def test_time_steps_are_counted():
+    """A contact of d = 1e-3 and e = 0.01 lasts 1.78 times pi*d; see kernel.isolated."""
+    coarse, fine, deep = (
+        estimate(sweep(model={"kind": "stepped", "steps_per_contact": n, "penetration": d})).core_seconds
+        for n, d in ((20, 1e-3), (100, 1e-3), (20, 1e-2))
+    )
+    assert fine / coarse == pytest.approx(5.0, rel=1e-3)
+    assert coarse / deep == pytest.approx(10.0, rel=1e-2)
+    assert coarse == pytest.approx(300 * 20 / (1.778 * 0.5e-3) * COST_US["stepped"] * 1e-6, rel=1e-2)
+
+
+def test_a_model_to_be_chosen_costs_at_most_the_exact_one():
+    auto, exact = (estimate(sweep(gamma=100, model={"kind": kind})) for kind in ("auto", "soft"))
+    assert auto == exact
 
 
 def test_estimate_of_an_absurd_sweep_takes_neither_time_nor_memory():

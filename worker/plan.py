@@ -17,13 +17,15 @@ from typing import Final, NamedTuple, overload
 
 import numpy as np
 
-from worker.contacts import penetration_of
+from kernel.steps import steps_per_period
+from worker.contacts import Stepped, penetration_of
 from worker.layout import bytes_per_cell
 from worker.problems import Problem, SpecTooLarge
 from worker.spec import AXES, SweepSpec
 
-#: Core-microseconds of one cell for one plate period. `stepped` goes like 1/d, here at d = 1e-3.
-COST_US: Final = {"rigid": 0.6, "soft": 8.0, "ball": 0.1, "stepped": 240.0, "auto": 8.0}
+#: Core-microseconds of one cell for one plate period, measured by benchmarks/tradeoff.py over cells of
+#: all kinds; for `stepped` of one time step. `auto` costs at most what the exact contact does.
+COST_US: Final = {"ball": 0.1, "rigid": 0.4, "soft": 4.0, "auto": 4.0, "stepped": 0.012}
 
 #: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small
 #: enough to show progress, to lose little, and to share out a small job.
@@ -165,12 +167,18 @@ def make_plan(
 
 def cell_seconds(spec: SweepSpec) -> float:
     """Core-seconds one cell of the sweep takes, from the table above."""
-    cost = COST_US[spec.model.kind]
-    if spec.model.kind == "stepped":
-        gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
-        depths = penetration_of(spec.model, gamma[[0, -1]], omega[[0, -1]])
-        cost *= 1e-3 / float(np.sqrt(np.prod(depths)))
-    return cost * 1e-6 * (spec.settle + spec.observe)
+    return COST_US[spec.model.kind] * _steps(spec) * 1e-6 * (spec.settle + spec.observe)
+
+
+def _steps(spec: SweepSpec) -> float:
+    """Time steps in a plate period, in the middle of the sweep; 1 for models that take none."""
+    model = spec.model
+    if not isinstance(model, Stepped):
+        return 1.0
+    gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
+    depths = penetration_of(model, gamma[[0, -1]], omega[[0, -1]])
+    steps = steps_per_period(model.restitution, depths, model.steps_per_contact, adhesive=model.adhesive)
+    return float(np.sqrt(np.prod(steps.astype(float))))
 
 
 def estimate(spec: SweepSpec, plan: Plan | None = None) -> Estimate:

@@ -1,0 +1,212 @@
+"""Which model `auto` takes, why, and how far two models are said to be apart."""
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kernel_runs import run
+
+from kernel.params import KERNEL_VERSION, Line, Model
+from worker.choice import CELLS, Choice, choose, resolved, sample
+from worker.contacts import Ball, Rigid, Soft
+from worker.deviation import deviations
+from worker.spec import SweepSpec
+
+RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
+STIFF = {"restitution": 0.0, "penetration": 1e-6}
+
+
+def sweep(tolerance: float = 1e-2, **given) -> SweepSpec:
+    model = {"kind": "auto", "tolerance": tolerance, **given.pop("model", {})}
+    return SweepSpec(**({"gamma": RANGE, "omega": 0.5, "xi": 0.26} | given), model=model)
+
+
+def percentiles(choice: Choice) -> dict[str, float | None]:
+    return {rung.model: rung.percentile_95 for rung in choice.table}
+
+
+# What is chosen
+
+
+def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
+    choice = choose(sweep(1e-4, model=STIFF))
+    assert choice.model == "rigid"
+    assert [rung.model for rung in choice.table] == ["ball", "rigid", "soft"]
+    assert all(rung.cells == CELLS for rung in choice.table)
+    assert percentiles(choice)["rigid"] < 1e-5
+    assert percentiles(choice)["ball"] > 1.0
+    assert percentiles(choice)["soft"] == 0.0
+    assert choice.reason.startswith(
+        "rigid: the cheapest within 0.0001 rad of exact soft in 95% of the cells (48"
+    )
+    assert all(rung.measured > 0.0 for rung in choice.table)
+
+
+def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
+    """Its small hops after a landing are longer than the tolerance."""
+    choice = choose(sweep(1e-4, model={"restitution": 0.1, "penetration": 1e-2}))
+    assert choice.model == "soft"
+    assert percentiles(choice)["rigid"] > 1e-4
+
+
+def test_where_everything_rests_a_ball_will_do():
+    assert choose(sweep(1e-9, gamma={"start": 0.1, "stop": 0.5, "num": 20})).model == "ball"
+
+
+def test_a_locked_dashpot_is_a_ball():
+    """MODEL section 5: overdamped, the spring relaxes within 1/(2 xi Omega) rad."""
+    choice = choose(sweep(0.2, omega=5.0, xi=200.0, model=STIFF))
+    assert choice.model == "ball"
+    assert percentiles(choice)["ball"] < 0.2
+
+
+def test_a_ball_that_bounces_where_the_spring_rests_has_no_bound():
+    """Omega = 1.4, xi = 0.05: the spring's threshold is above 5, the ball's is 1."""
+    choice = choose(sweep(1.0, omega=1.4, xi=0.05, gamma={"start": 2.0, "stop": 4.0, "num": 30}))
+    assert percentiles(choice)["ball"] is None
+    assert choice.model == "rigid"
+    assert "ball unbounded" in choice.reason
+
+
+def test_ramps_are_compared_along_their_own_lines():
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
+    spec = sweep(
+        1e-2, model=STIFF, gamma={"start": 0.5, "stop": 3.0, "num": 40}, omega=[0.5, 0.9], protocol=ramp
+    )
+    choice = choose(spec)
+    assert choice.model == "rigid"
+    assert choice.table[0].cells == 2 * 2 * 12
+
+
+def test_the_error_of_settling_cut_short_is_measured_too():
+    slow = {"gamma": [0.3, 0.5], "omega": 1.0, "xi": 0.01, "settle": 800, "observe": 20}
+    rough = choose(sweep(1e-9, **slow, settle_tolerance=0.05, model={"restitution": 0.0}))
+    assert 1e-6 < percentiles(rough)["soft"] < 1e-3
+    assert rough.model == "soft"
+    assert "no model holds 1e-09 rad" in rough.reason
+
+
+def test_the_same_sweep_always_gets_the_same_model_for_the_same_reasons():
+    spec = sweep(1e-2, omega=[0.5, 0.67, 1.0])
+    one, two = choose(spec), choose(SweepSpec.from_json(json.dumps(spec.as_submitted())))
+    assert one.lasting() == two.lasting()
+    assert "measured" not in json.dumps(one.lasting())
+    assert Choice.model_validate_json(one.model_dump_json()) == one
+
+
+def test_a_sweep_computed_with_its_choice_keeps_its_contact():
+    spec = sweep(model={"restitution": 0.2, "penetration": 1e-2, "adhesive": False})
+    exact = Soft(restitution=0.2, penetration=1e-2, adhesive=False)
+    kinds = {"soft": exact, "rigid": Rigid(kind="rigid", restitution=0.2), "ball": Ball(kind="ball")}
+    for kind, model in kinds.items():
+        choice = Choice(model=kind, reason="", tolerance=1e-2, table=())
+        assert resolved(spec, choice).model == model
+        assert resolved(spec, choice).settle == spec.settle
+
+
+def test_a_tolerance_is_part_of_what_is_asked():
+    assert sweep(1e-2).job_id(KERNEL_VERSION) != sweep(1e-3).job_id(KERNEL_VERSION)
+
+
+def test_nothing_to_choose_where_a_model_is_named():
+    with pytest.raises(TypeError, match="the sweep's model is rigid: there is nothing to choose"):
+        choose(SweepSpec(gamma=2.0, omega=0.5, xi=0.26, model={"kind": "rigid"}))
+
+
+# The sample
+
+
+@settings(max_examples=30)
+@given(st.integers(1, 300), st.integers(1, 60), st.integers(1, 60))
+def test_a_sample_visits_every_part_of_every_axis(gamma, omega, xi):
+    lengths = {"gamma": gamma, "omega": omega, "xi": xi}
+    axes = {name: (np.arange(n) + 1.0).tolist() for name, n in lengths.items()}
+    (line,) = sample(sweep(**axes))
+    assert len(line.gamma) == len({*zip(line.gamma, line.omega, line.xi, strict=True)}) <= CELLS
+    for name, n in lengths.items():
+        values = np.unique(getattr(line, name))
+        assert np.all(np.isin(values, axes[name]))
+        if n <= CELLS:
+            assert len(values) == n
+        else:
+            assert len(values) == CELLS
+            assert max(b - a for a, b in pairwise(values)) <= 2 * math.ceil(n / CELLS)
+
+
+def test_a_sample_of_a_ramp_goes_its_way():
+    ramp = {"kind": "ramp", "axis": "omega", "direction": "both"}
+    lines = list(sample(sweep(gamma=RANGE, omega={"start": 0.5, "stop": 1.0, "num": 6}, protocol=ramp)))
+    assert len(lines) == 4
+    for line in lines:
+        assert line.omega.tolist() == [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.0, 0.9, 0.8, 0.7, 0.6, 0.5]
+        assert len(set(line.gamma)) == 1
+    assert len({line.gamma[0] for line in lines}) == 4
+
+
+# The deviation
+
+
+def cell(gamma: float, model: Model = Model.RIGID, *, settle: int = 300, observe: int = 100, **given) -> Line:
+    return run(gamma, 0.5, 0.26, model, settle=settle, observe=observe, keep=512, **given)
+
+
+def between(one: Line, two: Line, micro_flight: float = 0.0) -> float:
+    (found,) = deviations(one, two, micro_flight)
+    return float(found)
+
+
+def test_cycles_are_compared_flight_by_flight_wherever_they_begin():
+    one, two = cell(2.3), cell(2.3, settle=301)
+    assert one.bounces[0] == 2
+    assert between(one, two) < 1e-9
+    soft = cell(2.3, Model.SOFT, penetration=1e-3)
+    assert 1e-4 < between(one, soft) < 5e-3
+
+
+def test_a_cycle_and_its_double_are_laid_side_by_side():
+    """MODEL section 5: (1,1) at Gamma = 1.5 and (2,2) at 2.3."""
+    expected = max(4.855013427295 - 3.722384327764, 6.284615845152 - 4.855013427295)
+    assert between(cell(1.5), cell(2.3)) == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_hop_that_only_one_model_has_counts_whole():
+    hopping, plain = cell(1.5, Model.SOFT, restitution=0.1), cell(1.5)
+    hops = np.sort(hopping.flight_time[0, : hopping.bounces[0]])
+    assert len(hops) == 3
+    assert between(plain, hopping) == pytest.approx(hops[-2], abs=1e-12)
+    without = cell(1.5, Model.SOFT, restitution=0.1, micro_flight=0.2)
+    assert between(plain, without, 0.2) < 5e-3
+
+
+def test_chaos_is_compared_by_its_distribution():
+    aperiodic = cell(5.0)
+    assert aperiodic.bounces[0] == 0
+    assert between(aperiodic, cell(1.5)) > 1.0
+
+
+def test_a_window_of_chaos_is_seldom_told_from_the_next():
+    gamma = np.linspace(4.6, 6.0, 100)
+    one, two, ball = (
+        run(gamma, 0.5, 0.26, model, settle=settle, observe=100, keep=512, restitution=e)
+        for model, settle, e in ((Model.RIGID, 300, 0.0), (Model.RIGID, 400, 0.0), (Model.BALL, 300, 0.25))
+    )
+    aperiodic = one.outcome == 2
+    assert np.mean(deviations(one, two, 0.0)[aperiodic] > 0.05) < 0.12
+    assert np.mean(deviations(one, ball, 0.0)[aperiodic] > 0.05) > 0.9
+
+
+def test_resting_cells_must_rest():
+    resting, bouncing = cell(0.5), cell(1.5)
+    assert between(resting, cell(0.4)) == 0.0
+    assert between(resting, bouncing) == between(bouncing, resting) == math.inf
+
+
+def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
+    good = cell(1.5)
+    bad = good._replace(outcome=np.array([4], dtype=np.uint8))
+    assert math.isnan(between(bad, good))
+    assert between(good, bad) == math.inf
