@@ -4,13 +4,18 @@ import ast
 import subprocess
 import sys
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 import grimp
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = tuple(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = PYPROJECT["project"]
+PACKAGES = tuple(PYPROJECT["tool"]["setuptools"]["packages"])
 TOP_LEVEL = tuple(package for package in PACKAGES if "." not in package)
 SOURCES = tuple(sorted(path for package in TOP_LEVEL for path in (ROOT / package).rglob("*.py")))
 OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
@@ -91,6 +96,32 @@ def test_room_uses_only_its_libraries(imports: grimp.ImportGraph, room: str):
 def test_room_reaches_only_its_neighbours(imports: grimp.ImportGraph, room: str):
     rooms = {module for module in reached(imports, room) if is_ours(module) and module not in PACKAGES}
     assert {module for module in rooms if not any(within(module, one) for one in ROOMS[room])} == set()
+
+
+def libraries_imported(*folders: str) -> set[str]:
+    """Top-level names of what the files of these folders import, less Python's and the project's own."""
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    nodes = [node for path in files for node in ast.walk(ast.parse(path.read_text()))]
+    named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    named |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    neighbours = {path.stem for path in files} | {*OURS}
+    return {name.split(".", maxsplit=1)[0] for name in named} - sys.stdlib_module_names - neighbours
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [(TOP_LEVEL, ["s3"]), (["tests"], ["test"]), (["benchmarks"], ["bench", "test"])],
+    ids=["program", "tests", "benchmarks"],
+)
+def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Sequence[str]):
+    wanted = [
+        *PROJECT["dependencies"],
+        *(one for name in extras for one in PROJECT["optional-dependencies"][name]),
+    ]
+    asked_for = {canonicalize_name(Requirement(one).name) for one in wanted}
+    other_name = {"yaml": "pyyaml", "sksundae": "scikit-sundae"}
+    imported = {canonicalize_name(other_name.get(name, name)) for name in libraries_imported(*folders)}
+    assert imported - asked_for == set()
 
 
 def test_packages_are_the_three_of_the_design():

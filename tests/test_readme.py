@@ -100,12 +100,17 @@ def test_every_dask_command_is_one():
         parse({"scheduler": dask_scheduler.main, "worker": dask_worker.main}[name], [name, *words])
 
 
-def test_table_of_fields_is_that_of_the_specification():
+def test_tables_of_fields_and_models_are_those_of_the_specification():
+    from worker.contacts import MODELS
     from worker.spec import SweepSpec
 
-    (table,) = re.findall(r"^### What a sweep says\n\n(.*?)\n\n", README, re.MULTILINE | re.DOTALL)
-    named = re.findall(r"`(\w+)`", " ".join(row.split(" | ")[0] for row in table.splitlines()))
-    assert sorted(named) == sorted(SweepSpec.model_fields)
+    section = re.search(r"^### What a sweep says\n\n(.*?)\n\n(.*?)\n\n", README, re.MULTILINE | re.DOTALL)
+    assert section
+    fields, models = (
+        " ".join(row.split(" | ")[0] for row in table.splitlines()) for table in section.groups()
+    )
+    assert sorted(re.findall(r"`(\w+)`", fields)) == sorted(SweepSpec.model_fields)
+    assert re.findall(r"`(\w+)`", models) == list(MODELS)
 
 
 def test_sweep_in_a_file_is_valid():
