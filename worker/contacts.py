@@ -156,8 +156,8 @@ AnyContact = Soft | Stepped | Rigid | Ball | Auto
 
 
 def kernel_model(model: AnyContact) -> Model:
-    """The kernel's name for a specification's model."""
-    return Model[model.kind.upper()]
+    """The kernel's name for a specification's model; where none has been chosen yet, the exact one's."""
+    return Model.SOFT if isinstance(model, Auto) else Model[model.kind.upper()]
 
 
 def penetration_of(
