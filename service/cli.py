@@ -178,7 +178,7 @@ def _service(url: str | None, given: dict[str, str | int | None]) -> Iterator[st
         return
     from service import embedded
 
-    click.echo("starting a service and its workers (the first time, half a minute to compile)", err=True)
+    click.echo("starting a service and its workers (the first time, a minute to compile)", err=True)
     with embedded.running(embedded.settings(**given, host="127.0.0.1", port=0)) as address:
         yield address
 

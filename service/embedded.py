@@ -21,6 +21,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.app import create_app
 from service.client.errors import BounceError
 from service.errors import ServiceError
+from service.ledger import Ledger
 from service.settings import Settings
 from worker.executors import ClusterLost, Dask, Executor
 
@@ -188,7 +189,7 @@ def _means(settings: Settings) -> str:
 
 @contextmanager
 def _listening(settings: Settings) -> Iterator[socket.socket]:
-    """A socket bound to the address of the settings, before anything slow is started."""
+    """A socket bound to the address of the settings; like the data folder, tried before the slow start."""
     host, port = settings.host, settings.port
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -198,7 +199,15 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
     # Connections inherit it; without, each answer waits 40 ms for an acknowledgement of its head.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with listener:
+        _try_data_folder(settings)
         yield listener
+
+
+def _try_data_folder(settings: Settings) -> None:
+    try:
+        Ledger(settings.ledger_path).close()
+    except (ServiceError, OSError) as error:
+        raise _not_started(error) from error
 
 
 @contextmanager
