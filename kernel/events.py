@@ -13,7 +13,7 @@ smooth part, its amplitude alone bounds it and the steps stay as wide as the pla
 import math
 from typing import Any, Final, NamedTuple
 
-from kernel.jit import by_type, jit
+from kernel.jit import by_type, inlined, jit
 
 #: How a search ends.
 ROOT: Final = 0
@@ -64,7 +64,7 @@ def terms(phase: Any, tau: float) -> Terms:
     raise TypeError(f"no phase function for {type(phase).__name__}")
 
 
-@jit
+@inlined
 def departure_step(f2: float, f3: float, f4: float) -> float:
     """A first step from F = F' = 0: half of where f2/2 + f3 s/6 - f4 s^2/24 reaches zero."""
     half = 2.0 * f3 / f4

@@ -22,9 +22,17 @@ _OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
 
 
 def jit(function: _Function) -> _Function:
-    """Compile without the GIL and without exceptions; IEEE arithmetic, every operation as written."""
-    cache = "NUMBA_CACHE_DIR" in os.environ
-    return cast(_Function, numba.njit(cache=cache, **_OPTIONS)(function))
+    """Compile without the GIL and without exceptions, IEEE arithmetic as written."""
+    return cast(_Function, numba.njit(cache=_cached(), **_OPTIONS)(function))
+
+
+def inlined(function: _Function) -> _Function:
+    """As `jit`, but made part of its caller: for what a lane does every phase, where a call costs as much."""
+    return cast(_Function, numba.njit(cache=_cached(), forceinline=True, **_OPTIONS)(function))
+
+
+def _cached() -> bool:
+    return "NUMBA_CACHE_DIR" in os.environ
 
 
 class by_type:  # noqa: N801 - a decorator

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from kernel.elementary import exp, sincos
 from kernel.events import EPS
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 from kernel.oscillator import NEAR_CRITICAL, Oscillator
 
 #: Lanes: two vectors of eight doubles, so that one computes while the other waits.
@@ -24,9 +24,6 @@ LANES: Final = 16
 #: Evaluations after which a lane's search is handed to `events.first_root`.
 PATIENCE: Final = 60
 
-#: How much wider than its last step a lane tries the next.
-WIDEN: Final = 1.5
-
 #: A lane's status after `advance`.
 SEARCHING: Final = 0.0
 AT_ROOT: Final = 1.0  # the zero is MOVE away from TAU
@@ -34,21 +31,21 @@ AT_HORIZON: Final = 2.0
 STRAYED: Final = 3.0  # patience ran out, or a number stopped being finite
 
 # Rows of the table of lanes, each LANES wide: what a phase is, ...
-(PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, UNDER, STIFFNESS, Y0, V0) = range(10)
-(P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(10, 19)
+(PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, STIFFNESS, Y0, V0) = range(11)
+(P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(11, 20)
 # ... where the search for its root stands, and what F's last evaluation gave.
-(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(19, 29)
-ROWS: Final = 29
+(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(20, 30)
+ROWS: Final = 30
 
 
-@jit
+@inlined
 def fits(osc: Oscillator) -> bool:
     """Whether lanes can compute this oscillator: all but nearly critical and very slow ones."""
     near = osc.discriminant >= 0.0 and osc.root <= NEAR_CRITICAL * osc.damping
     return not near and osc.rate > 0.03
 
 
-@jit
+@inlined
 def load(
     table: Any, k: int, osc: Oscillator, phi: float, y: float, v: float, start: float, horizon: float
 ) -> None:
@@ -59,18 +56,19 @@ def load(
     table[INVERSE * LANES + k] = 1.0 / osc.root
     table[SLOW * LANES + k] = osc.slow
     table[RATE * LANES + k] = math.sqrt(osc.stiffness)
+    table[PERIOD * LANES + k] = 1.0 / math.sqrt(osc.stiffness)
     table[UNDER * LANES + k] = 1.0 if osc.discriminant < 0.0 else 0.0
     table[STIFFNESS * LANES + k] = osc.stiffness
     table[Y0 * LANES + k] = y
     table[V0 * LANES + k] = v
     table[HORIZON * LANES + k] = horizon
     table[TAU * LANES + k] = min(start, horizon)
-    table[GUESS * LANES + k] = 0.5
+    table[GUESS * LANES + k] = min(0.5, 4.0 / osc.rate)
     table[CLOSING * LANES + k] = 0.0
     table[COUNT * LANES + k] = 0.0
 
 
-@jit
+@inlined
 def coefficients(
     table: Any, k: int, p: float, r: float, k0: float, k1: float, k2: float, a: float, b: float
 ) -> None:
@@ -84,6 +82,15 @@ def coefficients(
     table[B * LANES + k] = b
     ring = abs(p * table[Y0 * LANES + k]) + abs(r * table[V0 * LANES + k])
     table[NOISE * LANES + k] = 4.0 * EPS * (abs(k0) + abs(a) + abs(b) + ring)
+
+
+@jit
+def _parabola(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
+    """One round of events.safe_step: a step of at most h on which F stays positive."""
+    curve = max(-f2 - min(f3, 0.0) * h + 0.5 * f4 * h * h, 1e-300)
+    root = math.sqrt(f1 * f1 + 2.0 * curve * f0)
+    rising = f1 > 0.0
+    return min((f1 + root if rising else 2.0 * f0) / (curve if rising else root - f1), h)
 
 
 @jit
@@ -110,17 +117,21 @@ def advance(table: Any) -> None:  # noqa: PLR0915 - one loop body is what become
         y3 = -2.0 * damping * y2 - stiffness * y1
         y4 = -2.0 * damping * y3 - stiffness * y2
         y5 = -2.0 * damping * y4 - stiffness * y3
-        # F, its derivatives, and a bound on the fourth from now on
+        # F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
         p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
         k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
+        rate, period = table[RATE * LANES + k], table[PERIOD * LANES + k]
         wave, wave1 = a * cos + b * sin, b * cos - a * sin
-        f0 = k0 + (k1 - k2 * tau) * tau + wave + (p * y + r * y1)
-        f1 = k1 - 2.0 * k2 * tau + wave1 + (p * y1 + r * y2)
-        f2 = -2.0 * k2 - wave + (p * y2 + r * y3)
-        f3 = -wave1 + (p * y3 + r * y4)
-        rate = table[RATE * LANES + k]
-        swing = abs(p) * (abs(y4) + rate * abs(y3)) + abs(r) * (abs(y5) + rate * abs(y4))
-        f4 = abs(a) + abs(b) + swing
+        smooth, smooth1 = k0 + (k1 - k2 * tau) * tau + wave, k1 - 2.0 * k2 * tau + wave1
+        smooth2, smooth3, smooth4 = -2.0 * k2 - wave, -wave1, abs(a) + abs(b)
+        f0, f1 = smooth + (p * y + r * y1), smooth1 + (p * y1 + r * y2)
+        f2, f3 = smooth2 + (p * y2 + r * y3), smooth3 + (p * y3 + r * y4)
+        half = 0.5 * table[INVERSE * LANES + k]
+        swing, swing1 = abs(y4) + rate * abs(y3), abs(y5) + rate * abs(y4)
+        fade = half * (abs(slow * (y4 - fast * y3)) + abs(fast * (slow * y3 - y4)))
+        fade1 = half * (abs(slow * (y5 - fast * y4)) + abs(fast * (slow * y4 - y5)))
+        f4 = smooth4 + abs(p) * (swing if under else fade) + abs(r) * (swing1 if under else fade1)
+        clear = smooth - abs(p) * (abs(y) + period * abs(y1)) - abs(r) * (abs(y1) + period * abs(y2))
         # where F surely falls through zero at once, Halley's step, else one that cannot miss a zero
         inverse = 1.0 / f1
         newton, bend = -f0 * inverse, 0.5 * f2 * inverse
@@ -131,10 +142,9 @@ def advance(table: Any) -> None:  # noqa: PLR0915 - one loop body is what become
         falls = (f1 < 0.0) & (f0 > 0.0) & (f0 + steepest * width < 0.0)
         closing = 1.0 if falls else table[CLOSING * LANES + k]
         positive, guess = max(f0, 0.0), table[GUESS * LANES + k]
-        curve = max(-f2 - min(f3, 0.0) * guess + 0.5 * f4 * guess * guess, 1e-300)
-        chord = math.sqrt(f1 * f1 + 2.0 * curve * positive)
-        rising = f1 > 0.0
-        step = min((f1 + chord if rising else 2.0 * positive) / (curve if rising else chord - f1), guess)
+        step = _parabola(positive, f1, f2, f3, f4, guess)
+        over = _parabola(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
+        step = max(step, over if clear > 0.0 else 0.0)
         # how this evaluation ends
         horizon = table[HORIZON * LANES + k]
         noise = table[NOISE * LANES + k] + 2.0 * EPS * (abs(k1) + k2 * tau) * tau
@@ -147,7 +157,7 @@ def advance(table: Any) -> None:  # noqa: PLR0915 - one loop body is what become
         status = STRAYED if lost_way else status
         onward = min(tau + (move if closing > 0.0 else step), horizon)
         table[TAU * LANES + k] = onward if status == SEARCHING else tau
-        table[GUESS * LANES + k] = WIDEN * step
+        table[GUESS * LANES + k] = (4.0 if step >= guess else 1.5) * step
         table[CLOSING * LANES + k] = closing
         table[COUNT * LANES + k] = count
         table[STATUS * LANES + k] = status

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from kernel.events import HORIZON, ROOT, Phase, departure_step
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 from kernel.lanes import (
     AT_ROOT,
     COS,
@@ -57,7 +57,7 @@ BRIEF: Final = 0.05
 TIMID: Final = 1e-4
 
 
-@jit
+@inlined
 def _load_stuck(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float) -> bool:
     h = run.q - s.sag - (s.q_re * cos - s.q_im * sin)
     h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
@@ -69,7 +69,7 @@ def _load_stuck(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: f
     return True
 
 
-@jit
+@inlined
 def _load_flight(
     table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
@@ -85,12 +85,12 @@ def _load_flight(
     return True
 
 
-@jit
+@inlined
 def _brief(table: Any, k: int, run: Progress) -> bool:
     return run.in_flight and table[STATUS * LANES + k] == AT_ROOT and table[TAU * LANES + k] < BRIEF
 
 
-@jit
+@inlined
 def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, float, float]:
     """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
     sin, cos = table[SIN * LANES + k], table[COS * LANES + k]
@@ -128,7 +128,7 @@ def _by_itself(s: Spring, run: Progress, window: Window) -> Phase:
     return p
 
 
-@jit
+@inlined
 def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, window: Window) -> bool:
     """Put the next phase into lane k, unless it is better done by itself."""
     horizon = horizon_of(run, window)
@@ -151,7 +151,7 @@ def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
 def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line) -> None:
     """Run a line of independent cells from rest; arrays as in ramp.run_line."""
     table = np.zeros(ROWS * LANES)
-    rings = [room_for_flights(line.flight_time.shape[1]) for _ in range(LANES)]
+    flights = room_for_flights(line.flight_time.shape[1], LANES)
     springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
     runs = [begin(state, window) for _ in range(LANES)]
@@ -169,14 +169,14 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     begun += 1
                 elif table[STATUS * LANES + k] == STRAYED or _brief(table, k, runs[k]):
                     p = _by_itself(springs[k], runs[k], window)
-                    runs[k] = record(runs[k], p, window, rings[k])
+                    runs[k] = record(runs[k], p, window, flights, k * flights.size)
                     sin, cos = math.sin(runs[k].phase), math.cos(runs[k].phase)
                 else:
                     p, sin, cos = _phase_of(table, k, springs[k], runs[k])
-                    runs[k] = record(runs[k], p, window, rings[k])
+                    runs[k] = record(runs[k], p, window, flights, k * flights.size)
                 if runs[k].ending != ROOT:
                     leave(runs[k], state)
-                    write(line, index[k], runs[k], rings[k], state, window)
+                    write(line, index[k], runs[k], flights, k * flights.size, state, window)
                     index[k] = -1
                     left -= 1
                 else:

@@ -7,7 +7,7 @@ obeys the same equation, which gives n'', gap''' and so on without differencing.
 import math
 from typing import Final, NamedTuple
 
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 
 #: Below this ratio of sqrt(D) to a the overdamped formulas give way to ones continuous through D = 0.
 NEAR_CRITICAL: Final = 0.1
@@ -67,16 +67,24 @@ def motion(osc: Oscillator, x0: float, v0: float, tau: float) -> tuple[float, fl
     return x0 * cosine + v0 * sine, v0 * sine1 - osc.stiffness * sine * x0
 
 
-@jit
+@inlined
 def derivatives(osc: Oscillator, x: float, v: float) -> tuple[float, float, float]:
-    """x'', x''' and a bound on |x''''| from now on."""
+    """Second and third derivative, and a bound on the fourth from now on.
+
+    The energy of the third bounds it. So, overdamped, does the sum of what the two roots
+    contribute, which is tighter once the fast one has died away.
+    """
     x2 = -2.0 * osc.damping * v - osc.stiffness * x
     x3 = -2.0 * osc.damping * x2 - osc.stiffness * v
     x4 = -2.0 * osc.damping * x3 - osc.stiffness * x2
-    return x2, x3, math.sqrt(x4 * x4 + osc.stiffness * x3 * x3)
+    bound = math.sqrt(x4 * x4 + osc.stiffness * x3 * x3)
+    if osc.discriminant > 0.0:
+        roots = abs(osc.slow * (x4 - osc.fast * x3)) + abs(osc.fast * (osc.slow * x3 - x4))
+        bound = min(bound, roots / (2.0 * osc.root))
+    return x2, x3, bound
 
 
-@jit
+@inlined
 def envelope(osc: Oscillator, x: float, v: float) -> float:
     """A bound on |x| from now on: the energy v**2 + w x**2 never grows."""
     return math.sqrt(x * x + v * v / osc.stiffness)

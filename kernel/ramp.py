@@ -30,7 +30,7 @@ def _walk(
     carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
 ) -> None:  # fmt: skip
     """Run a line cell by cell, from `state` in the units of `before` = (gamma, omega) if `started`."""
-    flights = room_for_flights(line.flight_time.shape[1])
+    flights = room_for_flights(line.flight_time.shape[1], 1)
     for i in range(len(gamma)):
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
         if carry and started:
@@ -42,7 +42,7 @@ def _walk(
         state[1] = 1.0 if in_flight else 0.0
         run = run_cell(cell, state, window, flights)
         leave(run, state)
-        write(line, i, run, flights, state, window)
+        write(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
         started = run.ending != BROKEN  # nothing can be carried on from there
 

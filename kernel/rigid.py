@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kernel.cascade import collapses
 from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import landing, state_after, take_off
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 from kernel.model import contact, flies, flight, prepare, rest
 from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
 
@@ -84,7 +84,7 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
     )
 
 
-@jit
+@inlined
 def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
     """n if the lower mass moved with the plate (Eq. 8), cos being the plate's position."""
     return s.gravity - cos - s.dashpot * q1 - s.stiffness * q
@@ -166,7 +166,7 @@ def _flight(
     return land(s, math.sin(phi + tau), math.cos(phi + tau), tau, gap1, q, q1, used)
 
 
-@jit
+@inlined
 def land(
     s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
 ) -> Phase:

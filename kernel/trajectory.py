@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.events import BROKEN, HORIZON, ROOT, Phase
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 from kernel.model import contact, flight
 from kernel.modes import REPEATS, TWO_PI, find_cycle
 from kernel.params import Line, Outcome
@@ -44,11 +44,16 @@ class Window(NamedTuple):
 
 
 class Flights(NamedTuple):
-    """The last flights of a cell, a ring: the newest is at (recorded - 1) % size. All arrays (size,)."""
+    """The last flights of some lanes of cells, a ring of `size` for each.
+
+    A lane's newest is at first + (recorded - 1) % size, `first` being size times the lane's number.
+    All arrays (lanes * size,).
+    """
 
     time: Any  # float64, rad
     phase: Any  # float64, rad modulo 2 pi, at take-off
     period: Any  # int64, plate periods since the cell began, at take-off
+    size: int
 
 
 class Progress(NamedTuple):
@@ -90,16 +95,19 @@ def begin(state: Any, window: Window) -> Progress:
     )
 
 
-@jit
+@inlined
 def horizon_of(run: Progress, window: Window) -> float:
     """Rad from now to the window's end."""
     return TWO_PI * (window.settle + window.observe - run.period) - run.phase
 
 
-@jit
-def record(run: Progress, p: Phase, window: Window, flights: Flights) -> Progress:
-    """The run after phase `p`; a flight that took off and landed inside the window goes to `flights`."""
-    turns = math.floor((run.phase + p.tau) / TWO_PI)
+@inlined
+def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
+    """The run after phase `p`; a flight that took off and landed inside the window goes to `flights`.
+
+    `first`: where the lane's part of `flights` begins.
+    """
+    turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
     phase = run.phase + p.tau - TWO_PI * turns
     period = run.period + turns
     settling = period < window.settle
@@ -110,12 +118,12 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights) -> Progres
         flew = flew or (not settling and p.tau > window.micro_flight)
         inside = run.takeoff_period >= window.settle or (settling and window.settle_tolerance > 0.0)
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
-            slot = recorded % len(flights.time)
+            slot = first + recorded % flights.size
             flights.time[slot] = p.tau
             flights.phase[slot] = run.takeoff_phase
             flights.period[slot] = run.takeoff_period
             recorded += 1
-            if settling and recorded % REHEARSAL == 0 and _settled(flights, recorded, window):
+            if settling and recorded % REHEARSAL == 0 and _settled(flights, first, recorded, window):
                 period, recorded = window.settle, 0
     ending = p.ending
     if ending == HORIZON or (ending == ROOT and period >= window.settle + window.observe):
@@ -127,9 +135,9 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights) -> Progres
 
 
 @jit
-def _settled(flights: Flights, recorded: int, window: Window) -> bool:
+def _settled(flights: Flights, first: int, recorded: int, window: Window) -> bool:
     """Whether the last flights repeat within the tolerance that the specification allows."""
-    bounces, _ = _cycle(flights, recorded, REHEARSAL, window.micro_flight, window.settle_tolerance)
+    bounces, _ = _cycle(flights, first, recorded, REHEARSAL, window.micro_flight, window.settle_tolerance)
     return bounces > 0
 
 
@@ -143,7 +151,7 @@ def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progres
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
             p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        run = record(run, p, window, flights)
+        run = record(run, p, window, flights, 0)
     return run
 
 
@@ -155,51 +163,54 @@ def leave(run: Progress, state: Any) -> None:
 
 
 @jit
-def classify(run: Progress, flights: Flights, micro_flight: float) -> tuple[int, int, int]:
+def classify(run: Progress, flights: Flights, first: int, micro_flight: float) -> tuple[int, int, int]:
     """Outcome, bounces and plate periods of a cell that has been run."""
     if run.ending != HORIZON:
         return DIVERGED if run.ending == BROKEN else UNRESOLVED, 0, 0
     if not run.flew:
         return AT_REST, 0, 0
-    bounces, periods = _cycle(flights, run.recorded, len(flights.time), micro_flight, REPEATS)
+    bounces, periods = _cycle(flights, first, run.recorded, flights.size, micro_flight, REPEATS)
     return PERIODIC if bounces else APERIODIC, bounces, periods
 
 
 @jit
 def _cycle(
-    flights: Flights, recorded: int, most: int, micro_flight: float, tolerance: float
+    flights: Flights, first: int, recorded: int, most: int, micro_flight: float, tolerance: float
 ) -> tuple[int, int]:
     """The cycle of the last `most` flights of at least `micro_flight`: see modes.find_cycle."""
-    size = len(flights.time)
     kept = min(recorded, most)
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0
     for i in range(recorded - kept, recorded):
-        if flights.time[i % size] > micro_flight:
-            time[count] = flights.time[i % size]
-            phase[count] = flights.phase[i % size]
-            period[count] = flights.period[i % size]
+        slot = first + i % flights.size
+        if flights.time[slot] > micro_flight:
+            time[count] = flights.time[slot]
+            phase[count] = flights.phase[slot]
+            period[count] = flights.period[slot]
             count += 1
     return find_cycle(time[:count], phase[:count], period[:count], tolerance)
 
 
 @jit
-def room_for_flights(keep: int) -> Flights:
-    """A ring for one cell's flights."""
+def room_for_flights(keep: int, lanes: int) -> Flights:
+    """Rings for the flights of as many cells as there are lanes."""
     size = max(keep, REMEMBERED)
-    return Flights(np.empty(size), np.empty(size), np.empty(size, dtype=np.int64))
+    n = lanes * size
+    return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size)
 
 
 @jit
-def write(line: Line, i: int, run: Progress, flights: Flights, state: Any, window: Window) -> None:
+def write(
+    line: Line, i: int, run: Progress, flights: Flights, first: int, state: Any, window: Window
+) -> None:
     """The record of a cell that has been run, as the i-th of its line."""
-    outcome, bounces, periods = classify(run, flights, window.micro_flight)
+    outcome, bounces, periods = classify(run, flights, first, window.micro_flight)
     line.flights[i], line.outcome[i] = run.recorded, outcome
     line.bounces[i], line.periods[i] = bounces, periods
-    size, keep = len(flights.time), line.flight_time.shape[1]
+    keep = line.flight_time.shape[1]
     kept = min(run.recorded, keep)
     for k in range(kept):
-        slot = (run.recorded - kept + k) % size
+        slot = first + (run.recorded - kept + k) % flights.size
         line.flight_time[i, k] = flights.time[slot]
         line.takeoff_phase[i, k] = flights.phase[slot]
     for field in range(len(state)):

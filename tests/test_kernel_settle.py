@@ -33,14 +33,14 @@ def test_periodic_cells_keep_their_flights_within_the_tolerance(carry):
 def test_settling_really_ends_early():
     """Flights all alike, one a plate period: the window begins after the first look, not the 1000th."""
     window = Window(1000, 10, 0.0, 1e-9)
-    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64))
+    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
     state = np.zeros(6)
     state[1] = 1.0
     progress: Progress = begin(state, window)
     steps = 0
     while progress.ending == ROOT:
         hop = Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1)
-        progress = record(progress, hop, window, flights)
+        progress = record(progress, hop, window, flights, 0)
         steps += 1
     assert steps < 40
     assert progress.recorded == 10
@@ -50,11 +50,11 @@ def test_off_by_default():
     gamma = np.array([1.5])
     assert run(gamma, 0.0, settle=30).flights[0] == run(gamma, 0.0, settle=30).flights[0]
     window = Window(30, 10, 0.0, 0.0)
-    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64))
+    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
     progress = begin(np.array([0.0, 1.0, 0, 0, 0, 0]), window)
     steps = 0
     while progress.ending == ROOT:
-        progress = record(progress, Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1), window, flights)
+        progress = record(progress, Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1), window, flights, 0)
         steps += 1
     assert steps == 40
     assert progress.recorded == 10
