@@ -1,4 +1,4 @@
-"""A quartic with positive coefficients as two real quadratics, slow and fast.
+"""A quartic with positive coefficients as two real quadratics, in each way there is.
 
 The free motion of the spring on a soft plate has four roots. Taken in two pairs they are
 two damped oscillators, whose closed forms are safe at every damping; a single root, which
@@ -15,7 +15,7 @@ ROUNDS: Final = 100
 
 
 class Factors(NamedTuple):
-    """(s^2 + a1 s + b1)(s^2 + a2 s + b2) with b1 <= b2."""
+    """(s^2 + a1 s + b1)(s^2 + a2 s + b2) with b1 <= b2, but for rounding."""
 
     a1: float
     b1: float
@@ -24,7 +24,7 @@ class Factors(NamedTuple):
 
 
 @jit
-def roots(c3: float, c2: float, c1: float, c0: float) -> list[complex]:
+def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex, complex, complex]:
     """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, c0 > 0, by Aberth's method; the smallest first."""
     unit = c0**0.25  # in units of the geometric mean of the roots' sizes
     c3, c2, c1 = c3 / unit, c2 / unit**2, c1 / unit**3
@@ -53,7 +53,7 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> list[complex]:
         for j in range(i, 0, -1):
             if abs(z[j]) < abs(z[j - 1]):
                 z[j], z[j - 1] = z[j - 1], z[j]
-    return [unit * s for s in z]
+    return unit * z[0], unit * z[1], unit * z[2], unit * z[3]
 
 
 @jit
@@ -73,27 +73,16 @@ def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Fac
 
 @jit
 def paired(
-    c3: float, c2: float, c1: float, c0: float, z: list[complex], partner: int
+    c3: float, c2: float, c1: float, c0: float, z: tuple[complex, complex, complex, complex], partner: int
 ) -> tuple[float, Factors]:
-    """The quadratics in which the smallest of the roots z goes with z[partner], 1 to 3, to rounding.
+    """The quadratics in which the smallest of the roots z goes with z[partner], 1 to 3.
 
-    First how far apart the two are, 0 to 1: at 0 they are not real or share a root, and mean nothing.
+    To rounding where partner is 1, the next smallest, to a few digits less otherwise. First how far
+    apart the two quadratics are, 0 to 1: at 0 they are not real or share a root, and mean nothing.
     """
     second, third = (2, 3) if partner == 1 else (1, 3) if partner == 2 else (1, 2)
     apart, f = _pairing(z[0], z[partner], z[second], z[third])
     return apart, _polished(c3, c2, c1, c0, f) if apart > 0.0 else f
-
-
-@jit
-def factor(c3: float, c2: float, c1: float, c0: float) -> Factors:
-    """The two quadratics that lie furthest apart."""
-    z = roots(c3, c2, c1, c0)
-    best, chosen = paired(c3, c2, c1, c0, z, 1)
-    for partner in (2, 3):
-        apart, f = paired(c3, c2, c1, c0, z, partner)
-        if apart > best:
-            best, chosen = apart, f
-    return chosen
 
 
 @jit
