@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 
 mp.dps = 80
 
-#: What `rigid` takes for no hop at all, and what no model records as a flight.
+#: A hop slower than this sticks, and a flight shorter than this is none.
 SLOWEST_HOP = 1e-9
 SHORTEST_FLIGHT = 1e-9
 
@@ -119,15 +119,17 @@ def trajectory(s: Setting, periods: float) -> list[Flown]:
     """Every flight from rest that takes off and lands within some plate periods, by DOP853."""
     phi, end = 0.0, 2.0 * math.pi * periods
     state, flying = s.at_rest(), not s.soft and s.gamma > 2.0
+    took_off = False  # a flight that the spring begins in has not taken off
     flown = []
     while True:
         phi_before, was_flying = phi, flying
         phi, state, ended = _integrate(s, phi, state, flying, end)
         if not ended:
             return flown
-        if was_flying and phi_before > 0.0 and phi - phi_before > SHORTEST_FLIGHT:
+        if was_flying and took_off and phi - phi_before > SHORTEST_FLIGHT:
             flown.append(Flown(phi_before, phi - phi_before))
         state, flying = _after(s, phi, state, was_flying)
+        took_off = True
 
 
 def _after(s: Setting, phi: float, state: State, was_flying: bool) -> tuple[State, bool]:
@@ -166,7 +168,7 @@ def _integrate(s: Setting, phi: float, state: State, flying: bool, end: float) -
     lasts.terminal, lasts.direction = True, -1  # type: ignore[attr-defined]
     widest = min(0.05, 0.1 * s.omega, 0.3 * s.penetration if s.soft and not flying else 1.0)
     path = solve_ivp(
-        slopes, (phi, end), state, "DOP853", events=lasts, rtol=1e-12, atol=1e-14, max_step=widest
+        slopes, (phi, end), state, "DOP853", events=lasts, rtol=1e-12, atol=1e-18, max_step=widest
     )
     ended = len(path.t_events[0]) > 0
     last = path.y_events[0][0] if ended else path.y[:, -1]

@@ -1,0 +1,138 @@
+"""What becomes of cells drawn from the whole range of parameters, model by model.
+
+    python -m benchmarks.extremes [--cells 2000] [--periods 20] [--seed 1] [--worst 3]
+
+Two ranges: the whole one (Omega and xi from 1e-3 to 1e3, Gamma from 1e-3 to 1e2, restitution 0
+to 1, penetration 1e-8 to 1e-1; a fifth of the cells exactly at Gamma = 2, Omega = 1, xi = 0,
+1/sqrt(2) or 1, or within 1e-12 of them) and the default one (Gamma and xi up to 10, Omega from 0.1 to
+10, the specification's contact). All are log-uniform. Half of the periods are settled. The worst
+cells, those without an answer and then the slowest, are listed so that they can be looked at.
+"""
+
+import argparse
+import math
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.machine import describe
+from kernel.params import Model, Outcome
+from kernel.ramp import run_line
+
+#: What `xi` and `omega` are set to exactly, or nearly.
+EDGES_XI = (0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, math.sqrt(0.5) * (1.0 - 1e-12))
+EDGES_OMEGA = (1.0, 1.0 + 1e-12, math.sqrt(2.0))
+
+
+class Kind(NamedTuple):
+    """One line of the table; restitution None is drawn from the whole range."""
+
+    name: str
+    model: Model
+    adhesive: bool
+    restitution: float | None
+
+
+WHOLE = (
+    Kind("rigid, e = 0", Model.RIGID, True, 0.0),
+    Kind("rigid, any e", Model.RIGID, True, None),
+    Kind("soft adhesive, e = 0", Model.SOFT, True, 0.0),
+    Kind("soft adhesive, any e", Model.SOFT, True, None),
+    Kind("soft nonadhesive, any e", Model.SOFT, False, None),
+)
+DEFAULT = (
+    Kind("rigid, e = 0", Model.RIGID, True, 0.0),
+    Kind("soft adhesive, e = 0.01", Model.SOFT, True, 0.01),
+    Kind("soft nonadhesive, e = 0.01", Model.SOFT, False, 0.01),
+)
+
+
+class Sample(NamedTuple):
+    """Cells, each array (n,)."""
+
+    gamma: NDArray[np.float64]
+    omega: NDArray[np.float64]
+    xi: NDArray[np.float64]
+    restitution: NDArray[np.float64]
+    penetration: NDArray[np.float64]
+
+
+def whole_range(kind: Kind, cells: int, rng: np.random.Generator) -> Sample:
+    gamma, omega, xi, penetration = (
+        10.0 ** rng.uniform(low, high, cells) for low, high in ((-3, 2), (-3, 3), (-3, 3), (-8, -1))
+    )
+    gamma[::15] = 2.0
+    xi[1::10] = rng.choice(EDGES_XI, len(xi[1::10]))
+    omega[2::20] = rng.choice(EDGES_OMEGA, len(omega[2::20]))
+    # as many near 0 as near 1, and both ends; a contact that does not pull cannot have e = 0
+    e = rng.uniform(0.0, 1.0, cells)
+    e[::4] = 10.0 ** rng.uniform(-6, 0, len(e[::4]))
+    e[1::10] = 1.0
+    if kind.adhesive:
+        e[2::10] = 0.0
+    restitution = e if kind.restitution is None else np.full(cells, kind.restitution)
+    return Sample(gamma, omega, xi, restitution, penetration)
+
+
+def default_range(kind: Kind, cells: int, rng: np.random.Generator) -> Sample:
+    gamma, omega, xi = (10.0 ** rng.uniform(low, 1, cells) for low in (-1, -1, -3))
+    xi[::20] = 0.0
+    return Sample(gamma, omega, xi, np.full(cells, kind.restitution or 0.0), np.full(cells, 1e-3))
+
+
+def measure(kind: Kind, sample: Sample, periods: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Outcome and CPU microseconds per plate period of every cell, each run by itself."""
+    outcome, cost = np.zeros(len(sample.gamma), np.uint8), np.zeros(len(sample.gamma))
+    for i in range(len(outcome)):
+        gamma, omega, xi, restitution, penetration = (array[i : i + 1] for array in sample)
+        began = time.process_time()
+        line = run_line(
+            gamma, omega, xi, model=kind.model, restitution=restitution, penetration=penetration,
+            adhesive=kind.adhesive, carry=False, settle=periods // 2, observe=periods - periods // 2, keep=16,
+        )  # fmt: skip
+        cost[i] = (time.process_time() - began) / periods * 1e6
+        outcome[i] = line.outcome[0]
+    return outcome, cost
+
+
+def report(kind: Kind, sample: Sample, periods: int, worst: int) -> None:
+    measure(kind, Sample(*(array[:1] for array in sample)), periods)  # compiles
+    outcome, cost = measure(kind, sample, periods)
+    shares = [f"{100.0 * np.mean(outcome == kind_of):10.2f}" for kind_of in list(Outcome)[1:]]
+    spread = (np.median(cost), np.percentile(cost, 99), cost.max())
+    print(f"{kind.name:28s}" + "".join(shares) + "".join(f"{value:11.1f}" for value in spread))
+    failed = np.flatnonzero(outcome >= Outcome.UNRESOLVED)
+    listed = [*failed[np.argsort(-cost[failed])], *(i for i in np.argsort(-cost) if i not in set(failed))]
+    for i in listed[:worst]:
+        numbers = ", ".join(
+            f"{name} {array[i]:.17g}" for name, array in zip(Sample._fields, sample, strict=True)
+        )
+        print(f"    {Outcome(outcome[i]).name.lower()}, {cost[i]:.0f} us: {numbers}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--cells", type=int, default=2000)
+    parser.add_argument("--periods", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--worst", type=int, default=3)
+    given = parser.parse_args()
+    print(describe())
+    for title, draw, kinds in (
+        ("whole range", whole_range, WHOLE),
+        ("default range", default_range, DEFAULT),
+    ):
+        print(f"\n{title}, {given.cells} cells: % of cells, and CPU us per plate period")
+        names = [kind.name.lower().replace("_", " ") for kind in list(Outcome)[1:]]
+        print(f"{'':28s}" + "".join(f"{name:>10s}" for name in names) + "     median   99th pc.    largest")
+        for number, kind in enumerate(kinds):
+            rng = np.random.default_rng([given.seed, number])
+            report(kind, draw(kind, given.cells, rng), given.periods, given.worst)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""The rigid model against the integrated equations of motion, and what only it does."""
+
+import numpy as np
+import pytest
+from kernel_runs import TWO_PI, last_cycle, phases, recorded, run, run_setting
+from naive import Setting, flight, trajectory
+
+from kernel.events import ROOT
+from kernel.params import Model, Outcome
+from kernel.threshold import threshold
+
+CELLS = [
+    Setting(1.5, 0.5, 0.26),
+    Setting(5.0, 0.5, 0.26),
+    Setting(3.0, 1.0, 0.05),
+    Setting(2.5, 0.67, 0.05),  # its contacts of no length
+    Setting(4.0, 2.0, 0.3),
+    Setting(1.8, 3.0, 1.0),
+    Setting(1.1, 0.25, 2**-0.5),
+    Setting(2.0, 0.8, 0.0),  # n = n' = 0 at the start
+    Setting(0.6, 1.0, 0.02),
+    Setting(1.8, 0.5, 0.26, restitution=0.5),
+    Setting(3.0, 1.0, 0.05, restitution=0.3),
+    Setting(3.0, 2.0, 0.5, restitution=0.9),
+]
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=lambda s: f"{s.gamma}-{s.omega}-{s.xi:.3g}-{s.restitution}")
+def test_every_flight_is_the_integrated_one(cell):
+    """The last hops of a cascade are summed up, so that only flights above a thousandth are compared."""
+    longer = 1e-3 if cell.restitution else 0.0
+    expected = [f for f in trajectory(cell, 4.0) if f.time > longer]
+    line = run_setting(cell, settle=0, observe=4, keep=300)
+    times = recorded(line)
+    kept = times > longer
+    assert len(expected) == np.count_nonzero(kept) > 0
+    assert times[kept] == pytest.approx([f.time for f in expected], abs=1e-9)
+    phases = line.takeoff_phase[0, : len(times)][kept]
+    assert phases == pytest.approx([f.takeoff % TWO_PI for f in expected], abs=1e-9)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.4, 1.0])
+def test_a_cell_gives_the_same_bytes_in_any_company(restitution):
+    """A line from rest is worked on in lanes; neither order nor neighbours may show."""
+    rng = np.random.default_rng(0)
+    gamma, omega, xi = (10.0 ** rng.uniform(low, high, 40) for low, high in ((-0.5, 1), (-1, 1), (-2, 0.5)))
+    gamma[:3] = 2.0
+    window = {"restitution": restitution, "settle": 4, "observe": 6}
+    whole = run(gamma, omega, xi, **window)
+    for order in (
+        np.arange(40)[::-1],
+        rng.permutation(40),
+        *np.array_split(np.arange(40), 3),
+        *np.arange(40),
+    ):
+        part = run(gamma[order], omega[order], xi[order], **window)
+        for array, expected in zip(part, whole, strict=True):
+            assert array.tobytes() == expected[order].tobytes()
+
+
+def test_lanes_and_scalars_agree():
+    """A ramp of one cell is the same cell by the scalar functions; their last digits differ."""
+    for gamma, omega, xi in [(1.5, 0.5, 0.26), (2.3, 0.5, 0.26), (3.6, 0.5, 0.26), (2.0, 1.0, 0.05)]:
+        lanes, scalars = (run(gamma, omega, xi, settle=300, carry=carry) for carry in (False, True))
+        assert (lanes.bounces, lanes.periods) == (scalars.bounces, scalars.periods)
+        assert last_cycle(lanes, 8) == pytest.approx(last_cycle(scalars, 8), abs=1e-10)
+
+
+def test_a_contact_of_no_length_between_two_flights():
+    """The (2,1) mode at Omega = 0.67, xi = 0.05: where it lands nothing holds it."""
+    line = run(2.4, 0.67, 0.05, settle=300, observe=40)
+    assert (line.bounces[0], line.periods[0]) == (2, 1)
+    times, phases = recorded(line), line.takeoff_phase[0]
+    longest = int(np.argmax(times[:-1]))
+    assert times[longest + 1] < 0.1
+    landing = (phases[longest] + times[longest]) % TWO_PI
+    assert phases[longest + 1] == pytest.approx(landing, abs=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [0.1, 0.5, 0.9])
+def test_a_landing_gives_back_the_restitution(restitution):
+    """Two flights in a row: the second leaves at e times the speed of the first's impact."""
+    s = Setting(3.0, 0.5, 0.26, restitution=restitution)
+    cell = Setting(3.0, 0.5, 0.26)
+    steps = list(phases(s, 3, 8))
+    assert steps[0].flying
+    assert steps[0].ending == ROOT
+    inelastic = next(iter(phases(cell, 3, 1)))
+    # the upper mass keeps its velocity q' + alpha_2', whatever the lower one does
+    upper = steps[0].after[1] + steps[0].after[3]
+    assert upper == pytest.approx(inelastic.after[1] + inelastic.after[3], abs=1e-14)
+    impact = float(flight(s, 0.0, steps[0].before).state(steps[0].tau)[1])
+    assert steps[0].after[1] == pytest.approx(-restitution * impact, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("omega", "xi"), [(0.3, 0.2), (0.5, 0.26), (1.0, 0.05), (1.2, 1.0), (3.0, 0.7), (20.0, 2.0)]
+)
+def test_ascending_threshold(omega, xi):
+    """Raised slowly, the plate lets go at Eq. 25's Gamma and not before."""
+    steps = np.concatenate([np.linspace(0.5, 0.999, 40), 1.0 + np.array([-1e-6, -1e-8, 1e-8, 1e-6])])
+    settle = int(40 * max(1.0, omega / xi, xi * omega))
+    line = run(threshold(omega, xi) * steps, omega, xi, carry=True, settle=settle, observe=settle, keep=1)
+    assert list(line.outcome[:-2]) == [Outcome.AT_REST] * (len(steps) - 2)
+    assert line.outcome[-1] != Outcome.AT_REST
+
+
+def test_the_driven_spring_grows_at_exact_resonance():
+    """Gamma_th is 0 there: q grows like phi/2 sin(phi) until n = 2/Gamma - phi/2 ... reaches zero."""
+    line = run(0.1, 1.0, 0.0, settle=0, observe=30, keep=4)
+    assert line.flights[0] > 0
+    beside = run(0.1, 1.0 + 1e-6, 0.0, settle=0, observe=6, keep=4)
+    exactly = run(0.1, 1.0, 0.0, settle=0, observe=6, keep=4)
+    assert exactly.end_state[0] == pytest.approx(beside.end_state[0], rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("xi", [0.0, 0.05, 1.0])
+def test_gamma_two_exactly(omega, xi):
+    """From rest n = 0 at phi = 0 there, and for xi = 0 its rate as well; no jump there."""
+    line = run([2.0 * (1.0 - 1e-10), 2.0, 2.0 * (1.0 + 1e-10)], omega, xi, settle=0, observe=1)
+    assert set(line.outcome) <= {Outcome.APERIODIC, Outcome.PERIODIC, Outcome.AT_REST}
+    below, exactly, above = line.end_state
+    assert exactly == pytest.approx(below, abs=1e-3)
+    assert exactly == pytest.approx(above, abs=1e-3)
+
+
+def test_model_is_rigid_whatever_the_penetration():
+    one = run(1.5, 0.5, 0.26, penetration=1e-3)
+    other = run(1.5, 0.5, 0.26, Model.RIGID, penetration=1e-1, adhesive=False)
+    assert one.flight_time.tobytes() == other.flight_time.tobytes()
