@@ -23,7 +23,7 @@ class Scripted(Inline):
         self.script = defaultdict(list, script or {})
         self.tried: list[int] = []
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
         return self._thread.submit(self._run, spec, chunk, store_url)
 
     def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
@@ -42,7 +42,7 @@ class Held:
         self.chunks: list[tuple[Future[ChunkReport], SweepSpec, Chunk, str]] = []
         self.order: list[tuple[str, int]] = []  # the spec's name and the chunk, as submitted
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
         future: Future[ChunkReport] = Future()
         with self.lock:
             self.chunks.append((future, spec, chunk, store_url))

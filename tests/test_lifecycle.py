@@ -342,7 +342,7 @@ def test_an_executor_that_takes_nothing_is_asked_again(tmp_path: Path):
     class Closed(Scripted):
         refusals = 3
 
-        def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
             if self.refusals:
                 self.refusals -= 1
                 raise ClusterLost("not connected")

@@ -1,51 +1,54 @@
 """Room: where chunks are computed: in this process, or on a Dask cluster.
 
 Every executor answers the same four calls. Nothing is kept once a chunk's report has been
-handed over; who wants a chunk done again submits it again.
-
-    ExecutorError       why a chunk came back without a report, though its task did not fail
-    ├── WorkerDied      the processes that tried it died
-    └── ClusterLost     the scheduler is gone, or was never there
+handed over; who wants a chunk done again submits it again. What else may come back instead
+of a report is in worker.faults.
 """
 
 import asyncio
-import json
+import math
 import time
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
-from distributed import Client, KilledWorker, LocalCluster
+from distributed import KilledWorker, LocalCluster
 
+from worker.faults import ClusterLost, ExecutorError, WorkerDied, WorkerLost
+from worker.link import Link, address_in
 from worker.plan import Chunk
 from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
+from worker.watch import run_watched
 
-#: A frozen scheduler never answers and never fails: after so long it counts as not there.
-PING_SECONDS: Final = 2.0
+__all__ = ["ClusterLost", "Dask", "Executor", "ExecutorError", "Inline", "WorkerDied", "WorkerLost"]
+
 #: How long the number of workers is believed.
 COUNT_SECONDS: Final = 1.0
+#: Above that of any chunk: somebody waits for the answer.
+CALL_PRIORITY: Final = 1_000_000.0
 
-
-class ExecutorError(Exception):
-    """Why a chunk came back without a report, though its task did not fail."""
-
-
-class WorkerDied(ExecutorError):
-    """The worker processes that tried this chunk died, of it or of a neighbour."""
-
-
-class ClusterLost(ExecutorError):
-    """The scheduler cannot be reached; whatever it had is lost."""
+Answer = TypeVar("Answer")
 
 
 class Executor(Protocol):
     """What computes chunks. Safe to call from any thread."""
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
-        """Have `run_chunk(spec, chunk, store_url)` done. The future fails with what the task
-        raised, or an `ExecutorError`. Cancelling it takes back what has not begun."""
+    def submit(
+        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+    ) -> "Future[ChunkReport]":
+        """Have `run_chunk(spec, chunk, store_url)` done, in at most `seconds` from when it begins.
+
+        Of the chunks that wait, those of higher priority begin first. The future fails with what
+        the task raised, or an `ExecutorError`. Cancelling it takes back what has not begun.
+        """
+
+    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+        """Have `function(*arguments)` done by a worker, before chunks that wait. The future fails as
+        those of `submit` do; whoever wants it done again calls again."""
 
     def ready(self) -> bool:
         """Whether it would begin a chunk now; answers within seconds whatever happens."""
@@ -58,14 +61,19 @@ class Executor(Protocol):
 
 
 class Inline:
-    """One chunk after another in a thread of this process."""
+    """One chunk after another in a thread of this process, in their order, for as long as they take."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="chunks")
         self._open = True
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+    def submit(
+        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+    ) -> "Future[ChunkReport]":
         return self._thread.submit(run_chunk, spec, chunk, store_url)
+
+    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+        return self._thread.submit(function, *arguments)
 
     def ready(self) -> bool:
         return self._open
@@ -78,13 +86,22 @@ class Inline:
         self._thread.shutdown(cancel_futures=True)
 
 
+@dataclass
+class _Flight:
+    """A chunk on the cluster, and what its workers said of it."""
+
+    ended: "asyncio.Future[str]"  # why a worker ended itself over it
+    worker: str | None = None  # the address of the last one that began it
+
+
 class Dask:
     """A Dask cluster: one that is there already, or one of `workers` processes on this machine.
 
-    Give `address` (tcp://host:port) or `scheduler_file` for the former. Returns when the
-    workers that are there have their kernels compiled; later ones do that on joining. The
-    own cluster listens on loopback only. Raises `ClusterLost` if nobody answers within
-    `timeout` seconds.
+    Give `address` (tcp://host:port) or `scheduler_file` for the former, with distributed's own
+    `security` if it asks for TLS; a scheduler that dies is found again when it is back. The own
+    cluster listens on loopback only; each of its processes may use `memory` bytes (None: its share
+    of the machine's). Returns when the workers that are there have their kernels compiled; later
+    ones do that on joining. Raises `ClusterLost` if nobody answers within `timeout` seconds.
     """
 
     def __init__(
@@ -92,29 +109,53 @@ class Dask:
         address: str | None = None,
         *,
         scheduler_file: str | Path | None = None,
+        security: Any = None,
         workers: int = 2,
+        memory: int | None = None,
         kernel_cache: str | Path | None = None,
         timeout: float = 30.0,
     ) -> None:
-        self._cluster = None
-        if address is None and scheduler_file is None:
-            self._cluster = _local_cluster(workers)
+        self._cluster: Any = None
         self._counted = (0.0, 0)
-        self._client = self._connect(address, scheduler_file, timeout)
+        self._flights: dict[str, _Flight] = {}
+        plugin = WarmKernels(str(kernel_cache) if kernel_cache else None)
+        if scheduler_file is not None:
+            file, wait = Path(scheduler_file), timeout
+
+            def target() -> Any:
+                nonlocal wait
+                wait, patience = 0.0, wait
+                return address_in(file, patience)
+        elif address is not None:
+
+            def target() -> Any:
+                return address
+        else:
+            self._cluster = _local_cluster(workers, memory)
+
+            def target() -> Any:
+                return self._cluster
+
         try:
-            self._client.register_plugin(WarmKernels(str(kernel_cache) if kernel_cache else None))
+            self._link = Link(target, plugin, self._hear, security=security, timeout=timeout)
         except BaseException:
-            self.close()
+            self._close_cluster()
             raise
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
-        if self._client.status != "running":
-            raise ClusterLost(f"not connected to a scheduler: {self._client.status}")
-        task = self._client.submit(run_chunk, spec, chunk, store_url, pure=False)
-        return asyncio.run_coroutine_threadsafe(_outcome(task), self._client.loop.asyncio_loop)
+    def submit(
+        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+    ) -> "Future[ChunkReport]":
+        client = self._link.client
+        task = client.submit(run_watched, spec, chunk, store_url, seconds, pure=False, priority=priority)
+        return asyncio.run_coroutine_threadsafe(self._outcome(task), client.loop.asyncio_loop)
+
+    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+        client = self._link.client
+        task = client.submit(function, *arguments, pure=False, priority=CALL_PRIORITY)
+        return asyncio.run_coroutine_threadsafe(self._outcome(task), client.loop.asyncio_loop)
 
     def ready(self) -> bool:
-        self._counted = (time.monotonic(), self._ping())
+        self._counted = (time.monotonic(), self._link.threads())
         return self._counted[1] > 0
 
     def workers(self) -> int:
@@ -125,60 +166,55 @@ class Dask:
         return number
 
     def close(self) -> None:
-        self._client.close()
+        self._link.close()
+        self._close_cluster()
+
+    def _close_cluster(self) -> None:
         if self._cluster is not None:
             self._cluster.close()
 
-    def _connect(self, address: str | None, scheduler_file: str | Path | None, timeout: float) -> Any:
-        if scheduler_file is not None:
-            address = _address_in(Path(scheduler_file), timeout)
+    def _hear(self, said: dict[str, Any]) -> None:
+        """A worker began a chunk, or ends itself over one."""
+        flight = self._flights.get(said["key"])
+        if flight is None:
+            return
+        flight.worker = said["worker"]
+        if "why" in said and not flight.ended.done():
+            flight.ended.set_result(said["why"])
+
+    async def _outcome(self, task: Any) -> Any:
+        """What a task returns, in the client's event loop; releases the task whatever becomes of it."""
+        flight = self._flights[task.key] = _Flight(asyncio.get_running_loop().create_future())
+        result = asyncio.ensure_future(task.result())
         try:
-            return Client(self._cluster or address, timeout=timeout, set_as_default=False)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError) as error:  # a time-out is an OSError
-            raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
-
-    def _ping(self) -> int:
-        """The scheduler's own count of threads, 0 if it does not answer in time."""
-        if self._client.status != "running":
-            return 0
-        try:
-            found = self._client.sync(
-                self._client.scheduler.identity, n_workers=0, callback_timeout=PING_SECONDS
-            )
-        except (OSError, TimeoutError):
-            return 0
-        return int(found["total_threads"])
-
-
-async def _outcome(task: Any) -> ChunkReport:
-    """A task's report, in the client's event loop; releases the task whatever becomes of it."""
-    try:
-        report: ChunkReport = await task.result()
-        return report
-    except KilledWorker as error:
-        raise WorkerDied(str(error)) from None
-    except CancelledError as error:
-        raise ClusterLost(f"the cluster dropped the task: {error}") from None
-    except asyncio.CancelledError:
-        await task.cancel()
-        raise
-    finally:
-        task.release()
+            await asyncio.wait({result, flight.ended}, return_when=asyncio.FIRST_COMPLETED)
+            if not result.done():
+                await task.cancel()  # or the scheduler would try it on the next worker
+                raise WorkerDied(flight.ended.result())
+            return result.result()
+        except KilledWorker as error:
+            raise _blame(flight, error) from None
+        except CancelledError as error:
+            raise ClusterLost(f"the cluster dropped the task: {error}") from None
+        except asyncio.CancelledError:
+            await task.cancel()
+            raise
+        finally:
+            result.cancel()
+            del self._flights[task.key]
+            task.release()
 
 
-def _address_in(file: Path, timeout: float) -> str:
-    """The address a scheduler wrote; waits for the file, which distributed itself would do for ever."""
-    deadline = time.monotonic() + timeout
-    while True:
-        try:
-            return str(json.loads(file.read_text())["address"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            if time.monotonic() > deadline:
-                raise ClusterLost(f"no scheduler has written its address to {file}: {error}") from error
-        time.sleep(0.1)
+def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
+    """Whether the chunk was being computed when its last worker died, or only waited there."""
+    if flight.ended.done():
+        return WorkerDied(flight.ended.result())
+    if flight.worker == error.last_worker.address:
+        return WorkerDied("the worker process that computed it died")
+    return WorkerLost("the worker process at which it waited died")
 
 
-def _local_cluster(workers: int) -> Any:
+def _local_cluster(workers: int, memory: int | None) -> Any:
     loopback = "127.0.0.1"
     return LocalCluster(  # type: ignore[no-untyped-call]
         n_workers=workers,
@@ -186,4 +222,8 @@ def _local_cluster(workers: int) -> Any:
         processes=True,
         host=loopback,
         dashboard_address=f"{loopback}:0",
+        memory_limit=memory or "auto",
+        # Whose fault a death was is judged here, at once; the scheduler would try the chunk again first,
+        # and blame its neighbours too.
+        scheduler_kwargs={"allowed_failures": 0},
     )
