@@ -11,6 +11,7 @@ from fastapi.openapi.utils import get_openapi
 from service import docs, errors, exports, probes, results, routes, trajectories
 from service.bodies import BodyLimit
 from service.calls import Service
+from service.damage import damaged
 from service.events import Watch
 from service.health import Health
 from service.ledger import Ledger
@@ -22,6 +23,7 @@ from service.trajectories import TrajectorySpec
 from service.turns import Turns
 from worker.executors import Executor
 from worker.spec import SweepSpec
+from worker.store import StoreDamaged
 
 SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
 
@@ -46,6 +48,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     app.include_router(probes.router)
     app.include_router(docs.router)
     errors.install(app)
+    app.add_exception_handler(StoreDamaged, damaged)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app

@@ -10,7 +10,7 @@ from service import schemas
 from service.errors import UnknownJob, WrongMediaType
 from service.events import Watch
 from service.health import Health
-from service.jobs import UNFINISHED, JobRecord
+from service.jobs import UNFINISHED, JobRecord, JobState
 from service.ledger import Ledger
 from service.lifecycle import Lifecycle
 from service.metrics import Metrics
@@ -75,4 +75,4 @@ def seconds_to_wait(job: JobRecord) -> int | None:
 
 def sweep(service: Service, job: JobRecord) -> Sweep:
     """What a job was asked and where its results are."""
-    return Sweep(SweepSpec.from_json(job.spec), service.settings.store_of(job.id))
+    return Sweep(SweepSpec.from_json(job.spec), service.settings.store_of(job.id), job.state is JobState.DONE)

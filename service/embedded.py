@@ -217,7 +217,12 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
         yield executor
         return
     try:
-        cluster = Dask(settings.scheduler, scheduler_file=settings.scheduler_file, workers=settings.workers)
+        cluster = Dask(
+            settings.scheduler,
+            scheduler_file=settings.scheduler_file,
+            workers=settings.workers,
+            memory=settings.worker_memory,
+        )
     except ClusterLost as error:
         raise NotStarted(str(error)) from error
     with closing(cluster):

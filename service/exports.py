@@ -89,8 +89,11 @@ def _blocks(sweep: Sweep, plan: Plan, names: tuple[str, ...]) -> Iterator[tuple[
     """Every chunk and what the store holds of it, fill values where nothing is computed yet."""
     for chunk in plan:
         try:
-            yield chunk, store.read_chunk(sweep.url, chunk, names)
-        except store.StoreMissing:  # the job is still queued
+            yield chunk, store.read_chunk(sweep.url, chunk, names, promised=sweep.promised)
+        except store.StoreMissing as error:
+            if sweep.promised:
+                raise store.StoreDamaged(str(error)) from error
+            # The job is still queued.
             yield chunk, _nothing(sweep.spec, chunk)
 
 

@@ -24,8 +24,8 @@ LEGAL: Final[Mapping[JobState, frozenset[JobState]]] = {
     JobState.QUEUED: frozenset({JobState.RUNNING, JobState.FAILED, JobState.CANCELLED}),
     # all chunks done | a chunk failed for good | cancelled and nothing writes any more
     JobState.RUNNING: frozenset({JobState.DONE, JobState.FAILED, JobState.CANCELLED}),
-    # what is done stays done
-    JobState.DONE: frozenset(),
+    # what is done stays done, unless stored bytes are lost: then their chunks are computed again
+    JobState.DONE: frozenset({JobState.RUNNING}),
     # resumed: what is done is kept
     JobState.FAILED: frozenset({JobState.QUEUED}),
     JobState.CANCELLED: frozenset({JobState.QUEUED}),
@@ -108,6 +108,16 @@ class JobRecord(NewJob):
             run_seconds=now - (self.run_started or now) if running else 0.0,
             run_cells=self.cells_done - self.run_cells if running else 0,
         )
+
+
+class Failure(NamedTuple):
+    """A chunk that could not be computed, for good or until the job is resumed."""
+
+    chunk: int
+    place: str  # which cells, in words
+    error: str
+    traceback: str | None  # None where a process died instead
+    tries: int
 
 
 class DoneChunk(NamedTuple):

@@ -18,8 +18,9 @@ from typing import IO, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from service.chunks import ChunkReading, ChunkWriting
 from service.errors import DataFolderBusy, LedgerUnusable
-from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState, NewJob, check_transition
+from service.jobs import UNFINISHED, JobRecord, JobState, NewJob, check_transition
 from service.tables import MIGRATIONS
 
 Column = str | float | bool | None
@@ -50,11 +51,8 @@ class Pace(NamedTuple):
     cells: int
 
 
-class Reading:
+class Reading(ChunkReading):
     """Questions to the ledger, on one connection."""
-
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self._sql = connection
 
     def find(self, job_id: str) -> JobRecord | None:
         """The job, if there is one."""
@@ -89,12 +87,10 @@ class Reading:
         )
         return [Unfinished(row["id"], bool(row["cancel_requested"])) for row in rows]
 
-    def done_chunks(self, job: JobRecord, first: int, last: int) -> list[int]:
-        """Indices of the finished chunks from `first` up to but without `last`."""
-        rows = self._sql.execute(
-            "SELECT chunk FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?", (job.seq, first, last)
-        )
-        return [row[0] for row in rows]
+    def newest_seq(self) -> int:
+        """The number of the last job ever accepted, also if it was deleted; 0 if there was none."""
+        row = self._sql.execute("SELECT seq FROM sqlite_sequence WHERE name = 'jobs'").fetchone()
+        return int(row[0]) if row else 0
 
     def key(self, key: str) -> Key | None:
         """What an idempotency key was used for, if it is remembered."""
@@ -114,7 +110,7 @@ class Reading:
         return [Pace(row["spec"], row["seconds"], row["cells"]) for row in rows]
 
 
-class Writing(Reading):
+class Writing(Reading, ChunkWriting):
     """Changes of the ledger, within one transaction."""
 
     def insert(self, job: NewJob, now: float) -> None:
@@ -138,6 +134,7 @@ class Writing(Reading):
     def queue(self, job: JobRecord) -> None:
         """Let a job that ended start again; what is done of it is kept."""
         self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False)
+        self._sql.execute("DELETE FROM failures WHERE job = ?", (job.seq,))
 
     def run(self, job: JobRecord, now: float) -> None:
         """The supervisor picks the job up."""
@@ -163,13 +160,12 @@ class Writing(Reading):
         """Forget a job, its chunks and its keys."""
         self._sql.execute("DELETE FROM jobs WHERE seq = ?", (job.seq,))
 
-    def mark_done(self, job: JobRecord, chunks: Iterable[DoneChunk]) -> None:
-        """Mark chunks that are written; one that is marked already stays as it is."""
-        fresh = [chunk for chunk in chunks if self._insert_chunk(job, chunk)]
-        self._sql.execute(
-            "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ? WHERE seq = ?",
-            (len(fresh), sum(chunk.cells for chunk in fresh), job.seq),
-        )
+    def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
+        """Chunks are to be computed again; a job that was done runs again. Returns which were marked."""
+        gone = self.unmark_chunks(job, chunks)
+        if gone and job.state is JobState.DONE:
+            self._move(job, JobState.RUNNING, finished=None)
+        return gone
 
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Remember what an idempotency key was used for."""
@@ -178,14 +174,6 @@ class Writing(Reading):
     def forget_keys(self, before: float) -> None:
         """Forget the keys that were used before that time."""
         self._sql.execute("DELETE FROM keys WHERE created < ?", (before,))
-
-    def _insert_chunk(self, job: JobRecord, done: DoneChunk) -> bool:
-        counts = json.dumps(list(done.outcomes))
-        inserted = self._sql.execute(
-            "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?)",
-            (job.seq, done.chunk, done.cells, done.seconds, done.checksum, counts),
-        )
-        return inserted.rowcount == 1
 
     def _move(self, job: JobRecord, state: JobState, **columns: Column) -> None:
         check_transition(job.state, state)

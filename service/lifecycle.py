@@ -2,13 +2,16 @@
 
 import hashlib
 import json
+import threading
 import time
 from typing import NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
+from service.housekeeping import Housekeeper
 from service.jobs import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.ledger import Ledger, Writing
+from service.repair import Repairs
 from service.settings import Settings
 from service.supervisor import Supervisor
 from worker import store
@@ -29,15 +32,23 @@ class Lifecycle:
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._settings = ledger, settings
-        self._supervisor = Supervisor(ledger, executor, settings)
+        self._turn = threading.Lock()  # a sweep is not accepted again while its results are being deleted
+        self._supervisor = Supervisor(ledger, executor, settings, self._is_clear)
+        self.repairs = Repairs(ledger, settings, self._supervisor.undone)
+        self._housekeeper = Housekeeper(ledger, settings, self.repairs, self._supervisor.ring)
 
     def start(self) -> None:
         """Go on with every job that was queued or running when the service last stopped."""
+        self._housekeeper.start()
         self._supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs go on at the next start."""
+        self._housekeeper.stop()
         self._supervisor.stop()
+
+    def _is_clear(self, job_id: str) -> bool:
+        return self._housekeeper.is_clear(job_id)
 
     def submit(self, spec: SweepSpec, key: str | None = None) -> Submission:
         """Accept a sweep, or find the job that it is already; one that failed or was cancelled goes on.
@@ -47,7 +58,7 @@ class Lifecycle:
         """
         self.check(spec)
         job = _new_job(spec)
-        with self._ledger.writing() as ledger:
+        with self._turn, self._ledger.writing() as ledger:
             accepted = not self._repeats(ledger, job, key) and self._accept(ledger, job)
             record = _found(ledger.find(job.id), job.id)
             if key is not None and ledger.key(key) is None:
@@ -87,16 +98,26 @@ class Lifecycle:
         return Submission(record, accepted)
 
     def delete(self, job_id: str) -> None:
-        """Forget a job and remove what it computed.
+        """Forget a job and remove what it computed; large results go on vanishing for a while.
 
         Raises UnknownJob, and IllegalTransition while workers may write: cancel it first.
         """
+        with self._turn:
+            doomed = self._forget(job_id)
+        threading.Thread(target=store.remove, args=[doomed], name="remove", daemon=True).start()
+
+    def _forget(self, job_id: str) -> str:
+        """Take a job out of the ledger and its results out of sight; gives where they are now."""
         with self._ledger.writing() as ledger:
             job = _found(ledger.find(job_id), job_id)
             if job.state in UNFINISHED:
                 raise IllegalTransition(f"the job is {job.state}: cancel it first, and wait until it is")
             ledger.delete(job)
-        store.remove(self._settings.store_of(job_id))
+        # A worker that was lost sight of may still compute: the mark stops it, and without its
+        # description the store takes nothing any more.
+        url = self._settings.store_of(job_id)
+        store.set_cancelled(url)
+        return store.set_aside(url)
 
     def _repeats(self, ledger: Writing, job: NewJob, key: str | None) -> bool:
         """Whether this very request was made before under this key."""

@@ -36,6 +36,7 @@ class Sweep:
 
     spec: SweepSpec
     url: str
+    promised: bool = False  # all of them are there: the job is done
 
 
 @dataclass(frozen=True)
@@ -219,8 +220,11 @@ def _read(sweep: Sweep, names: tuple[str, ...], direction: str, places: Places) 
     """The named arrays at one direction and `places`, whole along the other axes."""
     where = {"direction": sweep.spec.directions.index(direction), **places}
     try:
-        return store.read_slice(sweep.url, names, **where)
-    except store.StoreMissing:  # the job is still queued
+        return store.read_slice(sweep.url, names, **where, promised=sweep.promised)
+    except store.StoreMissing as error:
+        if sweep.promised:
+            raise store.StoreDamaged(str(error)) from error
+        # The job is still queued.
         wanted = [array for array in layout.arrays(sweep.spec) if array.name in names]
         return {array.name: _nothing(sweep.spec, array, where) for array in wanted}
 

@@ -1,14 +1,18 @@
 """One job while it runs: chunks in flight, what came back, what is left. Knows no ledger and no store."""
 
+import errno
+import traceback
 from collections import Counter
+from collections.abc import Iterable
 from concurrent.futures import Future
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from service.frontier import NONE, Frontier
-from service.jobs import DoneChunk, JobRecord, JobState
-from worker.plan import Chunk, Plan
+from service.jobs import DoneChunk, Failure, JobRecord, JobState
+from worker.faults import ExecutorError
+from worker.plan import Chunk, Plan, cell_seconds
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 
@@ -24,12 +28,20 @@ class Settled(NamedTuple):
 class Limits(NamedTuple):
     """How much a job may go wrong before it stops trying."""
 
-    chunk_tries: int  # for a chunk whose worker was lost
+    chunk_tries: int  # for a chunk that fails or whose worker dies of it
     failed_chunks: int  # until no more are submitted
+    chunk_seconds: float  # that any chunk may take
+    chunk_slack: float  # times what its plan says, that a long one may take
 
 
 #: Stands for every failure after the first in the job's error.
 _AND_MORE: Final = " (and {} more chunks failed)"
+#: A chunk's neighbours may take its worker with them so often before it is suspected itself.
+_MISFORTUNES: Final = 10
+#: Characters of a traceback that are kept, its end.
+_TRACEBACK: Final = 8_000
+#: Reasons why no other chunk of a job could be stored either.
+_HOPELESS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
 class Run:
@@ -41,8 +53,12 @@ class Run:
         self.in_flight: dict[int, Future[ChunkReport]] = {}
         self.written: list[DoneChunk] = []  # not yet marked in the ledger
         self._frontier = Frontier(predecessors(plan), done)
-        self._losses: Counter[int] = Counter()
-        self._failures: list[str] = []
+        self._cell_seconds = cell_seconds(spec)
+        self._tries: Counter[int] = Counter()
+        self._misfortunes: Counter[int] = Counter()
+        self._failures: list[Failure] = []
+        self._noted = 0  # of the failures, in the ledger
+        self._hopeless = False
 
     def may_submit(self, limits: Limits) -> bool:
         """Whether a chunk of this job may be given to a worker now."""
@@ -52,30 +68,63 @@ class Run:
         """The next chunk to compute."""
         return self.plan.chunks[self._frontier.take()]
 
+    def seconds(self, chunk: Chunk, limits: Limits) -> float:
+        """How long a chunk may take, from when it begins."""
+        return max(limits.chunk_seconds, limits.chunk_slack * chunk.cells * self._cell_seconds)
+
+    @property
+    def load(self) -> float:
+        """Core-seconds in flight, by the plan."""
+        return sum(self.plan.chunks[chunk].cells for chunk in self.in_flight) * self._cell_seconds
+
     def put_back(self, chunk: int) -> None:
         """A chunk was not computed, through no fault of its own."""
         self._frontier.put_back(chunk)
 
-    def lost(self, chunk: int, why: str, limits: Limits) -> None:
-        """A chunk's worker was lost: try again, though not for ever."""
-        self._losses[chunk] += 1
-        if self._losses[chunk] < limits.chunk_tries:
+    def unlucky(self, chunk: int, error: BaseException, limits: Limits) -> None:
+        """A chunk's worker died of a neighbour; only if that happens again and again is it suspected."""
+        self._misfortunes[chunk] += 1
+        if self._misfortunes[chunk] < _MISFORTUNES:
             self._frontier.put_back(chunk)
         else:
-            self.failed(chunk, f"{why} ({limits.chunk_tries} times)")
+            self.failed(chunk, error, limits)
 
-    def failed(self, chunk: int, why: str) -> None:
-        """A chunk cannot be computed; nor can those that wait for it. The others go on."""
-        self._failures.append(f"{place(self.spec, self.plan.chunks[chunk])}: {why}")
+    def failed(self, chunk: int, error: BaseException, limits: Limits) -> None:
+        """A chunk was not computed: try again, though not for ever.
+
+        Given up, it keeps those that wait for it from being tried; the others go on.
+        """
+        self._tries[chunk] += 1
+        self._hopeless = self._hopeless or (isinstance(error, OSError) and error.errno in _HOPELESS)
+        if self._tries[chunk] < limits.chunk_tries and not self._hopeless:
+            self._frontier.put_back(chunk)
+        else:
+            where = place(self.spec, self.plan.chunks[chunk])
+            self._failures.append(_failure(chunk, where, error, self._tries[chunk]))
+
+    def reopen(self, chunks: Iterable[int]) -> None:
+        """Chunks that were done are to be computed again."""
+        self._frontier.reopen(chunks)
+
+    @property
+    def news(self) -> bool:
+        """Whether there is something that the ledger does not know."""
+        return bool(self.written) or self._noted < len(self._failures)
+
+    @property
+    def failures(self) -> list[Failure]:
+        """Those that the ledger does not know."""
+        return self._failures[self._noted :]
 
     def marked(self) -> None:
-        """What is written is in the ledger now."""
+        """What is written, and what failed, is in the ledger now."""
         self._frontier.complete(done.chunk for done in self.written)
         self.written.clear()
+        self._noted = len(self._failures)
 
     def ending(self, limits: Limits) -> JobState | None:
         """The state the job ends in; None while there is something to wait for or to do."""
-        if self.in_flight or self.written or self.may_submit(limits):
+        if self.in_flight or self.news or self.may_submit(limits):
             return None
         if self._frontier.finished:
             return JobState.DONE
@@ -87,10 +136,21 @@ class Run:
         if not self._failures:
             return None
         more = len(self._failures) - 1
-        return self._failures[0] + (_AND_MORE.format(more) if more else "")
+        first = self._failures[0]
+        tries = f" ({first.tries} times)" if first.tries > 1 else ""
+        return f"{first.place}: {first.error}{tries}" + (_AND_MORE.format(more) if more else "")
 
     def _goes_on(self, limits: Limits) -> bool:
-        return not self.stopping and len(self._failures) < limits.failed_chunks
+        return not self.stopping and not self._hopeless and len(self._failures) < limits.failed_chunks
+
+
+def _failure(chunk: int, where: str, error: BaseException, tries: int) -> Failure:
+    """What is kept of an error; one that a process's death stands for has no traceback worth keeping."""
+    notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
+    if isinstance(error, ExecutorError):
+        return Failure(chunk, where, f"{error}{notes}", None, tries)
+    trace = "".join(traceback.format_exception(error))[-_TRACEBACK:]
+    return Failure(chunk, where, f"{type(error).__name__}: {error}{notes}", trace, tries)
 
 
 def predecessors(plan: Plan) -> np.ndarray:

@@ -37,8 +37,13 @@ class Settings(BaseSettings):
     max_listeners: PositiveInt = 1_000  # to events
 
     active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued
-    window: PositiveInt = 2  # chunks in flight per worker, over all jobs
-    chunk_tries: PositiveInt = 3  # for a chunk whose worker died
+    window: PositiveInt = 2  # chunks in flight per worker and job
+    chunk_tries: PositiveInt = 3  # for a chunk that fails, or whose worker dies of it
+    chunk_seconds: PositiveFloat = 60.0  # that any chunk may take before its worker is replaced
+    chunk_slack: PositiveFloat = 30.0  # times what the plan says, that a long one may take
+    worker_memory: PositiveInt | None = (
+        None  # bytes, of an embedded worker; its share of the machine's if unset
+    )
     failed_chunks: PositiveInt = 8  # after so many a job submits no more
     heartbeat_seconds: PositiveFloat = 2.0  # how often the supervisor looks round with nothing to wake it
     shutdown_seconds: PositiveFloat = 5.0  # for requests under way to finish

@@ -7,9 +7,11 @@ Whatever it holds in memory can be rebuilt from the ledger.
 import logging
 import threading
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
 from functools import partial
 from queue import Empty, SimpleQueue
+from typing import NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState
@@ -17,10 +19,11 @@ from service.ledger import Ledger
 from service.running import Limits, Run, Settled
 from service.settings import Settings
 from worker import store
-from worker.executors import ClusterLost, Executor, WorkerDied
+from worker.executors import ClusterLost, Executor, WorkerLost
 from worker.plan import make_plan
 from worker.spec import SweepSpec
-from worker.tasks import ChunkCancelled, ChunkReport
+from worker.store import StoreDamaged
+from worker.tasks import ChunkCancelled, ChunkReport, PredecessorMissing
 
 log = logging.getLogger(__name__)
 
@@ -29,19 +32,40 @@ class KernelChanged(Exception):
     """A job was begun by a kernel whose numbers may differ."""
 
 
+class Undone(NamedTuple):
+    """News of chunks that are no longer marked: their stored bytes are not what they were."""
+
+    job_id: str
+    chunks: Sequence[int]
+
+
+News = Settled | Undone | None  # None: look at the ledger
+
+
 class Supervisor:
     """Computes the ledger's unfinished jobs on an executor until it is stopped.
 
-    A small window of chunks is in flight over all jobs, and the job with the fewest gets
-    the next place, so that a small job passes a huge one.
+    Each job has a small window of chunks in flight, and of those that wait at the workers the
+    ones begin first whose job has the least work in flight, so that a small job passes a huge one.
+    A job from an earlier life of the service goes on when `cleared` says that what is marked as
+    done of it is really there.
     """
 
-    def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
+    def __init__(
+        self,
+        ledger: Ledger,
+        executor: Executor,
+        settings: Settings,
+        cleared: Callable[[str], bool] = lambda job_id: True,
+    ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
-        self._limits = Limits(settings.chunk_tries, settings.failed_chunks)
-        self._inbox: SimpleQueue[Settled | None] = SimpleQueue()  # None: look at the ledger
+        self._cleared = cleared
+        self._limits = Limits(
+            settings.chunk_tries, settings.failed_chunks, settings.chunk_seconds, settings.chunk_slack
+        )
+        self._inbox: SimpleQueue[News] = SimpleQueue()
         self._runs: dict[str, Run] = {}
-        self._places = 0  # for chunks in flight, over all jobs
+        self._places = 0  # for chunks in flight, of each job
         self._next_look = time.monotonic()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
@@ -54,6 +78,11 @@ class Supervisor:
     def ring(self) -> None:
         """Say that the ledger has news. From any thread."""
         self._inbox.put(None)
+
+    def undone(self, job_id: str, chunks: Sequence[int]) -> None:
+        """Say that chunks are no longer marked in the ledger. From any thread."""
+        self._inbox.put(Undone(job_id, chunks))
+        self.ring()
 
     def stop(self) -> None:
         """Let go of everything in flight and end; unfinished jobs stay so in the ledger."""
@@ -71,22 +100,34 @@ class Supervisor:
                 self._stop.wait(self._settings.heartbeat_seconds)
                 self.ring()
         for run in self._runs.values():
-            for future in list(run.in_flight.values()):
-                future.cancel()
+            self._let_go(run)
 
-    def _news(self) -> list[Settled | None]:
+    def _let_go(self, run: Run) -> None:
+        """Take back what has not begun, and let the workers drop what has: it goes on at the next start."""
+        for future in list(run.in_flight.values()):
+            future.cancel()
+        if run.in_flight:
+            try:
+                store.set_cancelled(run.url)
+            except Exception:
+                log.exception("job %s: its workers cannot be told to stop", run.job.id)
+
+    def _news(self) -> list[News]:
         """All that has come in; sleeps until there is something or it is time to look round."""
         try:
-            news = [self._inbox.get(timeout=max(self._next_look - time.monotonic(), 0))]
+            news: list[News] = [self._inbox.get(timeout=max(self._next_look - time.monotonic(), 0))]
         except Empty:
             return [None]
         while not self._inbox.empty():
             news.append(self._inbox.get())
         return news if time.monotonic() < self._next_look else [*news, None]
 
-    def _turn(self, news: list[Settled | None]) -> None:
-        for settled in filter(None, news):
-            self._take_in(settled)
+    def _turn(self, news: list[News]) -> None:
+        for one in news:
+            if isinstance(one, Settled):
+                self._take_in(one)
+            elif isinstance(one, Undone) and one.job_id in self._runs:
+                self._runs[one.job_id].reopen(one.chunks)
         for run in list(self._runs.values()):
             self._mark(run)
         if None in news:
@@ -109,19 +150,29 @@ class Supervisor:
         elif isinstance(error, ClusterLost):
             run.put_back(chunk)
             self._places = 0  # until the next look finds workers
-        elif isinstance(error, WorkerDied):
-            log.warning("job %s, chunk %d: %s", run.job.id, chunk, error)
-            run.lost(chunk, str(error), self._limits)
+        elif isinstance(error, WorkerLost):
+            run.unlucky(chunk, error, self._limits)
+        elif run.stopping:
+            run.put_back(chunk)
         else:
-            log.error("job %s, chunk %d: %s", run.job.id, chunk, error, exc_info=error)
-            run.failed(chunk, f"{type(error).__name__}: {error}")
+            log.warning("job %s, chunk %d: %s: %s", run.job.id, chunk, type(error).__name__, error)
+            before = run.plan.chunks[chunk].after
+            if before is not None and isinstance(error, StoreDamaged | PredecessorMissing):
+                run.reopen(self._unmark(run, [before]))
+            run.failed(chunk, error, self._limits)
 
     def _mark(self, run: Run) -> None:
         """Chunks are written; now say so, in one transaction."""
-        if run.written:
+        if run.news:
             with self._ledger.writing() as ledger:
                 ledger.mark_done(run.job, run.written)
+                ledger.note_failures(run.job, run.failures)
             run.marked()
+
+    def _unmark(self, run: Run, chunks: Sequence[int]) -> Sequence[int]:
+        """Note in the ledger that chunks are to be computed again."""
+        with self._ledger.writing() as ledger:
+            return ledger.unmark(run.job, chunks)
 
     # What the ledger wants
 
@@ -134,7 +185,8 @@ class Supervisor:
         for brief in unfinished:
             run = self._runs.get(brief.id)
             if run is None:
-                self._pick_up(brief.id)
+                if self._cleared(brief.id):
+                    self._pick_up(brief.id)
             elif run.stopping != brief.cancel_requested:
                 self._stop_or_go_on(run, stop=brief.cancel_requested)
 
@@ -188,17 +240,21 @@ class Supervisor:
     # What comes next
 
     def _submit(self) -> None:
-        """Fill the free places, the job with the fewest chunks in flight first."""
-        while sum(len(run.in_flight) for run in self._runs.values()) < self._places:
-            able = [run for run in self._runs.values() if run.may_submit(self._limits)]
-            if not able or not self._send(min(able, key=lambda run: (len(run.in_flight), run.job.seq))):
+        """Fill the free places, the job with the least work in flight first."""
+        while True:
+            able = [run for run in self._runs.values() if self._has_place(run)]
+            if not able or not self._send(min(able, key=lambda run: (run.load, run.job.seq))):
                 return
+
+    def _has_place(self, run: Run) -> bool:
+        return len(run.in_flight) < self._places and run.may_submit(self._limits)
 
     def _send(self, run: Run) -> bool:
         """Give a job's next chunk to the executor; whether it took it."""
-        chunk = run.take()
+        priority, chunk = -run.load, run.take()
+        seconds = run.seconds(chunk, self._limits)
         try:
-            future = self._executor.submit(run.spec, chunk, run.url)
+            future = self._executor.submit(run.spec, chunk, run.url, seconds=seconds, priority=priority)
         except Exception:
             log.exception("the executor takes no chunk; it is tried again soon")
             run.put_back(chunk.index)
@@ -228,6 +284,8 @@ class Supervisor:
                 return True
             if state is JobState.CANCELLED and not job.cancel_requested:
                 return False
+            if state is JobState.DONE and job.chunks_done < job.chunks_total:
+                return False  # a chunk was found damaged just now
             ledger.finish(job, state, time.time(), error)
             return True
 

@@ -46,4 +46,15 @@ MIGRATIONS: Final = (
     CREATE INDEX keys_by_age ON keys (created);
     CREATE INDEX keys_by_job ON keys (job);
     """,
+    """
+    CREATE TABLE failures (
+        job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
+        chunk INTEGER NOT NULL,
+        place TEXT NOT NULL,
+        error TEXT NOT NULL,
+        traceback TEXT,
+        tries INTEGER NOT NULL,
+        PRIMARY KEY (job, chunk)
+    ) WITHOUT ROWID;
+    """,
 )

@@ -40,10 +40,14 @@ class Held:
         self.capacity = capacity
         self.lock = threading.Lock()
         self.chunks: list[tuple[Future[ChunkReport], SweepSpec, Chunk, str]] = []
+        self.priorities: dict[int, float] = {}  # by the future's id
         self.order: list[tuple[str, int]] = []  # the spec's name and the chunk, as submitted
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
+    def submit(
+        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, priority: float = 0, **_: float
+    ) -> "Future[ChunkReport]":
         future: Future[ChunkReport] = Future()
+        self.priorities[id(future)] = priority
         with self.lock:
             self.chunks.append((future, spec, chunk, store_url))
             self.order.append((spec.name, chunk.index))
@@ -60,6 +64,13 @@ class Held:
     def held(self, name: str | None = None) -> int:
         with self.lock:
             return sum(name in (None, spec.name) for _, spec, _, _ in self.chunks)
+
+    def let_go_first(self) -> None:
+        """Compute the chunk of the highest priority, if there is one."""
+        with self.lock:
+            self.chunks.sort(key=lambda chunk: -self.priorities[id(chunk[0])])
+        if self.chunks:
+            self.let_go()
 
     def let_go(self) -> None:
         """Compute the chunk that was submitted first."""
@@ -88,7 +99,7 @@ def sweep(name: str = "", **given: Any) -> SweepSpec:
         "omega": 0.5,
         "xi": 0.26,
         "model": {"kind": "rigid"},
-        "settle": 2000,
+        "settle": 4000,
         "observe": 10,
         "keep": 4,
     }

@@ -13,6 +13,7 @@ ALLOWED = {
     ("running", "done"),
     ("running", "failed"),
     ("running", "cancelled"),
+    ("done", "running"),
     ("failed", "queued"),
     ("cancelled", "queued"),
 }

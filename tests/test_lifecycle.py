@@ -3,6 +3,8 @@
 The executors here compute with the real task into real stores; a script says what goes wrong.
 """
 
+import errno
+import os
 import resource
 import sqlite3
 import threading
@@ -24,7 +26,7 @@ from service.ledger import Ledger
 from service.lifecycle import Lifecycle
 from service.settings import Settings
 from worker import store
-from worker.executors import ClusterLost, Executor, Inline, WorkerDied
+from worker.executors import ClusterLost, Executor, Inline, WorkerDied, WorkerLost
 from worker.plan import Chunk, make_plan
 from worker.problems import SpecTooLarge
 from worker.spec import SweepSpec
@@ -165,15 +167,13 @@ def test_no_more_is_in_flight_than_the_window_has_places(tmp_path: Path):
 def test_a_small_job_passes_a_huge_one(tmp_path: Path):
     held = Held()
     with running(tmp_path, held) as service:
-        huge = service.submit(sweep("huge", gamma={"start": 0.5, "stop": 1.2, "num": 1000}))
-        wait_for(lambda: held.held() == 4)
+        huge = service.submit(sweep("huge", gamma={"start": 0.5, "stop": 1.2, "num": 10_000}))
+        wait_for(lambda: held.held("huge") == 4)
         small = service.submit(sweep("small"))
-        wait_for(lambda: service.job(small).state is JobState.RUNNING)
+        wait_for(lambda: held.held("small") == 4)
         while service.job(small).state is not JobState.DONE:
-            wait_for(lambda: held.held() == 4 or service.job(small).chunks_done > 0)
-            if held.held():
-                held.let_go()
-        assert service.job(huge).chunks_done <= service.job(small).chunks_total + 4
+            held.let_go_first()  # as workers do: the highest priority first
+        assert service.job(huge).chunks_done <= 2
 
 
 def test_only_so_many_jobs_are_active(tmp_path: Path):
@@ -277,22 +277,29 @@ def test_a_job_that_is_done_cannot_be_cancelled(tmp_path: Path, inline: Inline):
 
 
 def test_a_chunk_that_fails_fails_the_job_and_the_rest_is_computed(tmp_path: Path):
-    executor, spec = Scripted({1: [ValueError("the spring broke")]}), sweep()
+    executor, spec = Scripted({1: [ValueError("the spring broke")] * 3}), sweep()
     with running(tmp_path, executor) as service:
         job = service.until(service.submit(spec), JobState.FAILED)
         assert job.error is not None
         assert job.error.startswith("chunk 1 (rest, gamma 0.")
-        assert job.error.endswith("omega 0.5, xi 0.26): ValueError: the spring broke")
+        assert job.error.endswith("omega 0.5, xi 0.26): ValueError: the spring broke (3 times)")
         assert job.chunks_done == job.chunks_total - 1
+        with service.ledger.reading() as ledger:
+            [failure] = ledger.failures(job)
+        assert (failure.chunk, failure.tries, failure.place) == (1, 3, job.error.partition(":")[0])
+        assert failure.traceback is not None
+        assert "raise self.script" in failure.traceback
         tried = len(executor.tried)
-        service.until(service.submit(spec), JobState.DONE)
+        job = service.until(service.submit(spec), JobState.DONE)
+        with service.ledger.reading() as ledger:
+            assert ledger.failures(job) == []
     executor.close()
     assert executor.tried[tried:] == [1]
 
 
 def test_what_waits_for_a_chunk_that_failed_is_not_tried(tmp_path: Path):
     executor = Scripted({1: [ValueError("no")]})
-    with running(tmp_path, executor) as service:
+    with running(tmp_path, executor, chunk_tries=1) as service:
         ramp = sweep(protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
         service.until(service.submit(ramp), JobState.FAILED)
     executor.close()
@@ -301,7 +308,7 @@ def test_what_waits_for_a_chunk_that_failed_is_not_tried(tmp_path: Path):
 
 def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
     executor = Scripted({chunk: [ValueError("no")] for chunk in range(100)})
-    with running(tmp_path, executor, failed_chunks=3) as service:
+    with running(tmp_path, executor, failed_chunks=3, chunk_tries=1) as service:
         job = service.until(
             service.submit(sweep(gamma={"start": 0.5, "stop": 1.2, "num": 300})), JobState.FAILED
         )
@@ -309,6 +316,43 @@ def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
     assert len(executor.tried) <= 3 + 2
     assert job.error is not None
     assert "more chunks failed" in job.error
+
+
+def test_a_chunk_that_fails_is_tried_again(tmp_path: Path):
+    executor = Scripted({0: [ValueError("not now")], 2: [OSError("nor now"), MemoryError()]})
+    with running(tmp_path, executor, chunk_tries=3) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    executor.close()
+    assert (executor.tried.count(0), executor.tried.count(2)) == (2, 3)
+
+
+def test_a_chunk_whose_neighbour_killed_the_worker_is_not_blamed(tmp_path: Path):
+    executor = Scripted({0: [WorkerLost("gone")] * 5})
+    with running(tmp_path, executor, chunk_tries=1) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    executor.close()
+    assert executor.tried.count(0) == 6
+
+
+def test_a_chunk_that_always_has_bad_neighbours_is_given_up_in_the_end(tmp_path: Path):
+    executor = Scripted({0: [WorkerLost("gone")] * 99})
+    with running(tmp_path, executor, chunk_tries=1) as service:
+        service.until(service.submit(sweep()), JobState.FAILED)
+    executor.close()
+    assert executor.tried.count(0) == 10
+
+
+def test_a_full_disk_fails_the_job_at_once_and_it_goes_on_when_there_is_room(tmp_path: Path):
+    spec = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 300})
+    executor = Scripted({chunk: [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))] for chunk in range(1, 5)})
+    with running(tmp_path, executor) as service:
+        job = service.until(service.submit(spec), JobState.FAILED)
+        assert job.error is not None
+        assert "No space left on device" in job.error
+        assert len(executor.tried) < 5
+        executor.script.clear()  # space has returned
+        service.until(service.submit(spec), JobState.DONE)
+    executor.close()
 
 
 def test_a_chunk_whose_worker_died_is_tried_again(tmp_path: Path):

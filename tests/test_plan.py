@@ -20,6 +20,7 @@ from worker.plan import (
 )
 from worker.problems import SpecTooLarge
 from worker.spec import AXES, SweepSpec
+from worker.stored import place_of
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
 
@@ -56,6 +57,12 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
     assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
     assert sum(chunk.after is None for chunk in chunks) == plan.lines
     assert [plan.chunk(i) for i in range(len(plan))] == chunks == list(plan.chunks)
+
+
+@given(grids, shapes)
+def test_a_chunk_is_found_by_its_place(spec, shape):
+    plan = make_plan(spec, chunk_shape=shape)
+    assert [plan.number(*place_of(chunk, plan.chunk_shape)) for chunk in plan] == list(range(len(plan)))
 
 
 @given(grids, st.integers(1, 2000))

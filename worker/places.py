@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
+from uuid import uuid4
 
 from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
@@ -75,6 +76,13 @@ def delete(url: str, key: str) -> None:
             (Path(url) / key).unlink()
     except FileNotFoundError:
         pass
+
+
+def set_aside(url: str) -> str:
+    """Make an address free at once, for its content to be removed where it is now; in a bucket, it stays."""
+    if in_bucket(url) or not Path(url).exists():
+        return url
+    return str(Path(url).rename(f"{url}.deleted-{uuid4().hex}"))
 
 
 def remove(url: str) -> None:

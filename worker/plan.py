@@ -125,6 +125,17 @@ class Plan(Sequence[Chunk]):
         first, second, third = (self._span(axis, place) for axis, place in enumerate(block))
         return Chunk(index, direction, first, second, third, index - self.lines if wave else None)
 
+    def number(self, direction: int, xi: int, omega: int, gamma: int) -> int:
+        """The number of the chunk at this place in the grid of chunks; the inverse of `chunk`."""
+        block, wave = [xi, omega, gamma], 0
+        if self.ramp_axis is not None:
+            ramp = AXES.index(self.ramp_axis)
+            steps = self.counts[ramp]
+            visit = steps - 1 - block[ramp] if self.directions[direction] == "down" else block[ramp]
+            block[ramp], wave = 0, direction * steps + visit
+        _, omegas, gammas = self._counts_beside_ramp
+        return wave * self.lines + (block[0] * omegas + block[1]) * gammas + block[2]
+
     def _span(self, axis: int, place: int) -> Span:
         size = self.chunk_shape[axis]
         return place * size, min((place + 1) * size, self.grid[axis])

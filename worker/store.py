@@ -26,7 +26,7 @@ from zarr.storage import WrapperStore
 
 from worker import layout, stored
 from worker.marks import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.places import StoreError, open_store, read, remove
+from worker.places import StoreError, open_store, read, remove, set_aside
 from worker.plan import Chunk, Plan
 from worker.skeleton import identity, skeleton
 from worker.spec import AXES, SweepSpec
@@ -49,6 +49,7 @@ __all__ = [
     "read_coordinates",
     "read_slice",
     "remove",
+    "set_aside",
     "set_cancelled",
     "sweep_leftovers",
     "verify",
@@ -139,8 +140,11 @@ def read_slice(
     xi: Index = _EVERYTHING,
     omega: Index = _EVERYTHING,
     gamma: Index = _EVERYTHING,
+    promised: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """Part of some arrays, by grid index; touches only the chunks it needs.
+
+    `promised`: everything was written, so what is not there is damage and not still to come.
 
     A whole number drops its dimension, a slice keeps it; flights (or state fields) come last.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
@@ -151,14 +155,16 @@ def read_slice(
     # Outcomes first: a cell that had one had everything else before.
     wanted = dict.fromkeys([layout.OUTCOME.name, *(names := list(names))])
     found = {name: _read_cells(group, name, where) for name in wanted}
-    _check_whole(url, noting.absent)
+    _check_whole(noting.absent, promised)
     return {name: found[name] for name in names}
 
 
-def read_chunk(url: str, chunk: Chunk, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+def read_chunk(
+    url: str, chunk: Chunk, names: Iterable[str], *, promised: bool = False
+) -> dict[str, NDArray[Any]]:
     """A block of cells anywhere in the grid; each array is of chunk.shape + its extra dimension."""
-    _, xi, omega, gamma = chunk.slices
-    return read_slice(url, names, direction=chunk.direction, xi=xi, omega=omega, gamma=gamma)
+    block = dict(zip(AXES, chunk.slices[1:], strict=True))
+    return read_slice(url, names, direction=chunk.direction, **block, promised=promised)
 
 
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
@@ -268,10 +274,10 @@ def _readable(array: zarr.Array[Any], place: Place) -> bool:
     return True
 
 
-def _check_whole(url: str, absent: Iterable[str]) -> None:
+def _check_whole(absent: Iterable[str], promised: bool) -> None:
     """Raise StoreDamaged if there are chunks whose outcomes are there and something else is not."""
     gone = [(address.split("/")[0], place_in(address)) for address in absent if "/c/" in address]
-    unwritten = {place for name, place in gone if name == layout.OUTCOME.name}
+    unwritten = {place for name, place in gone if name == layout.OUTCOME.name and not promised}
     torn = {place: name for name, place in gone if place not in unwritten}
     if torn:
         place, name = next(iter(torn.items()))
