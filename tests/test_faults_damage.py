@@ -113,7 +113,7 @@ def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
     for _ in range(TRIALS):
         address = harmed(url, chance)
         with pytest.raises(store.StoreDamaged) as met:
-            store.read_slice(str(url), names, promised=True)
+            store.read_chunk(str(url), plan[plan.number(*stored.place_in(address))], names, promised=True)
         assert met.value.places == (stored.place_in(address),)
         (url / address).write_bytes(intact[url / address])
 
