@@ -12,6 +12,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 
 from kernel.params import KERNEL_VERSION
+from service.choosing import Choosing, attributes_of, computed_spec
 from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState
 from service.ledger import Ledger
 from service.running import Limits, Run, Settled
@@ -39,6 +40,7 @@ class Supervisor:
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self._limits = Limits(settings.chunk_tries, settings.failed_chunks)
+        self._choosing = Choosing(ledger, executor, self.ring)
         self._inbox: SimpleQueue[Settled | None] = SimpleQueue()  # None: look at the ledger
         self._runs: dict[str, Run] = {}
         self._places = 0  # for chunks in flight, over all jobs
@@ -144,7 +146,10 @@ class Supervisor:
         if job is None:
             return
         try:
-            run = self._opened(job)
+            settled = self._choosing.settled(job)
+            if settled is None:
+                return  # it rings
+            run = self._opened(settled)
         except Exception as error:
             log.exception("job %s cannot begin", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
@@ -161,9 +166,9 @@ class Supervisor:
         spec = SweepSpec.from_json(job.spec)
         plan = make_plan(spec, chunk_shape=job.chunk_shape)
         url = self._settings.store_of(job.id)
-        store.create(url, spec, plan)
+        store.create(url, spec, plan, attributes_of(job))
         store.clear_cancelled(url)
-        run = Run(job, spec, plan, url, self._ledger.done_mask(job))
+        run = Run(job, computed_spec(job), plan, url, self._ledger.done_mask(job))
         run.stopping = job.cancel_requested  # the service stopped before the job could
         return run
 

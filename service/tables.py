@@ -46,4 +46,7 @@ MIGRATIONS: Final = (
     CREATE INDEX keys_by_age ON keys (created);
     CREATE INDEX keys_by_job ON keys (job);
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN choice TEXT;
+    """,
 )
