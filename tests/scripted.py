@@ -88,7 +88,7 @@ def sweep(name: str = "", **given: Any) -> SweepSpec:
         "omega": 0.5,
         "xi": 0.26,
         "model": {"kind": "rigid"},
-        "settle": 2000,
+        "settle": 4000,
         "observe": 10,
         "keep": 4,
     }
