@@ -75,16 +75,16 @@ def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
     }
     print(f"\n{'diagram along':16}{'p50 ms':>10}{'p95 ms':>10}{'values':>10}")
     with httpx2.Client(base_url=url, timeout=60) as http:
-        for along in values:
+        for along, axis in values.items():
             times = []
             for _ in range(count):
-                fixed = {name: float(rng.choice(axis)) for name, axis in values.items() if name != along}
+                fixed = {name: float(rng.choice(others)) for name, others in values.items() if name != along}
                 start = time.perf_counter()
                 answer = http.get(f"/v1/jobs/{job.id}/diagram", params={"along": along, **fixed})
                 answer.raise_for_status()
                 times.append((time.perf_counter() - start) * 1e3)
             low, high = statistics.median(times), float(np.quantile(times, 0.95))
-            print(f"{along:16}{low:10.1f}{high:10.1f}{len(values[along]):10d}")
+            print(f"{along:16}{low:10.1f}{high:10.1f}{len(axis):10d}")
 
 
 def main() -> None:
@@ -107,9 +107,7 @@ def main() -> None:
             busy = kernel_seconds(data) - before
             cells = given.gamma * given.omega * given.xi
             print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
-            print(
-                f"kernel time: {busy:.1f} s, {busy / wall / given.workers:.1%} of {given.workers} workers' time"
-            )
+            print(f"kernel time: {busy:.1f} s, {busy / wall / given.workers:.1%} of the workers' time")
             stored = sum(f.stat().st_size for f in data.rglob("*") if f.is_file())
             print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
             for name, peak in peaks():
