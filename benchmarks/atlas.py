@@ -8,10 +8,11 @@ the finished store take over HTTP, along each axis.
 """
 
 import argparse
-import sqlite3
 import statistics
 import tempfile
 import time
+from concurrent.futures import Future
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,10 @@ import psutil
 from benchmarks.machine import describe
 from service import embedded
 from service.client import Client, Job
+from worker.executors import Dask
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport
 
 
 def atlas(gamma: int, omega: int, xi: int) -> dict[str, Any]:
@@ -55,13 +60,21 @@ def peaks() -> list[tuple[str, float]]:
     return sorted(found, key=lambda row: -row[1])
 
 
-def kernel_seconds(data: Path) -> float:
-    """Seconds the finished chunks spent in kernels, from the ledger."""
-    with sqlite3.connect(data / "ledger.sqlite") as ledger:
-        columns = [row[1] for row in ledger.execute("PRAGMA table_info(chunks)")]
-        if "kernel_seconds" not in columns:
-            return float("nan")
-        return float(ledger.execute("SELECT sum(kernel_seconds) FROM chunks").fetchone()[0])
+class Counting(Dask):
+    """The embedded cluster, adding up what the tasks report."""
+
+    kernel_seconds = 0.0
+    task_seconds = 0.0
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        future = super().submit(spec, chunk, store_url)
+        future.add_done_callback(self._count)
+        return future
+
+    def _count(self, future: "Future[ChunkReport]") -> None:
+        report = future.result()
+        self.kernel_seconds += report.kernel_seconds
+        self.task_seconds += report.seconds
 
 
 def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
@@ -98,13 +111,17 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
         settings = embedded.settings(data=data, workers=given.workers, host="127.0.0.1", port=0)
-        with embedded.running(settings) as url, Client(url) as client:
+        with (
+            closing(Counting(workers=given.workers)) as executor,
+            embedded.running(settings, executor) as url,
+            Client(url) as client,
+        ):
             warm(client)
-            before = kernel_seconds(data)
+            executor.kernel_seconds = executor.task_seconds = 0.0
             start = time.perf_counter()
             job = client.submit(spec).wait(progress=True)
             wall = time.perf_counter() - start
-            busy = kernel_seconds(data) - before
+            busy, tasks = executor.kernel_seconds, executor.task_seconds
             cells = given.gamma * given.omega * given.xi
             print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
             print(f"kernel time: {busy:.1f} s, {busy / wall / given.workers:.1%} of the workers' time")
