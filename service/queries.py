@@ -183,7 +183,9 @@ def _lowest_bouncing(plane: Plane) -> NDArray[np.float64]:
     return np.where(bounces.any(axis=1), lowest, np.nan)
 
 
-def fixed_places(spec: SweepSpec, along: str, given: Mapping[str, float | None]) -> dict[str, tuple[int, float]]:
+def fixed_places(
+    spec: SweepSpec, along: str, given: Mapping[str, float | None]
+) -> dict[str, tuple[int, float]]:
     """Place and value on every axis but `along`."""
     if given.get(along) is not None:
         raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
