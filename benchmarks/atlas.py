@@ -124,7 +124,8 @@ def main() -> None:
             busy, tasks = executor.kernel_seconds, executor.task_seconds
             cells = given.gamma * given.omega * given.xi
             print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
-            print(f"kernel time: {busy:.1f} s, {busy / wall / given.workers:.1%} of the workers' time")
+            print(f"kernel time: {busy:.1f} s, {busy / tasks:.1%} of the tasks' time,")
+            print(f"             {busy / wall / given.workers:.1%} of the workers'")
             stored = sum(f.stat().st_size for f in data.rglob("*") if f.is_file())
             print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
             for name, peak in peaks():
