@@ -1,5 +1,5 @@
 # One image for the three roles; docker-compose.yml says which container plays which.
-# Run alone, it is the service with its own two worker processes.
+# Run alone, it is the service with its own two worker processes, and needs `-e BOUNCE_TOKEN=...`.
 FROM python:3.11-slim-bookworm
 
 ENV PIP_NO_CACHE_DIR=1 \

@@ -8,10 +8,11 @@ the finished store take over HTTP, along each axis.
 """
 
 import argparse
-import sqlite3
 import statistics
 import tempfile
 import time
+from concurrent.futures import Future
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,10 @@ import psutil
 from benchmarks.machine import describe
 from service import embedded
 from service.client import Client, Job
+from worker.executors import Dask
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport
 
 
 def atlas(gamma: int, omega: int, xi: int) -> dict[str, Any]:
@@ -55,13 +60,21 @@ def peaks() -> list[tuple[str, float]]:
     return sorted(found, key=lambda row: -row[1])
 
 
-def kernel_seconds(data: Path) -> float:
-    """Seconds the finished chunks spent in kernels, from the ledger."""
-    with sqlite3.connect(data / "ledger.sqlite") as ledger:
-        columns = [row[1] for row in ledger.execute("PRAGMA table_info(chunks)")]
-        if "kernel_seconds" not in columns:
-            return float("nan")
-        return float(ledger.execute("SELECT sum(kernel_seconds) FROM chunks").fetchone()[0])
+class Counting(Dask):
+    """The embedded cluster, adding up what the tasks report."""
+
+    kernel_seconds = 0.0
+    task_seconds = 0.0
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
+        future = super().submit(spec, chunk, store_url)
+        future.add_done_callback(self._count)
+        return future
+
+    def _count(self, future: "Future[ChunkReport]") -> None:
+        report = future.result()
+        self.kernel_seconds += report.kernel_seconds
+        self.task_seconds += report.seconds
 
 
 def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
@@ -75,16 +88,16 @@ def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
     }
     print(f"\n{'diagram along':16}{'p50 ms':>10}{'p95 ms':>10}{'values':>10}")
     with httpx2.Client(base_url=url, timeout=60) as http:
-        for along in values:
+        for along, axis in values.items():
             times = []
             for _ in range(count):
-                fixed = {name: float(rng.choice(axis)) for name, axis in values.items() if name != along}
+                fixed = {name: float(rng.choice(others)) for name, others in values.items() if name != along}
                 start = time.perf_counter()
                 answer = http.get(f"/v1/jobs/{job.id}/diagram", params={"along": along, **fixed})
                 answer.raise_for_status()
                 times.append((time.perf_counter() - start) * 1e3)
             low, high = statistics.median(times), float(np.quantile(times, 0.95))
-            print(f"{along:16}{low:10.1f}{high:10.1f}{len(values[along]):10d}")
+            print(f"{along:16}{low:10.1f}{high:10.1f}{len(axis):10d}")
 
 
 def main() -> None:
@@ -98,18 +111,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
         settings = embedded.settings(data=data, workers=given.workers, host="127.0.0.1", port=0)
-        with embedded.running(settings) as url, Client(url) as client:
+        with (
+            closing(Counting(workers=given.workers)) as executor,
+            embedded.running(settings, executor) as url,
+            Client(url) as client,
+        ):
             warm(client)
-            before = kernel_seconds(data)
+            executor.kernel_seconds = executor.task_seconds = 0.0
             start = time.perf_counter()
             job = client.submit(spec).wait(progress=True)
             wall = time.perf_counter() - start
-            busy = kernel_seconds(data) - before
+            busy, tasks = executor.kernel_seconds, executor.task_seconds
             cells = given.gamma * given.omega * given.xi
             print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
-            print(
-                f"kernel time: {busy:.1f} s, {busy / wall / given.workers:.1%} of {given.workers} workers' time"
-            )
+            print(f"kernel time: {busy:.1f} s, {busy / tasks:.1%} of the tasks' time,")
+            print(f"             {busy / wall / given.workers:.1%} of the workers'")
             stored = sum(f.stat().st_size for f in data.rglob("*") if f.is_file())
             print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
             for name, peak in peaks():

@@ -53,7 +53,8 @@ def line(
     full = np.full_like
     return run_line(
         gamma, full(gamma, omega), full(gamma, xi), model=model, restitution=full(gamma, e),
-        penetration=full(gamma, d), adhesive=adhesive, carry=alone, settle=200, observe=PERIODS - 200, keep=64,
+        penetration=full(gamma, d), adhesive=adhesive, carry=alone,
+        settle=200, observe=PERIODS - 200, keep=64,
     )  # fmt: skip
 
 
@@ -102,7 +103,7 @@ def main() -> None:
             cost = kernel_cost(Model.SOFT, arguments.repeat, e=0.01, d=d, adhesive=adhesive, alone=False)
             rows.append((f"soft, {'adhesive' if adhesive else 'nonadhesive'}, e = 0.01, d = {d:g}", cost))
     if not arguments.no_rival:
-        from benchmarks.heyoka_rival import Spring  # noqa: PLC0415 - optional
+        from benchmarks.heyoka_rival import Spring
 
         spring = Spring()
         costs = [microseconds(lambda c=c: spring.run(*c, PERIODS), 1, arguments.repeat) for c in CELLS]

@@ -94,7 +94,7 @@ def _parabola(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -
 
 
 @jit
-def advance(table: Any) -> None:  # noqa: PLR0915 - one loop body is what becomes vector instructions
+def advance(table: Any) -> None:
     """Evaluate every lane once and move it on; a lane whose phase has ended stays, with its STATUS."""
     for k in range(LANES):
         tau = table[TAU * LANES + k]

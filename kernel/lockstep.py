@@ -47,6 +47,7 @@ from kernel.trajectory import (
     leave,
     record,
     room_for_flights,
+    settled,
     write,
 )
 
@@ -167,13 +168,19 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     runs[k] = _from_rest(springs[k], state, window)
                     index[k], sin, cos = begun, 0.0, 1.0
                     begun += 1
-                elif table[STATUS * LANES + k] == STRAYED or _brief(table, k, runs[k]):
-                    p = _by_itself(springs[k], runs[k], window)
-                    runs[k] = record(runs[k], p, window, flights, k * flights.size)
-                    sin, cos = math.sin(runs[k].phase), math.cos(runs[k].phase)
                 else:
-                    p, sin, cos = _phase_of(table, k, springs[k], runs[k])
-                    runs[k] = record(runs[k], p, window, flights, k * flights.size)
+                    first = k * flights.size
+                    before = runs[k]
+                    alone = table[STATUS * LANES + k] == STRAYED or _brief(table, k, before)
+                    if alone:
+                        p = _by_itself(springs[k], before, window)
+                    else:
+                        p, sin, cos = _phase_of(table, k, springs[k], before)
+                    runs[k] = record(before, p, window, flights, first)
+                    if window.settle_tolerance > 0.0:
+                        runs[k] = settled(before, runs[k], window, flights, first)
+                    if alone:
+                        sin, cos = math.sin(runs[k].phase), math.cos(runs[k].phase)
                 if runs[k].ending != ROOT:
                     leave(runs[k], state)
                     write(line, index[k], runs[k], flights, k * flights.size, state, window)

@@ -24,7 +24,7 @@ from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
 from kernel.modes import TWO_PI
 from kernel.params import KernelInputError
-from kernel.scheme import Grid, Law, Point, before, law, march, outset, over, step
+from kernel.scheme import Grid, Law, March, Point, before, law, march, outset, over, step
 from kernel.steps import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
 
 #: Steps between two exact evaluations of the plate's phase; in between a rotation turns it on.
@@ -141,6 +141,17 @@ def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Po
 
 
 @jit
+def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, Point]:
+    """The end of a contact or flight that began at phi and is over at the n-th grid point; as `_run`."""
+    if row.taken == 0:
+        return n * s.grid.step - phi, ROOT, row.now
+    part, end = _locate(s, law, before(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
+    if not abs(end.gap) + abs(end.q) + abs(part) < LARGEST:
+        return n * s.grid.step - phi, BROKEN, end
+    return (n - 1) * s.grid.step - phi + part, ROOT, end
+
+
+@jit
 def _run(
     s: SteppedSpring, law: Law, phi: float, x: Point, horizon: float, budget: int
 ) -> tuple[float, int, Point]:
@@ -164,12 +175,7 @@ def _run(
             break
         if n == last:
             return horizon, HORIZON, row.now
-    if row.taken == 0:
-        return n * h - phi, ROOT, row.now
-    part, end = _locate(s, law, before(s.grid, row), (n - 1) % steps * h)
-    if not abs(end.gap) + abs(end.q) + abs(part) < LARGEST:
-        return n * h - phi, BROKEN, end
-    return (n - 1) * h - phi + part, ROOT, end
+    return _end(s, law, row, n, phi)
 
 
 @contact.register(SteppedSpring)

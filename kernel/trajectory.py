@@ -123,8 +123,6 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
             flights.phase[slot] = run.takeoff_phase
             flights.period[slot] = run.takeoff_period
             recorded += 1
-            if settling and recorded % REHEARSAL == 0 and _settled(flights, first, recorded, window):
-                period, recorded = window.settle, 0
     ending = p.ending
     if ending == HORIZON or (ending == ROOT and period >= window.settle + window.observe):
         phase, ending = 0.0, HORIZON
@@ -135,10 +133,21 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
 
 
 @jit
-def _settled(flights: Flights, first: int, recorded: int, window: Window) -> bool:
-    """Whether the last flights repeat within the tolerance that the specification allows."""
-    bounces, _ = _cycle(flights, first, recorded, REHEARSAL, window.micro_flight, window.settle_tolerance)
-    return bounces > 0
+def settled(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
+    """`run`, done with settling if its last flights repeat within the tolerance the specification allows.
+
+    Apart from `record`, which would be too big to be inlined where no cell asks for this.
+    """
+    if run.recorded == before.recorded or run.period >= window.settle or run.recorded % REHEARSAL:
+        return run
+    tolerance = window.settle_tolerance
+    bounces, _ = _cycle(flights, first, run.recorded, REHEARSAL, window.micro_flight, tolerance)
+    if bounces == 0:
+        return run
+    return Progress(
+        run.phase, window.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
+        run.phase, window.settle, 0, run.flew, run.budget, run.ending,
+    )  # fmt: skip
 
 
 @jit
@@ -151,7 +160,9 @@ def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progres
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
             p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        run = record(run, p, window, flights, 0)
+        before, run = run, record(run, p, window, flights, 0)
+        if window.settle_tolerance > 0.0:
+            run = settled(before, run, window, flights, 0)
     return run
 
 

@@ -16,8 +16,10 @@ from service.events import Watch
 from service.health import Health
 from service.ledger import Ledger
 from service.lifecycle import Lifecycle
+from service.logs import Requests
 from service.metrics import Metrics
 from service.schemas import ProblemDocument
+from service.security import Gate
 from service.settings import Settings
 from service.trajectories import TrajectorySpec
 from service.turns import Turns
@@ -34,13 +36,14 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     Starting it raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
     version wrote its ledger.
     """
+    metrics = Metrics()
     app = FastAPI(
         title="bouncing-spring",
         summary=SUMMARY,
         version="0.1.0",
         docs_url=None,  # /docs is our own: the usual ones fetch their scripts from elsewhere
         redoc_url=None,
-        lifespan=partial(_lifespan, settings=settings, executor=executor),
+        lifespan=partial(_lifespan, settings=settings, executor=executor, metrics=metrics),
     )
     app.include_router(routes.router)
     app.include_router(results.router)
@@ -50,16 +53,20 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     errors.install(app)
     app.add_exception_handler(StoreDamaged, damaged)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
+    app.add_middleware(Gate, settings=settings)
+    app.add_middleware(Requests, metrics=metrics)  # the outermost: it tells of refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app
 
 
 @asynccontextmanager
-async def _lifespan(app: FastAPI, *, settings: Settings, executor: Executor) -> AsyncIterator[None]:
+async def _lifespan(
+    app: FastAPI, *, settings: Settings, executor: Executor, metrics: Metrics
+) -> AsyncIterator[None]:
     """Open the ledger and compute what it has unfinished until the application stops."""
     with Ledger(settings.ledger_path) as ledger:
         exports.sweep_leftovers(settings.exports_path)
-        service = _service(settings, ledger, executor)
+        service = _service(settings, ledger, executor, metrics)
         app.state.service = service
         service.lifecycle.start()
         try:
@@ -68,8 +75,8 @@ async def _lifespan(app: FastAPI, *, settings: Settings, executor: Executor) -> 
             service.lifecycle.stop()
 
 
-def _service(settings: Settings, ledger: Ledger, executor: Executor) -> Service:
-    health, metrics = Health(executor), Metrics()
+def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Metrics) -> Service:
+    health = Health(executor)
     metrics.watch(ledger, health)
     return Service(
         settings=settings,

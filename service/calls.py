@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import Depends, Request, Response
 
 from service import schemas
+from service.choosing import computed_spec
 from service.errors import UnknownJob, WrongMediaType
 from service.events import Watch
 from service.health import Health
@@ -17,7 +18,6 @@ from service.metrics import Metrics
 from service.queries import Sweep
 from service.settings import Settings
 from service.turns import Turns
-from worker.spec import SweepSpec
 
 
 @dataclass(frozen=True)
@@ -75,4 +75,4 @@ def seconds_to_wait(job: JobRecord) -> int | None:
 
 def sweep(service: Service, job: JobRecord) -> Sweep:
     """What a job was asked and where its results are."""
-    return Sweep(SweepSpec.from_json(job.spec), service.settings.store_of(job.id), job.state is JobState.DONE)
+    return Sweep(computed_spec(job), service.settings.store_of(job.id), job.state is JobState.DONE)

@@ -39,8 +39,10 @@ def main() -> None:
 def serve(**given: str | int | None) -> None:
     """Run the service until SIGINT or SIGTERM.
 
-    Every option may also be set as BOUNCE_HOST, BOUNCE_PORT and so on.
+    Every option may also be set as BOUNCE_HOST, BOUNCE_PORT and so on. To listen where others can reach
+    it, it needs a BOUNCE_TOKEN of 16 characters or more, which callers then have to bring.
     """
+    _claim_kernels()
     from service import embedded
 
     embedded.serve(embedded.settings(**given), announce=click.echo)
@@ -176,11 +178,19 @@ def _service(url: str | None, given: dict[str, str | int | None]) -> Iterator[st
     if url is not None:
         yield url
         return
+    _claim_kernels()
     from service import embedded
 
     click.echo("starting a service and its workers (the first time, a minute to compile)", err=True)
     with embedded.running(embedded.settings(**given, host="127.0.0.1", port=0)) as address:
         yield address
+
+
+def _claim_kernels() -> None:
+    """Give this process a cache of compiled kernels, before anything that declares them is imported."""
+    from worker.warm import claim_cache
+
+    claim_cache()
 
 
 def _client(url: str, token: str | None) -> "Client":

@@ -15,9 +15,12 @@ from types import FrameType
 from typing import Any, Final
 
 import uvicorn
+from distributed import Security
+from fastapi import FastAPI
 from pydantic import ValidationError
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
+from service import logs
 from service.app import create_app
 from service.client.errors import BounceError
 from service.errors import ServiceError
@@ -66,6 +69,7 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
 
 def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """Run a service until SIGINT or SIGTERM; `announce` gets one line when it listens. Raises NotStarted."""
+    logs.to_standard_error(settings.log_level)
     with _stopped_by_signals(), _listening(settings) as listener, _computing(settings, None) as executor:
         server = _Server(settings, executor, listener, announce)
         server.run_until_told()
@@ -96,7 +100,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 class _Application:
     """The application, remembering the error its start ended with, which a web server only logs."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: FastAPI) -> None:
         self._app = app
         self.error: Exception | None = None
 
@@ -107,6 +111,12 @@ class _Application:
             if scope["type"] == "lifespan":
                 self.error = error
             raise
+
+    def close_events(self) -> None:
+        """End the answers that go on for as long as a job does."""
+        service = getattr(self._app.state, "service", None)
+        if service is not None:
+            service.watch.close()
 
 
 class _Server(uvicorn.Server):
@@ -148,6 +158,11 @@ class _Server(uvicorn.Server):
         self._announce(f"bounce listens on {self.where} ({_means(self._settings)})")
         self._decided.set()
 
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Called by the web server; answers that would not end by themselves are ended first."""
+        self._application.close_events()
+        await super().shutdown(sockets)
+
     def run_until_told(self) -> None:
         """Serve until a signal comes or `should_exit` is set."""
         try:
@@ -165,7 +180,7 @@ class _Server(uvicorn.Server):
         raise _not_started(self._application.error) from self._application.error
 
 
-def _created(settings: Settings, executor: Executor) -> ASGIApp:
+def _created(settings: Settings, executor: Executor) -> FastAPI:
     try:
         return create_app(settings, executor)
     except (ServiceError, OSError) as error:
@@ -220,6 +235,7 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
         cluster = Dask(
             settings.scheduler,
             scheduler_file=settings.scheduler_file,
+            security=_tls(settings),
             workers=settings.workers,
             memory=settings.worker_memory,
         )
@@ -227,3 +243,15 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
         raise NotStarted(str(error)) from error
     with closing(cluster):
         yield cluster
+
+
+def _tls(settings: Settings) -> Any:
+    """What distributed needs to speak TLS with the scheduler, if the settings ask for it."""
+    if settings.scheduler_ca is None:
+        return None
+    return Security(  # type: ignore[no-untyped-call]
+        require_encryption=True,
+        tls_ca_file=str(settings.scheduler_ca),
+        tls_client_cert=str(settings.scheduler_cert),
+        tls_client_key=str(settings.scheduler_key),
+    )

@@ -167,6 +167,8 @@ class Problem(Response):
     ) -> None:
         status = HTTPStatus(status)
         waits = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
+        if status == HTTPStatus.UNAUTHORIZED:
+            waits = {"WWW-Authenticate": "Bearer"}
         document: dict[str, Any] = {"title": status.phrase, "status": int(status), "detail": detail}
         if rules:
             document["errors"] = [rule._asdict() for rule in rules]

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from kernel.params import KERNEL_VERSION
+from service.choosing import attributes_of
 from service.jobs import UNFINISHED, JobRecord
 from service.ledger import Ledger
 from service.repair import Repairs, planned
@@ -118,7 +119,7 @@ class Housekeeper:
         spec, plan = planned(job)
         store.sweep_leftovers(url)
         if job.chunks_done and job.kernel_version == KERNEL_VERSION:
-            store.mend(url, spec, plan)
+            store.mend(url, spec, plan, attributes_of(job))
         last = -1
         while True:
             with self._ledger.reading() as ledger:

@@ -119,17 +119,10 @@ class Writing(Reading, ChunkWriting):
             "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
             " cells_total) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
-                job.id,
-                job.name,
-                job.spec,
-                job.kernel_version,
-                json.dumps(job.chunk_shape),
-                JobState.QUEUED,
-                now,
-                job.chunks_total,
-                job.cells_total,
+                job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
+                JobState.QUEUED, now, job.chunks_total, job.cells_total,
             ),
-        )
+        )  # fmt: skip
 
     def queue(self, job: JobRecord) -> None:
         """Let a job that ended start again; what is done of it is kept."""
@@ -151,6 +144,10 @@ class Writing(Reading, ChunkWriting):
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
         """End the job as done, failed or cancelled."""
         self._move(job, state, finished=now, error=error, cancel_requested=False)
+
+    def choose(self, job: JobRecord, choice: str, chunk_shape: Sequence[int], chunks_total: int) -> None:
+        """Note the model chosen for a job that waits, and how it is now cut."""
+        self._update(job, choice=choice, chunk_shape=json.dumps(chunk_shape), chunks_total=chunks_total)
 
     def request_cancel(self, job: JobRecord, wanted: bool) -> None:
         """Note that a running job shall stop, or after all go on."""

@@ -115,12 +115,12 @@ def diagram(
     unknown or outside its axis, TooLarge for more than `max_points` flights.
     """
     spec = sweep.spec
-    fixed = _fixed(spec, along, given)
-    chosen = _direction(spec, direction)
+    fixed = fixed_places(spec, along, given)
+    chosen = direction_of(spec, direction)
     values = spec.axis_values(along)
     what = f"{len(values):,} values of {along} × keep {spec.keep:,}"
-    _check_points(len(values) * spec.keep, max_points, what)
-    arrays = _read(sweep, LINE_ARRAYS, chosen, {axis: place for axis, (place, _) in fixed.items()})
+    check_points(len(values) * spec.keep, max_points, what)
+    arrays = read(sweep, LINE_ARRAYS, chosen, {axis: place for axis, (place, _) in fixed.items()})
     fixed_values = {axis: value for axis, (_, value) in fixed.items()}
     return Diagram(along, fixed_values, chosen, values, min_flight=min_flight, **arrays)
 
@@ -141,7 +141,7 @@ def diagrams(
 
 def modes(sweep: Sweep, xi: float | None, direction: str | None, max_points: int) -> Plane:
     """The mode map at one xi: outcome, bounces and periods of every cell. Raises as `diagram`."""
-    return plane(sweep, xi, _direction(sweep.spec, direction), MODE_ARRAYS, max_points)
+    return plane(sweep, xi, direction_of(sweep.spec, direction), MODE_ARRAYS, max_points)
 
 
 def plane(sweep: Sweep, xi: float | None, direction: str, names: tuple[str, ...], max_points: int) -> Plane:
@@ -150,11 +150,11 @@ def plane(sweep: Sweep, xi: float | None, direction: str, names: tuple[str, ...]
     Raises as `diagram`.
     """
     spec = sweep.spec
-    place, value = _place(spec, "xi", xi)
+    place, value = place_of(spec, "xi", xi)
     omega, gamma = spec.axis_values("omega"), spec.axis_values("gamma")
     what = f"{len(omega):,} values of omega × {len(gamma):,} of gamma"
-    _check_points(len(omega) * len(gamma), max_points, what)
-    arrays = _read(sweep, names, _direction(spec, direction), {"xi": place})
+    check_points(len(omega) * len(gamma), max_points, what)
+    arrays = read(sweep, names, direction_of(spec, direction), {"xi": place})
     return Plane(value, direction, omega, gamma, arrays)
 
 
@@ -184,14 +184,16 @@ def _lowest_bouncing(plane: Plane) -> NDArray[np.float64]:
     return np.where(bounces.any(axis=1), lowest, np.nan)
 
 
-def _fixed(spec: SweepSpec, along: str, given: Mapping[str, float | None]) -> dict[str, tuple[int, float]]:
+def fixed_places(
+    spec: SweepSpec, along: str, given: Mapping[str, float | None]
+) -> dict[str, tuple[int, float]]:
     """Place and value on every axis but `along`."""
     if given.get(along) is not None:
         raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
-    return {axis: _place(spec, axis, given.get(axis)) for axis in reversed(AXES) if axis != along}
+    return {axis: place_of(spec, axis, given.get(axis)) for axis in reversed(AXES) if axis != along}
 
 
-def _place(spec: SweepSpec, axis: str, value: float | None) -> tuple[int, float]:
+def place_of(spec: SweepSpec, axis: str, value: float | None) -> tuple[int, float]:
     """Index and value of the grid value nearest to the one given; the only one needs no giving."""
     values = spec.axis_values(axis)
     low, high = float(values[0]), float(values[-1])
@@ -208,7 +210,8 @@ def _place(spec: SweepSpec, axis: str, value: float | None) -> tuple[int, float]
     return place, float(values[place])
 
 
-def _direction(spec: SweepSpec, direction: str | None) -> str:
+def direction_of(spec: SweepSpec, direction: str | None) -> str:
+    """The direction asked for, or the sweep's first. Raises InvalidRequest."""
     if direction is None:
         return spec.directions[0]
     if direction not in spec.directions:
@@ -216,7 +219,7 @@ def _direction(spec: SweepSpec, direction: str | None) -> str:
     return direction
 
 
-def _read(sweep: Sweep, names: tuple[str, ...], direction: str, places: Places) -> dict[str, NDArray[Any]]:
+def read(sweep: Sweep, names: tuple[str, ...], direction: str, places: Places) -> dict[str, NDArray[Any]]:
     """The named arrays at one direction and `places`, whole along the other axes."""
     where = {"direction": sweep.spec.directions.index(direction), **places}
     try:
@@ -236,7 +239,8 @@ def _nothing(spec: SweepSpec, array: layout.Array, where: Places) -> NDArray[Any
     return np.full(shape, array.fill, array.dtype)
 
 
-def _check_points(points: int, max_points: int, what: str) -> None:
+def check_points(points: int, max_points: int, what: str) -> None:
+    """Raise TooLarge for more points than one answer may hold."""
     if points > max_points:
         raise TooLarge(
             f"the answer would hold up to {points:,} points ({what}), at most {max_points:,} are sent; "

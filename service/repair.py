@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from kernel.params import KERNEL_VERSION
+from service.choosing import attributes_of
 from service.jobs import JobRecord
 from service.ledger import Ledger
 from service.running import place
@@ -31,7 +32,7 @@ class Repairs:
             return "the job was deleted"
         spec, plan = planned(job)
         if job.kernel_version == KERNEL_VERSION:
-            store.mend(self._settings.store_of(job_id), spec, plan)
+            store.mend(self._settings.store_of(job_id), spec, plan, attributes_of(job))
         chunks = [plan.number(*one) for one in places]
         self.undo(job, chunks)
         named = "; ".join(place(spec, plan[chunk]) for chunk in chunks[:3])

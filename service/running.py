@@ -17,14 +17,6 @@ from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 
 
-class Settled(NamedTuple):
-    """News from the executor: a chunk's future has come to its end."""
-
-    job_id: str
-    chunk: int
-    future: "Future[ChunkReport]"
-
-
 class Limits(NamedTuple):
     """How much a job may go wrong before it stops trying."""
 

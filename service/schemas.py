@@ -103,6 +103,26 @@ class ProgressView(BaseModel):
     eta_seconds: float | None
 
 
+class RungView(BaseModel):
+    """One model beside the exact contact, over a sample of the sweep's cells; deviations in rad."""
+
+    model: str
+    cost: float = Field(description="core-µs a cell and plate period, by the table that decides")
+    measured: float | None = Field(description="the same, as it went while choosing")
+    median: float | None = Field(description="deviation of flight times; null where some cell has none")
+    percentile_95: float | None
+    cells: int
+
+
+class ChoiceView(BaseModel):
+    """The model that was chosen for a sweep whose own is `auto`."""
+
+    model: str
+    reason: str
+    tolerance: float
+    table: list[RungView]
+
+
 class JobView(BaseModel):
     """A job as its reader sees it."""
 
@@ -115,6 +135,7 @@ class JobView(BaseModel):
     started: datetime | None
     finished: datetime | None
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists where it is long")
+    choice: ChoiceView | None = Field(None, description="of `auto`: the model that was chosen, and why")
     links: dict[str, str]
 
 
@@ -240,13 +261,14 @@ def job_view(job: JobRecord, now: float | None = None, longest_spec: int | None 
         started=_time(job.started),
         finished=_time(job.finished),
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
+        choice=None if job.choice is None else ChoiceView.model_validate_json(job.choice),
         links=_links(job.id),
     )
 
 
 def etag(job: JobRecord) -> str:
     """Changes when the view does, but for the time to go, which changes all the time."""
-    facts = (job.id, job.state, job.error, job.chunks_done, job.started, job.finished)
+    facts = (job.id, job.state, job.error, job.choice, job.chunks_done, job.started, job.finished)
     return f'W/"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
 
 

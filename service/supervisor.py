@@ -11,12 +11,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import NamedTuple
 
 from kernel.params import KERNEL_VERSION
-from service.jobs import UNFINISHED, DoneChunk, JobRecord, JobState
+from service.choosing import Choosing, attributes_of, computed_spec
+from service.jobs import UNFINISHED, JobRecord, JobState
 from service.ledger import Ledger
-from service.running import Limits, Run, Settled
+from service.news import News, Settled, Undone, done_of, error_of
+from service.running import Limits, Run
 from service.settings import Settings
 from worker import store
 from worker.executors import ClusterLost, Executor, WorkerLost
@@ -30,16 +31,6 @@ log = logging.getLogger(__name__)
 
 class KernelChanged(Exception):
     """A job was begun by a kernel whose numbers may differ."""
-
-
-class Undone(NamedTuple):
-    """News of chunks that are no longer marked: their stored bytes are not what they were."""
-
-    job_id: str
-    chunks: Sequence[int]
-
-
-News = Settled | Undone | None  # None: look at the ledger
 
 
 class Supervisor:
@@ -64,6 +55,7 @@ class Supervisor:
             settings.chunk_tries, settings.failed_chunks, settings.chunk_seconds, settings.chunk_slack
         )
         self._inbox: SimpleQueue[News] = SimpleQueue()
+        self._choosing = Choosing(ledger, executor, self.ring)
         self._runs: dict[str, Run] = {}
         self._places = 0  # for chunks in flight, of each job
         self._next_look = time.monotonic()
@@ -142,9 +134,9 @@ class Supervisor:
         """Sort a chunk that came back into written, to be done again, or failed."""
         run, chunk = self._runs[settled.job_id], settled.chunk
         del run.in_flight[chunk]
-        error = _error_of(settled.future)
+        error = error_of(settled.future)
         if error is None:
-            run.written.append(_done(settled.future.result()))
+            run.written.append(done_of(settled.future))
         elif isinstance(error, ChunkCancelled | CancelledError):
             run.put_back(chunk)
         elif isinstance(error, ClusterLost):
@@ -196,7 +188,10 @@ class Supervisor:
         if job is None:
             return
         try:
-            run = self._opened(job)
+            settled = self._choosing.settled(job)
+            if settled is None:
+                return  # it rings
+            run = self._opened(settled)
         except Exception as error:
             log.exception("job %s cannot begin", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
@@ -213,9 +208,9 @@ class Supervisor:
         spec = SweepSpec.from_json(job.spec)
         plan = make_plan(spec, chunk_shape=job.chunk_shape)
         url = self._settings.store_of(job.id)
-        store.create(url, spec, plan)
+        store.create(url, spec, plan, attributes_of(job))
         store.clear_cancelled(url)
-        run = Run(job, spec, plan, url, self._ledger.done_mask(job))
+        run = Run(job, computed_spec(job), plan, url, self._ledger.done_mask(job))
         run.stopping = job.cancel_requested  # the service stopped before the job could
         return run
 
@@ -288,11 +283,3 @@ class Supervisor:
                 return False  # a chunk was found damaged just now
             ledger.finish(job, state, time.time(), error)
             return True
-
-
-def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
-    return CancelledError() if future.cancelled() else future.exception()
-
-
-def _done(report: ChunkReport) -> DoneChunk:
-    return DoneChunk(report.index, report.cells, report.seconds, report.checksum, report.outcomes)

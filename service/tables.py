@@ -47,6 +47,9 @@ MIGRATIONS: Final = (
     CREATE INDEX keys_by_job ON keys (job);
     """,
     """
+    ALTER TABLE jobs ADD COLUMN choice TEXT;
+    """,
+    """
     CREATE TABLE failures (
         job INTEGER NOT NULL REFERENCES jobs (seq) ON DELETE CASCADE,
         chunk INTEGER NOT NULL,

@@ -35,7 +35,7 @@ FIGURE_2: dict[str, Any] = {
 @contextmanager
 def service(folder: Path, executor: Executor, **given: Any) -> Iterator[TestClient]:
     settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, **given})
-    with TestClient(create_app(settings, executor)) as client:
+    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
         yield client
 
 
@@ -82,7 +82,7 @@ def test_a_submission_is_accepted_and_says_where_to_look(tmp_path: Path):
         assert int(answer.headers["Retry-After"]) >= 0
         assert set(view) == {
             *("id", "name", "state", "progress", "error"),
-            *("created", "started", "finished", "spec", "links"),
+            *("created", "started", "finished", "spec", "choice", "links"),
         }
         assert (view["name"], view["state"], view["error"]) == ("figure 2, coarse", "queued", None)
         assert view["progress"] == {

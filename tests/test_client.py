@@ -50,7 +50,7 @@ SPEC: dict[str, Any] = {
 @contextmanager
 def serving(folder: Path, executor: Executor, **given: Any) -> Iterator[Client]:
     settings = Settings(data=folder, heartbeat_seconds=0.2, **given)
-    with TestClient(create_app(settings, executor)) as http, Client("http://testserver", http=http) as client:
+    with TestClient(create_app(settings, executor)) as http, Client("http://localhost", http=http) as client:
         yield client
     executor.close()
 

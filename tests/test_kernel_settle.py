@@ -6,7 +6,7 @@ import pytest
 from kernel.events import ROOT, Phase
 from kernel.params import Line, Model, Outcome
 from kernel.ramp import run_line
-from kernel.trajectory import Flights, Progress, Window, begin, record
+from kernel.trajectory import Flights, Progress, Window, begin, record, settled
 
 
 def run(gamma, settle_tolerance, *, settle=400, carry=False, model=Model.RIGID) -> Line:
@@ -40,7 +40,8 @@ def test_settling_really_ends_early():
     steps = 0
     while progress.ending == ROOT:
         hop = Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1)
-        progress = record(progress, hop, window, flights, 0)
+        before, progress = progress, record(progress, hop, window, flights, 0)
+        progress = settled(before, progress, window, flights, 0)
         steps += 1
     assert steps < 40
     assert progress.recorded == 10

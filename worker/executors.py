@@ -91,6 +91,7 @@ class _Flight:
     """A chunk on the cluster, and what its workers said of it."""
 
     ended: "asyncio.Future[str]"  # why a worker ended itself over it
+    watched: bool  # a worker says when it begins
     worker: str | None = None  # the address of the last one that began it
 
 
@@ -152,7 +153,7 @@ class Dask:
     def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
         client = self._link.client
         task = client.submit(function, *arguments, pure=False, priority=CALL_PRIORITY)
-        return asyncio.run_coroutine_threadsafe(self._outcome(task), client.loop.asyncio_loop)
+        return asyncio.run_coroutine_threadsafe(self._outcome(task, watched=False), client.loop.asyncio_loop)
 
     def ready(self) -> bool:
         self._counted = (time.monotonic(), self._link.threads())
@@ -182,9 +183,10 @@ class Dask:
         if "why" in said and not flight.ended.done():
             flight.ended.set_result(said["why"])
 
-    async def _outcome(self, task: Any) -> Any:
+    async def _outcome(self, task: Any, *, watched: bool = True) -> Any:
         """What a task returns, in the client's event loop; releases the task whatever becomes of it."""
-        flight = self._flights[task.key] = _Flight(asyncio.get_running_loop().create_future())
+        flight = _Flight(asyncio.get_running_loop().create_future(), watched)
+        self._flights[task.key] = flight
         result = asyncio.ensure_future(task.result())
         try:
             await asyncio.wait({result, flight.ended}, return_when=asyncio.FIRST_COMPLETED)
@@ -209,7 +211,7 @@ def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
     """Whether the chunk was being computed when its last worker died, or only waited there."""
     if flight.ended.done():
         return WorkerDied(flight.ended.result())
-    if flight.worker == error.last_worker.address:
+    if not flight.watched or flight.worker == error.last_worker.address:
         return WorkerDied("the worker process that computed it died")
     return WorkerLost("the worker process at which it waited died")
 

@@ -1,0 +1,58 @@
+"""Fig. 2 with 1,000 values of Gamma and 300 plate periods each, from submission to done on a warm cluster.
+
+    python -m benchmarks.figure [--repeat 5] [--workers 2]
+
+The cluster is the embedded one; every repetition is a new job, whose grid differs by a hair.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.machine import describe
+from service import embedded
+from service.client import Client
+
+MODELS: list[dict[str, Any]] = [
+    {"kind": "rigid"},
+    {"kind": "soft", "restitution": 0.0, "penetration": 1e-3},
+    {"kind": "soft", "restitution": 0.01, "penetration": 1e-3, "adhesive": False},
+]
+
+
+def seconds(client: Client, model: dict[str, Any], shift: int) -> float:
+    """Wall time of one job."""
+    spec = {
+        "gamma": {"start": 1.0 + shift * 1e-6, "stop": 6.0, "num": 1000},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": model,
+        "settle": 200,
+        "observe": 100,
+    }
+    start = time.perf_counter()
+    client.submit(spec).wait(progress=False)
+    return time.perf_counter() - start
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    print(describe("dask", "zarr"))
+    with tempfile.TemporaryDirectory() as folder:
+        settings = embedded.settings(data=Path(folder), workers=given.workers, host="127.0.0.1", port=0)
+        with embedded.running(settings) as url, Client(url) as client:
+            seconds(client, MODELS[0], -1)
+            for model in MODELS:
+                times = [seconds(client, model, shift) for shift in range(given.repeat)]
+                print(f"{model}: median {statistics.median(times):.2f} s of {given.repeat}")
+
+
+if __name__ == "__main__":
+    main()
