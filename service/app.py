@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service import docs, errors, exports, probes, results, routes, trajectories
+from service import docs, errors, exports, page, probes, results, routes, trajectories
 from service.bodies import BodyLimit
 from service.calls import Service
 from service.events import Watch
@@ -48,6 +48,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     app.include_router(trajectories.router)
     app.include_router(probes.router)
     app.include_router(docs.router)
+    page.install(app)
     errors.install(app)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
     app.add_middleware(Gate, settings=settings)
