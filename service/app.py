@@ -9,6 +9,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service import docs, errors, exports, page, probes, results, routes, trajectories
+from service.answers import Answers
 from service.bodies import BodyLimit
 from service.calls import Service
 from service.events import Watch
@@ -70,6 +71,7 @@ async def _lifespan(
         try:
             yield
         finally:
+            service.answers.close()
             service.lifecycle.stop()
 
 
@@ -85,6 +87,7 @@ def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Me
         metrics=metrics,
         exports=Turns("files", settings.max_exports),
         trajectories=Turns("trajectories", settings.max_trajectories),
+        answers=Answers(executor),
     )
 
 
