@@ -8,7 +8,8 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service import docs, errors, exports, probes, results, routes, trajectories
+from service import docs, errors, exports, page, probes, results, routes, trajectories
+from service.answers import Answers
 from service.bodies import BodyLimit
 from service.calls import Service
 from service.damage import damaged
@@ -50,6 +51,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     app.include_router(trajectories.router)
     app.include_router(probes.router)
     app.include_router(docs.router)
+    page.install(app)
     errors.install(app)
     app.add_exception_handler(StoreDamaged, damaged)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
@@ -72,6 +74,7 @@ async def _lifespan(
         try:
             yield
         finally:
+            service.answers.close()
             service.lifecycle.stop()
 
 
@@ -87,6 +90,7 @@ def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Me
         metrics=metrics,
         exports=Turns("files", settings.max_exports),
         trajectories=Turns("trajectories", settings.max_trajectories),
+        answers=Answers(executor),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import Depends, Request, Response
 
 from service import schemas
+from service.answers import Answers
 from service.choosing import computed_spec
 from service.errors import UnknownJob, WrongMediaType
 from service.events import Watch
@@ -32,6 +33,7 @@ class Service:
     metrics: Metrics
     exports: Turns
     trajectories: Turns
+    answers: Answers
 
 
 def _service(request: Request) -> Service:

@@ -145,6 +145,26 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
 
 
 @main.command()
+@click.argument("job_id", metavar="ID")
+@click.option("--xi", type=float, help="Take the nearest ξ of the grid.")
+@click.option("--tolerance", type=float, help="In Γ: refine beyond the grid, from the job's stored states.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@service_options
+def threshold(
+    job_id: str, xi: float | None, tolerance: float | None, as_json: bool, url: str, token: str | None
+) -> None:
+    """Say where bouncing begins and ends in job ID, per Ω.
+
+    The job is a sweep from rest or ramped along gamma. Each Γ is the lowest that bounces.
+    """
+    from service import listing
+
+    with _client(url, token) as client:
+        found = client.job(job_id).threshold(xi, tolerance=tolerance)
+    click.echo(listing.as_json(listing.thresholds_view(found)) if as_json else listing.thresholds(found))
+
+
+@main.command()
 @click.argument("number", type=int, metavar="N")
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
               help="File to write, .png or .svg.  [default: figure-N.png]")  # fmt: skip

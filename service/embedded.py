@@ -69,8 +69,12 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
 
 def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """Run a service until SIGINT or SIGTERM; `announce` gets one line when it listens. Raises NotStarted."""
-    logs.to_standard_error(settings.log_level)
-    with _stopped_by_signals(), _listening(settings) as listener, _computing(settings, None) as executor:
+    with (
+        logs.to_standard_error(settings.log_level),
+        _stopped_by_signals(),
+        _listening(settings) as listener,
+        _computing(settings, None) as executor,
+    ):
         server = _Server(settings, executor, listener, announce)
         server.run_until_told()
         server.wait_until_started()

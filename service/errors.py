@@ -14,6 +14,7 @@
     ├── TooLarge               body, sweep or answer above a cap; says what would fit
     ├── QueueFull              too many jobs wait already
     ├── Busy                   too many costly requests are being answered already
+    ├── NotComputed            workers have not answered, or not yet
     ├── NoSpace                there is no room for a file of an answer
     ├── DataFolderBusy         another service uses the data folder (only at start)
     └── LedgerUnusable         the ledger was written by a newer version (only at start)
@@ -34,6 +35,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 
+from worker import places
 from worker.problems import Problem as Broken
 from worker.problems import SpecError, SpecTooLarge, SpecUnreadable
 from worker.store import StoreError
@@ -111,6 +113,10 @@ class Busy(ServiceError):
     """Too many costly requests are being answered already."""
 
 
+class NotComputed(ServiceError):
+    """Workers have not answered, or not yet; what they compute goes on."""
+
+
 class NoSpace(ServiceError):
     """There is no room for a file of an answer."""
 
@@ -141,8 +147,10 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
     QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
     Busy: HTTPStatus.TOO_MANY_REQUESTS,
+    NotComputed: HTTPStatus.SERVICE_UNAVAILABLE,
     NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    **dict.fromkeys(places.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
     sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
 }
 
@@ -190,6 +198,9 @@ def problem_of(error: Exception) -> Problem:
     if isinstance(error, sqlite3.OperationalError):
         log.error("the ledger does not answer: %s", error)
         return Problem(status, f"the ledger does not answer: {error}")
+    if isinstance(error, places.UNREACHABLE):
+        log.error("the bucket of the results does not answer: %s", error)
+        return Problem(status, "the place of the results does not answer")
     return Problem(status, str(error), getattr(error, "problems", ()))
 
 

@@ -2,11 +2,14 @@
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from math import ceil, isfinite, log10
+from typing import TYPE_CHECKING, Any
 
 from service.client.display import duration
 
 if TYPE_CHECKING:
+    import xarray
+
     from service.client import Job
 
 
@@ -28,6 +31,29 @@ def report(job: "Job") -> str:
         **{event: view.get(event) for event in ("created", "started", "finished", "error")},
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
+
+
+def thresholds_view(found: "xarray.Dataset") -> dict[str, Any]:
+    """Thresholds as plain values, null where there is none."""
+    columns = {
+        name: found[name].values.tolist() for name in ("omega", "analytic", "up", "down") if name in found
+    }
+    plain = {name: [v if isfinite(v) else None for v in values] for name, values in columns.items()}
+    return {"xi": float(found.xi), **plain, "tolerance": found.attrs.get("tolerance"),
+            "complete": bool(found.attrs["complete"])}  # fmt: skip
+
+
+def thresholds(found: "xarray.Dataset") -> str:
+    """Thresholds, one Ω a line."""
+    tolerance = found.attrs.get("tolerance")
+    digits = 6 if tolerance is None else min(max(6, 2 + ceil(-log10(tolerance))), 12)
+    width = digits + 6
+    lines = [f"xi = {float(found.xi):g}" + (f", to {tolerance:g} in gamma" if tolerance else ", to the grid")]
+    lines.append("".join(f"{name:>{width}}" for name in ("OMEGA", "EQ. 25", "UP", "DOWN")))
+    columns = [found[name].values.tolist() for name in ("omega", "analytic", "up", "down")]
+    for row in zip(*columns, strict=True):
+        lines.append("".join(f"{f'{v:.{digits}f}' if isfinite(v) else '-':>{width}}" for v in row))
+    return "\n".join(lines + ([] if found.attrs["complete"] else ["the job is not done: this is incomplete"]))
 
 
 def table(jobs: Sequence["Job"]) -> str:

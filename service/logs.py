@@ -5,6 +5,8 @@ import logging
 import sys
 import time
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from http import HTTPStatus
 from typing import Any, Final
@@ -37,13 +39,13 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
-def to_standard_error(level: str) -> None:
-    """Send the process's log there, one JSON object a line."""
+@contextmanager
+def to_standard_error(level: str) -> Iterator[None]:
+    """Send the process's log there for as long as the block, one JSON object a line."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
     root = logging.getLogger()
-    root.handlers[:] = [handler]
-    root.setLevel(logging.WARNING)
+    root.addHandler(handler)
     for ours in ("service", "worker"):
         logging.getLogger(ours).setLevel(level.upper())
     for name in list(logging.root.manager.loggerDict):
@@ -51,6 +53,12 @@ def to_standard_error(level: str) -> None:
             logger = logging.getLogger(name)
             logger.handlers.clear()
             logger.propagate = True
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        for ours in ("service", "worker"):
+            logging.getLogger(ours).setLevel(logging.NOTSET)
 
 
 class Requests:

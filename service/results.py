@@ -14,6 +14,7 @@ from service import calls, diagrams, exports, queries, schemas
 from service.calls import TheJob, TheService
 from service.errors import NotInStore
 from service.jobs import UNFINISHED, JobState
+from service.refining import refined
 from service.schemas import Format, problem_responses
 from worker import layout, places
 from worker.plan import make_plan
@@ -60,18 +61,25 @@ def diagram(service: TheService, job: TheJob, query: Annotated[schemas.DiagramQu
     return Response(content, media_type=media_type, headers=_complete(all(one.complete for one in found)))
 
 
-@router.get("/threshold", responses=problem_responses(404, 413, 422))
+@router.get("/threshold", responses=problem_responses(404, 413, 422, 429, 503))
 def job_threshold(
     service: TheService, job: TheJob, query: Annotated[schemas.JobThresholdQuery, Query()]
 ) -> schemas.Thresholds:
-    """Per Ω at one xi: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce."""
-    found = queries.thresholds(calls.sweep(service, job), query.xi, service.settings.max_points)
+    """Per Ω at one xi: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
+
+    To the grid, or with a tolerance as finely as asked for: null then where the change is not on the grid.
+    """
+    sweep = calls.sweep(service, job)
+    found = queries.thresholds(sweep, query.xi, service.settings.max_points)
+    if query.tolerance is not None:
+        found = refined(service.answers, job, sweep, found, query.tolerance)
     return schemas.Thresholds(
         xi=found.xi,
         omega=found.omega.tolist(),
         analytic=numbers(found.analytic),
         up=numbers(found.up),
         down=numbers(found.down),
+        tolerance=query.tolerance,
         complete=found.complete,
     )
 

@@ -77,6 +77,9 @@ class JobThresholdQuery(Query):
     """At which xi, the nearest grid value; may be left out where the sweep has one."""
 
     xi: Number | None = None
+    tolerance: Annotated[Number, Field(ge=1e-9, le=1e3)] | None = Field(
+        None, description="in Γ: refine beyond the sweep's grid, from its stored states"
+    )
 
 
 class ModesQuery(Query):
@@ -188,6 +191,7 @@ class Thresholds(BaseModel):
     analytic: list[float | None] = Field(description="Eq. 25")
     up: list[float | None] = Field(description="lowest Γ that bounces, ascending or from rest")
     down: list[float | None] = Field(description="lowest Γ that bounces, descending")
+    tolerance: float | None = Field(None, description="to which up and down hold; null: to the grid in Γ")
     complete: bool
 
 

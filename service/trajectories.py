@@ -131,11 +131,12 @@ def check_cost(spec: TrajectorySpec, sweep: SweepSpec, seconds: float) -> None:
         )
 
 
-def compute(spec: TrajectorySpec, sweep: SweepSpec) -> Found:
-    """The trajectory of one cell."""
+def compute(spec: TrajectorySpec, sweep: SweepSpec, state: NDArray[np.float64] | None = None) -> Found:
+    """The trajectory of one cell, settled from rest, or on from a state in the cell's own units."""
     gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
     depth = penetration_of(spec.model, gamma, omega)
-    state = _settled(sweep, gamma, omega, xi) if spec.settle else None
+    if state is None and spec.settle:
+        state = _settled(sweep, gamma, omega, xi)
     found = sample(
         Cell(spec.gamma, spec.omega, spec.xi),
         Contact(

@@ -6,6 +6,7 @@ keys), which service and workers must share.
 """
 
 import shutil
+from contextlib import suppress
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +19,13 @@ from zarr.storage import LocalStore, ObjectStore
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
+
+#: What is raised for a bucket that does not answer, or refuses.
+UNREACHABLE: tuple[type[Exception], ...] = ()
+with suppress(ImportError):  # an extra
+    from obstore.exceptions import BaseError
+
+    UNREACHABLE = (BaseError,)
 
 _BUCKET: Final = "s3://"
 

@@ -74,7 +74,10 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         }
         coordinates = {"omega": _variable("omega", "omega", answer["omega"])}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
-        return _dataset(variables, coordinates, answer, "bouncing threshold", job_id)
+        dataset = _dataset(variables, coordinates, answer, "bouncing threshold", job_id)
+        if answer.get("tolerance") is not None:
+            dataset.attrs["tolerance"] = float(answer["tolerance"])
+        return dataset
     except (KeyError, TypeError, ValueError) as error:
         raise UnexpectedAnswer(
             f"the service answered with something that is no threshold: {error!r}"

@@ -207,14 +207,20 @@ class Job:
         }
         return self._transport.get(self._path("diagram"), query).content
 
-    def threshold(self, xi: float | None = None) -> "xarray.Dataset":
+    def threshold(
+        self, xi: float | None = None, *, tolerance: float | None = None, patience: float = 300.0
+    ) -> "xarray.Dataset":
         """Where bouncing begins, per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
 
-        NaN where the sweep does not hold the answer. Raises BadRequest, as for a ξ outside the grid.
+        To the sweep's grid in Γ; with a `tolerance` (in Γ) workers refine them from its stored states, for
+        which this waits up to `patience` seconds. NaN where the sweep does not hold the answer. Raises
+        BadRequest, as for a ξ outside the grid; TooLarge, Busy.
         """
         from service.client.datasets import threshold_dataset
 
-        return threshold_dataset(document(self._transport.get(self._path("threshold"), {"xi": xi})), self.id)
+        query = {"xi": xi, "tolerance": tolerance}
+        answer = self._transport.get_when_computed(self._path("threshold"), query, patience=patience)
+        return threshold_dataset(document(answer), self.id)
 
     def open(self) -> "xarray.Dataset":
         """The whole store, loaded where it is used. Raises StoreUnreachable if it is not on this machine."""

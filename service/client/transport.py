@@ -8,6 +8,7 @@ from typing import Any, Final, TypeAlias
 import httpx2
 
 from service.client.errors import (
+    Busy,
     InvalidSpecification,
     Problem,
     Refused,
@@ -49,6 +50,17 @@ class Transport:
     ) -> httpx2.Response:
         """GET `path`; None in `query` is left out. Raises the errors of `service.client.errors`."""
         return self._exchange("GET", path, query=query, headers=headers, repeat=True)
+
+    def get_when_computed(self, path: str, query: Query | None = None, *, patience: float) -> httpx2.Response:
+        """GET what workers have to compute first, asking again for `patience` seconds while they do."""
+        give_up = time.monotonic() + patience
+        while True:
+            try:
+                return self.get(path, query)
+            except Busy as busy:
+                if time.monotonic() > give_up:
+                    raise
+                time.sleep(busy.retry_after or 1.0)
 
     def post(
         self, path: str, body: bytes | None = None, *, query: Query | None = None, repeat: bool = False

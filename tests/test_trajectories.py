@@ -1,0 +1,155 @@
+"""One cell, sample by sample: what the kernel says at every phase, against runs of the kernel itself."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from scripted import Held
+from test_api import service
+
+from kernel.params import Cell, Contact, KernelInputError, Model
+from kernel.ramp import run_line
+from kernel.sampling import Trajectory, sample
+
+CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
+MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with service(tmp_path_factory.mktemp("data"), Held()) as client:
+        yield client
+
+
+def asked(client: TestClient, **changes: Any) -> dict[str, Any]:
+    answer = client.post("/v1/trajectories", json={**CELL, **changes})
+    assert answer.status_code == 200, answer.text
+    found: dict[str, Any] = answer.json()
+    return found
+
+
+def sampled(model: Model, restitution: float = 0.0, **given: Any) -> Trajectory:
+    one = np.ones(1)
+    line = run_line(
+        2.3 * one, 0.5 * one, 0.26 * one, model=model, restitution=restitution * one, penetration=1e-3 * one,
+        adhesive=True, carry=False, settle=0, observe=60, keep=1,
+    )  # fmt: skip
+    law = Contact(restitution, 1e-3, True)
+    return sample(Cell(2.3, 0.5, 0.26), law, line.end_state[0], model=model, **given)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
+def test_lengths_fit_together(client: TestClient, model: dict[str, Any]):
+    found = asked(client, model=model)
+    z1, z2, plate = (np.array(found[name]) for name in ("z1", "z2", "plate"))
+    flies = np.array(found["in_flight"])
+    assert len(z1) == len(found["phase"]) == 4 * 50 + 1
+    np.testing.assert_allclose(plate, np.cos(found["phase"]), atol=1e-12)
+    assert found["rest_length"] == pytest.approx(10.0)
+    assert np.all(z2 - plate >= (-0.02 if model["kind"] == "soft" else -1e-9))
+    assert np.all(np.array(found["force"])[flies] == 0)
+    assert np.any(flies)
+    assert found["complete"]
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
+def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any]):
+    found = asked(client, model=model)["flights"]
+    kind = Model[model["kind"].upper()]
+    one = np.ones(1)
+    line = run_line(
+        2.3 * one, 0.5 * one, 0.26 * one, model=kind, penetration=1e-3 * one, adhesive=True, carry=False,
+        restitution=model.get("restitution", 0.01 if kind is Model.SOFT else 0.0) * one,
+        settle=60, observe=4, keep=64,
+    )  # fmt: skip
+    n = int(line.flights[0])
+    np.testing.assert_allclose(found["flight_time"], line.flight_time[0, :n], atol=1e-9)
+    np.testing.assert_allclose(found["takeoff_phase"], line.takeoff_phase[0, :n], atol=1e-9)
+
+
+@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT], ids=["rigid", "soft"])
+def test_the_motion_obeys_newton(model: Model):
+    """Twice differentiated, the samples give the forces back, wherever no phase begins or ends."""
+    path = sampled(model, restitution=0.01 if model is Model.SOFT else 0.0, periods=2, samples=4000)
+    h = float(path.phase[1])
+    z2, q = path.plate + path.gap, path.elongation
+    z2_2, q_2 = (np.diff(x, 2) / h**2 for x in (z2, q))
+    q_1 = (q[2:] - q[:-2]) / (2 * h)
+    spring = 2 * 0.26 / 0.5 * q_1 + q[1:-1] / 0.25
+    force = path.force[1:-1]
+    inside = (path.in_flight[:-2] == path.in_flight[1:-1]) & (path.in_flight[2:] == path.in_flight[1:-1])
+    quiet = inside & (np.abs(np.gradient(force)) < 0.02)
+    assert np.count_nonzero(quiet) > 4000
+    np.testing.assert_allclose(z2_2[quiet], (spring - 1 / 2.3 + force)[quiet], atol=0.05)
+    np.testing.assert_allclose(q_2[quiet], (-2 * spring - force)[quiet], atol=0.05)
+
+
+def test_more_samples_show_the_same_motion():
+    few, many = (sampled(Model.SOFT, 0.01, periods=2, samples=n) for n in (20, 100))
+    for name in ("gap", "elongation", "force"):
+        np.testing.assert_allclose(getattr(few, name), getattr(many, name)[::5], atol=1e-9)
+
+
+def test_from_rest_it_begins_on_the_plate(client: TestClient):
+    found = asked(client, settle=0, gamma=0.5, model={"kind": "rigid"})
+    assert found["z2"] == pytest.approx(found["plate"])
+    assert found["z1"][0] == pytest.approx(1 + 10 - 0.25 / 0.5)
+    assert found["force"][0] == pytest.approx(2 / 0.5 - 1)
+    assert found["flights"] == {"takeoff": [], "takeoff_phase": [], "flight_time": []}
+
+
+def test_a_rest_length_is_drawn_as_given(client: TestClient):
+    found = asked(client, model={"kind": "soft", "rest_length": 80.0})
+    assert found["rest_length"] == pytest.approx(80.0 * 0.5**2 / 2.3)
+
+
+BAD: dict[str, tuple[Any, int, str]] = {
+    "not JSON": (b"{", 400, "not JSON"),
+    "a list": ([1], 422, "must be an object"),
+    "no gamma": ({"omega": 1, "xi": 1}, 422, "gamma: is required"),
+    "an axis": ({**CELL, "gamma": [1, 2]}, 422, "gamma: must be a number, not a list of 2"),
+    "a range": (
+        {**CELL, "xi": {"start": 0, "stop": 1, "num": 3}},
+        422,
+        "xi: must be a number, not an object",
+    ),
+    "an unknown field": ({**CELL, "keep": 3}, 422, "keep: is not a field here"),
+    "a truth": ({**CELL, "omega": True}, 422, "omega: must be a number"),
+    "a zero": ({**CELL, "omega": 0}, 422, "omega: must be at least"),
+    "no samples": ({**CELL, "samples": 0}, 422, "samples: must be at least 1"),
+    "half a period": ({**CELL, "periods": 0.5}, 422, "periods: must be a whole number"),
+    "a model not there": ({**CELL, "model": {"kind": "stone"}}, 422, "model.kind: must be"),
+    "too many samples": ({**CELL, "periods": 200, "samples": 200}, 413, "at most 20,000 are sent"),
+    "too long to settle": (
+        {**CELL, "settle": 1_000_000, "model": {"kind": "stepped", "penetration": 1e-2}},
+        413,
+        "at most 5 s are spent",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_trajectory(client: TestClient, case: str):
+    body, status, message = BAD[case]
+    content = body if isinstance(body, bytes) else json.dumps(body).encode()
+    answer = client.post("/v1/trajectories", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code == status, answer.text
+    assert message in answer.json()["detail"]
+
+
+def test_the_kernel_names_what_it_cannot_sample():
+    with pytest.raises(KernelInputError, match="gamma"):
+        sample(Cell(float("nan"), 1, 1), Contact(), None, model=Model.RIGID, periods=1, samples=1)
+    with pytest.raises(KernelInputError, match="restitution"):
+        sample(Cell(1, 1, 1), Contact(restitution=2.0), None, model=Model.RIGID, periods=1, samples=1)
+
+
+def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
+    with service(tmp_path, Held(), max_trajectories=1) as client:
+        with client.app.state.service.trajectories.turn():  # type: ignore[attr-defined]
+            answer = client.post("/v1/trajectories", json=CELL)
+        assert answer.status_code == 429
