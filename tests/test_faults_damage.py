@@ -70,7 +70,7 @@ class Service:
 def running(folder: Path) -> Iterator[Service]:
     executor = Scripted()
     settings = Settings(data=folder, heartbeat_seconds=0.2)
-    with TestClient(create_app(settings, executor)) as client:
+    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
         yield Service(client, executor, folder)
     executor.close()
 
