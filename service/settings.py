@@ -4,7 +4,15 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, SecretStr, field_validator, model_validator
+from pydantic import (
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    SecretStr,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from worker import places
@@ -53,7 +61,8 @@ class Settings(BaseSettings):
     key_seconds: PositiveFloat = 24 * 3600.0  # for which an Idempotency-Key is remembered
 
     active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued
-    window: PositiveInt = 2  # chunks in flight per worker and job
+    window: PositiveInt = 2  # chunks in flight per worker and job, or more if they are small:
+    window_seconds: NonNegativeFloat = 0.5  # of work in flight per worker and job
     chunk_tries: PositiveInt = 3  # for a chunk that fails, or whose worker dies of it
     chunk_seconds: PositiveFloat = 60.0  # that any chunk may take before its worker is replaced
     chunk_slack: PositiveFloat = 30.0  # times what the plan says, that a long one may take

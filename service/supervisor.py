@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
 from functools import partial
 from queue import Empty, SimpleQueue
+from typing import Final
 
 from kernel.params import KERNEL_VERSION
 from service.choosing import Choosing, attributes_of, computed_spec
@@ -31,6 +32,10 @@ log = logging.getLogger(__name__)
 
 class KernelChanged(Exception):
     """A job was begun by a kernel whose numbers may differ."""
+
+
+#: Chunks of one job, however small.
+MOST_IN_FLIGHT: Final = 64
 
 
 class Supervisor:
@@ -242,7 +247,13 @@ class Supervisor:
                 return
 
     def _has_place(self, run: Run) -> bool:
-        return len(run.in_flight) < self._places and run.may_submit(self._limits)
+        """Whether a job may have one more chunk in flight: many small ones, or a job of such would wait for
+        a huge one's chunk again and again.
+        """
+        seconds = self._settings.window_seconds * self._places / self._settings.window
+        count = len(run.in_flight)
+        enough = count >= self._places and (run.load >= seconds or count >= MOST_IN_FLIGHT)
+        return self._places > 0 and not enough and run.may_submit(self._limits)
 
     def _send(self, run: Run) -> bool:
         """Give a job's next chunk to the executor; whether it took it."""

@@ -57,7 +57,7 @@ class Running:
 
 @contextmanager
 def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]:
-    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, **given})
+    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
     with Ledger(settings.ledger_path) as ledger:
         lifecycle = Lifecycle(ledger, executor, settings)
         lifecycle.start()

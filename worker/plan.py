@@ -29,7 +29,7 @@ COST_US: Final = {"ball": 0.1, "rigid": 0.4, "soft": 4.0, "auto": 4.0, "stepped"
 
 #: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small
 #: enough to show progress, to lose little, and to share out a small job.
-TARGET_SECONDS: Final = 1.5
+TARGET_SECONDS: Final = 0.75
 SMALLEST_SECONDS: Final = 0.02
 FEWEST_CHUNKS: Final = 8
 MAX_CHUNK_BYTES: Final = 64 * 2**20

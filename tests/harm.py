@@ -1,0 +1,64 @@
+"""Harm that a sweep's name asks for, done in worker processes of a test's own cluster.
+
+`hang:3` hangs in chunk 3, and so on; every other chunk is computed as always.
+"""
+
+import ctypes
+import os
+import signal
+import time
+from typing import Any
+
+from distributed import WorkerPlugin
+
+from worker import watch
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport, run_chunk
+
+
+def hang() -> None:
+    """As a kernel that never comes back: deaf to the cancel mark."""
+    time.sleep(3600)
+
+
+def freeze() -> None:
+    """The same, with the interpreter's lock held: no thread of the process runs any more."""
+    ctypes.PyDLL(None).sleep(3600)
+
+
+def hog() -> None:
+    """Take memory until someone ends it."""
+    taken = []
+    while True:
+        taken.append(b"x" * (100 << 20))
+        time.sleep(0.1)
+
+
+def poison() -> None:
+    """As a compiled function that writes where it must not."""
+    time.sleep(0.1)
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def fail() -> None:
+    raise ValueError("the spring broke")
+
+
+HARMS = {harm.__name__: harm for harm in (hang, freeze, hog, poison, fail)}
+
+
+def run_harmed(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    harm, _, index = spec.name.partition(":")
+    if harm in HARMS and chunk.index == int(index):
+        HARMS[harm]()
+    return run_chunk(spec, chunk, store_url)
+
+
+class Harm(WorkerPlugin):
+    """Puts the harm in the place of the real task, in every process that a nanny ever starts."""
+
+    name = "harm"
+
+    def setup(self, worker: Any) -> None:
+        watch.run_chunk = run_harmed

@@ -1,0 +1,188 @@
+"""Workers that die, hang, and eat memory: only the job that is to blame suffers, and nothing is lost.
+
+Real worker processes, really killed. `BOUNCE_TEST_RUNS=10` for the long version.
+"""
+
+import os
+import random
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import CACHE
+from harm import Harm
+from scripted import wait_for
+from test_lifecycle import Running, running
+
+from service.jobs import JobState
+from worker.executors import Dask, Inline
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport
+from worker.warm import warm
+
+RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
+MEMORY = 900 << 20
+
+
+@pytest.fixture(scope="module")
+def fragile() -> Iterator[Dask]:
+    """A cluster of this module's own, whose workers do the harm that a sweep's name asks for."""
+    warm(CACHE)
+    executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
+    executor._link.client.register_plugin(Harm())
+    yield executor
+    executor.close()
+
+
+class Counting:
+    """The same executor, counting what it is given."""
+
+    def __init__(self, executor: Dask) -> None:
+        self._executor, self.submitted = executor, 0
+
+    def submit(self, *task: Any, **terms: Any) -> "Future[ChunkReport]":
+        self.submitted += 1
+        return self._executor.submit(*task, **terms)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._executor, name)
+
+
+def sweep(name: str = "", chunks: int = 8, seconds: float = 0.06, **given: Any) -> SweepSpec:
+    """Chunks of about so many core-seconds, by the cost table."""
+    cell = 0.01
+    fields: dict[str, Any] = {
+        "name": name,
+        "gamma": {"start": 0.5, "stop": 1.2, "num": max(round(chunks * seconds / cell), 1)},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": round(cell / 0.4e-6),
+        "observe": 10,
+        "keep": 4,
+    }
+    return SweepSpec(**(fields | given))
+
+
+def pids(executor: Dask) -> list[int]:
+    return list(executor._link.client.run(os.getpid).values())
+
+
+def whole(executor: Dask) -> None:
+    """Wait until both workers are there."""
+    wait_for(lambda: executor.ready() and executor.workers() == 2)
+
+
+def files(url: str) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in map(Path, Path(url).rglob("*")) if path.is_file()}
+
+
+def contents(service: Running, job_id: str) -> dict[str, bytes]:
+    url = Path(service.settings.store_of(job_id))
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, fragile: Dask):
+    chance = random.Random(2)
+    inline = Inline()
+    with running(tmp_path / "calm", inline) as service:
+        calm = service.until(service.submit(sweep()), JobState.DONE)
+        expected = contents(service, calm.id)
+    inline.close()
+    for run in range(RUNS):
+        whole(fragile)
+        counting = Counting(fragile)
+        with running(tmp_path / str(run), counting) as service:
+            job = service.submit(sweep())
+            wait_for(lambda job=job, service=service: service.job(job).chunks_done >= 1)
+            time.sleep(chance.uniform(0, 0.5))
+            os.kill(chance.choice(pids(fragile)), signal.SIGKILL)
+            service.until(job, JobState.DONE)
+            found = contents(service, job.id)
+            assert {name: found[name] for name in expected} == expected
+            assert counting.submitted - calm.chunks_total <= 4  # the window
+
+
+def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
+    """A hung, a greedy and a poisonous chunk at once, beside jobs that have none."""
+    whole(fragile)
+    terms = {"chunk_seconds": 3.0, "chunk_slack": 5.0, "chunk_tries": 2}
+    with running(tmp_path, fragile, **terms) as service:
+        bad = {
+            name: service.submit(sweep(f"{name}:2", omega=omega))
+            for name, omega in {"hang": 0.51, "hog": 0.52, "poison": 0.53, "fail": 0.54}.items()
+        }
+        good = [service.submit(sweep(omega=omega)) for omega in (0.6, 0.7)]
+        for job in good:
+            service.until(job, JobState.DONE)
+        ended = {name: service.until(job, JobState.FAILED) for name, job in bad.items()}
+        with service.ledger.reading() as ledger:
+            failed = {name: ledger.failures(job) for name, job in ended.items()}
+    why = {
+        "hang": "longer than 3 s",
+        "hog": "MB of memory",
+        "poison": "died",
+        "fail": "ValueError: the spring broke",
+    }
+    for name, job in ended.items():
+        [failure] = failed[name]
+        assert (failure.chunk, failure.tries) == (2, 2)
+        assert failure.place.startswith("chunk 2 (rest, gamma ")
+        assert why[name] in failure.error
+        assert job.chunks_done == job.chunks_total - 1
+    assert "the spring broke" in (failed["fail"][0].traceback or "")
+
+
+def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, fragile: Dask):
+    whole(fragile)
+    with running(tmp_path, fragile) as service:
+        hung, busy = service.submit(sweep("hang:0")), service.submit(sweep(chunks=4, seconds=3, omega=0.6))
+        service.until(hung, JobState.RUNNING)
+        service.until(busy, JobState.RUNNING)
+        time.sleep(1)  # in the middle of chunks
+        began = time.monotonic()
+        service.lifecycle.cancel(hung.id)
+        service.lifecycle.cancel(busy.id)
+        for job in (hung, busy):
+            service.until(job, JobState.CANCELLED)
+        assert time.monotonic() - began < 5
+        whole(fragile)
+
+
+@pytest.mark.skipif(RUNS < 10, reason="long: BOUNCE_TEST_RUNS=10")
+def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
+    whole(fragile)
+    with running(tmp_path, fragile, chunk_seconds=2.0, chunk_tries=1) as service:
+        job = service.until(service.submit(sweep("freeze:1")), JobState.FAILED)
+        assert job.chunks_done == job.chunks_total - 1
+
+
+def test_a_small_job_beside_a_huge_one_is_hardly_delayed(tmp_path: Path, fragile: Dask):
+    whole(fragile)
+    with running(tmp_path, fragile, window_seconds=0.5) as service:
+        alone = [
+            timed(service, sweep("small", chunks=8, seconds=0.05, omega=0.6 + run / 100)) for run in range(3)
+        ]
+        huge = service.submit(sweep("huge", chunks=60, seconds=1.5))
+        wait_for(lambda: service.job(huge).chunks_done >= 2)
+        beside = []
+        for run in range(RUNS):
+            time.sleep(0.4)
+            beside.append(timed(service, sweep("small", chunks=8, seconds=0.05, omega=0.8 + run / 100)))
+        assert service.job(huge).state is JobState.RUNNING
+        service.lifecycle.cancel(huge.id)
+        service.until(huge, JobState.CANCELLED)
+        with service.ledger.reading() as ledger:
+            longest = ledger._sql.execute("SELECT max(seconds) FROM chunks").fetchone()[0]
+    # On a machine with nothing else to do a chunk takes less than a second.
+    assert max(beside) < 3 * sorted(alone)[1] + max(1.0, 1.5 * longest), (alone, beside, longest)
+
+
+def timed(service: Running, spec: SweepSpec) -> float:
+    began = time.monotonic()
+    service.until(service.submit(spec), JobState.DONE)
+    return time.monotonic() - began
