@@ -33,14 +33,15 @@ def _walk(
     flights = room_for_flights(line.flight_time.shape[1], 1)
     for i in range(len(gamma)):
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
-        if carry and started:
+        carried = carry and started
+        if carried:
             _rescale(state, before, gamma[i], omega[i])
         else:
             state[0] = 0.0
             state[2], state[3], state[4], state[5] = rest(cell)
         in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
         state[1] = 1.0 if in_flight else 0.0
-        run = run_cell(cell, state, window, flights)
+        run = run_cell(cell, state, window, flights, carried)
         leave(run, state)
         write(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]

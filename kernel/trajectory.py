@@ -75,8 +75,8 @@ class Progress(NamedTuple):
 
 
 @jit
-def begin(state: Any, window: Window) -> Progress:
-    """A run from `state` (6,), see params.STATE_FIELDS."""
+def begin(state: Any, window: Window, carried: bool = False) -> Progress:
+    """A run from `state` (6,), see params.STATE_FIELDS; a flight `carried` in with it is not the cell's."""
     budget = BUDGET * (window.settle + window.observe)
     return Progress(
         state[0],
@@ -151,9 +151,9 @@ def settled(before: Progress, run: Progress, window: Window, flights: Flights, f
 
 
 @jit
-def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progress:
-    """Run one cell from `state` (6,) to the end of its window."""
-    run = begin(state, window)
+def run_cell(cell: Any, state: Any, window: Window, flights: Flights, carried: bool) -> Progress:
+    """Run one cell from `state` (6,) to the end of its window; `carried`: see `begin`."""
+    run = begin(state, window, carried)
     while run.ending == ROOT:
         horizon = horizon_of(run, window)
         if run.in_flight:
