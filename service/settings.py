@@ -71,7 +71,7 @@ class Settings(BaseSettings):
     )
     failed_chunks: PositiveInt = 8  # after so many a job submits no more
     heartbeat_seconds: PositiveFloat = 2.0  # how often the supervisor looks round with nothing to wake it
-    shutdown_seconds: PositiveFloat = 5.0  # for requests under way to finish
+    shutdown_seconds: PositiveFloat = 2.0  # for requests under way to finish
 
     @field_validator("allowed_hosts", mode="before")
     @classmethod
