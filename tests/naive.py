@@ -207,9 +207,9 @@ class Sum:
         return total.real
 
     def delicate(self, tau: float) -> bool:
-        """Whether double precision would lose more than three digits to cancellation over tau rad."""
+        """Whether double precision would lose more than two digits to cancellation over tau rad."""
         weights, values = self._in_double(tau * np.logspace(-6, 0, 40))
-        return bool(np.abs(weights).sum() > 1e3 * np.abs(values).max())
+        return bool(np.abs(weights).sum() > 100.0 * np.abs(values).max())
 
     def many(self, taus: np.ndarray) -> np.ndarray:
         """At many instants, in double precision where that does."""

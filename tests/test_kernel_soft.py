@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, constants, last_cycle, one_phase, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, constants, examples, last_cycle, one_phase, phases, recorded, run, run_setting
 from mpmath import mp, mpf
 from naive import Setting, bounce, damping_for, pressed, restitution_of, trajectory
 
@@ -55,7 +55,7 @@ def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
 
 
 @given(e=st.floats(1e-9, 1.0), adhesive=st.booleans())
-@settings(max_examples=200, deadline=None)
+@examples(200)
 def test_damping_gives_back_its_restitution(e, adhesive):
     zeta = damping_ratio(e, adhesive)
     assert zeta == pytest.approx(damping_for(e, adhesive), rel=1e-9, abs=1e-14)
@@ -177,7 +177,7 @@ def pairings(c3: float, c2: float, c1: float, c0: float) -> list[tuple[Factors, 
 
 
 @given(**WIDE)
-@settings(max_examples=300, deadline=None)
+@examples(300)
 def test_factors_multiply_to_the_quartic(**wide):
     c3, c2, c1, c0 = (mpf(c) for c in coefficients(contact(**wide)))
     for f, rounding in pairings(float(c3), float(c2), float(c1), float(c0)):
@@ -192,7 +192,7 @@ def test_factors_multiply_to_the_quartic(**wide):
 
 
 @given(**WIDE)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_factors_have_the_quartics_roots(**wide):
     c = coefficients(contact(**wide))
     true = mp.polyroots([1, *map(mpf, c)], maxsteps=2000, extraprec=400)
@@ -206,7 +206,7 @@ def test_factors_have_the_quartics_roots(**wide):
 
 @given(**WIDE, phase=st.floats(0.0, 6.28), gap=st.floats(-1.0, 0.0), gap1=st.floats(-2.0, 2.0),
        q=st.floats(-1.0, 1.0), q1=st.floats(-2.0, 2.0), tau=st.floats(-9.0, 0.8))  # fmt: skip
-@settings(max_examples=60, deadline=None)
+@examples(60)
 def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **wide):
     """Any state, pressed for any time: all four numbers against 80 digits."""
     s = contact(**wide)
