@@ -145,15 +145,15 @@ class Serving:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}"
-        self._log = (folder / "service.log").open("ab")
         command = [sys.executable, "-m", "service.cli", "serve", "--port", str(self.port)]
-        self.process = subprocess.Popen(
-            [*command, "--data", str(folder / "data")],
-            stdout=self._log,
-            stderr=self._log,
-            cwd=ROOT,
-            env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)},
-        )
+        with (folder / "service.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [*command, "--data", str(folder / "data")],
+                stdout=log,
+                stderr=log,
+                cwd=ROOT,
+                env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)},
+            )
 
     def wait(self) -> None:
         def answers() -> bool:
