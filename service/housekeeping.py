@@ -135,8 +135,8 @@ class Housekeeper:
 
     def _sweep(self) -> None:
         """Remove stores and marks of jobs that are not in the ledger, as an interrupted deletion leaves."""
-        if self._newest == 0:
-            return  # an empty ledger beside full stores is somebody's mistake, not litter
+        if self._newest == 0 or self._settings.stores is not None:
+            return  # stores beside an empty ledger, or in a folder of their own, may be somebody else's
         for path in list(Path(self._settings.store_of("")).parent.glob("*")):
             ours = _OURS.fullmatch(path.name)
             if ours and (".deleted-" in path.name or self._ledger.find(ours[1]) is None):

@@ -34,7 +34,7 @@ FIGURE_2: dict[str, Any] = {
 
 @contextmanager
 def service(folder: Path, executor: Executor, **given: Any) -> Iterator[TestClient]:
-    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, **given})
+    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
     with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
         yield client
 
