@@ -22,7 +22,7 @@ function show(first) {
   const View = place.path.length ? VIEWS[place.path[0]] : Sweeps;
   view = View ? new View(root, place) : nothing();
   for (const anchor of document.querySelectorAll("body > header nav a")) {
-    const current = anchor.hash === location.hash.split("?")[0] || (anchor.hash === "#/" && !location.hash);
+    const current = anchor.hash && anchor.hash === `#/${place.path.join("/")}`;
     if (current) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }

@@ -28,6 +28,7 @@ export class Motion {
     const asked = { ...cell, periods: PERIODS, samples: SAMPLES };
     this.root.hidden = false;
     this.root.setAttribute("aria-busy", "true");
+    if (!this.plot) this.root.replaceChildren(this.#head(cell), h("p", { className: "note" }, "Computing …"));
     try {
       const path = await askJson(`/v1/jobs/${job.id}/trajectory?${query(asked)}`, { signal: this.asking.signal });
       this.#begin(job, { ...cell, ...path });

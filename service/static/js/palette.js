@@ -1,4 +1,4 @@
-// Colours of modes: the hue says how many plate periods, the lightness how many bounces.
+// Colours of modes: the hue says how many plate periods; lighter are fewer bounces than that, darker are more.
 //
 // Hues are those of Okabe and Ito, which colour-blind people tell apart; the legend and the readout say it in words.
 
@@ -25,7 +25,7 @@ const OTHERS = {
 export function colour(outcome, bounces, periods, dark) {
   if (outcome !== OUTCOME.periodic) return OTHERS[outcome][dark ? 1 : 0];
   const shades = HUES[periods - 1] ?? LONGER;
-  return shades[Math.min(bounces, 3) - 1] ?? shades[0];
+  return shades[1 + Math.sign(bounces - periods)];
 }
 
 /** A number for what became of a cell, the same for all that look the same in the legend. */

@@ -11,7 +11,8 @@ const FONT = 13;
 
 /**
  * `content()` says what to draw: {x: {label, low, high, log}, y: {…, turns}, layers: [(pen, box) => …],
- * cursor: (pen, box) => …}; null while there is nothing.
+ * cursor: (pen, box) => …, title: text, key: [[name, (pen, x, y, theme) => draws a mark 24 wide], …]}; null while
+ * there is nothing.
  */
 export class Plot {
   constructor(root, { label, content, ratio = 0.52, least = 260 }) {
@@ -69,6 +70,7 @@ export class Plot {
     if (content.y.turns) drawTurns(pen, box);
     clipped(pen, box, () => content.layers.forEach((layer) => layer(pen, box)));
     drawFrame(pen, box, content);
+    drawHead(pen, box, content);
     return box;
   }
 
@@ -105,8 +107,8 @@ export class Plot {
 
 function boxOf(content, width, height, theme) {
   const narrow = width < 520;
-  const [left, right] = [narrow ? 46 : 58, content.y.turns ? 34 : 14];
-  const [top, bottom] = [12, 46];
+  const [left, right] = [narrow ? 46 : 58, content.y.turns ? 34 : 22];
+  const [top, bottom] = [content.title || content.key ? 32 : 12, 46];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow,
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
@@ -149,14 +151,14 @@ function drawFrame(pen, box, { x, y }) {
   pen.font = `${FONT}px ${theme.serif}`;
   pen.textBaseline = "top";
   pen.textAlign = "center";
-  for (const { value, text } of ticks(box.x.low, box.x.high, width / 75, box.x.log)) {
+  for (const { value, text } of ticks(box.x.low, box.x.high, width / 62, box.x.log)) {
     const at = Math.round(box.x.place(value)) + 0.5;
     stroke(pen, theme.ink, 1, [[at, top + height - 6], [at, top + height]]);
     pen.fillText(text, at, top + height + 7);
   }
   pen.textBaseline = "middle";
   pen.textAlign = "right";
-  for (const { value, text } of ticks(box.y.low, box.y.high, height / 48, box.y.log)) {
+  for (const { value, text } of ticks(box.y.low, box.y.high, height / 44, box.y.log)) {
     const at = Math.round(box.y.place(value)) + 0.5;
     stroke(pen, theme.ink, 1, [[left, at], [left + 6, at]]);
     pen.fillText(text, left - 7, at);
@@ -170,6 +172,24 @@ function drawFrame(pen, box, { x, y }) {
   pen.rotate(-Math.PI / 2);
   pen.fillText(y.label, 0, 0);
   pen.restore();
+}
+
+/** What is shown, on the left above the frame; what the marks mean, on the right. */
+function drawHead(pen, { left, top, width, theme }, { title = "", key = [] }) {
+  pen.font = `${FONT + 1}px ${theme.serif}`;
+  pen.textBaseline = "middle";
+  pen.textAlign = "left";
+  pen.fillStyle = theme.ink;
+  pen.fillText(title, left, top - 15);
+  pen.textAlign = "right";
+  let x = left + width;
+  for (const [name, mark] of [...key].reverse()) {
+    pen.fillStyle = theme.ink;
+    pen.fillText(name, x, top - 15);
+    x -= pen.measureText(name).width + 34;
+    mark(pen, x + 4, top - 15, theme);
+    x -= 12;
+  }
 }
 
 /** A line through points, [x, y] in pixels; dashed if `dash` says so. */

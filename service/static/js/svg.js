@@ -90,6 +90,10 @@ export class SvgPen {
       `<text x="${short(x)}" y="${short(y)}" dy="${SHIFT[this.textBaseline]}" font-size="${size}" font-family="${family.replaceAll('"', "'")}"${style} text-anchor="${ALIGN[this.textAlign]}" fill="${this.fillStyle}"${this.#alpha()}>${escaped(text)}</text>`,
     );
   }
+  /** About how wide a text is, which only a reader of the file knows. */
+  measureText(text) {
+    return { width: 0.55 * parseFloat(/([\d.]+)px/.exec(this.font)[1]) * text.length };
+  }
   /** Pictures go in as they are, a pixel staying a pixel. */
   drawImage(canvas, x, y, w, h) {
     this.#out.push(

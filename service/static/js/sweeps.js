@@ -21,13 +21,13 @@ export class Sweeps {
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
     this.none = h("p", { className: "note", hidden: true }, "None yet. A figure of the paper is a good first one.");
     root.replaceChildren(
-      h("section", { className: "intro" },
+      h("div", { className: "start" }, h("section", { className: "intro" },
         h("h1", { tabindex: "-1" }, "A spring bouncing on a vibrating plate"),
         h("p", {}, "Two masses, a spring and a dashpot on a plate that shakes. How long they fly, and in what rhythm, depends on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), ". Sweep them and look."),
         h("p", { className: "starts" }, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
       h("section", { className: "figures", "aria-labelledby": "figures" },
         h("h2", { id: "figures" }, "From the paper"),
-        h("ul", {}, FIGURES.map(({ key, title, about }) => h("li", {}, h("a", { href: link(["new"], { figure: key }) }, h("b", {}, title), h("span", {}, about)))))),
+        h("ul", {}, FIGURES.map(({ key, title, about }) => h("li", {}, h("a", { href: link(["new"], { figure: key }) }, h("b", {}, title), h("span", {}, about))))))),
       h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps" }, "Sweeps"), this.problem, this.none, this.list, this.more));
     this.refresh();
   }

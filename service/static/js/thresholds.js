@@ -90,6 +90,8 @@ export class Thresholds {
     return {
       x: { label: SYMBOL.omega, low: x0, high: x1, log: isLog(this.job.spec.omega) },
       y: { label: "threshold Γ", low: y0, high: y1 },
+      title: `ξ = ${number(this.found.xi)}`,
+      key: this.#key(),
       layers: [(pen, box) => this.#draw(pen, box)],
       cursor: (pen, box) => {
         if (this.at === null) return;
@@ -106,20 +108,27 @@ export class Thresholds {
       return [x, box.y.place(threshold(box.x.value(x), this.found.xi))];
     });
     stroke(pen, box.theme.onset, 1.6, curve, [7, 4]);
-    const names = [["Eq. 25", box.theme.onset, null]];
-    for (const way of ["up", "down"]) {
-      if (!this.found[way].some((value) => value !== null)) continue;
-      const rest = this.directions[0] === "rest";
-      const colour = colourOf(rest ? "rest" : way, box.theme);
-      drawMarks(pen, box, this.found.omega, this.found[way], colour, way);
-      names.push([rest ? "from rest" : `ramp ${way}`, colour, way]);
+    for (const [way, , direction] of this.#ways()) {
+      drawMarks(pen, box, this.found.omega, this.found[way], colourOf(direction, box.theme), way);
     }
-    drawKey(pen, box, names);
-    pen.fillStyle = box.theme.ink;
-    pen.font = `14px ${box.theme.serif}`;
-    pen.textAlign = "left";
-    pen.textBaseline = "top";
-    pen.fillText(`ξ = ${number(this.found.xi)}`, box.left + 12, box.top + 10);
+  }
+
+  /** What was simulated: [array, name, direction]. */
+  #ways() {
+    const first = this.directions[0] === "rest" ? ["up", "from rest", "rest"] : ["up", "ramp up", "up"];
+    return [first, ["down", "ramp down", "down"]].filter(([way]) => this.found[way].some((value) => value !== null));
+  }
+
+  #key() {
+    const line = (pen, x, y, colour, dash, width) => stroke(pen, colour, width, [[x, y], [x + 24, y]], dash);
+    return [
+      ["Eq. 25", (pen, x, y, theme) => line(pen, x, y, theme.onset, [7, 4], 1.6)],
+      ...this.#ways().map(([way, name, direction]) => [name, (pen, x, y, theme) => {
+        const colour = colourOf(direction, theme);
+        line(pen, x, y, colour, [], 1.2);
+        mark(pen, [x + 12, y], 3.4, colour, way, theme.paper);
+      }]),
+    ];
   }
 
   #point(at) {
@@ -190,19 +199,6 @@ function mark(pen, [x, y], size, colour, way, paper) {
   pen.fillStyle = paper;
   pen.fillRect(x - size, y - size, 2 * size, 2 * size);
   stroke(pen, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
-}
-
-function drawKey(pen, box, names) {
-  pen.font = `13px ${box.theme.serif}`;
-  pen.textAlign = "left";
-  pen.textBaseline = "middle";
-  names.forEach(([name, colour, way], i) => {
-    const y = box.top + 42 + 20 * i;
-    stroke(pen, colour, way ? 1.2 : 1.6, [[box.left + 12, y], [box.left + 36, y]], way ? [] : [7, 4]);
-    if (way) mark(pen, [box.left + 24, y], 3.4, colour, way, box.theme.paper);
-    pen.fillStyle = box.theme.ink;
-    pen.fillText(name, box.left + 44, y);
-  });
 }
 
 const HINT = "Point at a frequency to read it, click to see a cell move, drag to zoom, double-click to see all.";
