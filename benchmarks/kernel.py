@@ -69,6 +69,13 @@ def microseconds(run: Callable[[], object], cells: int, repeat: int) -> float:
     return statistics.median(times) / cells / PERIODS * 1e6
 
 
+def once(run: Callable[[], object], periods: int) -> float:
+    """CPU microseconds per plate period of a run too slow to repeat."""
+    start = time.process_time()
+    run()
+    return (time.process_time() - start) / periods * 1e6
+
+
 def kernel_cost(model: Model, repeat: int, *, e: float, d: float, adhesive: bool, alone: bool) -> float:
     """Median over CELLS."""
     costs = []
@@ -102,12 +109,27 @@ def main() -> None:
         for d in (1e-3, 1e-6):
             cost = kernel_cost(Model.SOFT, arguments.repeat, e=0.01, d=d, adhesive=adhesive, alone=False)
             rows.append((f"soft, {'adhesive' if adhesive else 'nonadhesive'}, e = 0.01, d = {d:g}", cost))
+    stepped = [
+        microseconds(
+            lambda c=c: line(
+                np.array([c[0]]), c[1], c[2], Model.STEPPED, e=0.01, d=1e-3, adhesive=True, alone=False
+            ),
+            1,
+            1,
+        )
+        for c in CELLS
+    ]
+    rows.append(("stepped, the paper's method, d = 0.001", statistics.median(stepped)))
     if not arguments.no_rival:
+        from benchmarks import scipy_rival
         from benchmarks.heyoka_rival import Spring
 
         spring = Spring()
         costs = [microseconds(lambda c=c: spring.run(*c, PERIODS), 1, arguments.repeat) for c in CELLS]
         rows.append(("heyoka, rigid, tolerance 2.2e-16", statistics.median(costs)))
+        for method in ("DOP853", "LSODA"):
+            costs = [once(lambda c=c, m=method: scipy_rival.run(*c, 20, m), 20) for c in CELLS]
+            rows.append((f"scipy solve_ivp {method}, rigid, rtol 1e-9", statistics.median(costs)))
     print(f"\n{'':44}{'us per plate period':>20}{'of rigid, neighbours':>22}")
     for name, cost in rows:
         print(f"{name:44}{cost:20.3f}{cost / rows[0][1]:22.1f}")

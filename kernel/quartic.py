@@ -77,8 +77,8 @@ def paired(
 ) -> tuple[float, Factors]:
     """The quadratics in which the smallest of the roots z goes with z[partner], 1 to 3.
 
-    To rounding where partner is 1, the next smallest, to a few digits less otherwise. First how far
-    apart the two quadratics are, 0 to 1: at 0 they are not real or share a root, and mean nothing.
+    First how far apart the two quadratics are, 0 to 1: at 0 they are not real or share a root, and
+    mean nothing.
     """
     second, third = (2, 3) if partner == 1 else (1, 3) if partner == 2 else (1, 2)
     apart, f = _pairing(z[0], z[partner], z[second], z[third])
@@ -87,22 +87,22 @@ def paired(
 
 @jit
 def _polished(c3: float, c2: float, c1: float, c0: float, f: Factors) -> Factors:
-    """Newton's method on the slow quadratic."""
-    a1, b1 = f.a1, f.b1
+    """Newton's method on the quadratic with the smaller linear term, a and b; the other is A and B.
+
+    A = c3 - a and B = c0/b hold by construction, so that nothing is left to cancel in them.
+    """
+    swapped = f.a2 < f.a1
+    a, b = (f.a2, f.b2) if swapped else (f.a1, f.b1)
+    other_a, other_b = c3 - a, c0 / b
     for _ in range(3):
-        # divide by the slow quadratic: the remainder u s + v must vanish
-        a2 = c3 - a1
-        b2 = c2 - b1 - a1 * a2
-        u = c1 - a1 * b2 - b1 * a2
-        v = c0 - b1 * b2
-        # d(u, v)/d(a1, b1), with a2 and b2 following
-        ua = -b2 + b1 + a1 * (a2 - a1)
-        ub = a1 - a2
-        va = b1 * (a2 - a1)
-        vb = b1 - b2
-        det = ua * vb - ub * va
+        off2, off1 = b + other_b + a * other_a - c2, a * other_b + other_a * b - c1
+        # their derivatives by a and b
+        by_a2, by_b2 = other_a - a, 1.0 - other_b / b
+        by_a1, by_b1 = other_b - b, other_a - a * other_b / b
+        det = by_a2 * by_b1 - by_b2 * by_a1
         if det == 0.0:
             break
-        a1 -= (u * vb - ub * v) / det
-        b1 -= (ua * v - va * u) / det
-    return Factors(a1, b1, c3 - a1, c2 - b1 - a1 * (c3 - a1))
+        a -= (off2 * by_b1 - by_b2 * off1) / det
+        b -= (by_a2 * off1 - off2 * by_a1) / det
+        other_a, other_b = c3 - a, c0 / b
+    return Factors(other_a, other_b, a, b) if swapped else Factors(a, b, other_a, other_b)

@@ -24,6 +24,9 @@ from kernel.soft import SoftPlate
 from kernel.stepped import SteppedSpring, stepped_plate
 from kernel.trajectory import BUDGET, SHORTEST_FLIGHT
 
+#: Contacts and flights that are followed, so that a caller who waits has an answer in seconds.
+MOST_PHASES: Final = 50_000
+
 
 class Trajectory(NamedTuple):
     """n samples, and the m flights that took off and landed within them."""
@@ -42,12 +45,18 @@ class Trajectory(NamedTuple):
 class _Point(NamedTuple):
     """A state at the beginning of a phase."""
 
-    at: float  # rad since the start
+    phase: float  # of the plate, rad modulo 2 pi, reckoned as `trajectory.record` does
+    period: int  # plate periods since the start
     in_flight: bool
     gap: float
     gap1: float
     q: float
     q1: float
+
+    @property
+    def at(self) -> float:
+        """Rad since the start."""
+        return TWO_PI * self.period + self.phase
 
 
 def sample(
@@ -90,7 +99,13 @@ def _plate(cell: Cell, law: Contact, model: Model, steps_per_contact: int, schem
 
 def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
     gap, gap1, q, q1 = rest(spring) if state is None else (float(value) for value in state[2:])
-    return _Point(0.0, bool(flies(spring, 0.0, gap, gap1, q, q1)), gap, gap1, q, q1)
+    return _Point(0.0, 0, bool(flies(spring, 0.0, gap, gap1, q, q1)), gap, gap1, q, q1)
+
+
+def _after(here: _Point, p: Phase) -> _Point:
+    turns = math.floor((here.phase + p.tau) / TWO_PI)
+    phase = here.phase + p.tau - TWO_PI * turns
+    return _Point(phase, here.period + turns, p.in_flight, p.gap, p.gap1, p.q, p.q1)
 
 
 class _Walk:
@@ -100,6 +115,7 @@ class _Walk:
         self._spring, self._times, self._periods = spring, times, periods
         self._force = _FORCES[type(spring)]
         self._budget = BUDGET * periods
+        self._phases = MOST_PHASES
         self._gap, self._q, self._n = (np.full(len(times), np.nan) for _ in range(3))
         self._flies = np.zeros(len(times), np.bool_)
         self._flights: list[tuple[float, float]] = []
@@ -116,16 +132,16 @@ class _Walk:
                 self._flights.append((here.at, p.tau))
             flew_in = flew_in and p.ending != ROOT
             self._budget -= p.used
-            if p.ending != ROOT or self._budget <= 0:
+            self._phases -= 1
+            if p.ending != ROOT or min(self._budget, self._phases) <= 0:
                 break
-            here = _Point(here.at + p.tau, p.in_flight, p.gap, p.gap1, p.q, p.q1)
+            here = _after(here, p)
         return self._trajectory()
 
     def _phase(self, here: _Point, horizon: float) -> Phase:
         follow = flight if here.in_flight else contact
-        phi = here.at % TWO_PI
         found: Phase = follow(
-            self._spring, phi, here.gap, here.gap1, here.q, here.q1, max(horizon, 0.0), self._budget
+            self._spring, here.phase, here.gap, here.gap1, here.q, here.q1, max(horizon, 0.0), self._budget
         )
         return found
 

@@ -3,15 +3,23 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.commands import Bounce, line_options, service_options
+from service import asking
+from service.commands import (
+    Bounce,
+    connected,
+    format_of,
+    line_options,
+    output_option,
+    service_options,
+    write_file,
+)
 
 if TYPE_CHECKING:
-    from service.client import Client, Job
+    from service.client import Job
 
 PICTURES: Final = ("png", "svg")
 FORMATS: Final = (*PICTURES, "csv", "json")
@@ -51,17 +59,24 @@ def serve(**given: str | int | None) -> None:
 @main.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
 @click.option("--wait", is_flag=True, help="Show progress and return when the job is done.")
+@click.option("--estimate", is_flag=True, help="Hand in nothing, only say what it would cost.")
+@click.option("--key", help="Idempotency key: the same request again under it changes nothing.")
 @service_options
-def submit(spec: str, wait: bool, url: str, token: str | None) -> None:
+def submit(spec: str, wait: bool, estimate: bool, key: str | None, url: str, token: str | None) -> None:
     """Hand in the sweep in the file SPEC and print its job's id.
 
     SPEC ends in .json or .toml, or is - for JSON on standard input. The same sweep is the same job: one
     that is done is not computed again, one that failed or was cancelled goes on.
     """
+    from service import listing
     from service.client.specification import read
 
-    with _client(url, token) as client:
-        job = client.submit(spec if spec != "-" else read(sys.stdin.buffer.read()))
+    with connected(url, token) as client:
+        given = spec if spec != "-" else read(sys.stdin.buffer.read())
+        if estimate:
+            click.echo(listing.estimate(client.estimate(given)))
+            return
+        job = client.submit(given, key=key)
         click.echo(job.id)
         if wait:
             _wait(job)
@@ -75,7 +90,7 @@ def status(job_id: str, as_json: bool, url: str, token: str | None) -> None:
     """Say how far job ID is."""
     from service import listing
 
-    with _client(url, token) as client:
+    with connected(url, token) as client:
         job = client.job(job_id)
         click.echo(listing.as_json(job.view) if as_json else listing.report(job))
 
@@ -89,7 +104,7 @@ def wait(job_id: str, timeout: float | None, url: str, token: str | None) -> Non
 
     The exit code is 0 only if the job succeeded.
     """
-    with _client(url, token) as client:
+    with connected(url, token) as client:
         _wait(client.job(job_id), timeout)
 
 
@@ -100,7 +115,7 @@ def cancel(job_id: str, url: str, token: str | None) -> None:
     """Stop job ID. What it has computed is kept; submitting the same sweep again resumes it."""
     from service.client.display import summary
 
-    with _client(url, token) as client:
+    with connected(url, token) as client:
         job = client.job(job_id).cancel()
     click.echo(summary(job) if job.finished else f"{summary(job)}: asked to stop", err=True)
 
@@ -115,7 +130,7 @@ def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> 
     """List the jobs, newest first."""
     from service import listing
 
-    with _client(url, token) as client:
+    with connected(url, token) as client:
         jobs = list(client.jobs(state))
     click.echo(listing.as_json([job.view for job in jobs]) if as_json else listing.table(jobs))
 
@@ -124,8 +139,7 @@ def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> 
 @click.argument("job_id", metavar="ID")
 @line_options
 @click.option("--format", type=click.Choice(FORMATS), help="What to write.  [default: the ending of FILE]")
-@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
-              help="File to write; - writes to standard output.")  # fmt: skip
+@output_option
 @service_options
 def diagram(job_id: str, output: str, format: str | None, url: str, token: str | None, **line: Any) -> None:
     """Draw job ID's bifurcation diagram along one axis.
@@ -134,10 +148,10 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
 
       bounce diagram ID --along gamma --omega 0.5 --xi 0.26 -o fig.png
     """
-    chosen = format or _format_of(output, FORMATS)
-    with _client(url, token) as client:
+    chosen = format or format_of(output, FORMATS)
+    with connected(url, token) as client:
         job = client.job(job_id)
-        _write(output, job.picture(format=chosen, **line))
+        write_file(output, job.picture(format=chosen, **line))
     if job.state != "done":
         click.echo(
             f"the job is {job.state} at {job.progress.whole_percent}%: the diagram is incomplete", err=True
@@ -159,7 +173,7 @@ def threshold(
     """
     from service import listing
 
-    with _client(url, token) as client:
+    with connected(url, token) as client:
         found = client.job(job_id).threshold(xi, tolerance=tolerance)
     click.echo(listing.as_json(listing.thresholds_view(found)) if as_json else listing.thresholds(found))
 
@@ -186,9 +200,9 @@ def figure(
 
     chosen = figures.figure(number)
     target = output or f"figure-{number}.png"
-    format = _format_of(target, PICTURES)
-    with _service(url, given) as address, _client(address, token) as client:
-        _write(target, chosen.make(client, format))
+    format = format_of(target, PICTURES)
+    with _service(url, given) as address, connected(address, token) as client:
+        write_file(target, chosen.make(client, format))
     click.echo(f"{target}: {chosen.title}", err=True)
 
 
@@ -213,12 +227,6 @@ def _claim_kernels() -> None:
     claim_cache()
 
 
-def _client(url: str, token: str | None) -> "Client":
-    from service.client import Client
-
-    return Client(url, token)
-
-
 def _wait(job: "Job", timeout: float | None = None) -> None:
     try:
         job.wait(timeout=timeout)
@@ -227,22 +235,8 @@ def _wait(job: "Job", timeout: float | None = None) -> None:
         sys.exit(130)
 
 
-def _format_of(output: str, formats: tuple[str, ...]) -> str:
-    """The format that a file's ending asks for; checked, like its folder, before any work is done."""
-    ending = Path(output).suffix.lower().removeprefix(".")
-    if ending not in formats:
-        raise click.BadParameter(
-            f"{output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"
-        )
-    if not Path(output).parent.is_dir():
-        raise click.BadParameter(f"there is no folder {Path(output).parent}", param_hint="'-o'")
-    return ending
-
-
-def _write(output: str, content: bytes) -> None:
-    """Write a file whole or not at all: what was there stays until the new content is complete."""
-    with click.open_file(output, "wb", atomic=output != "-") as file:
-        file.write(content)
+for command in asking.COMMANDS:
+    main.add_command(command)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,13 @@
 
 import errno
 from collections.abc import Callable
-from typing import Final, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from service.client import Client
 
 AXES: Final = ("gamma", "omega", "xi")
 DEFAULT_URL: Final = "http://127.0.0.1:8000"
@@ -50,6 +54,40 @@ def line_options(command: Command) -> Command:
                      help="Which way, after a ramp both ways."),
         click.option("--min-flight", type=float, help="Leave out flights shorter than this, in rad."),
     )  # fmt: skip
+
+
+def output_option(command: Command) -> Command:
+    """The option that says where to write."""
+    return _with(
+        command,
+        click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
+                     help="File to write; - writes to standard output."),
+    )  # fmt: skip
+
+
+def connected(url: str, token: str | None) -> "Client":
+    """A client of the service that was named."""
+    from service.client import Client
+
+    return Client(url, token)
+
+
+def format_of(output: str, formats: tuple[str, ...]) -> str:
+    """The format that a file's ending asks for; checked, like its folder, before any work is done."""
+    ending = Path(output).suffix.lower().removeprefix(".")
+    if ending not in formats:
+        raise click.BadParameter(
+            f"{output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"
+        )
+    if not Path(output).parent.is_dir():
+        raise click.BadParameter(f"there is no folder {Path(output).parent}", param_hint="'-o'")
+    return ending
+
+
+def write_file(output: str, content: bytes) -> None:
+    """Write a file whole or not at all: what was there stays until the new content is complete."""
+    with click.open_file(output, "wb", atomic=output != "-") as file:
+        file.write(content)
 
 
 def _with(command: Command, *options: Callable[[Command], Command]) -> Command:

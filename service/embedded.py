@@ -44,8 +44,12 @@ def settings(**given: Any) -> Settings:
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
-        rules = [f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()]
+        rules = [": ".join([*map(str, one["loc"]), _rule(one["msg"])]) for one in error.errors()]
         raise NotStarted("settings: " + "; ".join(rules)) from error
+
+
+def _rule(message: str) -> str:
+    return message.removeprefix("Value error, ")
 
 
 @contextmanager

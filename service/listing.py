@@ -10,7 +10,7 @@ from service.client.display import duration
 if TYPE_CHECKING:
     import xarray
 
-    from service.client import Job
+    from service.client import Estimate, Job
 
 
 def as_json(content: object) -> str:
@@ -31,6 +31,15 @@ def report(job: "Job") -> str:
         **{event: view.get(event) for event in ("created", "started", "finished", "error")},
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
+
+
+def estimate(found: "Estimate") -> str:
+    """What a sweep would cost, in a line."""
+    by = "by the speed measured here" if found.basis == "measured" else "by the table of costs"
+    return (
+        f"{found.cells:,} cells in {found.chunks:,} chunks, {found.bytes / 1e6:,.3g} MB before compression, "
+        f"{found.core_seconds:,.3g} core-seconds {by}"
+    )
 
 
 def thresholds_view(found: "xarray.Dataset") -> dict[str, Any]:

@@ -27,7 +27,7 @@ ALLOWED = {
     "worker": {"numpy", "numba", "pydantic", "zarr", "obstore", "xarray", "dask", "distributed"},
     "worker.spec": {"numpy", "pydantic"},
     "worker.plan": {"numpy", "pydantic"},
-    "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic"},
+    "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic", "zarr"},
 }
 
 #: What a specification is made of: light, so that clients can hold one.

@@ -100,6 +100,8 @@ BODIES = [
     spec("a log range from 0", 422, "xi.start", xi={"start": 0.0, "stop": 1.0, "num": 5, "spacing": "log"}),
     spec("a model to come", 422, "model.kind", model={"kind": "granite"}),
     spec("a field of another model", 422, "model.penetration", model={"kind": "rigid", "penetration": 1e-3}),
+    spec("a subnormal rest length", 422, "model.rest_length: gives contacts 0 to 0",
+         model={"kind": "soft", "rest_length": 5e-324}),
     spec("restitution above 1", 422, "model.restitution", model={"kind": "rigid", "restitution": 1.5}),
     spec("a protocol to come", 422, "protocol.kind", protocol={"kind": "spiral"}),
     spec("a ramp along one value", 422, "protocol.axis",

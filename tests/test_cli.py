@@ -23,7 +23,10 @@ from service.settings import Settings
 from worker.executors import Dask, Executor, Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
-COMMANDS = ["cancel", "diagram", "figure", "list", "serve", "status", "submit", "wait"]
+COMMANDS = [
+    "cancel", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "resume",
+    "serve", "status", "submit", "threshold", "trajectory", "wait",
+]  # fmt: skip
 
 SPEC = {
     "name": "two ω",
@@ -223,7 +226,7 @@ def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
         (["wait", "0" * 32, "--timeout", "-1"], 2, "timeout"),
         (["serve", "--port", "99999"], 1, "port"),
         (["serve", "--workers", "0"], 1, "workers"),
-        (["serve", "--host", "nowhere.invalid", "--port", "0"], 1, "cannot listen on nowhere.invalid"),
+        (["serve", "--host", "nowhere.invalid", "--port", "0"], 1, "to listen on nowhere.invalid"),
     ],
 )
 def test_an_error_is_one_message_and_an_exit_code(words: list[str], code: int, message: str):

@@ -21,14 +21,19 @@ from service.settings import Settings
 TOKEN = "a-token-of-thirty-two-characters"
 SWEEP = sweep().as_submitted()
 
-#: Every call that there is, for one job. None may answer without the token.
+#: Queries without which a call is refused for another reason; a token comes before reasons.
+QUERIES = {"/v1/jobs/{job_id}/export": "?format=nc", "/v1/threshold": "?omega=1&xi=1"}
+
+#: What answers anybody.
+PROBES = [("GET", "/healthz"), ("GET", "/readyz")]
+
+#: Every call that there is, for one job, as the API document has it. None may answer without the token.
 CALLS = [
-    ("POST", "/v1/jobs"), ("GET", "/v1/jobs"), ("GET", "{job}"), ("DELETE", "{job}"),
-    ("POST", "{job}/cancel"), ("POST", "{job}/resume"), ("GET", "{job}/events"), ("GET", "{job}/diagram"),
-    ("GET", "{job}/threshold"), ("GET", "{job}/modes"), ("GET", "{job}/export?format=nc"),
-    ("GET", "{job}/zarr/zarr.json"), ("HEAD", "{job}/zarr/zarr.json"), ("POST", "/v1/trajectories"),
-    ("GET", "/v1/threshold?omega=1&xi=1"), ("GET", "/metrics"), ("GET", "/nowhere"),
-]  # fmt: skip
+    (method.upper(), path.format(job_id="{job}", key="zarr.json") + QUERIES.get(path, ""))
+    for path, methods in create_app(Settings(), Held()).openapi()["paths"].items()
+    for method in methods
+    if (method.upper(), path) not in PROBES
+] + [("HEAD", "/v1/jobs/{job}/zarr/zarr.json"), ("GET", "/nowhere"), ("DELETE", "/v1/jobs")]
 
 
 @pytest.fixture
@@ -51,28 +56,23 @@ def bearer(token: str) -> dict[str, str]:
 # The token
 
 
-def test_every_call_is_in_the_list(guarded: TestClient):
-    document = guarded.get("/openapi.json").json()
-    found = {
-        (method.upper(), path.replace("/v1/jobs/{job_id}", "{job}").replace("{key}", "zarr.json"))
-        for path, methods in document["paths"].items()
-        for method in methods
-    }
-    probes = {("GET", "/healthz"), ("GET", "/readyz")}
-    assert found - probes <= {(method, path.partition("?")[0]) for method, path in CALLS}
+def test_the_list_is_not_empty():
+    assert len(CALLS) > 15
+    assert ("POST", "/v1/jobs/{job}/cancel") in CALLS
 
 
 @pytest.mark.parametrize(("method", "path"), CALLS)
 @pytest.mark.parametrize("given", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
 def test_without_the_token_nothing_answers(guarded: TestClient, method: str, path: str, given: str):
-    job = guarded.post("/v1/jobs", json=SWEEP, headers=bearer(TOKEN)).json()["links"]["self"]
-    answer = guarded.request(method, path.format(job=job), headers=bearer(given) if given else {})
+    job = guarded.post("/v1/jobs", json=SWEEP, headers=bearer(TOKEN)).json()
+    answer = guarded.request(method, path.format(job=job["id"]), headers=bearer(given) if given else {})
     assert answer.status_code == 401
     assert answer.headers["WWW-Authenticate"] == "Bearer"
     if method != "HEAD":
         assert "token" in answer.json()["detail"]
         assert TOKEN not in answer.text
-    assert guarded.get(job, headers=bearer(TOKEN)).json()["state"] in ("queued", "running")
+    now = guarded.get(job["links"]["self"], headers=bearer(TOKEN)).json()
+    assert now["state"] in ("queued", "running")
 
 
 @pytest.mark.parametrize("header", [TOKEN, f"Basic {TOKEN}", f"Bearer{TOKEN}", "Bearer", "Bearer \u00e9"])

@@ -153,3 +153,14 @@ def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Pat
         with client.app.state.service.trajectories.turn():  # type: ignore[attr-defined]
             answer = client.post("/v1/trajectories", json=CELL)
         assert answer.status_code == 429
+
+
+def test_a_ball_keeps_its_rhythm_over_hundreds_of_periods():
+    one = np.ones(1)
+    line = run_line(
+        1.5 * one, one, one, model=Model.BALL, restitution=0.0 * one, penetration=1e-3 * one, adhesive=True,
+        carry=False, settle=0, observe=300, keep=400,
+    )  # fmt: skip
+    path = sample(Cell(1.5, 1, 1), Contact(), None, model=Model.BALL, periods=300, samples=2)
+    assert path.complete
+    np.testing.assert_allclose(path.flight_time, line.flight_time[0, : line.flights[0]], atol=1e-9)

@@ -141,7 +141,9 @@ class SweepSpec(Strict):
             return
         gamma, omega = self.axis_values("gamma"), self.axis_values("omega")
         extremes = penetration_of(self.model, gamma[[-1, 0]], omega[[0, -1]])
-        low, high = rest_length * MIN_PENETRATION / extremes[0], rest_length * MAX_PENETRATION / extremes[1]
+        with np.errstate(all="ignore"):  # a subnormal length gives contacts of no depth at all
+            low = rest_length * MIN_PENETRATION / extremes[0]
+            high = rest_length * MAX_PENETRATION / extremes[1]
         if not low <= rest_length <= high:
             given = f"gives contacts {extremes[0]:.3g} to {extremes[1]:.3g} plate amplitudes deep"
             allowed = f"allowed are {MIN_PENETRATION:g} to {MAX_PENETRATION:g}"

@@ -1,6 +1,6 @@
 """The Python client of bouncing-spring. Importing it loads no server library."""
 
-from service.client.client import Client
+from service.client.client import Client, Estimate
 from service.client.errors import (
     BadRequest,
     BounceError,
@@ -29,6 +29,7 @@ __all__ = [
     "Busy",
     "Client",
     "Conflict",
+    "Estimate",
     "FieldProblem",
     "InvalidSpecification",
     "Job",

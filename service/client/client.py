@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from math import inf
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from service.client.errors import NotFound, Problem, UnexpectedAnswer
 from service.client.job import Job
@@ -12,12 +12,25 @@ from service.client.specification import Specification, body
 from service.client.transport import Transport, document
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import httpx2
+    import xarray
 
 DEFAULT_URL: Final = "http://127.0.0.1:8000"
 
 #: Jobs asked for at a time.
 PAGE: Final = 1000
+
+
+class Estimate(NamedTuple):
+    """What a sweep would take."""
+
+    cells: int
+    chunks: int
+    bytes: int  # of stored arrays before compression
+    core_seconds: float
+    basis: str  # measured: by the speed of the service's last jobs with the same contact model; or table
 
 
 class Client:
@@ -48,14 +61,29 @@ class Client:
         """Where the service is."""
         return self._transport.url
 
-    def submit(self, spec: Specification) -> Job:
+    def submit(self, spec: Specification, *, key: str | None = None) -> Job:
         """Hand in a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
 
         The same sweep is the same job, however often it is handed in: one that is done comes back done, one
-        that failed or was cancelled goes on. Raises InvalidSpecification naming field and rule, TooLarge,
-        or Busy.
+        that failed or was cancelled goes on. Under an idempotency `key` a repeated request changes nothing,
+        whatever became of the job since. Raises InvalidSpecification naming field and rule, TooLarge, Busy,
+        or Conflict for a key that was used for something else.
         """
-        return Job(self._transport, self._transport.post("/v1/jobs", body(spec), repeat=True))
+        headers = {"Idempotency-Key": key} if key is not None else None
+        return Job(
+            self._transport, self._transport.post("/v1/jobs", body(spec), headers=headers, repeat=True)
+        )
+
+    def estimate(self, spec: Specification) -> Estimate:
+        """What a sweep would cost, without handing it in. Raises as `submit`."""
+        query: dict[str, str | float | None] = {"validate_only": "true"}
+        answer = document(self._transport.post("/v1/jobs", body(spec), query=query, repeat=True))
+        try:
+            return Estimate(**{name: answer[name] for name in Estimate._fields})
+        except KeyError as error:
+            raise UnexpectedAnswer(
+                f"the service answered with something that is no estimate: {error!r}"
+            ) from error
 
     def job(self, id: str) -> Job:
         """The job with this id. Raises NotFound."""
@@ -80,6 +108,22 @@ class Client:
         answer = document(self._transport.get("/v1/threshold", {"omega": omega, "xi": xi}))
         found = answer.get("threshold")
         return inf if found is None else float(found)
+
+    def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
+        """The motion of one cell, sample by sample, computed while this waits.
+
+        `cell` holds `gamma`, `omega`, `xi`, and if wanted `model`, `settle` and `periods` (plate periods)
+        and `samples` per period. Returns a Dataset: `plate`, `z1`, `z2` in plate amplitudes, `force` and
+        `in_flight` over `phase`; `takeoff`, `takeoff_phase`, `flight_time` of each flight, in rad; attribute
+        `rest_length`. Raises BadRequest naming the field, TooLarge, Busy.
+        """
+        from service.client.motion import motion_dataset
+
+        return motion_dataset(document(self._transport.post("/v1/trajectories", body(cell), repeat=True)))
+
+    def metrics(self) -> str:
+        """The service's figures, in Prometheus's text form."""
+        return self._transport.get("/metrics").text
 
     def close(self) -> None:
         """Close the connections. The jobs go on."""

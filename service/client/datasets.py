@@ -1,16 +1,14 @@
 """Answers of the service as xarray Datasets, described as the CF conventions ask."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final, TypeAlias
-from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import xarray
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
-from service.client.errors import StoreUnreachable, UnexpectedAnswer
+from service.client.errors import UnexpectedAnswer
 
 Attributes: TypeAlias = Mapping[str, Any]
 Variable: TypeAlias = tuple[str | tuple[()], NDArray[Any], dict[str, Any]]
@@ -52,11 +50,7 @@ def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray
         counts |= {field: _variable(field, along, answer[field]) for field in ("bounces", "periods")}
         coordinates = {along: _variable(along, along, answer["values"])}
         coordinates |= {field: _variable(field, None, value) for field, value in answer["fixed"].items()}
-        coordinates["direction"] = (
-            (),
-            np.array(str(answer["direction"])),
-            {"long_name": "direction of the ramp"},
-        )
+        coordinates["direction"] = _direction(answer)
         return _dataset({**variables, **counts}, coordinates, answer, f"bifurcation diagram: {name}", job_id)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UnexpectedAnswer(
@@ -84,25 +78,22 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         ) from error
 
 
-def open_store(link: str | None, job_id: str) -> xarray.Dataset:
-    """The store behind a job's link, its arrays read only where they are used."""
-    path = _local_path(link)
-    if path is None or not path.is_dir():
-        raise StoreUnreachable(
-            f"the store of job {job_id} is not on this machine ({link or 'the service names no place'}); "
-            "ask the service for diagram() and threshold(), or open it where the service keeps its data"
-        )
-    store: xarray.Dataset = xarray.open_zarr(path, consolidated=True, chunks=None)
-    return store
-
-
-def _local_path(link: str | None) -> Path | None:
-    if not link:
-        return None
-    parts = urlsplit(link)
-    if parts.scheme == "file":
-        return Path(unquote(parts.path))
-    return None if parts.scheme else Path(link)
+def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
+    """A mode map: dims (omega, gamma)."""
+    try:
+        plane = ("omega", "gamma")
+        variables = {
+            field: (plane, *_variable(field, None, answer[field])[1:])
+            for field in ("outcome", "bounces", "periods")
+        }
+        coordinates = {axis: _variable(axis, axis, answer[axis]) for axis in plane}
+        coordinates["xi"] = _variable("xi", None, answer["xi"])
+        coordinates["direction"] = _direction(answer)
+        return _dataset(variables, coordinates, answer, "mode map", job_id)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnexpectedAnswer(
+            f"the service answered with something that is no mode map: {error!r}"
+        ) from error
 
 
 def _dataset(
@@ -128,6 +119,10 @@ def _dataset(
 def _variable(field: str, dim: str | None, values: object) -> Variable:
     dtype, _ = _VARIABLES[field]
     return (() if dim is None else dim), np.asarray(values, dtype), _attributes(field)
+
+
+def _direction(answer: Mapping[str, Any]) -> Variable:
+    return (), np.array(str(answer["direction"])), {"long_name": "direction of the ramp"}
 
 
 def _attributes(field: str) -> dict[str, Any]:

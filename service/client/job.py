@@ -1,7 +1,7 @@
 """A job as the client sees it: the last view the service gave, and what can be asked of it."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,11 +15,11 @@ from service.client.errors import (
     WaitTimeout,
 )
 from service.client.notebook import job_html
+from service.client.results import Results
 from service.client.transport import Transport, document, seconds_to_wait
 
 if TYPE_CHECKING:
     import httpx2
-    import xarray
 
 #: The states a job does not leave by itself.
 FINISHED: Final = ("done", "failed", "cancelled")
@@ -49,7 +49,7 @@ class Progress:
         return int(self.percent)
 
 
-class Job:
+class Job(Results):
     """One sweep in the service's hands, as it was at the last look: `refresh()` looks again."""
 
     def __init__(self, transport: Transport, response: "httpx2.Response") -> None:
@@ -120,6 +120,25 @@ class Job:
         self._take(document(response), response)
         return self
 
+    def resume(self) -> "Job":
+        """Let a job that failed or was cancelled go on where it stopped. Raises Conflict if it is done."""
+        response = self._transport.post(self._path("resume"), repeat=True)
+        self._take(document(response), response)
+        return self
+
+    def delete(self) -> None:
+        """Have the service forget the job and all it computed. Raises Conflict while it is in work."""
+        self._transport.delete(self._path())
+
+    def follow(self) -> "Iterator[Job]":
+        """This job, now and after every change, told by the service as it happens, until it is finished.
+
+        Raises Busy if too many listen already, ServiceUnreachable if the service goes away.
+        """
+        for view in self._transport.events(self._path("events")):
+            self._take({**view, "spec": view.get("spec") or self.view.get("spec")}, None)
+            yield self
+
     def wait(self, progress: bool | Show = True, timeout: float | None = None) -> "Job":
         """Return once the job is done, looking as often as the service asks for (Retry-After).
 
@@ -159,78 +178,6 @@ class Job:
             raise WaitTimeout(self, timeout or 0.0)
         return self
 
-    def diagram(
-        self,
-        along: str = "gamma",
-        *,
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-        direction: str | None = None,
-        min_flight: float | None = None,
-    ) -> "xarray.Dataset":
-        """The bifurcation diagram along one axis, the others fixed at the nearest value of the grid.
-
-        Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
-        there is no flight; `flights`, `outcome`, `bounces`, `periods` along the axis. Its attribute
-        `complete` is 0 while cells are still missing. `direction` is up or down for a ramp both ways (up if
-        left out); flights shorter than `min_flight` (rad) are left out. Raises BadRequest naming the
-        parameter, TooLarge.
-        """
-        from service.client.datasets import diagram_dataset
-
-        query = _line(
-            along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight
-        )
-        return diagram_dataset(
-            document(self._transport.get(self._path("diagram"), query)), self.id, self.name
-        )
-
-    def picture(
-        self,
-        along: str = "gamma",
-        *,
-        format: str = "png",
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-        direction: str | None = None,
-        min_flight: float | None = None,
-    ) -> bytes:
-        """The same diagram as the bytes of a file: `format` is png, svg, csv or json.
-
-        A ramp both ways shows both directions unless one is named. Raises as `diagram`.
-        """
-        query = {
-            **_line(along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight),
-            "format": format,
-        }
-        return self._transport.get(self._path("diagram"), query).content
-
-    def threshold(
-        self, xi: float | None = None, *, tolerance: float | None = None, patience: float = 300.0
-    ) -> "xarray.Dataset":
-        """Where bouncing begins, per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
-
-        To the sweep's grid in Γ; with a `tolerance` (in Γ) workers refine them from its stored states, for
-        which this waits up to `patience` seconds. NaN where the sweep does not hold the answer. Raises
-        BadRequest, as for a ξ outside the grid; TooLarge, Busy.
-        """
-        from service.client.datasets import threshold_dataset
-
-        query = {"xi": xi, "tolerance": tolerance}
-        answer = self._transport.get_when_computed(self._path("threshold"), query, patience=patience)
-        return threshold_dataset(document(answer), self.id)
-
-    def open(self) -> "xarray.Dataset":
-        """The whole store, loaded where it is used. Raises StoreUnreachable if it is not on this machine."""
-        from service.client.datasets import open_store
-
-        return open_store(self.links.get("store"), self.id)
-
-    def _path(self, *parts: str) -> str:
-        return "/".join(("/v1/jobs", self.id, *parts))
-
     def __repr__(self) -> str:
         return f"<Job {summary(self)}>"
 
@@ -239,23 +186,3 @@ class Job:
 
 
 _PROGRESS_FIELDS: Final = tuple(Progress.__dataclass_fields__)
-
-
-def _line(
-    *,
-    along: str,
-    gamma: float | None,
-    omega: float | None,
-    xi: float | None,
-    direction: str | None,
-    min_flight: float | None,
-) -> dict[str, str | float | None]:
-    """The query that chooses one line of the grid."""
-    return {
-        "along": along,
-        "gamma": gamma,
-        "omega": omega,
-        "xi": xi,
-        "direction": direction,
-        "min_flight": min_flight,
-    }

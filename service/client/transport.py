@@ -1,8 +1,12 @@
 """One HTTP exchange with the service: sends, repeats what is safe to repeat, turns refusals into errors."""
 
+import json
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import httpx2
@@ -21,6 +25,9 @@ from service.client.errors import (
 PAUSES: Final = (0.1, 0.4)
 
 #: The request did not arrive, or its answer did not.
+EVENTS_SECONDS: Final = 60.0  # without a sign of life among events; the service gives one every 15
+DOWNLOAD_SECONDS: Final = 600.0  # until a file is made
+
 _LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
 
 Query: TypeAlias = Mapping[str, str | float | None]
@@ -63,11 +70,62 @@ class Transport:
                 time.sleep(busy.retry_after or 1.0)
 
     def post(
-        self, path: str, body: bytes | None = None, *, query: Query | None = None, repeat: bool = False
+        self,
+        path: str,
+        body: bytes | None = None,
+        *,
+        query: Query | None = None,
+        headers: Mapping[str, str] | None = None,
+        repeat: bool = False,
     ) -> httpx2.Response:
         """POST `body` (JSON); `repeat` says that doing it twice is the same as doing it once."""
-        headers = {"Content-Type": "application/json"} if body is not None else None
+        kind = {"Content-Type": "application/json"} if body is not None else {}
+        headers = {**kind, **(headers or {})}
         return self._exchange("POST", path, query=query, headers=headers, body=body, repeat=repeat)
+
+    def delete(self, path: str) -> None:
+        """DELETE `path`; not repeated, because what is gone is not found the second time."""
+        self._exchange("DELETE", path, repeat=False)
+
+    def events(self, path: str) -> Iterator[dict[str, Any]]:
+        """The data of server-sent events, each a JSON object, as they come."""
+        with self._streaming(path, None, EVENTS_SECONDS) as response:
+            for line in response.iter_lines():
+                if line.startswith("data: "):
+                    yield json.loads(line.removeprefix("data: "))
+
+    def download(self, path: str, query: Query, target: Path) -> None:
+        """GET into a file, which appears under its name once it is whole."""
+        with (
+            self._streaming(path, query, DOWNLOAD_SECONDS) as response,
+            tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file,
+        ):
+            draft = Path(file.name)
+            try:
+                for piece in response.iter_bytes():
+                    file.write(piece)
+                file.close()
+                draft.replace(target)
+            finally:
+                draft.unlink(missing_ok=True)
+
+    @contextmanager
+    def _streaming(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
+        """An answer that is read as it comes; `seconds` may pass without any of it."""
+        request = self._http.build_request(
+            "GET",
+            self.url + path,
+            params={name: value for name, value in (query or {}).items() if value is not None},
+            headers=self._headers,
+            timeout=httpx2.Timeout(seconds, connect=5.0),
+        )
+        try:
+            with closing(self._http.send(request, stream=True)) as response:
+                if not response.is_success:
+                    response.read()
+                yield self._accepted(response)
+        except httpx2.RequestError as error:
+            raise ServiceUnreachable(self.url, _reason(error)) from error
 
     def _exchange(
         self,

@@ -1,0 +1,42 @@
+// What was asked, word for word, and what `auto` chose.
+
+import { link } from "./address.js";
+import { h } from "./dom.js";
+import { downloads, fileName, netcdf } from "./downloads.js";
+import { blobOf } from "./api.js";
+import { number } from "./format.js";
+
+export class Details {
+  constructor(root, { job }) {
+    this.root = root;
+    this.update(job);
+  }
+
+  close() {}
+
+  update(job) {
+    this.root.replaceChildren(h("div", {},
+      h("h2", {}, "The sweep as it was submitted"),
+      h("pre", { tabindex: "0" }, JSON.stringify(job.spec, null, 2)),
+      h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "Start another sweep from this one")),
+      job.choice && choice(job.choice),
+      h("h2", {}, "Elsewhere"),
+      h("p", {}, "In Python: ", h("code", {}, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`)),
+      downloads([
+        ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
+        ["Parquet", () => fileName(job, "sweep", "parquet"), () => blobOf(`/v1/jobs/${job.id}/export?format=parquet`)],
+      ]),
+    ));
+  }
+}
+
+function choice({ model, reason, tolerance, table }) {
+  const cell = (value) => h("td", {}, value === null ? "–" : number(value, 3));
+  return h("section", {},
+    h("h2", {}, `Why ${model}`),
+    h("p", {}, `${reason} (tolerance ${number(tolerance)} rad).`),
+    h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Models compared" },
+      h("table", {},
+        h("thead", {}, h("tr", {}, ["model", "µs a cell and period", "median (rad)", "95 % (rad)", "cells"].map((title) => h("th", { scope: "col" }, title)))),
+        h("tbody", {}, table.map((row) => h("tr", {}, h("th", { scope: "row" }, row.model), cell(row.cost), cell(row.median), cell(row.percentile_95), cell(row.cells)))))));
+}

@@ -1,0 +1,154 @@
+// One sweep: how far it is, and its diagram, mode map, thresholds and details; a cell of it in motion.
+
+import { go, here, link, note, noted } from "./address.js";
+import { askJson } from "./api.js";
+import { Details } from "./details.js";
+import { Diagram } from "./diagram.js";
+import { h, say } from "./dom.js";
+import { Modes } from "./modes.js";
+import { Motion } from "./motion.js";
+import { axisValues, directionsOf } from "./physics.js";
+import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
+import { Thresholds } from "./thresholds.js";
+
+const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
+const SOON = 600;
+const LATER = 3000;
+
+export class JobView {
+  constructor(root, { path }) {
+    this.root = root;
+    this.id = path[1];
+    this.name = h("h1", { tabindex: "-1" }, "…");
+    this.about = h("p", { className: "summary" });
+    this.bar = new ProgressBar();
+    this.actions = h("div", { className: "actions" });
+    this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
+    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.panel = h("section", { className: "panel" });
+    this.aside = h("section", { className: "motion", "aria-label": "A cell in motion", hidden: true });
+    root.replaceChildren(
+      h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
+      h("header", { className: "job" }, this.name, this.about, this.bar.element, this.actions),
+      this.problem, this.tabs, h("div", { className: "work" }, this.panel, this.aside));
+    this.motion = new Motion(this.aside, { closed: () => this.#closeMotion() });
+    this.#look(true);
+  }
+
+  /** Whether a place is still in this view. */
+  takes({ path }) {
+    return path[0] === "job" && path[1] === this.id;
+  }
+
+  go() {
+    this.#showTab();
+    this.#showCell();
+  }
+
+  refresh() {
+    clearTimeout(this.timer);
+    this.#look(true);
+  }
+
+  close() {
+    clearTimeout(this.timer);
+    this.closed = true;
+    this.view?.close();
+    this.motion.hide();
+  }
+
+  async #look(redraw) {
+    let job;
+    try {
+      job = await askJson(`/v1/jobs/${this.id}`);
+    } catch (error) {
+      this.#fail(error);
+      return; // "refresh" comes when the service is back
+    }
+    if (this.closed) return;
+    const first = !this.job;
+    const moved = !first && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
+    if (moved && !UNFINISHED.has(job.state)) say(`The sweep is ${job.state}.`);
+    this.job = job;
+    this.#describe();
+    if (first) this.go();
+    else if (moved || redraw) this.view?.update(job);
+    if (UNFINISHED.has(job.state)) this.timer = setTimeout(() => this.#look(false), this.#pause());
+  }
+
+  /** A long job is looked at more seldom. */
+  #pause() {
+    return (this.job.progress.eta_seconds ?? 0) > 300 ? LATER : SOON;
+  }
+
+  #describe() {
+    const { job } = this;
+    const name = job.name || `Sweep ${job.id.slice(0, 8)}`;
+    this.name.textContent = name;
+    document.title = `${name} · Bouncing spring`;
+    this.about.replaceChildren(...summary(job));
+    this.bar.show(job);
+    this.#fail(job.error ? new Error(`The sweep failed: ${job.error}`) : null);
+    actions(this.actions, job, {
+      changed: (now) => {
+        this.job = now;
+        this.#describe();
+        clearTimeout(this.timer);
+        this.timer = setTimeout(() => this.#look(false), SOON / 2);
+      },
+      deleted: () => go([]),
+      fail: (error) => this.#fail(error),
+    });
+  }
+
+  #showTab() {
+    const { path, query } = here();
+    const tab = TABS[path[2]] ? path[2] : "diagram";
+    const kept = ["gamma", "omega", "xi", "cell"].filter((name) => query[name] !== undefined);
+    this.tabs.replaceChildren(...Object.entries(TABS).map(([key, [title]]) =>
+      h("a", {
+        href: link(["job", this.id, key]), "aria-current": key === tab ? "page" : undefined,
+        onclick: (event) => { // where the sliders are now goes along
+          const now = noted();
+          event.currentTarget.href = link(["job", this.id, key], Object.fromEntries([...kept, "gamma", "omega", "xi", "cell"].map((name) => [name, now[name]])));
+        },
+      }, title)));
+    this.view?.close();
+    this.#fail(null);
+    const [, View] = TABS[tab];
+    const { spec } = this.job;
+    this.view = new View(this.panel, {
+      job: this.job,
+      grid: Object.fromEntries(["gamma", "omega", "xi"].map((axis) => [axis, axisValues(spec[axis])])),
+      directions: directionsOf(spec),
+      choose: (cell) => this.#choose(cell),
+      fail: (error) => this.#fail(error),
+    });
+  }
+
+  #choose({ gamma, omega, xi, direction }) {
+    note({ cell: [gamma, omega, xi].map((value) => Number(value.toPrecision(10))).join(",") + `,${direction}` });
+    this.#showCell();
+    // On a phone the motion is below what was touched.
+    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });
+  }
+
+  #showCell() {
+    const asked = (noted().cell ?? "").split(",");
+    const [gamma, omega, xi] = asked.map(Number);
+    if (asked.length !== 4 || ![gamma, omega, xi].every(Number.isFinite)) this.motion.hide();
+    else this.motion.show(this.job, { gamma, omega, xi, direction: asked[3] });
+  }
+
+  #closeMotion() {
+    note({ cell: null });
+    this.motion.hide();
+    this.panel.querySelector(".plot")?.focus();
+  }
+
+  #fail(error) {
+    if (error?.name === "AbortError" || error?.name === "Lost") return;
+    this.problem.hidden = !error;
+    this.problem.textContent = error?.message ?? "";
+  }
+}

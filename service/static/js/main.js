@@ -1,0 +1,47 @@
+// Which view the address asks for.
+
+import { here, settle } from "./address.js";
+import { watch } from "./connection.js";
+import { h } from "./dom.js";
+import { JobView } from "./job.js";
+import { Submit } from "./submit.js";
+import { Sweeps } from "./sweeps.js";
+
+const VIEWS = { new: Submit, job: JobView };
+const root = document.getElementById("view");
+let view = null;
+
+function show(first) {
+  settle();
+  const place = here();
+  if (view?.takes(place)) {
+    view.go(place);
+    return;
+  }
+  view?.close();
+  const View = place.path.length ? VIEWS[place.path[0]] : Sweeps;
+  view = View ? new View(root, place) : nothing();
+  for (const anchor of document.querySelectorAll("body > header nav a")) {
+    const current = anchor.hash && anchor.hash === `#/${place.path.join("/")}`;
+    if (current) anchor.setAttribute("aria-current", "page");
+    else anchor.removeAttribute("aria-current");
+  }
+  if (!first) {
+    scrollTo(0, 0);
+    root.querySelector("h1")?.focus({ preventScroll: true });
+  }
+}
+
+function nothing() {
+  root.replaceChildren(h("h1", { tabindex: "-1" }, "There is nothing here"), h("p", {}, h("a", { href: "#/" }, "To the sweeps")));
+  return { takes: () => false, go() {}, close() {}, refresh() {} };
+}
+
+// Not by its address: that one holds the view.
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault();
+  root.focus();
+});
+addEventListener("hashchange", () => show(false));
+watch(() => view.refresh());
+show(true);
