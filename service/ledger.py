@@ -10,7 +10,7 @@ import json
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import IO, Final, NamedTuple, Self
@@ -27,6 +27,8 @@ Column = str | float | bool | None
 
 #: Rows of the chunks table read at once, so that a huge job does not keep the pollers waiting.
 PAGE: Final = 50_000
+#: Bytes for the ledger alone, on a disk that is full.
+RESERVE: Final = 1 << 18
 
 
 class Unfinished(NamedTuple):
@@ -190,6 +192,8 @@ class Ledger:
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._hold = _hold(path.with_suffix(".lock"))
+        self._reserve = path.with_suffix(".reserve")
+        self.keep_reserve()
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
         self._writer, self._reader = _connect(path), _connect(path)
         try:
@@ -225,10 +229,18 @@ class Ledger:
             try:
                 yield Writing(self._writer)
                 self._writer.execute("COMMIT")
-            except BaseException:
+            except BaseException as error:
                 if self._writer.in_transaction:
                     self._writer.execute("ROLLBACK")
+                if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+                    self._reserve.unlink(missing_ok=True)  # so that the next try can say what happened
                 raise
+
+    def keep_reserve(self) -> None:
+        """Set some room aside, if there is any, for writing down what happened when there is none."""
+        if not self._reserve.exists():
+            with suppress(OSError), self._reserve.open("wb") as file:
+                file.write(bytes(RESERVE))
 
     def find(self, job_id: str) -> JobRecord | None:
         """The job, if there is one."""

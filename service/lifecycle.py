@@ -64,6 +64,7 @@ class Lifecycle:
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
+            self._ledger.keep_reserve()
             self._supervisor.ring()
         return Submission(record, accepted)
 
@@ -94,6 +95,7 @@ class Lifecycle:
             accepted = self._accept(ledger, job)
             record = _found(ledger.find(job_id), job_id)
         if accepted:
+            self._ledger.keep_reserve()
             self._supervisor.ring()
         return Submission(record, accepted)
 

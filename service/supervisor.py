@@ -197,7 +197,7 @@ class Supervisor:
             if settled is None:
                 return  # it rings
             run = self._opened(settled)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
             log.exception("job %s cannot begin", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
             return
@@ -261,9 +261,10 @@ class Supervisor:
         seconds = run.seconds(chunk, self._limits)
         try:
             future = self._executor.submit(run.spec, chunk, run.url, seconds=seconds, priority=priority)
-        except Exception:
-            log.exception("the executor takes no chunk; it is tried again soon")
+        except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
+            log.warning("the executor takes no chunk: %s; it is tried again soon", error)
             run.put_back(chunk.index)
+            self._places = 0  # until the next look
             return False
         run.in_flight[chunk.index] = future
         future.add_done_callback(partial(self._came_back, run.job.id, chunk.index))

@@ -1,0 +1,124 @@
+"""A scheduler that freezes, and one that is killed and started again: said, found again, nothing done twice.
+
+Scheduler and workers are processes of their own, started again whenever they end, as `restart:
+unless-stopped` does. `BOUNCE_TEST_FREEZE=60` for the long version.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from conftest import CACHE
+from scripted import wait_for
+from test_faults_workers import Counting, sweep
+from test_lifecycle import running
+
+from service.health import Health
+from service.jobs import JobState
+from worker.executors import Dask
+from worker.warm import warm
+
+ROOT = Path(__file__).parents[1]
+FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
+
+
+class Kept:
+    """A command that is started again whenever it ends, until told to end."""
+
+    def __init__(self, folder: Path, *command: str) -> None:
+        self._command, self._log = command, folder / f"{command[1]}.log"
+        self._over = threading.Event()
+        self.process = self._start()
+        self._thread = threading.Thread(target=self._keep)
+        self._thread.start()
+
+    def _start(self) -> "subprocess.Popen[bytes]":
+        program = str(Path(sys.executable).with_name(self._command[0]))
+        variables = os.environ | {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)}
+        with self._log.open("ab") as log:
+            return subprocess.Popen([program, *self._command[1:]], stdout=log, stderr=log, env=variables)
+
+    def _keep(self) -> None:
+        while not self._over.is_set():
+            self.process.wait()
+            if not self._over.wait(0.2):
+                self.process = self._start()
+
+    def end(self) -> None:
+        self._over.set()
+        family = psutil.Process(self.process.pid).children(recursive=True)
+        self.process.send_signal(signal.SIGCONT)
+        self.process.terminate()
+        self._thread.join(20)
+        for process in psutil.wait_procs(family, timeout=10)[1]:
+            process.kill()
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[Kept, str]]:
+    warm(CACHE)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    scheduler = Kept(
+        tmp_path, "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port),
+        "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
+    )  # fmt: skip
+    folder = str(tmp_path / "dask")
+    workers = Kept(
+        tmp_path, "dask", "worker", address, "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1",
+        "--no-dashboard", "--local-directory", folder, "--death-timeout", "10",
+    )  # fmt: skip
+    yield scheduler, address
+    workers.end()
+    scheduler.end()
+
+
+@pytest.mark.timeout(300)
+def test_a_scheduler_that_freezes_and_one_that_dies(
+    tmp_path: Path, scheduler: tuple[Kept, str], capsys: pytest.CaptureFixture[str]
+):
+    kept, address = scheduler
+    executor = Dask(address, timeout=60)
+    counting, health = Counting(executor), Health(executor)
+    try:
+        wait_for(lambda: executor.ready() and executor.workers() == 2)
+        with running(tmp_path / "data", counting, window_seconds=0) as service:
+            job = service.submit(sweep(chunks=80, seconds=0.1))
+            wait_for(lambda: service.job(job).chunks_done >= 2)
+
+            kept.process.send_signal(signal.SIGSTOP)
+            frozen = time.monotonic()
+            wait_for(lambda: not health.ready())
+            assert time.monotonic() - frozen < 10
+            time.sleep(max(FREEZE - (time.monotonic() - frozen), 0))
+            done = service.job(job).chunks_done
+            kept.process.send_signal(signal.SIGCONT)
+            awake = time.monotonic()
+            wait_for(lambda: health.ready() and service.job(job).chunks_done > done)
+            resumed = time.monotonic() - awake
+            assert counting.submitted <= service.job(job).chunks_done + 4  # nothing is done twice
+
+            kept.process.kill()
+            killed = time.monotonic()
+            wait_for(lambda: not health.ready())
+            time.sleep(0.5)
+            done = service.job(job).chunks_done
+            wait_for(lambda: service.job(job).chunks_done > done)
+            back = time.monotonic() - killed
+            job = service.until(job, JobState.DONE)
+            assert counting.submitted <= job.chunks_total + 4  # the window
+        with capsys.disabled():
+            sys.stderr.write(f"\nresumed {resumed:.1f} s after a freeze, {back:.1f} s after a kill\n")
+        assert back < 25  # 15 where nothing else runs: workers have to start, too
+    finally:
+        executor.close()
