@@ -197,7 +197,7 @@ class Supervisor:
             if settled is None:
                 return  # it rings
             run = self._opened(settled)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
+        except Exception as error:
             log.exception("job %s cannot begin", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
             return

@@ -45,8 +45,9 @@ class Counting:
         self._executor, self.submitted = executor, 0
 
     def submit(self, *task: Any, **terms: Any) -> "Future[ChunkReport]":
+        future = self._executor.submit(*task, **terms)
         self.submitted += 1
-        return self._executor.submit(*task, **terms)
+        return future
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._executor, name)
