@@ -73,7 +73,9 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
         httpx2.Client(base_url=address) as client,
     ):
         queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
-        yield Api(address, done, queued, schemathesis.openapi.from_url(f"{address}/openapi.json"))
+        schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
+        # Measures for half a minute, and answers 503 until it has: no place for thousands of requests.
+        yield Api(address, done, queued, schema.exclude(path="/v1/tradeoff"))
     idle.close()
 
 
