@@ -38,9 +38,11 @@ CALLS = [
 ] + [("HEAD", "/v1/jobs/{job}/zarr/zarr.json"), ("GET", "/nowhere"), ("DELETE", "/v1/jobs")]
 
 
-@pytest.fixture
-def guarded(tmp_path: Path) -> Iterator[TestClient]:
-    settings = Settings(data=tmp_path, token=TOKEN, host="0.0.0.0", allowed_hosts="bounce.example.org")
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    settings = Settings(
+        data=tmp_path_factory.mktemp("data"), token=TOKEN, host="0.0.0.0", allowed_hosts="bounce.example.org"
+    )
     with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
         yield client
 
