@@ -170,6 +170,8 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
             step = max(
                 step, safe_step(t.smooth - t.amplitude, t.smooth1, t.smooth2, t.smooth3, t.smooth4, guess)
             )
+        if step == 0.0:
+            return tau, ROOT, used  # it never left zero
         guess = 2.0 * step
         tau += max(step, EPS * tau)
     return tau, SPENT, budget

@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service import docs, errors, exports, page, probes, results, routes, trajectories
+from service import docs, errors, exports, page, probes, results, routes, tradeoff, trajectories
 from service.answers import Answers
 from service.bodies import BodyLimit
 from service.calls import Service
@@ -49,6 +49,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     app.include_router(routes.router)
     app.include_router(results.router)
     app.include_router(trajectories.router)
+    app.include_router(tradeoff.router)
     app.include_router(probes.router)
     app.include_router(docs.router)
     page.install(app)

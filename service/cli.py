@@ -17,6 +17,7 @@ from service.commands import (
     service_options,
     write_file,
 )
+from service.tradeoff_command import tradeoff
 
 if TYPE_CHECKING:
     from service.client import Job
@@ -235,7 +236,7 @@ def _wait(job: "Job", timeout: float | None = None) -> None:
         sys.exit(130)
 
 
-for command in asking.COMMANDS:
+for command in (*asking.COMMANDS, tradeoff):
     main.add_command(command)
 
 

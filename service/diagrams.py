@@ -47,7 +47,7 @@ TURN: Final = 2 * np.pi
 MANY_POINTS: Final = 5_000
 
 #: matplotlib shares caches between figures without locking them.
-_drawing: Final = threading.Lock()
+drawing: Final = threading.Lock()
 
 
 def as_json(diagram: Diagram) -> bytes:
@@ -96,7 +96,7 @@ def as_picture(diagrams: Sequence[Diagram], spec: SweepSpec, format: str) -> byt
 
     A cell at rest has no flight and so no point. Missing cells are told on the picture.
     """
-    with _drawing:
+    with drawing:
         figure = Figure(figsize=(6.8, 4.2), dpi=200, layout="constrained")
         _draw(figure.subplots(), diagrams, spec)
         file = io.BytesIO()

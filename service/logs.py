@@ -18,6 +18,9 @@ from service.metrics import Metrics
 
 log = logging.getLogger("service.requests")
 
+#: Asked all day long by machines; worth a line only when something is wrong.
+PROBES: Final = frozenset({"/healthz", "/readyz", "/metrics"})
+
 #: Libraries that write their own lines unless told otherwise.
 _TALKATIVE: Final = ("distributed", "tornado", "bokeh", "uvicorn", "asyncio")
 
@@ -53,6 +56,7 @@ def to_standard_error(level: str) -> Iterator[None]:
             logger = logging.getLogger(name)
             logger.handlers.clear()
             logger.propagate = True
+            logger.setLevel(max(logger.level, logging.WARNING))
     try:
         yield
     finally:
@@ -102,4 +106,5 @@ class Requests:
             "ms": round(1000 * seconds, 1),
         }
         job = scope.get("path_params", {}).get("job_id")
-        log.info("request", extra={"fields": fields | ({"job": job[:64]} if job else {})})
+        level = logging.DEBUG if route in PROBES and status < 400 else logging.INFO
+        log.log(level, "request", extra={"fields": fields | ({"job": job[:64]} if job else {})})

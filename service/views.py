@@ -4,7 +4,7 @@ The same arrays as `/diagram` and `/modes`, in a form that a slider can ask for 
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -64,6 +64,9 @@ def line(
     `density`: `height` rows (from `bottom` up) of `width` columns, how many flights fell where, up to 255.
     """
     found = read_line(calls.sweep(service, job), query)
+    window = window_of(found, query)
+    dense = len(found.flights) > query.most
+    flights = {"density": density(found, window, query)} if dense else {"flight_time": found.flights}
     facts = {
         "along": query.along,
         "fixed": found.fixed,
@@ -72,8 +75,6 @@ def line(
         "points": len(found.flights),
         "highest": float(found.flights.max(initial=0.0)),
     }
-    dense = len(found.flights) > query.most
-    flights = {"density": density(found, query)} if dense else {"flight_time": found.flights}
     content = packing.packed(facts, {**found.cells, **flights})
     return packing.answer(content, squeeze=dense and _takes_gzip(request))
 
@@ -130,17 +131,39 @@ def read_line(sweep: Sweep, query: LineViewQuery) -> Line:
     return Line(fixed, direction, cells, times[counts].astype(np.float32))
 
 
-def density(line: Line, query: LineViewQuery) -> NDArray[np.uint8]:
-    """(height, width) how many flights fall on each part of the window, 255 for more, low flights first."""
-    values = line.cells["values"]
-    window = (
+class Window(NamedTuple):
+    """What is looked at of a line; x in units of its axis, y in rad."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+
+def window_of(line: Line, query: LineViewQuery) -> Window:
+    """The window asked for, by default all of the line. Raises InvalidRequest for one that is no window."""
+    values, highest = line.cells["values"], float(line.flights.max(initial=0.0))
+    window = Window(
         _first(query.left, values[0]), _first(query.right, values[-1]),
-        query.bottom, _first(query.top, line.flights.max(initial=0.0)),
+        query.bottom, _first(query.top, max(highest, query.bottom)),
     )  # fmt: skip
-    x = np.log(values) if query.log else values
-    left, right = np.log(window[:2]) if query.log else window[:2]
-    column = np.repeat(_bins(x, left, right, query.width), line.cells["shown"])
-    row = _bins(line.flights, window[2], window[3], query.height)
+    if query.log and window.left <= 0:
+        raise InvalidRequest.of(
+            "left", f"must be above 0 where columns go in equal ratios, not {window.left!r}"
+        )
+    if window.right < window.left:
+        raise InvalidRequest.of("right", f"must not be below left, which is {window.left!r}")
+    if window.top < window.bottom:
+        raise InvalidRequest.of("top", f"must not be below bottom, which is {window.bottom!r}")
+    return window
+
+
+def density(line: Line, window: Window, query: LineViewQuery) -> NDArray[np.uint8]:
+    """(height, width) how many flights fall on each part of the window, 255 for more, low flights first."""
+    warp = np.log if query.log else np.asarray
+    left, right = float(warp(window.left)), float(warp(window.right))
+    column = np.repeat(_bins(warp(line.cells["values"]), left, right, query.width), line.cells["shown"])
+    row = _bins(line.flights, window.bottom, window.top, query.height)
     inside = (column >= 0) & (row >= 0)
     counts = np.bincount(row[inside] * query.width + column[inside], minlength=query.width * query.height)
     return np.minimum(counts, 255).astype(np.uint8).reshape(query.height, query.width)

@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
+from distributed import LocalCluster, Security
 from fastapi.testclient import TestClient
 from scripted import Held, sweep
 
 from service import embedded, logs
 from service.app import create_app
 from service.cli import main
+from service.client import Client
 from service.settings import Settings
 
 TOKEN = "a-token-of-thirty-two-characters"
@@ -36,9 +38,11 @@ CALLS = [
 ] + [("HEAD", "/v1/jobs/{job}/zarr/zarr.json"), ("GET", "/nowhere"), ("DELETE", "/v1/jobs")]
 
 
-@pytest.fixture
-def guarded(tmp_path: Path) -> Iterator[TestClient]:
-    settings = Settings(data=tmp_path, token=TOKEN, host="0.0.0.0", allowed_hosts="bounce.example.org")
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    settings = Settings(
+        data=tmp_path_factory.mktemp("data"), token=TOKEN, host="0.0.0.0", allowed_hosts="bounce.example.org"
+    )
     with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
         yield client
 
@@ -289,3 +293,27 @@ def test_a_defect_is_told_to_the_log_and_not_to_the_caller(
     assert "ZeroDivisionError" in line["traceback"]
     assert line["id"] == answer.headers["X-Request-Id"]
     assert line["id"] in answer.json()["detail"]
+
+
+# TLS to the scheduler
+
+
+def test_it_speaks_tls_with_a_scheduler_that_asks_for_it(tmp_path: Path):
+    secret = Security.temporary()
+    files = {
+        "scheduler_ca": secret.tls_ca_file,
+        "scheduler_cert": secret.tls_client_cert,
+        "scheduler_key": secret.tls_client_key,
+    }
+    for name, pem in files.items():
+        (tmp_path / name).write_text(pem)
+    cluster = LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, security=secret, dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+    )  # fmt: skip
+    with cluster:
+        given = {"data": tmp_path / "data", "port": 0, "scheduler": cluster.scheduler_address}
+        assert cluster.scheduler_address.startswith("tls://")
+        settings = embedded.settings(**given, **{name: tmp_path / name for name in files})
+        with embedded.running(settings) as address, Client(address) as client:
+            assert client.submit(SWEEP).wait(progress=False, timeout=60).state == "done"

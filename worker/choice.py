@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from kernel.params import Line as Record
 from worker.axes import Strict
 from worker.contacts import Auto, Ball, Rigid, Soft
-from worker.deviation import deviations
+from worker.deviation import deviations, percentile
 from worker.plan import COST_US
 from worker.spec import AXES, SweepSpec
 from worker.tasks import run_cells
@@ -177,20 +177,12 @@ def _rung(spec: SweepSpec, model: Soft | Rigid | Ball, lines: list[Line], exact:
         [deviations(one, other, run.micro_flight) for one, other in zip(exact, records, strict=True)]
     )
     found = found[~np.isnan(found)]
-    median, most = (_percentile(found, percent) for percent in (50.0, HOLDS))
+    median, most = (percentile(found, percent) for percent in (50.0, HOLDS))
     cost = COST_US[model.kind]
     return Rung(
         model=model.kind, cost=cost, measured=round(microseconds, 3), median=median, percentile_95=most,
         cells=len(found),
     )  # fmt: skip
-
-
-def _percentile(values: _Array, percent: float) -> float | None:
-    """None for what is not finite, or of nothing."""
-    if not len(values):
-        return None
-    value = float(np.percentile(values, percent, method="higher"))
-    return value if np.isfinite(value) else None
 
 
 def _choice(auto: Auto, table: list[Rung], rung: Rung) -> Choice:

@@ -32,6 +32,14 @@ def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
 
+def percentile(values: _Array, percent: float) -> float | None:
+    """The value that so many percent do not exceed; None where that is not finite, or of nothing."""
+    if not len(values):
+        return None
+    value = float(np.percentile(values, percent, method="higher"))
+    return value if math.isfinite(value) else None
+
+
 def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
     if exact.outcome[i] >= Outcome.UNRESOLVED:
         return math.nan

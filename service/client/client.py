@@ -121,6 +121,19 @@ class Client:
 
         return motion_dataset(document(self._transport.post("/v1/trajectories", body(cell), repeat=True)))
 
+    def tradeoff(self, *, patience: float = 900.0) -> dict[str, Any]:
+        """What every contact model costs and how far off it is: `rows`, and `advice` in a sentence.
+
+        Measured by the service's workers when first asked for, a minute or so; waits up to `patience`
+        seconds. Raises Busy.
+        """
+        return document(self._transport.get_when_computed("/v1/tradeoff", patience=patience))
+
+    def tradeoff_picture(self, format: str = "png", *, patience: float = 900.0) -> bytes:
+        """The same as a picture, png or svg. Raises BadRequest, Busy."""
+        query = {"format": format}
+        return self._transport.get_when_computed("/v1/tradeoff", query, patience=patience).content
+
     def metrics(self) -> str:
         """The service's figures, in Prometheus's text form."""
         return self._transport.get("/metrics").text

@@ -10,7 +10,7 @@ export function here() {
 }
 
 export function link(path, query = {}) {
-  const text = encoded(query);
+  const text = encoded(query).replaceAll("%2C", ",");
   return `#/${path.join("/")}${text ? `?${text}` : ""}`;
 }
 

@@ -1,0 +1,480 @@
+"""The page in a real Chromium, on a real service."""
+
+import json
+import re
+import socket
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import httpx2
+import pytest
+from browser import ROOT, chromium, needs_chromium, opened, shoot
+from scripted import wait_for
+
+from service import embedded
+from service.settings import Settings
+from worker.executors import Dask, Inline
+
+pytestmark = needs_chromium
+
+#: Diagrams of three frequencies and two dampings, thresholds up and down, in a second.
+LOOP: dict[str, Any] = {
+    "name": "Hysteresis",
+    "gamma": {"start": 0.3, "stop": 1.4, "num": 111},
+    "omega": {"start": 0.5, "stop": 0.9, "num": 9},
+    "xi": [0.05, 0.1],
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"},
+    "settle": 120,
+    "observe": 30,
+    "keep": 24,
+}
+#: A million cells, and a line of a million flights: what they are does not matter here.
+MILLION: dict[str, Any] = {
+    "name": "A million cells",
+    "gamma": {"start": 0.5, "stop": 6.0, "num": 1000},
+    "omega": {"start": 0.4, "stop": 1.6, "num": 1000},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 2,
+    "observe": 8,
+    "keep": 8,
+}
+LONG_LINE: dict[str, Any] = {**MILLION, "name": "A million flights", "omega": 0.5, "observe": 70, "keep": 64}
+LONG_LINE["gamma"] = {"start": 1.1, "stop": 6.0, "num": 20_000}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
+    with embedded.running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
+        yield address
+
+
+def submitted(address: str, spec: dict[str, Any]) -> str:
+    return str(httpx2.post(f"{address}/v1/jobs", json=spec).raise_for_status().json()["id"])
+
+
+def done(address: str, job: str) -> str:
+    def state() -> str:
+        return str(httpx2.get(f"{address}/v1/jobs/{job}").json()["state"])
+
+    give_up = time.monotonic() + 120
+    while (now := state()) in ("queued", "running") and time.monotonic() < give_up:
+        time.sleep(0.02)
+    assert now == "done"
+    return job
+
+
+@pytest.fixture(scope="module")
+def loop(address: str) -> str:
+    return done(address, submitted(address, LOOP))
+
+
+def view(address: str, job: str, tab: str = "diagram", **query: Any) -> str:
+    asked = "&".join(f"{name}={value}" for name, value in query.items())
+    return f"{address}/#/job/{job}/{tab}?{asked}"
+
+
+def wait_shown(page: Any, **wanted: Any) -> None:
+    """Until the plot shows these values."""
+    page.wait_for_function(
+        """wanted => {
+            const shows = document.querySelector(".panel .plot")?.dataset.shows;
+            const found = JSON.parse(shows ?? "{}");
+            return Object.entries(wanted).every(([name, value]) => found[name] === value);
+        }""",
+        arg=wanted,
+    )
+
+
+def colours(page: Any, selector: str = ".panel .plot canvas") -> int:
+    """How many different colours a canvas has: one if nothing is drawn."""
+    return int(
+        page.eval_on_selector(
+            selector,
+            """canvas => new Set(new Uint32Array(canvas.getContext("2d")
+            .getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size""",
+        )
+    )
+
+
+def picture(page: Any) -> str:
+    return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
+
+
+# Submitting
+
+
+def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, address: str):
+    with opened(browser, address) as page:
+        page.get_by_role("link", name="Fig. 2").first.click()
+        page.get_by_label("values", exact=True).first.fill("120")
+        page.get_by_label("model").select_option("rigid")
+        page.get_by_label("Settle for").fill("60000")
+        cost = page.locator(".cost")
+        cost.filter(has_text="120 cells").wait_for()
+        assert re.search(r"120 cells in \d+ chunks · .+ of one core", cost.inner_text())
+        shoot(page, "form")
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile("#/job/"))
+        bar = page.locator("header.job .bar")
+        seen: list[float] = []
+        wait_for(lambda: _seen(bar, seen) == 100)
+        assert len([percent for percent in seen if 0 < percent < 100]) >= 2
+        assert seen == sorted(seen)
+        wait_shown(page, omega=0.5)
+        assert colours(page) > 2
+
+
+def _seen(bar: Any, seen: list[float]) -> float:
+    now = float(bar.get_attribute("aria-valuenow") or 0)
+    if not seen or now != seen[-1]:
+        seen.append(now)
+    return now
+
+
+def test_what_the_service_refuses_is_said_where_it_is(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2", expected=("422",)) as page:
+        page.get_by_label("from", exact=True).first.fill("9")
+        wrong = page.locator("[aria-invalid=true]")
+        wrong.wait_for()
+        assert wrong.get_attribute("data-field") == "gamma.start"
+        assert "must not be above stop" in page.locator(".rule").inner_text()
+        assert page.get_by_role("button", name="Compute").is_disabled()
+        shoot(page, "form-refused")
+        page.get_by_label("restitution").fill("two")
+        page.locator("[data-field='model.restitution'][aria-invalid=true]").wait_for()
+        page.get_by_label("from", exact=True).first.fill("1")
+        page.get_by_label("restitution").fill("0.1")
+        page.locator(".cost").filter(has_text="cells in").wait_for()
+        assert page.locator("[aria-invalid=true]").count() == 0
+
+
+def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, address: str):
+    endless = {**LOOP, "name": "Endless", "settle": 3_000_000, "protocol": {"kind": "rest"}}
+    submitted(address, endless)
+    with opened(browser, address) as page:
+        row = page.locator(".jobs li").filter(has_text="Endless")
+        row.get_by_role("button", name="Cancel").click()
+        row.locator("[data-state=cancelled]").wait_for()
+        row.get_by_role("button", name="Resume").click()
+        row.get_by_role("button", name="Cancel").click()
+        row.locator("[data-state=cancelled]").wait_for()
+        shoot(page, "sweeps")
+        row.get_by_role("button", name="Delete").click()
+        page.get_by_role("button", name="Keep it").click()
+        assert row.count() == 1
+        row.get_by_role("button", name="Delete").click()
+        page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+        row.wait_for(state="detached")
+
+
+# Looking
+
+
+def test_a_slider_moves_along_the_grid_and_the_address_holds_it(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6, xi=0.05)
+        before = picture(page)
+        slider = page.get_by_role("slider").first
+        assert slider.get_attribute("aria-valuetext") == "Ω = 0.6"
+        slider.focus()
+        page.keyboard.press("ArrowRight")
+        wait_shown(page, omega=0.65)
+        assert picture(page) != before
+        page.wait_for_url(re.compile("omega=0.65"))
+        shoot(page, "diagram")
+        after = picture(page)
+        page.reload()
+        wait_shown(page, omega=0.65)
+        assert picture(page) == after
+
+
+def test_the_diagram_zooms_turns_and_leaves_out(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, along="gamma")
+        whole = picture(page)
+        box = page.locator(".panel .plot").bounding_box()
+        page.mouse.move(box["x"] + 300, box["y"] + 100)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 600, box["y"] + 300, steps=3)
+        page.mouse.up()
+        page.wait_for_url(re.compile("x0="))
+        assert picture(page) != whole
+        page.mouse.dblclick(box["x"] + 300, box["y"] + 100)
+        page.wait_for_function("() => !location.hash.includes('x0=')")
+        page.get_by_label("down", exact=True).uncheck()
+        page.wait_for_url(re.compile("show=up"))
+        page.get_by_label("Axis of the diagram").select_option("omega")
+        wait_shown(page, along="omega")
+        assert "Γ =" in page.locator(".slider").first.inner_text()
+
+
+def test_a_cell_that_is_clicked_is_seen_to_move(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05, show="down")) as page:
+        wait_shown(page, omega=0.6)
+        box = page.locator(".panel .plot").bounding_box()
+        # Γ = 0.65, between the margins of the plot: it bounces there on the way down.
+        at = box["x"] + 58 + (0.65 - 0.3) / 1.1 * (box["width"] - 92), box["y"] + 150
+        page.mouse.move(*at)
+        readout = page.locator(".panel .readout", has_text="Γ = 0.65 · mode (1, 1)")
+        readout.wait_for()
+        page.mouse.click(*at)
+        phases = [_phase_after(page, None)]
+        phases += [_phase_after(page, phases[0])]
+        assert float(phases[0]) < float(phases[1])
+        assert colours(page, ".motion .stage") > 3
+        assert colours(page, ".motion .plot canvas") > 4
+        assert "flights in these 4 plate periods" in page.locator(".motion .readout").inner_text()
+        page.wait_for_url(re.compile("cell=.*,down"))
+        page.get_by_role("button", name="Pause").click()
+        shoot(page, "motion")
+        still = page.locator(".motion").get_attribute("data-phase")
+        page.wait_for_timeout(120)
+        assert page.locator(".motion").get_attribute("data-phase") == still
+        page.get_by_role("button", name="Close").click()
+        assert page.locator(".motion").is_hidden()
+
+
+def _phase_after(page: Any, before: str | None) -> str:
+    page.wait_for_function(
+        """before => {
+            const { phase } = document.querySelector(".motion").dataset;
+            return phase && phase !== before;
+        }""",
+        arg=before,
+    )
+    return str(page.locator(".motion").get_attribute("data-phase"))
+
+
+def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
+        wait_shown(page, xi=0.05)
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        first = page.locator("#said").inner_text()
+        page.keyboard.press("Shift+ArrowRight")
+        page.keyboard.press("ArrowUp")
+        assert first.startswith("Γ = ")
+        assert page.locator("#said").inner_text() != first
+        shoot(page, "modes")
+        page.keyboard.press("Enter")
+        page.get_by_role("button", name="Play").wait_for()
+        page.keyboard.press("+")
+        page.wait_for_url(re.compile("x0="))
+
+
+def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "thresholds", xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        assert colours(page) > 4
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        found = httpx2.get(f"{address}/v1/jobs/{loop}/threshold?xi=0.05").json()
+        said = page.locator("#said").inner_text()
+        assert said.startswith(f"Ω = {found['omega'][4]:g} · Eq. 25: Γ = {found['analytic'][4]:.4g}")
+        assert f"down: {found['down'][4]:.4g}" in said
+        shoot(page, "thresholds")
+
+
+@pytest.mark.parametrize("tab", ["diagram", "modes", "thresholds"])
+def test_what_is_shown_can_be_taken_away(browser: Any, address: str, loop: str, tab: str):
+    with opened(browser, view(address, loop, tab, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        assert _downloaded(page, "PNG").startswith(b"\x89PNG\r\n\x1a\n")
+        assert ElementTree.fromstring(_downloaded(page, "SVG")).tag.endswith("svg")
+        header, *rows = _downloaded(page, "CSV").decode().splitlines()
+        assert header.startswith(("direction,gamma,omega,xi", "gamma,omega,xi", "omega,xi"))
+        assert len(rows) > 5
+        assert _downloaded(page, "NetCDF").startswith(b"\x89HDF")
+
+
+def _downloaded(page: Any, kind: str) -> bytes:
+    with page.expect_download() as download:
+        page.locator(".panel").get_by_role("button", name=f"Download {kind}").click()
+    assert re.fullmatch(
+        rf"hysteresis-.*\.{'nc' if kind == 'NetCDF' else kind.lower()}", download.value.suggested_filename
+    )
+    return Path(download.value.path()).read_bytes()
+
+
+# Speed
+
+
+@pytest.fixture(scope="module")
+def large(address: str) -> dict[str, str]:
+    jobs = {name: submitted(address, spec) for name, spec in (("map", MILLION), ("line", LONG_LINE))}
+    return {name: done(address, job) for name, job in jobs.items()}
+
+
+def test_the_first_view_is_there_within_a_second(browser: Any, address: str, loop: str):
+    def first() -> float:
+        with opened(browser, address) as page:
+            page.locator(".jobs li").first.wait_for()
+            return float(page.evaluate("performance.now()"))
+
+    assert min(first() for _ in range(3)) < 1000
+
+
+def test_a_slider_redraws_a_million_cells_within_150_ms(browser: Any, address: str, large: dict[str, str]):
+    with opened(browser, view(address, large["map"])) as page:
+        wait_shown(page, along="gamma")
+        took = page.evaluate(
+            """async () => {
+                const slider = document.querySelector(".panel input[type=range]");
+                const plot = document.querySelector(".panel .plot");
+                const took = [];
+                for (const value of [100, 230, 377, 512, 640, 701, 850, 990]) {
+                    const before = plot.dataset.shows, start = performance.now();
+                    slider.value = value;
+                    slider.dispatchEvent(new Event("input", { bubbles: true }));
+                    while (plot.dataset.shows === before) await new Promise((next) => setTimeout(next));
+                    await new Promise((next) => requestAnimationFrame(next));
+                    took.push(performance.now() - start);
+                }
+                return took;
+            }"""
+        )
+        note_down(redraw_ms=took)
+        assert statistics.median(took) < 150
+        shoot(page, "million-cells")
+
+
+def test_a_million_flights_do_not_freeze_the_page(browser: Any, address: str, large: dict[str, str]):
+    with opened(browser, "about:blank") as page:
+        page.add_init_script(
+            """window.longest = 0;
+            new PerformanceObserver((list) => list.getEntries().forEach((entry) => {
+                window.longest = Math.max(window.longest, entry.duration);
+            })).observe({ entryTypes: ["longtask"] })"""
+        )
+        page.goto(view(address, large["line"]))
+        wait_shown(page, along="gamma")
+        assert colours(page) > 10
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("+")
+        page.wait_for_url(re.compile("x0="))
+        page.wait_for_timeout(400)
+        shoot(page, "million-flights")
+        page.goto(view(address, large["map"], "modes"))
+        wait_shown(page, xi=0.05)
+        page.wait_for_timeout(100)
+        longest = page.evaluate("window.longest")
+        note_down(longest_task_ms=longest)
+        assert longest < 200
+        page.evaluate(
+            "setTimeout(() => { for (const end = performance.now() + 90; performance.now() < end; ); })"
+        )
+        page.wait_for_function("() => window.longest > 80")  # it would have been noticed
+        shoot(page, "million-modes")
+
+
+def note_down(**figures: Any) -> None:
+    """Keep what was measured beside the pictures."""
+    file = ROOT / "test-artefacts" / "page" / "measured.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    known = json.loads(file.read_text()) if file.exists() else {}
+    file.write_text(json.dumps(known | figures, indent=1))
+
+
+# Everybody
+
+
+CELL = "xi=0.05&omega=0.6&cell=0.65,0.6,0.05,down"
+TABS = ("diagram", "modes", "thresholds", "details")
+VIEWS = ("", "#/new?figure=9", *(f"#/job/JOB/{tab}?{CELL}" for tab in TABS))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, scheme: str):
+    axe = (ROOT / "tests" / "vendor" / "axe.min.js").read_text()
+    with opened(browser, "about:blank", color_scheme=scheme, reduced_motion="reduce") as page:
+        page.add_init_script(axe)
+        for one in VIEWS:
+            page.goto(f"{address}/{one.replace('JOB', loop)}")
+            _settled(page, one)
+            found = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
+            serious = [
+                (rule["id"], rule["nodes"][0]["html"])
+                for rule in found
+                if rule["impact"] in ("serious", "critical")
+            ]
+            assert serious == [], one
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_everything_fits_a_phone(browser: Any, address: str, loop: str, scheme: str):
+    phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "color_scheme": scheme}
+    with opened(browser, address, reduced_motion="reduce", **phone) as page:
+        for number, one in enumerate(VIEWS):
+            page.goto(f"{address}/{one.replace('JOB', loop)}")
+            _settled(page, one)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 375, one
+            shoot(page, f"phone-{scheme}-{number}")
+
+
+def _settled(page: Any, place: str) -> None:
+    if "/job/" in place:
+        page.get_by_role("button", name="Play").wait_for()
+    else:
+        page.locator(".cost", has_text="cells in").or_(page.locator(".jobs li")).first.wait_for()
+
+
+# A service that goes away, and one that asks who is there
+
+
+@contextmanager
+def serving(folder: Path, port: int, **given: Any) -> Iterator[str]:
+    with ExitStack() as stack:
+        executor = Inline()
+        stack.callback(executor.close)
+        yield stack.enter_context(embedded.running(Settings(data=folder, port=port, **given), executor))
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+def test_a_service_that_is_lost_comes_back(browser: Any, tmp_path: Path):
+    port = free_port()
+    with ExitStack() as running:
+        address = running.enter_context(serving(tmp_path, port))
+        with opened(
+            browser,
+            f"{address}/#/new?figure=2",
+            expected=("ERR_CONNECTION_REFUSED", "ERR_EMPTY", "ERR_CONNECTION_RESET"),
+        ) as page:
+            page.locator(".cost", has_text="cells in").wait_for()
+            running.close()
+            page.get_by_label("Name").fill("kept")
+            banner = page.locator("#lost")
+            banner.wait_for()
+            assert "does not answer" in banner.inner_text()
+            shoot(page, "lost")
+            running.enter_context(serving(tmp_path, port))
+            banner.wait_for(state="hidden")
+            page.locator(".cost", has_text="cells in").wait_for()
+            assert page.get_by_label("Name").input_value() == "kept"
+
+
+def test_a_service_that_wants_a_token_is_given_one(browser: Any, tmp_path: Path):
+    token = "a-token-of-the-tests"
+    with serving(tmp_path, 0, token=token) as address, opened(browser, address, expected=("401",)) as page:
+        dialog = page.get_by_role("dialog", name="Token")
+        dialog.get_by_label("Token").fill(token)
+        shoot(page, "token")
+        dialog.get_by_role("button").click()
+        page.get_by_text("None yet").wait_for()
