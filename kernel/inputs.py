@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from kernel.params import STATE_FIELDS, KernelInputError, Start
 
+#: Beyond this, or below its inverse, the kernels' products of four such numbers overflow.
+LARGEST: Final = 1e30
+
 #: What a cell's numbers must satisfy: name -> (test, rule).
 _RULES: Final[dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.bool_]], str]]] = {
     "gamma": (lambda a: a > 0.0, "must be > 0"),
@@ -36,6 +39,10 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
         wrong = np.flatnonzero(~(np.isfinite(array) & test(array)))
         if len(wrong):
             raise KernelInputError(name, f"{rule} and be finite, got {array[wrong[0]]} at index {wrong[0]}")
+        extreme = np.flatnonzero((array != 0.0) & ((array > LARGEST) | (array < 1.0 / LARGEST)))
+        if len(extreme):
+            i = extreme[0]
+            raise KernelInputError(name, f"must lie within 1e-30 and 1e30, got {array[i]} at index {i}")
 
 
 def check_window(

@@ -152,6 +152,7 @@ def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
 def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line) -> None:
     """Run a line of independent cells from rest; arrays as in ramp.run_line."""
     table = np.zeros(ROWS * LANES)
+    table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # an idle lane's phase is over, and stays finite
     flights = room_for_flights(line.flight_time.shape[1], LANES)
     springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))

@@ -21,7 +21,8 @@ from kernel.quartic import paired, roots
 #: As in `rigid`: an undamped spring exactly at resonance is computed as one this far beside it.
 NEAREST_RESONANCE: Final = 1e-8
 
-NOTHING: Final = Oscillator(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+#: What comes of numbers too far apart to find any: the cell diverges.
+NOTHING: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 
 
 class Tie(NamedTuple):
@@ -153,6 +154,8 @@ def _told_apart(b: float, w: float, beta: float, kappa: float) -> Free:
     most, best = -1.0, Free(NOTHING, NOTHING, Tie(0.0, 0.0, 0.0), Tie(0.0, 0.0, 0.0))
     for partner in (1, 2, 3):
         apart, f = paired(c3, c2, c1, c0, z, partner)
+        if apart == 0.0:
+            continue
         slow, fast = oscillator(0.5 * f.a1, f.b1), oscillator(0.5 * f.a2, f.b2)
         for led_by_gap, led_by_q in ((fast, slow), (slow, fast)):
             elongation = _tie(led_by_gap, b, w, 2.0 * led_by_gap.damping, led_by_gap.stiffness)

@@ -40,11 +40,13 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex,
             slope = ((4.0 * s + 3.0 * c3) * s + 2.0 * c2) * s + c1
             crowd = complex(0.0, 0.0)
             for j in range(4):
-                if j != i:
-                    crowd += 1.0 / (s - z[j])
-            if value == 0.0:
+                apart = s - z[j]
+                if apart != 0.0:  # a complex division by zero would raise
+                    crowd += 1.0 / apart
+            slope -= crowd * value
+            if value == 0.0 or slope == 0.0:
                 continue
-            step = 1.0 / (slope / value - crowd)
+            step = value / slope
             z[i] = s - step
             moved = max(moved, abs(step) / abs(s))
         if moved < 1e-14:

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -180,9 +181,11 @@ def threshold(
 
 
 @main.command()
-@click.argument("number", type=int, metavar="N")
-@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-              help="File to write, .png or .svg.  [default: figure-N.png]")  # fmt: skip
+@click.argument("number", metavar="N|all")
+@click.option("-o", "--output", type=click.Path(allow_dash=True),
+              help="File, .png or .svg; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
+@click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
+              help="What to write into a folder.")  # fmt: skip
 @click.option(
     "--data", type=click.Path(file_okay=False), help="Folder of ledger and stores.  [default: ./bounce-data]"
 )
@@ -190,21 +193,33 @@ def threshold(
 @click.option("--url", help="Use the service that listens here instead of an embedded one.")
 @click.option("--token", envvar="BOUNCE_TOKEN", help="What that service asks for, if it does.")
 def figure(
-    number: int, output: str | None, url: str | None, token: str | None, **given: str | int | None
+    number: str,
+    output: str | None,
+    format: str,
+    url: str | None,
+    token: str | None,
+    **given: str | int | None,
 ) -> None:
-    """Make figure N of the paper, start to end.
+    """Make figure N of the paper, or all of them, start to end.
 
-    Starts a service of its own with two worker processes, hands it the figure's sweeps, and draws what it
-    found. A second run finds the finished job in the data folder and only draws.
+    Starts a service of its own with two worker processes, hands it the figures' sweeps, draws what it
+    found, and says what agrees with the paper. A second run finds the finished jobs in the data folder and
+    only draws.
     """
-    from service import figures
+    from service.figures import catalogue
 
-    chosen = figures.figure(number)
-    target = output or f"figure-{number}.png"
-    format = format_of(target, PICTURES)
+    wanted = catalogue.figures(number)
+    if number == "all":
+        folder = Path(output or "figures")
+        folder.mkdir(parents=True, exist_ok=True)
+        targets = [str(folder / f"figure-{one.number}.{format}") for one in wanted]
+    else:
+        targets = [output or f"figure-{number}.{format}"]
+        format = format_of(targets[0], PICTURES)
     with _service(url, given) as address, connected(address, token) as client:
-        write_file(target, chosen.make(client, format))
-    click.echo(f"{target}: {chosen.title}", err=True)
+        for target, picture in zip(targets, catalogue.make(wanted, client, format), strict=True):
+            write_file(target, picture.content)
+            click.echo(f"{target}\n{picture.caption}\n", err=True)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from fastapi.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 
 from service import views
+from service.lines import Lines
 
 FILES: Final = Path(__file__).parent / "static"
 
@@ -20,6 +21,7 @@ POLICY: Final = (
 
 def install(app: FastAPI) -> None:
     """Give `app` the page, its files, and the calls that only it makes."""
+    app.state.lines = Lines()
     app.include_router(views.router)
     app.add_api_route("/", index, include_in_schema=False)
     app.mount("/static", StaticFiles(directory=FILES), name="static")

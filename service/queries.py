@@ -27,7 +27,8 @@ BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 #: A value may lie outside an axis by rounding, relative to the axis's own size.
 SLACK: Final = 1e-9
 
-Places = Mapping[str, int]
+#: Where on the grid: an index drops its axis, a slice keeps it.
+Places = Mapping[str, int | slice]
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,8 @@ def read(sweep: Sweep, names: tuple[str, ...], direction: str, places: Places) -
 def _nothing(spec: SweepSpec, array: layout.Array, where: Places) -> NDArray[Any]:
     """What an array reads as before anything is computed."""
     length = layout.sizes(spec)
-    shape = [length[dim] for dim in array.dims if dim not in where]
+    kept = {dim: where.get(dim, slice(None)) for dim in array.dims}
+    shape = [len(range(length[dim])[part]) for dim, part in kept.items() if isinstance(part, slice)]
     return np.full(shape, array.fill, array.dtype)
 
 

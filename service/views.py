@@ -4,6 +4,7 @@ The same arrays as `/diagram` and `/modes`, in a form that a slider can ask for 
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
-from service import calls, packing, queries, schemas, trajectories
+from service import calls, lines, packing, queries, schemas, trajectories
 from service.calls import TheJob, TheService
 from service.errors import InvalidRequest
+from service.jobs import JobRecord, JobState
 from service.queries import Sweep
 from service.schemas import LineQuery, ModesQuery, Number, Trajectory, problem_responses
 from service.trajectories import TrajectorySpec
@@ -24,7 +26,6 @@ router = APIRouter(prefix="/v1/jobs/{job_id}")
 #: Flights read for one view; more than are sent as points become density.
 MAX_READ: Final = 16_000_000
 
-_ARRAYS: Final = ("flight_time", "flights", "outcome", "bounces", "periods")
 _PACKED: Final[dict[str, Any]] = {"content": {packing.MEDIA_TYPE: {}}}
 
 Pixels = Annotated[int, Field(ge=1, le=4096)]
@@ -63,7 +64,7 @@ def line(
     Up to `most` flights come as `flight_time`, cell after cell as `shown` counts them. More come as
     `density`: `height` rows (from `bottom` up) of `width` columns, how many flights fell where, up to 255.
     """
-    found = read_line(calls.sweep(service, job), query)
+    found = read_line(calls.sweep(service, job), query, _reader(request, job))
     window = window_of(found, query)
     dense = len(found.flights) > query.most
     flights = {"density": density(found, window, query)} if dense else {"flight_time": found.flights}
@@ -112,7 +113,15 @@ class Line:
     flights: NDArray[np.float32]  # (sum of shown,) rad
 
 
-def read_line(sweep: Sweep, query: LineViewQuery) -> Line:
+def _reader(request: Request, job: JobRecord) -> lines.Reader:
+    """How a job's lines are read: of one that is done, together with those beside them."""
+    if job.state is not JobState.DONE:
+        return lines.read
+    kept: lines.Lines = request.app.state.lines
+    return partial(kept.read, chunk_shape=job.chunk_shape)
+
+
+def read_line(sweep: Sweep, query: LineViewQuery, read: lines.Reader = lines.read) -> Line:
     """The line that a query names. Raises InvalidRequest, TooLarge."""
     spec = sweep.spec
     given = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
@@ -121,14 +130,14 @@ def read_line(sweep: Sweep, query: LineViewQuery) -> Line:
     values = spec.axis_values(query.along)
     what = f"{len(values):,} values of {query.along} × keep {spec.keep:,}"
     queries.check_points(len(values) * spec.keep, MAX_READ, what)
-    found = queries.read(sweep, _ARRAYS, direction, {axis: place for axis, (place, _) in places.items()})
+    found = read(sweep, query.along, direction, {axis: place for axis, (place, _) in places.items()})
     times = found["flight_time"]
     counts = np.arange(spec.keep) < found["flights"][:, None]
     counts &= times >= query.min_flight  # never true of NaN
     cells = {"values": values, "shown": np.count_nonzero(counts, axis=1).astype(np.int32)}
     cells |= {name: found[name] for name in ("outcome", "bounces", "periods")}
     fixed = {axis: value for axis, (_, value) in places.items()}
-    return Line(fixed, direction, cells, times[counts].astype(np.float32))
+    return Line(fixed, direction, cells, times[counts])
 
 
 class Window(NamedTuple):

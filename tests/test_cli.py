@@ -25,7 +25,7 @@ from worker.executors import Dask, Executor, Inline
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
     "cancel", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "resume",
-    "serve", "status", "submit", "threshold", "trajectory", "wait",
+    "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 
 SPEC = {

@@ -27,7 +27,7 @@ def loaded_by(code: str) -> set[str]:
         ("import service.client.datasets", SERVER | COMPUTING),
         ("from service.client.specification import body; import worker.specfile", SERVER | COMPUTING),
         ("import service.cli", SERVER | COMPUTING | SLOW | {"httpx2"}),
-        ("import service.figures", SERVER | COMPUTING | SLOW),
+        ("import service.figures.catalogue", SERVER | COMPUTING | SLOW),
     ],
 )
 def test_importing_does_not_load(code: str, forbidden: set[str]):

@@ -1,7 +1,9 @@
 """The soft model against the integrated equations of motion; its constants; what stiffness may not cost."""
 
+import json
 import math
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,8 @@ from kernel.impact import damping_ratio, restitution
 from kernel.params import Model, Outcome
 from kernel.pressed import join, split
 from kernel.quartic import Factors, paired, roots
+
+FACTS = json.loads((Path(__file__).parent / "golden" / "facts.json").read_text())["restitution"]
 
 CELLS = [
     Setting(1.5, 0.5, 0.26, True, 0.05, 1e-2, True),
@@ -80,10 +84,17 @@ def test_the_kernels_contact_gives_the_restitution_asked_for(e, adhesive):
     assert impact.after[1] == pytest.approx(e, abs=2e-5)
 
 
-def test_the_trap_is_real():
+@pytest.mark.parametrize("fact", FACTS["trap"])
+def test_the_trap_is_real(fact):
     """Adhesive's damping in a contact that cannot pull gives back more than was asked for."""
-    assert restitution(damping_ratio(0.05, True), False) == pytest.approx(0.2137, abs=5e-5)
-    assert restitution(damping_ratio(0.0, True), False) == pytest.approx(0.135, abs=5e-4)
+    got = restitution(damping_ratio(fact["asked"], True), False)
+    assert got == pytest.approx(fact["got"], abs=5e-4)
+
+
+@pytest.mark.parametrize("fact", FACTS["spring_as_ball"])
+def test_a_locked_spring_as_a_ball(fact):
+    """epsilon = f(xi) is half the restitution of a contact that cannot pull, at damping ratio xi."""
+    assert 0.5 * restitution(fact["xi"], False) == pytest.approx(fact["half"], abs=5e-5)
 
 
 def test_an_isolated_contact_lasts_as_long_as_eq_11_says():

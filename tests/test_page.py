@@ -11,10 +11,16 @@ from urllib.parse import urljoin
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from scripted import Held, sweep
 from test_api import finished, get, service
 
 from service import page
+from service.lines import Lines, read
+from service.queries import Sweep
+from worker import store
 from worker.executors import Inline
+from worker.plan import make_plan
+from worker.tasks import run_chunk
 
 LINE: dict[str, Any] = {
     "name": "Fig. 2, coarse",
@@ -225,8 +231,6 @@ def test_a_cell_of_a_ramp_goes_on_from_where_the_ramp_left_it(
 
 
 def test_a_cell_that_no_ramp_has_reached_is_refused(tmp_path: Path):
-    from scripted import Held
-
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
         answer = client.get(f"{here}/trajectory", params={"gamma": 0.6})
@@ -235,3 +239,27 @@ def test_a_cell_that_no_ramp_has_reached_is_refused(tmp_path: Path):
         facts, arrays = unpacked(client, f"{here}/line")
         assert facts["missing"] == len(arrays["values"]) == 81
         assert len(arrays["flight_time"]) == 0
+
+
+# Lines that are kept
+
+
+def test_lines_that_are_kept_are_those_of_the_store(tmp_path: Path):
+    spec = sweep(gamma={"start": 1.0, "stop": 4.0, "num": 7}, omega=[0.4, 0.5, 0.6], xi=[0.1, 0.2], settle=5)
+    plan = make_plan(spec, chunk_shape=(1, 2, 4))
+    url = str(tmp_path / "store.zarr")
+    store.create(url, spec, plan)
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    kept, found = Lines(most_bytes=1000), Sweep(spec, url)
+    for along, places in [
+        *(("gamma", {"omega": i, "xi": j}) for i in range(3) for j in range(2)),
+        *(("omega", {"gamma": i, "xi": 1}) for i in range(7)),
+        *(("xi", {"gamma": i, "omega": 2}) for i in (6, 0)),
+    ]:
+        for _ in range(2):
+            line = kept.read(found, along, "rest", places, plan.chunk_shape)
+            expected = read(found, along, "rest", places)
+            for name, array in expected.items():
+                np.testing.assert_array_equal(line[name], array)
+    assert len(kept._blocks) < 5  # what is too much was let go

@@ -25,7 +25,7 @@ from worker.spec import AXES, SweepSpec
 
 #: Core-microseconds of one cell for one plate period, measured by benchmarks/tradeoff.py over cells of
 #: all kinds; for `stepped` of one time step. `auto` costs at most what the exact contact does.
-COST_US: Final = {"ball": 0.1, "rigid": 0.4, "soft": 4.0, "auto": 4.0, "stepped": 0.012}
+COST_US: Final = {"ball": 0.2, "rigid": 0.5, "soft": 3.0, "auto": 3.0, "stepped": 0.0042}
 
 #: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small
 #: enough to show progress, to lose little, and to share out a small job.

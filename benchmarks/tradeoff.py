@@ -1,0 +1,34 @@
+"""What each contact model costs and how far off it is: `bounce tradeoff` without a service.
+
+    python -m benchmarks.tradeoff [-o docs/tradeoff.png]
+
+The same measurement (`worker.tradeoff`), one rung after the other in this process, so that rungs do
+not share the machine; the README's picture and figures come from here.
+"""
+
+import argparse
+from pathlib import Path
+
+from benchmarks.machine import describe
+from service import tradeoff_picture
+from service.tradeoff import table
+from service.tradeoff_command import report
+from service.tradeoff_text import lines
+from worker.tradeoff import RUNGS, measure
+
+
+def main() -> None:
+    """Print the table, and write the picture if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path)
+    arguments = parser.parse_args()
+    print(describe(), end="\n\n")
+    rows = [measure(rung) for rung in RUNGS]
+    found = table(rows).model_dump()
+    print(report(found, lines(found["rows"])))
+    if arguments.output:
+        arguments.output.write_bytes(tradeoff_picture.draw(rows, arguments.output.suffix[1:]))
+
+
+if __name__ == "__main__":
+    main()

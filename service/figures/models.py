@@ -1,0 +1,99 @@
+"""Fig. 1: the bouncing ball and the bouncing spring, drawn."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Rectangle
+
+from service.figures.canvas import BLUE, Drawing, page, styled
+from service.figures.caption import Caption, Claim
+
+CAPTION = Caption(
+    1,
+    "The two models: a ball (left), and two masses joined by a spring and a damper (right), on a plate that "
+    "oscillates as A cos ωt.",
+    (
+        Claim(True, "the drawn forces are those of Eqs. 1 to 8"),
+        Claim(
+            False,
+            "Eq. 4 lacks a sign, the ball leaves with v⁺ = −ε v⁻; the law and the depth of the spring's "
+            "contact are left open, and its rest length L drops out of the motion",
+        ),
+    ),
+)
+
+PLATE = 0.0
+RADIUS = 0.34
+
+
+@styled
+def draw() -> Drawing:
+    """The two schematics, side by side on plates of one height."""
+    drawing, room = page(2.7, CAPTION)
+    left, right = room.subplots(1, 2, sharey=True)
+    for axes, width in ((left, 2.2), (right, 2.2)):
+        axes.set_aspect("equal")
+        axes.set_xlim(-width, width)
+        axes.set_ylim(-1.25, 4.05)
+        axes.axis("off")
+        _plate(axes)
+    _ball(left)
+    _spring(right)
+    return drawing
+
+
+def _plate(axes: Axes) -> None:
+    axes.add_patch(Rectangle((-1.7, PLATE - 0.16), 3.4, 0.16, facecolor="black"))
+    axes.annotate("", (-1.35, -1.0), (-1.35, -0.22), arrowprops={"arrowstyle": "<->", "linewidth": 0.8})
+    axes.text(-1.15, -0.62, r"$z_p = A\,\cos\,\omega t$", va="center")
+
+
+def _ball(axes: Axes) -> None:
+    height = 1.55
+    _mass(axes, 0, height, "")
+    axes.plot([0, 0], [PLATE, height - RADIUS], color="0.6", linewidth=0.7, linestyle=(0, (2, 2)))
+    axes.text(RADIUS + 0.15, height, "$z_b$", va="center")
+    axes.text(0.2, 0.35, r"$\epsilon$", color=BLUE, fontsize=12)
+    _gravity(axes, height + 0.6)
+    axes.text(0, 3.85, "bouncing ball", ha="center", va="top")
+
+
+def _spring(axes: Axes) -> None:
+    lower, upper = PLATE + 0.75, PLATE + 2.75
+    _mass(axes, 0, lower, "$m$")
+    _mass(axes, 0, upper, "$m$")
+    bottom, top = lower + RADIUS, upper - RADIUS
+    _coil(axes, -0.3, bottom - 0.18, top + 0.18)
+    _damper(axes, 0.3, bottom - 0.18, top + 0.18)
+    axes.text(-0.62, (bottom + top) / 2, "$k,\\,L$", va="center", ha="right")
+    axes.text(0.62, (bottom + top) / 2, r"$\beta$", va="center")
+    axes.text(RADIUS + 0.15, upper, "$z_1$", va="center")
+    axes.text(RADIUS + 0.15, lower, "$z_2$", va="center")
+    axes.text(0.2, 0.12, r"$\epsilon_{\mathrm{coll}}$", color=BLUE, fontsize=12)
+    _gravity(axes, upper)
+    axes.text(0, 3.85, "bouncing spring", ha="center", va="top")
+
+
+def _mass(axes: Axes, x: float, y: float, text: str) -> None:
+    axes.add_patch(Circle((x, y), RADIUS, facecolor="0.82", edgecolor="black", linewidth=1, zorder=4))
+    axes.text(x, y, text, ha="center", va="center", zorder=5)
+
+
+def _coil(axes: Axes, x: float, low: float, high: float) -> None:
+    turns = np.linspace(low + 0.25, high - 0.25, 13)
+    offset = 0.17 * np.array([0, *([1, -1] * 5), 1, 0])  # as many as turns
+    axes.plot([x, *(x + offset), x], [low, *turns, high], color="black", linewidth=1)
+
+
+def _damper(axes: Axes, x: float, low: float, high: float) -> None:
+    middle = (low + high) / 2
+    axes.plot([x, x], [low, middle - 0.3], color="black", linewidth=1)
+    axes.plot([x - 0.17, x - 0.17, x + 0.17, x + 0.17], [middle + 0.22, *[middle - 0.3] * 2, middle + 0.22],
+              color="black", linewidth=1)  # fmt: skip
+    axes.plot([x - 0.13, x + 0.13], [middle, middle], color="black", linewidth=1.6)
+    axes.plot([x, x], [middle, high], color="black", linewidth=1)
+
+
+def _gravity(axes: Axes, height: float) -> None:
+    axes.annotate("", (1.55, height - 0.55), (1.55, height + 0.15),
+                  arrowprops={"arrowstyle": "-|>", "linewidth": 0.9, "color": "black"})  # fmt: skip
+    axes.text(1.68, height - 0.2, "$g$", va="center")

@@ -1,0 +1,196 @@
+"""Figs. 7 and 8: flight times along Γ at three Ω, and along Ω at three Γ, at ξ = 0.05."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import xarray
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from kernel.params import Outcome
+from kernel.threshold import threshold
+from service.client import Job
+from service.figures.canvas import BLUE, Drawing, dots, flights_over, label, page, styled
+from service.figures.caption import Caption, Claim
+from service.figures.sweeps import CONTACTS, GAMMAS, OMEGAS, XI
+
+#: Half a figure's worth of Γ: chaos that begins goes on for so long, but for windows.
+STRETCH: Final = 0.5
+#: Below this Ω the paper's diagrams are chaotic.
+LOW: Final = 0.4
+#: A flight shorter than this is a dot on the axis, rad.
+HOP: Final = 0.15
+
+CONTACT: Final = "Contact: adhesive, e = 0, 10⁻³ A deep; faint lines: whole plate periods."
+
+
+@styled
+def draw_along_gamma(job: Job, hardly: Job, settled: Job, *others: Job) -> Drawing:
+    """Fig. 7; `hardly` ... `others` are the cells around Γ = 2 at Ω = 1, settled and touching differently."""
+    diagrams = [job.diagram(omega=omega) for omega in OMEGAS]
+    shares = [aperiodic(one.diagram()) for one in (hardly, settled, *others)]
+    shows = (
+        "Flight times φ against Γ at ξ = 0.05 for (a) Ω = 0.67, below resonance, (b) 1.00, at resonance, and "
+        f"(c) 1.24, beyond it, Γ ramped up. {CONTACT}"
+    )
+    below, at, beyond = diagrams
+    claims = (
+        _shorter(diagrams),
+        _chaos_beyond_three(below),
+        _chaos_at(at, 4.0),
+        _no_chaos(beyond),
+        _one_period(below),
+        _no_chaos_at_two(shares),
+    )
+    titles = [rf"({letter})  $\Omega = {omega:.2f}$" for letter, omega in zip("abc", OMEGAS, strict=True)]
+    drawing, panels = _stack(Caption(7, shows, claims), diagrams, titles)
+    for axes, omega in zip(panels, OMEGAS, strict=True):
+        _mark(axes, float(threshold(omega, XI)), r"$\Gamma_{\mathrm{th}}$")
+    panels[-1].set_xlabel(r"$\Gamma$", labelpad=1)
+    return drawing
+
+
+@styled
+def draw_along_omega(job: Job) -> Drawing:
+    """Fig. 8."""
+    diagrams = [job.diagram("omega", gamma=gamma) for gamma in GAMMAS]
+    shows = (
+        f"Flight times φ against Ω at ξ = 0.05 for (a) Γ = 1, (b) Γ = 2 and (c) Γ = 3, Ω ramped up. {CONTACT}"
+    )
+    claims = (
+        _stops_at(diagrams[0]),
+        *(_chaos_when_slow(diagram, gamma) for diagram, gamma in zip(diagrams, GAMMAS, strict=True)),
+        *(_longer_when_slow(diagram, gamma) for diagram, gamma in zip(diagrams, GAMMAS, strict=True)),
+    )
+    titles = [rf"({letter})  $\Gamma = {gamma:g}$" for letter, gamma in zip("abc", GAMMAS, strict=True)]
+    drawing, panels = _stack(Caption(8, shows, claims), diagrams, titles)
+    panels[-1].set_xlabel(r"$\Omega$", labelpad=1)
+    return drawing
+
+
+def aperiodic(diagram: xarray.Dataset, where: NDArray[np.bool_] | None = None) -> float:
+    """Of the cells that bounce, the share that is aperiodic."""
+    outcomes = diagram.outcome.values if where is None else diagram.outcome.values[where]
+    bouncing = np.isin(outcomes, (Outcome.PERIODIC, Outcome.APERIODIC))
+    return float(np.sum(outcomes == Outcome.APERIODIC) / max(int(bouncing.sum()), 1))
+
+
+def _stack(
+    caption: Caption, diagrams: Sequence[xarray.Dataset], titles: Sequence[str]
+) -> tuple[Drawing, Sequence[Axes]]:
+    """Panels one over the other, on the same scales."""
+    drawing, room = page(5.0, caption)
+    panels: Sequence[Axes] = list(room.subplots(len(diagrams), 1, sharex=True, sharey=True))
+    top = 1.04 * max(float(diagram.flight_time.max()) for diagram in diagrams)
+    for axes, diagram, title in zip(panels, diagrams, titles, strict=True):
+        dots(axes, diagram, size=0.7)
+        values = diagram[str(diagram.flight_time.dims[0])].values
+        flights_over(axes, 0.0, float(values[-1]), top)
+        label(axes, title)
+    return drawing, panels
+
+
+def _mark(axes: Axes, value: float, name: str) -> None:
+    axes.axvline(value, color=BLUE, linewidth=0.8, linestyle=(0, (4, 3)), zorder=2)
+    axes.annotate(name, (value, 1), (3, -3), xycoords=("data", "axes fraction"),
+                  textcoords="offset points", va="top", color=BLUE)  # fmt: skip
+
+
+def _near(diagram: xarray.Dataset, value: float, reach: float) -> NDArray[np.bool_]:
+    along = diagram[str(diagram.flight_time.dims[0])].values
+    return np.asarray(np.abs(along - value) <= reach)
+
+
+def _longest(diagram: xarray.Dataset, where: NDArray[np.bool_]) -> float:
+    times = diagram.flight_time.values[where]
+    return float(np.max(times, where=np.isfinite(times), initial=0.0))
+
+
+def _shorter(diagrams: Sequence[xarray.Dataset]) -> Claim:
+    longest = [_longest(diagram, _near(diagram, 3.0, 0.1)) for diagram in diagrams]
+    told = ", ".join(f"{time:.1f}" for time in longest)
+    falling = longest[0] > longest[1] > longest[2]
+    return Claim(falling, f"flights shorten as Ω increases: around Γ = 3 the longest last {told} rad")
+
+
+def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
+    values = diagram.gamma.values
+    begins = next(
+        (
+            float(value)
+            for value in values[values < values[-1] - STRETCH]
+            if aperiodic(diagram, (values >= value) & (values <= value + STRETCH)) > 0.9
+        ),
+        np.inf,
+    )
+    return Claim(bool(2.5 <= begins <= 3.5), f"(a) is chaotic beyond Γ ≈ {begins:.1f}")
+
+
+def _chaos_at(diagram: xarray.Dataset, gamma: float) -> Claim:
+    share = aperiodic(diagram, _near(diagram, gamma, 0.25))
+    return Claim(share > 0.5, f"(b) is chaotic around Γ = {gamma:g} ({share:.0%} of the cells within 0.25)")
+
+
+def _no_chaos(diagram: xarray.Dataset) -> Claim:
+    share = aperiodic(diagram)
+    found = "none" if share == 0 else f"{share:.1%}"
+    return Claim(share < 0.05, f"(c) is not chaotic ({found} of its bouncing cells are aperiodic)")
+
+
+def _one_period(diagram: xarray.Dataset) -> Claim:
+    """The paper: "follows a (1, 1) mode in a large interval of Γ"; it may have a hop too short to see."""
+    repeats = (diagram.periods.values == 1) & (diagram.bounces.values <= 2) & (diagram.gamma.values > 1.0)
+    if not repeats.any():
+        return Claim(False, "(a) never repeats after one plate period")
+    values, cells = diagram.gamma.values[repeats], diagram.isel(gamma=repeats)
+    double = cells.bounces.values == 2
+    hop = _longest_of_shorter(cells.flight_time.values[double])
+    text = f"in (a) one bounce a plate period for Γ from {values.min():.2f} to {values.max():.2f}"
+    if double.any():
+        text += (
+            f", strictly (2, 1) up to {values[double].max():.2f}: a hop of at most {hop:.2f} rad follows it"
+        )
+    return Claim(hop < HOP and values.max() - values.min() > 1.0, text)
+
+
+def _longest_of_shorter(times: NDArray[np.float64]) -> float:
+    """Of cells that repeat two flights, the longest second one, rad."""
+    return float(np.max(np.nanmin(times, axis=1))) if len(times) else 0.0
+
+
+def _no_chaos_at_two(shares: Sequence[float]) -> Claim:
+    hardly, settled, *others, elastic = shares
+    told = ", ".join(f"{share:.0%} ({name})" for name, share in zip(CONTACTS, others, strict=True))
+    return Claim(
+        settled > 0.5,
+        f"at Γ = 1.8 to 2.2, (b) is not chaotic: {settled:.0%} of the cells are aperiodic after 1000 plate "
+        f"periods, {told}; the rest doubles its period, (2, 2), (4, 4), (3, 4). It looks chaotic while it "
+        f"settles ({hardly:.0%} after 20 periods), and is with e = 0.5 ({elastic:.0%})",
+    )
+
+
+def _stops_at(diagram: xarray.Dataset) -> Claim:
+    bounces = np.isin(diagram.outcome.values, (Outcome.PERIODIC, Outcome.APERIODIC))
+    last = float(diagram.omega.values[bounces].max())
+    return Claim(
+        abs(last - np.sqrt(4 / 3)) < 0.01,
+        f"in (a) bouncing ends at Ω = {last:.3f}, where Γ_th = 1 (√(4/3) = 1.155 for every ξ)",
+    )
+
+
+def _chaos_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
+    share = aperiodic(diagram, diagram.omega.values < LOW)
+    chaotic = share > 0.5
+    told = "chaotic" if chaotic else "not chaotic"
+    return Claim(chaotic, f"at Γ = {gamma:g} low Ω is {told} ({share:.0%} of the cells below {LOW:g})")
+
+
+def _longer_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
+    """The paper: the flight time increases for decreasing Ω."""
+    places = (0.1, 0.5, 1.0)
+    times = [_longest(diagram, _near(diagram, omega, 0.03)) for omega in places]
+    told = ", ".join(f"{time:.1f}" for time in times)
+    rising = times[0] > times[1] > times[2]
+    trend = "longer" if rising else "not longer"
+    return Claim(rising, f"at Γ = {gamma:g} flights are {trend} at low Ω (up to {told} rad at 0.1, 0.5, 1)")

@@ -1,0 +1,197 @@
+"""What the kernel's Python entry refuses, and how it says so."""
+
+import math
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from kernel_runs import assert_same_bytes
+
+from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Start
+from kernel.ramp import run_line
+
+ONE = np.ones(3)
+
+
+def call(**changed: Any) -> Line:
+    arguments: dict[str, Any] = {
+        "gamma": 1.5 * ONE,
+        "omega": 0.5 * ONE,
+        "xi": 0.26 * ONE,
+        "model": Model.RIGID,
+        "restitution": 0.0 * ONE,
+        "penetration": 1e-3 * ONE,
+        "adhesive": True,
+        "carry": False,
+        "settle": 2,
+        "observe": 3,
+        "keep": 4,
+    } | changed
+    return run_line(arguments.pop("gamma"), arguments.pop("omega"), arguments.pop("xi"), **arguments)
+
+
+ARRAYS = ("gamma", "omega", "xi", "restitution", "penetration")
+LEAST = {"gamma": 0.0, "omega": 0.0, "penetration": 0.0}
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, -1.0, -1e-300])
+def test_numbers_outside_their_range(name, bad):
+    array = ONE.copy()
+    array[1] = bad
+    with pytest.raises(KernelInputError, match=rf"^{name}: .*got {bad}.* at index 1$") as refused:
+        call(**{name: array})
+    assert refused.value.argument == name
+    assert isinstance(refused.value, ValueError)
+
+
+@pytest.mark.parametrize("name", LEAST)
+def test_zero_where_physics_needs_more(name):
+    with pytest.raises(KernelInputError, match=f"^{name}: must be > 0"):
+        call(**{name: 0.0 * ONE})
+
+
+def test_restitution_lies_between_none_and_all():
+    with pytest.raises(KernelInputError, match=r"^restitution: must lie in \[0, 1\]"):
+        call(restitution=1.0000001 * ONE)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize(
+    ("bad", "why"),
+    [
+        (ONE.astype(np.float32), "float64 array, got float32"),
+        (np.ones(3, dtype=int), "float64 array, got int64"),
+        (ONE.astype(complex), "float64 array, got complex128"),
+        (np.array(["1.5"] * 3), "float64 array, got <U3"),
+        ([1.0, 1.0, 1.0], "float64 array, got list"),
+        (1.5, "float64 array, got float"),
+        (None, "float64 array, got NoneType"),
+        (np.float64(1.5), "float64 array, got float64"),
+        (np.array(1.5), "shape"),
+        (np.empty(0), "shape"),
+        (np.ones((3, 1)), "shape"),
+        (np.ones(4), "shape"),
+    ],
+    ids=[
+        "float32",
+        "int",
+        "complex",
+        "text",
+        "list",
+        "number",
+        "none",
+        "scalar",
+        "0-d",
+        "empty",
+        "2-d",
+        "longer",
+    ],
+)
+def test_arrays_of_another_kind_or_shape(name, bad, why):
+    with pytest.raises(KernelInputError, match=why) as refused:
+        call(**{name: bad})
+    # a gamma of another length makes the next array the odd one
+    assert refused.value.argument == name or (name == "gamma" and refused.value.argument == "omega")
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [
+        ("settle", -1), ("settle", 1.0), ("settle", True), ("settle", "10"), ("settle", None),
+        ("observe", 0), ("observe", -3), ("observe", 2.5), ("observe", math.nan),
+        ("keep", 0), ("keep", -1), ("keep", 1e3), ("keep", False),
+        ("micro_flight", -1e-9), ("micro_flight", math.nan), ("micro_flight", math.inf),
+    ],
+)  # fmt: skip
+def test_windows_that_cannot_be(name, bad):
+    with pytest.raises(KernelInputError, match=f"^{name}: must be"):
+        call(**{name: bad})
+
+
+@pytest.mark.parametrize("bad", ["soft", -1, 17, None])
+def test_models_that_are_not(bad):
+    with pytest.raises(KernelInputError, match=r"^model: must be one of soft, .*rigid"):
+        call(model=bad)
+
+
+STATE = np.zeros(len(STATE_FIELDS))
+
+
+@pytest.mark.parametrize(
+    ("start", "why"),
+    [
+        (Start(np.zeros(5), Cell(1.0, 1.0, 0.0)), "6 finite numbers: phase, in_flight, gap"),
+        (Start(np.full(6, math.nan), Cell(1.0, 1.0, 0.0)), "6 finite numbers"),
+        (Start(STATE, Cell(0.0, 1.0, 0.0)), "gamma > 0 and omega > 0"),
+        (Start(STATE, Cell(1.0, -1.0, 0.0)), "gamma > 0 and omega > 0"),
+        (Start(STATE, Cell(math.nan, 1.0, 0.0)), "gamma > 0 and omega > 0"),
+    ],
+)
+def test_starts_that_cannot_be(start, why):
+    with pytest.raises(KernelInputError, match=f"^start: .*{why}"):
+        call(carry=True, start=start)
+
+
+# --- what is taken --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])
+@pytest.mark.parametrize("carry", [False, True])
+def test_views_and_orders_of_memory_make_no_difference(model, carry):
+    wide = np.repeat(np.linspace(1.2, 3.0, 5), 2)
+    strided, backward = wide[::2], np.linspace(3.0, 1.2, 5)[::-1]
+    others = {name: np.full(10, 0.3)[::2] for name in ("omega", "xi", "restitution", "penetration")}
+    plain = {name: array.copy() for name, array in others.items()}
+    expected = call(gamma=strided.copy(), **plain, model=model, carry=carry)
+    assert_same_bytes(call(gamma=strided, **others, model=model, carry=carry), expected)
+    assert backward == pytest.approx(strided)
+    swapped = strided.astype(">f8")
+    try:
+        assert_same_bytes(call(gamma=swapped, **others, model=model, carry=carry), expected)
+    except KernelInputError as refused:
+        assert refused.argument == "gamma"  # noqa: PT017 - either is right, a crash is not
+
+
+def test_arguments_are_left_as_they_were():
+    gamma = np.linspace(1.2, 3.0, 3)
+    gamma.flags.writeable = False
+    state = call(carry=True).end_state[-1]
+    kept = state.copy()
+    call(gamma=gamma, carry=True, start=Start(state, Cell(1.5, 0.5, 0.26)))
+    assert state.tobytes() == kept.tobytes()
+
+
+@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])
+def test_one_cell_is_a_line(model):
+    one = np.ones(1)
+    cell = {"gamma": 1.5 * one, "omega": 0.5 * one, "xi": 0.26 * one}
+    line = call(**cell, restitution=0.1 * one, penetration=1e-3 * one, model=model)
+    assert line.flight_time.shape == (1, 4)
+    assert [field.dtype.str[1:] for field in line] == ["f8", "f8", "i4", "u1", "i2", "i2", "f8"]
+
+
+def test_numpy_integers_are_integers():
+    assert_same_bytes(call(settle=np.int64(2), observe=np.int32(3), keep=np.uint8(4)), call())
+
+
+@pytest.mark.parametrize("name", ["gamma", "omega", "xi", "penetration"])
+@pytest.mark.parametrize("bad", [1.1e30, 1e300, 0.9e-30, 5e-324])
+def test_numbers_whose_products_overflow(name, bad):
+    with pytest.raises(
+        KernelInputError, match=f"^{name}: must lie within 1e-30 and 1e30, got {re.escape(str(bad))}"
+    ):
+        call(**{name: bad * ONE})
+
+
+@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])
+def test_the_largest_and_smallest_numbers_end_with_an_outcome(model):
+    """Far beyond any physics a cell may diverge or spend its budget, but nothing raises."""
+    extremes = (1e-30, 1.0, 1e30)
+    for numbers in product(extremes, extremes, (0.0, *extremes), (1e-30, 1e30)):
+        gamma, omega, xi, penetration = (number * ONE[:1] for number in numbers)
+        restitution = np.array([0.5])
+        line = call(gamma=gamma, omega=omega, xi=xi, penetration=penetration, restitution=restitution,
+                    model=model, settle=0, observe=1)  # fmt: skip
+        assert 1 <= line.outcome[0] <= 5

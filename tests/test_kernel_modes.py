@@ -1,0 +1,122 @@
+"""Modes: the shortest cycle of the last flights, against its definition; what a run's outcome says."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from kernel_runs import TWO_PI, examples, run
+from naive import cycle
+
+from kernel.modes import find_cycle
+from kernel.params import Model, Outcome
+from kernel.threshold import threshold
+
+
+def find(times: np.ndarray, takeoffs: np.ndarray) -> tuple[int, int]:
+    """The kernel's answer; `takeoffs` are phases since the start."""
+    periods = np.floor(takeoffs / TWO_PI)
+    return find_cycle(times, takeoffs - TWO_PI * periods, periods.astype(np.int64))
+
+
+def repeated(
+    flights: list[float], waits: list[float], times: int, first: float = 0.3
+) -> tuple[np.ndarray, np.ndarray]:
+    """Flights and the contacts after them, over and over."""
+    flown = np.array(flights * times)
+    spans = flown + np.array(waits * times)
+    return flown, first + np.concatenate([[0.0], np.cumsum(spans)[:-1]])
+
+
+@pytest.mark.parametrize("times", [3, 4, 10])
+@pytest.mark.parametrize(("flights", "periods"), [
+    ([4.855], 1), ([3.72, 6.28], 2), ([11.2], 2), ([5.08, 1.84, 4.88], 4), ([0.1, 0.2, 0.3, 0.4, 5.0], 1),
+])  # fmt: skip
+def test_a_cycle_seen_three_times_is_found(flights, periods, times):
+    rest = TWO_PI * periods - sum(flights)
+    waits = [rest / len(flights)] * len(flights)
+    assert find(*repeated(flights, waits, times)) == (len(flights), periods)
+    flown, takeoffs = repeated(flights, waits, 3)
+    assert find(flown[1:], takeoffs[1:]) == (0, 0)  # once less than three times
+
+
+def test_a_cycle_is_the_shortest():
+    flown, takeoffs = repeated([4.0, 4.0], [TWO_PI - 4.0] * 2, 6)
+    assert find(flown, takeoffs) == (1, 1)
+
+
+def test_alike_flights_that_drift_along_the_plate_are_no_cycle():
+    flown, takeoffs = repeated([4.0], [TWO_PI - 4.0 + 1e-4], 30)
+    assert find(flown, takeoffs) == (0, 0)
+
+
+def test_flights_that_repeat_within_one_turn_are_no_cycle_of_no_periods():
+    """Micro-flights all alike within a plate period: a cycle takes at least one."""
+    flown, takeoffs = repeated([0.1], [0.0], 20)
+    assert find(flown, takeoffs) == (0, 0)
+
+
+@pytest.mark.parametrize("first", [0.0, 1e-9, TWO_PI - 1e-9, math.pi])
+def test_take_off_at_the_turn_of_the_phase(first):
+    """Rounding puts some of them at 0 and some at 2 pi."""
+    rng = np.random.default_rng(1)
+    flown, takeoffs = repeated([4.0, 5.0], [TWO_PI - 4.0, TWO_PI - 5.0], 8, first)
+    noise = rng.uniform(-1e-9, 1e-9, len(takeoffs))
+    assert find(flown, np.abs(takeoffs + noise)) == (2, 2)
+
+
+@given(
+    flights=st.lists(st.floats(0.01, 12.0), min_size=1, max_size=6),
+    waits=st.lists(st.floats(0.0, 6.0), min_size=6, max_size=6),
+    times=st.integers(1, 12),
+    noise=st.sampled_from([0.0, 1e-9, 1e-7, 1e-5]),
+    broken=st.integers(-1, 40),
+    lost=st.integers(0, 5),
+    seed=st.integers(0, 99),
+)
+@examples(300)
+def test_the_kernel_finds_what_the_definition_says(flights, waits, times, noise, broken, lost, seed):
+    waits = waits[: len(flights)]
+    span = sum(flights) + sum(waits)
+    waits[-1] += math.ceil(span / TWO_PI) * TWO_PI - span
+    flown, takeoffs = repeated(flights, waits, times)
+    rng = np.random.default_rng(seed)
+    flown = flown + rng.uniform(-noise, noise, len(flown))
+    takeoffs = takeoffs + rng.uniform(-noise, noise, len(flown))
+    if 0 <= broken < len(flown):
+        flown[broken] += 0.01
+    flown, takeoffs = flown[lost:], takeoffs[lost:]
+    assert find(flown, takeoffs) == cycle(list(flown), list(takeoffs))
+
+
+# --- outcomes -------------------------------------------------------------------------------
+
+
+def test_outcomes():
+    below = 0.9 * float(threshold(0.5, 0.26))
+    line = run([below, 1.5, 5.0], 0.5, 0.26, settle=300, observe=60)
+    assert list(line.outcome) == [Outcome.AT_REST, Outcome.PERIODIC, Outcome.APERIODIC]
+    assert list(line.flights > 0) == [False, True, True]
+    assert list(line.bounces) == [0, 1, 0]
+
+
+def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():
+    """Gamma = 30: one flight lasts longer than the window."""
+    line = run(30.0, 0.5, 0.26, settle=0, observe=1)
+    assert line.flights[0] == 0
+    assert line.outcome[0] == Outcome.APERIODIC
+
+
+def test_flights_that_all_are_micro_flights_leave_a_cell_at_rest():
+    """Those that do not count do not count for the outcome either."""
+    line = run(1.5, 0.5, 0.26, Model.SOFT, restitution=0.05, settle=50, observe=20, micro_flight=6.2)
+    assert line.flights[0] > 0
+    assert line.outcome[0] == Outcome.AT_REST
+
+
+def test_a_spent_budget_is_unresolved():
+    """An undamped contact on an undamped spring rings for ever: more events than a budget can hold."""
+    line = run(1.5, 0.8, 0.0, Model.SOFT, restitution=1.0, penetration=1e-8, settle=0, observe=3)
+    assert line.outcome[0] == Outcome.UNRESOLVED
+    assert line.bounces[0] == 0
