@@ -1,6 +1,7 @@
 """What every call works with: the service's parts, the job that a path names, and how a job is answered."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from service.choosing import computed_spec
 from service.errors import UnknownJob, WrongMediaType
 from service.events import Watch
 from service.health import Health
-from service.jobs import UNFINISHED, JobRecord, JobState
+from service.jobs import UNFINISHED, Failure, JobRecord, JobState
 from service.ledger import Ledger
 from service.lifecycle import Lifecycle
 from service.metrics import Metrics
@@ -63,9 +64,11 @@ TheJob = Annotated[JobRecord, Depends(_job)]
 JsonBody = Annotated[bytes, Depends(_json_body)]
 
 
-def view(job: JobRecord, status: int, headers: dict[str, str] | None = None) -> Response:
+def view(
+    job: JobRecord, status: int, headers: dict[str, str] | None = None, failures: Sequence[Failure] = ()
+) -> Response:
     """A job as an answer."""
-    content = schemas.job_view(job, time.time()).model_dump_json()
+    content = schemas.job_view(job, time.time(), None, *failures).model_dump_json()
     return Response(content, status, headers, "application/json")
 
 

@@ -92,14 +92,16 @@ def jobs(service: TheService, query: Annotated[schemas.JobsQuery, Query()]) -> s
     response_model=JobView,
     responses={304: {"description": "nothing has changed"}, **problem_responses(404)},
 )
-def job(job: TheJob, request: Request) -> Response:
+def job(service: TheService, job: TheJob, request: Request) -> Response:
     """One job; `If-None-Match` with its ETag answers 304 while nothing has changed."""
-    headers = {"ETag": schemas.etag(job), "Cache-Control": "no-cache"}
+    with service.ledger.reading() as ledger:
+        failures = ledger.failures(job)
+    headers = {"ETag": schemas.etag(job, len(failures)), "Cache-Control": "no-cache"}
     if wait := calls.seconds_to_wait(job):
         headers["Retry-After"] = str(wait)
     if _matches(request.headers.get("if-none-match", ""), headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    return calls.view(job, 200, headers)
+    return calls.view(job, 200, headers, failures)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=problem_responses(404, 409))

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.exports import FileFormat
-from service.jobs import JobRecord, JobState
+from service.failures import FailureView, failures_view
+from service.jobs import Failure, JobRecord, JobState
 
 #: A specification longer than this (in characters of JSON) is left out of lists.
 LONG_SPEC: Final = 10_000
@@ -139,6 +140,7 @@ class JobView(BaseModel):
     finished: datetime | None
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists where it is long")
     choice: ChoiceView | None = Field(None, description="of `auto`: the model that was chosen, and why")
+    failures: list[FailureView] = Field([], description="given for a single job alone")
     links: dict[str, str]
 
 
@@ -245,7 +247,9 @@ class Health(BaseModel):
     status: Literal["ok"]
 
 
-def job_view(job: JobRecord, now: float | None = None, longest_spec: int | None = None) -> JobView:
+def job_view(
+    job: JobRecord, now: float | None = None, longest_spec: int | None = None, *failures: Failure
+) -> JobView:
     """The view of a job at `now` (seconds since 1970); a specification longer than that is left out."""
     progress = job.progress(time.time() if now is None else now)
     return JobView(
@@ -266,13 +270,14 @@ def job_view(job: JobRecord, now: float | None = None, longest_spec: int | None 
         finished=_time(job.finished),
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
         choice=None if job.choice is None else ChoiceView.model_validate_json(job.choice),
+        failures=failures_view(failures),
         links=_links(job.id),
     )
 
 
-def etag(job: JobRecord) -> str:
+def etag(job: JobRecord, failures: int = 0) -> str:
     """Changes when the view does, but for the time to go, which changes all the time."""
-    facts = (job.id, job.state, job.error, job.choice, job.chunks_done, job.started, job.finished)
+    facts = (failures, job.id, job.state, job.error, job.choice, job.chunks_done, job.started, job.finished)
     return f'W/"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
 
 

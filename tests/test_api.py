@@ -81,7 +81,7 @@ def test_a_submission_is_accepted_and_says_where_to_look(tmp_path: Path):
         assert answer.headers["Location"] == view["links"]["self"] == f"/v1/jobs/{view['id']}"
         assert int(answer.headers["Retry-After"]) >= 0
         assert set(view) == {
-            *("id", "name", "state", "progress", "error"),
+            *("id", "name", "state", "progress", "error", "failures"),
             *("created", "started", "finished", "spec", "choice", "links"),
         }
         assert (view["name"], view["state"], view["error"]) == ("figure 2, coarse", "queued", None)

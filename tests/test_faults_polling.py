@@ -22,7 +22,7 @@ from worker.executors import Dask
 P99 = [float(limit) for limit in os.environ.get("BOUNCE_TEST_P99", "2,6").split(",")]
 
 
-@pytest.mark.parametrize(("connections", "limit"), zip((8, 64), P99, strict=True))
+@pytest.mark.parametrize(("connections", "limit"), [(8, P99[0]), (64, P99[1])])
 def test_polling_is_answered_while_a_job_runs(tmp_path: Path, cluster: Dask, connections: int, limit: float):
     seconds: list[float] = []
     wrong: list[str] = []

@@ -10,6 +10,7 @@ again, it writes the same bytes. Imports the kernel and worker; nothing of the s
 
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -96,10 +97,22 @@ def _run_line(
             raise ChunkCancelled(f"cancelled: {store_url}")
         piece = slice(low, low + step)
         began = time.perf_counter()
-        done = run_cells(spec, gamma[piece], omega[piece], xi[piece], start)
+        with _naming(gamma=gamma[piece], omega=omega[piece], xi=xi[piece]):
+            done = run_cells(spec, gamma[piece], omega[piece], xi[piece], start)
         yield piece, done, time.perf_counter() - began
         last = low + len(done.outcome) - 1
         start = _start(done.end_state[-1], done.outcome[-1], Cell(gamma[last], omega[last], xi[last]))
+
+
+@contextmanager
+def _naming(**axes: NDArray[np.float64]) -> Iterator[None]:
+    """Have an error say in which cells it happened."""
+    try:
+        yield
+    except Exception as error:
+        spans = [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in axes.items()]
+        error.add_note(f"in the cells {', '.join(spans)}")
+        raise
 
 
 def _whole_lanes(cells: int) -> int:
