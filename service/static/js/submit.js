@@ -1,7 +1,7 @@
 // The form: a sweep, what it will cost, and what the service thinks of it, field by field.
 
 import { go, link, note, noted } from "./address.js";
-import { askJson } from "./api.js";
+import { askJson, toldElsewhere } from "./api.js";
 import { axisField } from "./axis-field.js";
 import { debounced, h, say } from "./dom.js";
 import { showProblems } from "./field-problems.js";
@@ -118,7 +118,7 @@ export class Submit {
   #tell(error) {
     if (error.name === "AbortError") return;
     this.cost.textContent = error.name === "Lost" ? "The cost is told when the service answers again." : "";
-    if (error.name === "Lost") return;
+    if (toldElsewhere(error)) return;
     showProblems(this.form, this.problem, error);
     this.button.disabled = error.status === 422 || error.status === 413;
   }

@@ -1,7 +1,7 @@
 // The list of sweeps, the last first, as they move.
 
 import { link } from "./address.js";
-import { askJson, query } from "./api.js";
+import { askJson, query, toldElsewhere } from "./api.js";
 import { h } from "./dom.js";
 import { ago } from "./format.js";
 import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
@@ -102,7 +102,7 @@ export class Sweeps {
   }
 
   #fail(error) {
-    if (error.name === "Lost" || error.name === "AbortError") return;
+    if (toldElsewhere(error)) return;
     this.problem.hidden = false;
     this.problem.textContent = error.message;
     setTimeout(() => { this.problem.hidden = true; }, 8000);
