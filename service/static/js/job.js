@@ -103,7 +103,7 @@ export class JobView {
 
   #showTab() {
     const { path, query } = here();
-    const tab = TABS[path[2]] ? path[2] : "diagram";
+    const tab = TABS[path[2]] ? path[2] : this.#firstTab();
     const kept = ["gamma", "omega", "xi", "cell"].filter((name) => query[name] !== undefined);
     this.tabs.replaceChildren(...Object.entries(TABS).map(([key, [title]]) =>
       h("a", {
@@ -125,6 +125,12 @@ export class JobView {
       chosen: () => this.cell,
       fail: (error) => this.#fail(error),
     });
+  }
+
+  /** Where so few flights are kept that they make no diagram, thresholds are what it is about. */
+  #firstTab() {
+    const { keep, omega } = this.job.spec;
+    return keep < 4 && axisValues(omega).length > 2 ? "thresholds" : "diagram";
   }
 
   #choose({ gamma, omega, xi, direction }) {
