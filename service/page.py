@@ -1,13 +1,15 @@
 """The page at `/`: plain files, which load nothing from elsewhere and are told so."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from fastapi import FastAPI, Response
+from fastapi import APIRouter, FastAPI, Response
 from fastapi.responses import FileResponse
+from pydantic import BaseModel, Field
 from starlette.staticfiles import StaticFiles
 
 from service import views
+from service.figures.catalogue import FIGURES
 from service.lines import Lines
 
 FILES: Final = Path(__file__).parent / "static"
@@ -19,14 +21,36 @@ POLICY: Final = (
 )
 
 
+router = APIRouter()
+
+
+class FigureView(BaseModel):
+    """A figure of the paper and the sweeps behind it, ready to be submitted."""
+
+    number: int
+    title: str
+    sweeps: list[dict[str, Any]] = Field(description="the first is what the figure shows")
+
+
 def install(app: FastAPI) -> None:
     """Give `app` the page, its files, and the calls that only it makes."""
     app.state.lines = Lines()
+    app.include_router(router)
     app.include_router(views.router)
-    app.add_api_route("/", index, include_in_schema=False)
     app.mount("/static", StaticFiles(directory=FILES), name="static")
 
 
+@router.get("/v1/figures")
+def figures() -> list[FigureView]:
+    """The figures of the paper that come from sweeps: those `bounce figure` makes."""
+    return [
+        FigureView(number=one.number, title=one.title, sweeps=[dict(sweep) for sweep in one.sweeps])
+        for one in FIGURES.values()
+        if one.sweeps
+    ]
+
+
+@router.get("/", include_in_schema=False)
 def index() -> Response:
     """The page."""
     headers = {"Content-Security-Policy": POLICY, "Cache-Control": "no-cache"}

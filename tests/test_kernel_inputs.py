@@ -179,10 +179,9 @@ def test_numpy_integers_are_integers():
 @pytest.mark.parametrize("name", ["gamma", "omega", "xi", "penetration"])
 @pytest.mark.parametrize("bad", [1.1e30, 1e300, 0.9e-30, 5e-324])
 def test_numbers_whose_products_overflow(name, bad):
-    with pytest.raises(
-        KernelInputError, match=f"^{name}: must lie within 1e-30 and 1e30, got {re.escape(str(bad))}"
-    ):
+    with pytest.raises(KernelInputError) as refused:
         call(**{name: bad * ONE})
+    assert str(refused.value) == f"{name}: must lie within 1e-30 and 1e30, got {bad} at index 0"
 
 
 @pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])

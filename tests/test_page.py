@@ -15,11 +15,13 @@ from scripted import Held, sweep
 from test_api import finished, get, service
 
 from service import page
+from service.figures.catalogue import FIGURES
 from service.lines import Lines, read
 from service.queries import Sweep
 from worker import store
 from worker.executors import Inline
 from worker.plan import make_plan
+from worker.spec import SweepSpec
 from worker.tasks import run_chunk
 
 LINE: dict[str, Any] = {
@@ -110,6 +112,14 @@ def test_files_are_small_and_name_no_other_place(file: Path):
     text = file.read_text()
     assert len(text.splitlines()) <= 250
     assert set(re.findall(r"https?://[^\s\"'`)]+", text)) <= {"http://www.w3.org/2000/svg"}
+
+
+def test_the_paper_s_sweeps_are_those_of_the_command(client: TestClient):
+    figures = get(client, "/v1/figures")
+    assert [one["number"] for one in figures] == [2, 3, 4, 5, 6, 7, 8, 9]
+    for one in figures:
+        specs = [SweepSpec.parse(sweep) for sweep in one["sweeps"]]
+        assert specs == [SweepSpec.parse(dict(sweep)) for sweep in FIGURES[one["number"]].sweeps]
 
 
 def test_files_outside_the_folder_are_out_of_reach(client: TestClient):

@@ -74,6 +74,9 @@ export function query(given) {
   return new URLSearchParams(known.map(([name, value]) => [name, String(value)])).toString();
 }
 
+/** Whether an error is told elsewhere: the banner, the token's dialog, or a request that was given up. */
+export const toldElsewhere = (error) => error.name === "Lost" || error.name === "AbortError" || error.status === 401;
+
 async function read(answer, as, signal) {
   try {
     return await answer[as]();

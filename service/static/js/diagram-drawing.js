@@ -32,6 +32,16 @@ export function drawOnset(pen, box, { omega, xi }) {
   pen.fillText("th", x + 16, box.top + 24);
 }
 
+/** A wedge at the foot of the frame, under the cell that is shown in motion. */
+export function drawChosen(pen, box, value, colour) {
+  const [x, foot] = [box.x.place(value), box.top + box.height];
+  pen.fillStyle = colour;
+  pen.beginPath();
+  [[x, foot - 13], [x - 6, foot - 1], [x + 6, foot - 1]].forEach(([px, py], i) => (i ? pen.lineTo(px, py) : pen.moveTo(px, py)));
+  pen.closePath();
+  pen.fill();
+}
+
 /** A line through the cell under the cursor, and a ring about each of its flights. */
 export function drawCell(pen, box, { line, cell }) {
   const x = box.x.place(line.arrays.values[cell]);

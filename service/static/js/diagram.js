@@ -3,14 +3,14 @@
 import { note, noted } from "./address.js";
 import { blobOf, query } from "./api.js";
 import { controls } from "./diagram-controls.js";
-import { drawCell, drawOnset, head } from "./diagram-drawing.js";
+import { drawCell, drawChosen, drawOnset, head } from "./diagram-drawing.js";
 import { h, newest, say } from "./dom.js";
 import { csv, downloads, fileName, netcdf } from "./downloads.js";
 import { drawFlights, flightsOf } from "./flights.js";
 import { number, plural } from "./format.js";
 import { gestures, zoomed } from "./gestures.js";
 import { lineOf } from "./lines.js";
-import { SYMBOL, TURN, isLog, modeText, nearest } from "./physics.js";
+import { SYMBOL, TURN, isLog, modeText, nearest, same } from "./physics.js";
 import { Plot } from "./plot.js";
 import { spread } from "./scale.js";
 import { colourOf } from "./theme.js";
@@ -20,8 +20,8 @@ const MOST = 250_000; // flights that come as points; more come as density
 const HINT = "Point at a cell to read it, click to see it move, drag to zoom, double-click to see all.";
 
 export class Diagram {
-  constructor(root, { job, grid, directions, choose, fail }) {
-    Object.assign(this, { job, grid, directions, fail, shows: choose });
+  constructor(root, { job, grid, directions, choose, chosen, fail }) {
+    Object.assign(this, { job, grid, directions, fail, chosen, shows: choose });
     const asked = noted();
     const axes = Object.keys(SYMBOL);
     this.axes = axes.filter((axis) => grid[axis].length > 1);
@@ -149,10 +149,19 @@ export class Diagram {
         (pen, box) => drawFlights(pen, box, this.lines, ({ direction }) => colourOf(direction, box.theme)),
       ],
       cursor: (pen, box) => {
+        const cell = this.#chosenHere();
+        if (cell) drawChosen(pen, box, cell[this.along], colourOf(cell.direction, box.theme));
         pen.strokeStyle = box.theme.cursor;
         if (this.at) drawCell(pen, box, this.at);
       },
     };
+  }
+
+  /** The cell in motion, if it lies on a line that is shown. */
+  #chosenHere() {
+    const cell = this.chosen();
+    const on = ({ direction, fixed }) => direction === cell.direction && Object.entries(fixed).every(([axis, value]) => same(value, cell[axis]));
+    return cell && this.lines.some(on) ? cell : null;
   }
 
   #cell(line, cell) {

@@ -4,7 +4,7 @@ import { h } from "./dom.js";
 import { rgb } from "./theme.js";
 
 const FEW = 4000;
-const FAINTEST = 0.38; // of a part of the plot on which one flight falls
+const FAINTEST = 0.5; // of a part of the plot on which one flight falls
 
 /** Where each cell's flights begin in `flight_time`: one more entry than there are cells. */
 export function starts(shown) {

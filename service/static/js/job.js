@@ -1,7 +1,7 @@
 // One sweep: how far it is, and its diagram, mode map, thresholds and details; a cell of it in motion.
 
 import { go, here, link, note, noted } from "./address.js";
-import { askJson } from "./api.js";
+import { askJson, toldElsewhere } from "./api.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { h, say } from "./dom.js";
@@ -103,7 +103,7 @@ export class JobView {
 
   #showTab() {
     const { path, query } = here();
-    const tab = TABS[path[2]] ? path[2] : "diagram";
+    const tab = TABS[path[2]] ? path[2] : this.#firstTab();
     const kept = ["gamma", "omega", "xi", "cell"].filter((name) => query[name] !== undefined);
     this.tabs.replaceChildren(...Object.entries(TABS).map(([key, [title]]) =>
       h("a", {
@@ -122,8 +122,15 @@ export class JobView {
       grid: Object.fromEntries(["gamma", "omega", "xi"].map((axis) => [axis, axisValues(spec[axis])])),
       directions: directionsOf(spec),
       choose: (cell) => this.#choose(cell),
+      chosen: () => this.cell,
       fail: (error) => this.#fail(error),
     });
+  }
+
+  /** Where so few flights are kept that they make no diagram, thresholds are what it is about. */
+  #firstTab() {
+    const { keep, omega } = this.job.spec;
+    return keep < 4 && axisValues(omega).length > 2 ? "thresholds" : "diagram";
   }
 
   #choose({ gamma, omega, xi, direction }) {
@@ -136,18 +143,24 @@ export class JobView {
   #showCell() {
     const asked = (noted().cell ?? "").split(",");
     const [gamma, omega, xi] = asked.map(Number);
-    if (asked.length !== 4 || ![gamma, omega, xi].every(Number.isFinite)) this.motion.hide();
-    else this.motion.show(this.job, { gamma, omega, xi, direction: asked[3] });
+    this.cell = asked.length === 4 && [gamma, omega, xi].every(Number.isFinite) ? { gamma, omega, xi, direction: asked[3] } : null;
+    if (this.cell) this.motion.show(this.job, this.cell);
+    else this.motion.hide();
+    this.view.plot?.redraw();
   }
 
   #closeMotion() {
     note({ cell: null });
-    this.motion.hide();
+    this.#showCell();
     this.panel.querySelector(".plot")?.focus();
   }
 
   #fail(error) {
-    if (error?.name === "AbortError" || error?.name === "Lost") return;
+    if (error && toldElsewhere(error)) return;
+    if (error?.status === 503) { // damaged results are computed again
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.#look(true), LATER);
+    }
     this.problem.hidden = !error;
     this.problem.textContent = error?.message ?? "";
   }

@@ -7,7 +7,7 @@ import { csv, downloads, fileName, netcdf } from "./downloads.js";
 import { count, number, plural } from "./format.js";
 import { gestures, zoomed } from "./gestures.js";
 import { colour, kinds, nameOf, partsOf } from "./palette.js";
-import { SYMBOL, isLog, modeText, nearest, threshold } from "./physics.js";
+import { SYMBOL, isLog, modeText, nearest, same, threshold } from "./physics.js";
 import { Plot, stroke } from "./plot.js";
 import { edges } from "./scale.js";
 import { sliders } from "./sliders.js";
@@ -86,6 +86,7 @@ export class Modes {
 
   #describeKinds() {
     const all = kinds(this.plane.arrays);
+    this.entries = [];
     const dark = matchMedia("(prefers-color-scheme: dark)").matches;
     const few = all.length <= LEGEND ? all : [...all].sort((one, two) => two[1] - one[1]).slice(0, LEGEND - 1).sort(([one], [two]) => one - two);
     const rest = all.filter((one) => !few.includes(one)).reduce((sum, [, cells]) => sum + cells, 0);
@@ -93,6 +94,7 @@ export class Modes {
     this.legend.replaceChildren(...few.map(([key, cells]) => {
       const swatch = h("span", { className: "swatch", "aria-hidden": "true" });
       swatch.style.background = colour(...partsOf(key), dark);
+      this.entries.push([nameOf(key), key]);
       return h("li", {}, swatch, nameOf(key), " ", h("small", {}, share(cells, total)));
     }));
     if (rest) this.legend.append(h("li", {}, `${count(all.length - few.length)} other modes `, h("small", {}, share(rest, total))));
@@ -121,6 +123,9 @@ export class Modes {
     return {
       x: { label: SYMBOL.gamma, low: x0, high: x1, log: isLog(this.job.spec.gamma) },
       y: { label: SYMBOL.omega, low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
+      key: [["threshold, Eq. 25", (pen, x, y, theme) => stroke(pen, theme.ink, 1.8, [[x, y], [x + 24, y]], [7, 4])]],
+      colours: this.entries.map(([name, key]) => [name, (theme) => colour(...partsOf(key), theme.dark)]),
       layers: [(pen, box) => this.#drawCells(pen, box), (pen, box) => this.#drawOnset(pen, box)],
       cursor: (pen, box) => this.#drawCursor(pen, box),
     };
@@ -166,16 +171,9 @@ export class Modes {
   }
 
   #drawCursor(pen, box) {
-    if (!this.at) return;
-    const [x, y] = [box.x.place(this.grid.gamma[this.at.column]), box.y.place(this.grid.omega[this.at.row])];
-    pen.lineWidth = 4;
-    for (const [colour, width] of [[box.theme.paper, 4], [box.theme.cursor, 2]]) {
-      pen.strokeStyle = colour;
-      pen.lineWidth = width;
-      pen.beginPath();
-      pen.arc(x, y, 6, 0, 2 * Math.PI);
-      pen.stroke();
-    }
+    const cell = this.chosen();
+    if (cell && cell.direction === this.plane.direction && same(cell.xi, this.plane.xi)) ring(pen, box, cell.gamma, cell.omega, 9);
+    if (this.at) ring(pen, box, this.grid.gamma[this.at.column], this.grid.omega[this.at.row], 6);
   }
 
   #nearest(x, y) {
@@ -228,6 +226,17 @@ export class Modes {
   }
 }
 
-const HINT = "Point at a cell to read it, click to see it move, drag to zoom. The dashed line is Γ_th, Eq. 25.";
+/** A ring that shows on every colour. */
+function ring(pen, box, gamma, omega, radius) {
+  for (const [colour, width] of [[box.theme.paper, 4.5], [box.theme.cursor, 2]]) {
+    pen.strokeStyle = colour;
+    pen.lineWidth = width;
+    pen.beginPath();
+    pen.arc(box.x.place(gamma), box.y.place(omega), radius, 0, 2 * Math.PI);
+    pen.stroke();
+  }
+}
+
+const HINT = "Point at a cell to read it, click to see it move, drag to zoom. The dashed line is the threshold of Eq. 25.";
 
 const share = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;

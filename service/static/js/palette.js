@@ -14,8 +14,8 @@ const HUES = [
 const LONGER = ["#cfc6ba", "#a59a8c", "#6e655a"];
 
 const OTHERS = {
-  [OUTCOME.aperiodic]: ["#27221e", "#f2ede4"],
-  [OUTCOME.atRest]: ["#ece8e0", "#2a2d31"],
+  [OUTCOME.aperiodic]: ["#27221e", "#000000"],
+  [OUTCOME.atRest]: ["#ece8e0", "#4a5058"],
   [OUTCOME.unresolved]: ["#d55e00", "#d55e00"],
   [OUTCOME.diverged]: ["#d55e00", "#d55e00"],
   [OUTCOME.missing]: ["#ffffff", "#16181b"],
@@ -46,4 +46,4 @@ export function kinds({ outcome, bounces, periods }) {
   return [...found].sort(([one], [two]) => one - two);
 }
 
-export const nameOf = (key) => modeText(...partsOf(key)).replace("mode ", "");
+export const nameOf = (key) => modeText(...partsOf(key)).replace("mode ", "").replace(" on the plate", "");

@@ -47,6 +47,9 @@ export function nearest(values, wanted) {
   return wanted - values[low] <= values[high] - wanted ? low : high;
 }
 
+/** Whether two values are the same but for how they were written. */
+export const same = (one, two) => Math.abs(one - two) <= 1e-8 * Math.max(Math.abs(one), Math.abs(two));
+
 /** The directions of a sweep, as the service names them. */
 export function directionsOf({ protocol }) {
   if (protocol.kind === "rest") return ["rest"];

@@ -8,10 +8,12 @@ import { SvgPen } from "./svg.js";
 import { onThemeChange, theme } from "./theme.js";
 
 const FONT = 13;
+const ROW = 24; // of explained colours
+const IN_A_ROW = 7;
 
 /**
  * `content()` says what to draw: {x: {label, low, high, log}, y: {…, turns}, layers: [(pen, box) => …],
- * cursor: (pen, box) => …, title: text, key: [[name, (pen, x, y, theme) => draws a mark 24 wide], …]}; null while
+ * cursor: (pen, box) => …, colours: [[name, theme => colour], …] (explained under the plot in files), title: text, key: [[name, (pen, x, y, theme) => draws a mark 24 wide], …]}; null while
  * there is nothing.
  */
 export class Plot {
@@ -76,19 +78,41 @@ export class Plot {
 
   /** What is shown, as a file on white paper. */
   async png() {
-    const width = 1000;
-    const canvas = h("canvas", { width: 2 * width, height: 2 * Math.round(width * this.ratio) });
+    const { width, height, rows } = this.#sheetSize();
+    const canvas = h("canvas", { width: 2 * width, height: 2 * (height + rows) });
     const pen = canvas.getContext("2d");
     pen.scale(2, 2);
-    this.paint(pen, width, canvas.height / 2, theme(true));
+    this.#paintFile(pen, width, height, rows);
     return new Promise((done) => canvas.toBlob(done, "image/png"));
   }
 
   svg() {
-    const [width, height] = [1000, Math.round(1000 * this.ratio)];
-    const pen = new SvgPen(width, height);
-    this.paint(pen, width, height, theme(true));
+    const { width, height, rows } = this.#sheetSize();
+    const pen = new SvgPen(width, height + rows);
+    this.#paintFile(pen, width, height, rows);
     return pen.blob();
+  }
+
+  #sheetSize() {
+    const colours = this.content()?.colours?.length ?? 0;
+    return { width: 1000, height: Math.round(1000 * this.ratio), rows: Math.ceil(colours / IN_A_ROW) * ROW };
+  }
+
+  #paintFile(pen, width, height, rows) {
+    const paper = theme(true);
+    this.paint(pen, width, height, paper);
+    pen.fillStyle = paper.paper;
+    pen.fillRect(0, height, width, rows);
+    pen.font = `${FONT}px ${paper.serif}`;
+    pen.textAlign = "left";
+    pen.textBaseline = "middle";
+    (this.content()?.colours ?? []).forEach(([name, colour], i) => {
+      const [x, y] = [58 + (i % IN_A_ROW) * ((width - 80) / IN_A_ROW), height + (Math.floor(i / IN_A_ROW) + 0.4) * ROW];
+      pen.fillStyle = colour(paper);
+      pen.fillRect(x, y - 6, 12, 12);
+      pen.fillStyle = paper.ink;
+      pen.fillText(name, x + 18, y);
+    });
   }
 
   #fit(canvas, width, height) {

@@ -1,13 +1,13 @@
 // The form: a sweep, what it will cost, and what the service thinks of it, field by field.
 
 import { go, link, note, noted } from "./address.js";
-import { askJson } from "./api.js";
+import { askJson, toldElsewhere } from "./api.js";
 import { axisField } from "./axis-field.js";
 import { debounced, h, say } from "./dom.js";
 import { showProblems } from "./field-problems.js";
 import { bytes, plural, seconds } from "./format.js";
 import { modelField, plainField, protocolField } from "./other-fields.js";
-import { FIGURES } from "./presets.js";
+import { presets } from "./presets.js";
 
 const DEFAULTS = {
   name: "", gamma: { start: 1, stop: 6, num: 501, spacing: "linear" }, omega: 0.5, xi: 0.26, protocol: { kind: "rest" },
@@ -58,7 +58,8 @@ export class Submit {
   }
 
   refresh() {
-    this.estimate();
+    if (this.started) this.estimate();
+    else this.#start();
   }
 
   close() {
@@ -67,24 +68,23 @@ export class Submit {
   }
 
   #presets() {
-    this.preset = h("select", { id: "preset", onchange: (event) => { note({ figure: event.target.value || null, from: null }); this.#start(); } },
-      h("option", { value: "" }, "nothing in particular"), FIGURES.map(({ key, title, about }) => h("option", { value: key }, `${title}: ${about}`)));
+    this.preset = h("select", { id: "preset", onchange: (event) => { note({ figure: event.target.value || null, from: null }); this.#start(); } });
     return h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset);
   }
 
   /** Fill the form: from the figure or the sweep that the address names. */
   async #start() {
     const { figure, from } = noted();
-    const found = FIGURES.find(({ key }) => key === figure);
-    this.preset.value = found ? found.key : "";
-    if (from) {
-      try {
-        const { spec, name } = await askJson(`/v1/jobs/${from}`);
-        this.#write({ ...spec, name });
-      } catch (error) {
-        this.#tell(error);
-      }
-    } else this.#write(found ? found.spec : {});
+    try {
+      const groups = await presets();
+      this.preset.replaceChildren(h("option", { value: "" }, "nothing in particular"), ...groups.map(({ label, title, sweeps }) =>
+        h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, spec }) => h("option", { value: key, selected: key === figure }, spec.name)))));
+      if (from) this.#write((await askJson(`/v1/jobs/${from}`)).spec);
+      else this.#write(groups.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure)?.spec ?? {});
+      this.started = true;
+    } catch (error) {
+      this.#tell(error);
+    }
   }
 
   #write(spec) {
@@ -118,7 +118,7 @@ export class Submit {
   #tell(error) {
     if (error.name === "AbortError") return;
     this.cost.textContent = error.name === "Lost" ? "The cost is told when the service answers again." : "";
-    if (error.name === "Lost") return;
+    if (toldElsewhere(error)) return;
     showProblems(this.form, this.problem, error);
     this.button.disabled = error.status === 422 || error.status === 413;
   }

@@ -1,11 +1,11 @@
 // The list of sweeps, the last first, as they move.
 
 import { link } from "./address.js";
-import { askJson, query } from "./api.js";
+import { askJson, query, toldElsewhere } from "./api.js";
 import { h } from "./dom.js";
 import { ago } from "./format.js";
 import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
-import { FIGURES } from "./presets.js";
+import { presets } from "./presets.js";
 
 const PAGE = 25;
 const SOON = 700; // while something is in work
@@ -19,6 +19,7 @@ export class Sweeps {
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
     this.more = h("button", { type: "button", className: "quiet", hidden: true, onclick: () => { this.limit += PAGE; this.refresh(); } }, "Show older ones");
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.figures = h("ul", {});
     this.none = h("p", { className: "note", hidden: true }, "None yet. A figure of the paper is a good first one.");
     root.replaceChildren(
       h("div", { className: "start" }, h("section", { className: "intro" },
@@ -27,7 +28,7 @@ export class Sweeps {
         h("p", { className: "starts" }, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
       h("section", { className: "figures", "aria-labelledby": "figures" },
         h("h2", { id: "figures" }, "From the paper"),
-        h("ul", {}, FIGURES.map(({ key, title, about }) => h("li", {}, h("a", { href: link(["new"], { figure: key }) }, h("b", {}, title), h("span", {}, about))))))),
+        this.figures)),
       h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps" }, "Sweeps"), this.problem, this.none, this.list, this.more));
     this.refresh();
   }
@@ -45,6 +46,7 @@ export class Sweeps {
 
   async refresh() {
     clearTimeout(this.timer);
+    if (!this.figures.hasChildNodes()) this.#showFigures();
     try {
       const { jobs, next } = await askJson(`/v1/jobs?${query({ limit: Math.min(this.limit, 1000) })}`);
       if (this.closed) return;
@@ -54,6 +56,15 @@ export class Sweeps {
       const busy = jobs.some((job) => UNFINISHED.has(job.state));
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.refresh(), busy ? SOON : LATER);
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
+
+  async #showFigures() {
+    try {
+      this.figures.replaceChildren(...(await presets()).map(({ label, title, sweeps: [first] }) =>
+        h("li", {}, h("a", { href: link(["new"], { figure: first.key }) }, h("b", {}, label), h("span", {}, title)))));
     } catch (error) {
       this.#fail(error);
     }
@@ -102,7 +113,7 @@ export class Sweeps {
   }
 
   #fail(error) {
-    if (error.name === "Lost" || error.name === "AbortError") return;
+    if (toldElsewhere(error)) return;
     this.problem.hidden = false;
     this.problem.textContent = error.message;
     setTimeout(() => { this.problem.hidden = true; }, 8000);
