@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 import threading
 import time
 from typing import NamedTuple
@@ -18,6 +19,9 @@ from worker import store
 from worker.executors import Executor
 from worker.plan import check_size, make_plan
 from worker.spec import SweepSpec
+
+
+log = logging.getLogger(__name__)
 
 
 class Submission(NamedTuple):
@@ -106,7 +110,7 @@ class Lifecycle:
         """
         with self._turn:
             doomed = self._forget(job_id)
-        threading.Thread(target=store.remove, args=[doomed], name="remove", daemon=True).start()
+        threading.Thread(target=_remove, args=[doomed], name="remove", daemon=True).start()
 
     def _forget(self, job_id: str) -> str:
         """Take a job out of the ledger and its results out of sight; gives where they are now."""
@@ -151,6 +155,14 @@ class Lifecycle:
         if waiting >= self._settings.max_queue:
             most = self._settings.max_queue
             raise QueueFull(f"{waiting} jobs are queued or running already, at most {most} may be")
+
+
+def _remove(url: str) -> None:
+    """Remove what a deleted job leaves; what cannot be is swept at the next start."""
+    try:
+        store.remove(url)
+    except Exception as error:  # noqa: BLE001 - a bucket out of reach, a folder gone already
+        log.warning("%s cannot be removed now: %s", url, error)
 
 
 def _cancel(ledger: Writing, job: JobRecord) -> None:
