@@ -20,7 +20,6 @@ from worker.executors import Executor
 from worker.plan import check_size, make_plan
 from worker.spec import SweepSpec
 
-
 log = logging.getLogger(__name__)
 
 

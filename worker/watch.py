@@ -25,7 +25,7 @@ from worker.tasks import ChunkReport, run_chunk
 TOPIC: Final = "bouncing-spring"
 
 #: How often the watch looks up, and how often at the cancel mark, which may be far away.
-LOOK_SECONDS: Final = 0.2
+LOOK_SECONDS: Final = 0.1
 MARK_SECONDS: Final = 1.0
 #: A chunk sees the cancel mark by itself; so long after, it does not any more.
 CANCEL_GRACE: Final = 2.0
