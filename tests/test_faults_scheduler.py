@@ -94,7 +94,11 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
         wait_for(lambda: executor.ready() and executor.workers() == 2)
         with running(tmp_path / "data", counting, window_seconds=0) as service:
             job = service.submit(sweep(chunks=80, seconds=0.1))
-            wait_for(lambda: service.job(job).chunks_done >= 2)
+
+            def told() -> str:
+                return f"{counting.submitted} submitted to {executor.workers()} workers: {service.job(job)}"
+
+            wait_for(lambda: service.job(job).chunks_done >= 2, told)
 
             kept.process.send_signal(signal.SIGSTOP)
             frozen = time.monotonic()
@@ -104,7 +108,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             done = service.job(job).chunks_done
             kept.process.send_signal(signal.SIGCONT)
             awake = time.monotonic()
-            wait_for(lambda: health.ready() and service.job(job).chunks_done > done)
+            wait_for(lambda: health.ready() and service.job(job).chunks_done > done, told)
             resumed = time.monotonic() - awake
             assert counting.submitted <= service.job(job).chunks_done + 4  # nothing is done twice
 
@@ -113,7 +117,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             wait_for(lambda: not health.ready())
             time.sleep(0.5)
             done = service.job(job).chunks_done
-            wait_for(lambda: service.job(job).chunks_done > done)
+            wait_for(lambda: service.job(job).chunks_done > done, told)
             back = time.monotonic() - killed
             job = service.until(job, JobState.DONE)
             assert counting.submitted <= job.chunks_total + 4  # the window
