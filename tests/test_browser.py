@@ -236,7 +236,7 @@ def test_a_cell_that_is_clicked_is_seen_to_move(browser: Any, address: str, loop
         assert float(phases[0]) < float(phases[1])
         assert colours(page, ".motion .stage") > 3
         assert colours(page, ".motion .plot canvas") > 4
-        assert "flights in these 4 plate periods" in page.locator(".motion .readout").inner_text()
+        assert "whole flights in these 4 plate periods" in page.locator(".motion .readout").inner_text()
         page.wait_for_url(re.compile("cell=.*,down"))
         page.get_by_role("button", name="Pause").click()
         shoot(page, "motion")
