@@ -439,6 +439,7 @@ def test_everything_fits_a_phone(browser: Any, address: str, loop: str, scheme: 
 def _settled(page: Any, place: str) -> None:
     if "/job/" in place:
         page.get_by_role("button", name="Play").wait_for()
+        page.wait_for_timeout(100)  # for the frame that draws it
     else:
         page.locator(".cost", has_text="cells in").or_(page.locator(".jobs li")).first.wait_for()
 
