@@ -41,11 +41,14 @@ WHOLE = (
     Kind("soft adhesive, e = 0", Model.SOFT, True, 0.0),
     Kind("soft adhesive, any e", Model.SOFT, True, None),
     Kind("soft nonadhesive, any e", Model.SOFT, False, None),
+    Kind("ball, any e", Model.BALL, True, None),
 )
 DEFAULT = (
     Kind("rigid, e = 0", Model.RIGID, True, 0.0),
     Kind("soft adhesive, e = 0.01", Model.SOFT, True, 0.01),
     Kind("soft nonadhesive, e = 0.01", Model.SOFT, False, 0.01),
+    Kind("stepped, e = 0.01", Model.STEPPED, True, 0.01),
+    Kind("ball, e = 0", Model.BALL, True, 0.0),
 )
 
 

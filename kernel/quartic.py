@@ -95,9 +95,14 @@ def _polished(c3: float, c2: float, c1: float, c0: float, f: Factors) -> Factors
     """
     swapped = f.a2 < f.a1
     a, b = (f.a2, f.b2) if swapped else (f.a1, f.b1)
-    other_a, other_b = c3 - a, c0 / b
-    for _ in range(3):
+    best, best_a, best_b = math.inf, a, b
+    for _ in range(5):
+        other_a, other_b = c3 - a, c0 / b
         off2, off1 = b + other_b + a * other_a - c2, a * other_b + other_a * b - c1
+        off = abs(off2) / c2 + abs(off1) / (c1 + math.sqrt(c0 * c2))
+        if off >= best:
+            break  # rounding, or roots so near each other that there is no better
+        best, best_a, best_b = off, a, b
         # their derivatives by a and b
         by_a2, by_b2 = other_a - a, 1.0 - other_b / b
         by_a1, by_b1 = other_b - b, other_a - a * other_b / b
@@ -106,5 +111,6 @@ def _polished(c3: float, c2: float, c1: float, c0: float, f: Factors) -> Factors
             break
         a -= (off2 * by_b1 - by_b2 * off1) / det
         b -= (by_a2 * off1 - off2 * by_a1) / det
-        other_a, other_b = c3 - a, c0 / b
+    a, b = best_a, best_b
+    other_a, other_b = c3 - a, c0 / b
     return Factors(other_a, other_b, a, b) if swapped else Factors(a, b, other_a, other_b)

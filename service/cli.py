@@ -23,6 +23,8 @@ from service.tradeoff_command import tradeoff
 if TYPE_CHECKING:
     from service.client import Job
 
+#: Seconds that an answer may take while kernels are compiled for the first time.
+COMPILING: Final = 300.0
 PICTURES: Final = ("png", "svg")
 FORMATS: Final = (*PICTURES, "csv", "json")
 
@@ -206,6 +208,7 @@ def figure(
     found, and says what agrees with the paper. A second run finds the finished jobs in the data folder and
     only draws.
     """
+    from service.client import Client
     from service.figures import catalogue
 
     wanted = catalogue.figures(number)
@@ -216,7 +219,7 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = format_of(targets[0], PICTURES)
-    with _service(url, given) as address, connected(address, token) as client:
+    with _service(url, given) as address, Client(address, token, timeout=COMPILING) as client:
         for target, picture in zip(targets, catalogue.make(wanted, client, format), strict=True):
             write_file(target, picture.content)
             click.echo(f"{target}\n{picture.caption}\n", err=True)

@@ -121,7 +121,7 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, address: str
         page.get_by_role("link", name="Fig. 2").first.click()
         page.get_by_label("values", exact=True).first.fill("120")
         page.get_by_label("model").select_option("rigid")
-        page.get_by_label("Settle for").fill("60000")
+        page.get_by_label("Settle for").fill("40000")
         cost = page.locator(".cost")
         cost.filter(has_text="120 cells").wait_for()
         assert re.search(r"120 cells in \d+ chunks · .+ of one core", cost.inner_text())
@@ -236,7 +236,7 @@ def test_a_cell_that_is_clicked_is_seen_to_move(browser: Any, address: str, loop
         assert float(phases[0]) < float(phases[1])
         assert colours(page, ".motion .stage") > 3
         assert colours(page, ".motion .plot canvas") > 4
-        assert "flights in these 4 plate periods" in page.locator(".motion .readout").inner_text()
+        assert "whole flights in these 4 plate periods" in page.locator(".motion .readout").inner_text()
         page.wait_for_url(re.compile("cell=.*,down"))
         page.get_by_role("button", name="Pause").click()
         shoot(page, "motion")
@@ -256,6 +256,17 @@ def _phase_after(page: Any, before: str | None) -> str:
         arg=before,
     )
     return str(page.locator(".motion").get_attribute("data-phase"))
+
+
+def test_the_picture_of_the_readme(browser: Any, address: str):
+    """Left in test-artefacts/page/figure-2.png."""
+    gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
+    fig_2 = {"name": "Figure 2", "gamma": gamma, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
+    job = done(address, submitted(address, fig_2))
+    with opened(browser, view(address, job, cell="2.3,0.5,0.26,rest"), reduced_motion="reduce") as page:
+        page.get_by_label("Plate periods since").fill("1.2")
+        assert "3.722, 6.285" in page.locator(".motion .readout").inner_text()
+        shoot(page, "figure-2")
 
 
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
@@ -428,6 +439,7 @@ def test_everything_fits_a_phone(browser: Any, address: str, loop: str, scheme: 
 def _settled(page: Any, place: str) -> None:
     if "/job/" in place:
         page.get_by_role("button", name="Play").wait_for()
+        page.wait_for_timeout(100)  # for the frame that draws it
     else:
         page.locator(".cost", has_text="cells in").or_(page.locator(".jobs li")).first.wait_for()
 

@@ -9,7 +9,7 @@ const KINDS = { one: "one value", list: "these values", range: "from … to" };
 export function axisField(axis) {
   const input = (field, label, given = {}) =>
     h("label", {}, h("span", {}, label), h("input", { type: "text", inputmode: "decimal", autocomplete: "off", size: 8, "data-field": field, ...given }));
-  const kind = h("select", { "aria-label": `${SYMBOL[axis]}: how many values`, onchange: () => show() },
+  const kind = h("select", { onchange: () => show() },
     Object.entries(KINDS).map(([value, text]) => h("option", { value }, text)));
   const single = input(axis, "value", { "data-part": "one" });
   const several = input(axis, "values, with commas between", { "data-part": "list", size: 24 });
@@ -20,7 +20,7 @@ export function axisField(axis) {
     h("select", { "data-field": `${axis}.spacing` }, ["linear", "log"].map((value) => h("option", { value }, value))));
   const parts = { one: [single], list: [several], range: [from, to, number, spacing] };
   const element = h("fieldset", { className: "axis", "data-group": axis },
-    h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, MEANING[axis])), kind, Object.values(parts).flat());
+    h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, MEANING[axis])), h("label", {}, h("span", {}, "take"), kind), Object.values(parts).flat());
 
   const of = (label) => label.querySelector("input, select");
   const show = () => Object.entries(parts).forEach(([name, labels]) => labels.forEach((label) => { label.hidden = name !== kind.value; }));

@@ -145,7 +145,7 @@ export class Motion {
 function describe({ flights, complete }) {
   const times = flights.flight_time.filter((time) => time > 1e-3);
   const what = times.length
-    ? `${plural(times.length, "flight")} in these ${PERIODS} plate periods: ${times.slice(0, 8).map((time) => number(time, 4)).join(", ")}${times.length > 8 ? " …" : ""} rad.`
+    ? `${plural(times.length, "whole flight")} in these ${PERIODS} plate periods: ${times.slice(0, 8).map((time) => number(time, 4)).join(", ")}${times.length > 8 ? " …" : ""} rad.`
     : "It stays on the plate.";
   return complete ? what : `${what} It could not be followed to the end.`;
 }

@@ -17,7 +17,7 @@ const IN_A_ROW = 7;
  * there is nothing.
  */
 export class Plot {
-  constructor(root, { label, content, ratio = 0.52, least = 260 }) {
+  constructor(root, { label, content, ratio = 0.52, least = 290 }) {
     this.content = content;
     this.ratio = ratio;
     this.least = least;
@@ -132,7 +132,8 @@ export class Plot {
 function boxOf(content, width, height, theme) {
   const narrow = width < 520;
   const [left, right] = [narrow ? 46 : 58, content.y.turns ? 34 : 22];
-  const [top, bottom] = [content.title || content.key ? 32 : 12, 46];
+  const heads = [content.title, content.key?.length].filter(Boolean).length;
+  const [top, bottom] = [12 + (narrow ? 22 * heads : heads && 20), 46];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow,
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
@@ -175,7 +176,7 @@ function drawFrame(pen, box, { x, y }) {
   pen.font = `${FONT}px ${theme.serif}`;
   pen.textBaseline = "top";
   pen.textAlign = "center";
-  for (const { value, text } of ticks(box.x.low, box.x.high, width / 62, box.x.log)) {
+  for (const { value, text } of ticks(box.x.low, box.x.high, width / (box.narrow ? 46 : 62), box.x.log)) {
     const at = Math.round(box.x.place(value)) + 0.5;
     stroke(pen, theme.ink, 1, [[at, top + height - 6], [at, top + height]]);
     pen.fillText(text, at, top + height + 7);
@@ -199,12 +200,12 @@ function drawFrame(pen, box, { x, y }) {
 }
 
 /** What is shown, on the left above the frame; what the marks mean, on the right. */
-function drawHead(pen, { left, top, width, theme }, { title = "", key = [] }) {
+function drawHead(pen, { left, top, width, narrow, theme }, { title = "", key = [] }) {
   pen.font = `${FONT + 1}px ${theme.serif}`;
   pen.textBaseline = "middle";
   pen.textAlign = "left";
   pen.fillStyle = theme.ink;
-  pen.fillText(title, left, top - 15);
+  pen.fillText(title, left, narrow && key.length ? top - 37 : top - 15); // a line of its own where it is narrow
   pen.textAlign = "right";
   let x = left + width;
   for (const [name, mark] of [...key].reverse()) {
