@@ -31,7 +31,7 @@ def hog() -> None:
     """Take memory until someone ends it."""
     taken = []
     while True:
-        taken.append(b"x" * (20 << 20))
+        taken.append(b"x" * (50 << 20))
         time.sleep(0.1)
 
 
