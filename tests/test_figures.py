@@ -1,6 +1,7 @@
 """The paper's figures, start to end, and what is said beside them against MODEL's numbers."""
 
 import io
+import json
 import re
 import subprocess
 import sys
@@ -292,3 +293,25 @@ def test_the_first_command_of_the_readme_draws_figure_2(tmp_path: Path, cluster:
     assert "running" not in second.stderr
     assert b"<svg" in (tmp_path / "again.svg").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.svg", "bounce-data", "figure-2.png"]
+
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs_from_submission_to_a_figure(
+    client: Client, path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    from matplotlib import pyplot as plt
+
+    monkeypatch.setenv("BOUNCE_URL", client.url)
+    plt.switch_backend("agg")
+    names: dict[str, Any] = {}
+    cells = [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+    for number, cell in enumerate(cells, start=1):
+        exec(compile("".join(cell["source"]), f"{path.name}, cell {number}", "exec"), names)
+    drawn = plt.get_fignums()
+    plt.close("all")
+    printed = [line for cell in cells for output in cell["outputs"] for line in output.get("text", [])]
+    assert len(drawn) >= 3
+    assert capsys.readouterr().out == "".join(printed)  # what the notebook shows is what it does

@@ -137,7 +137,7 @@ def test_any_cell_ends_with_an_outcome_in_time(s):
 @EVERYWHERE
 def test_extreme_phases_obey_the_equations_of_motion(cell, contact):
     s = settings_of(cell, contact)
-    for step in phases(s, 3, 4):
+    for step in phases(s, 3, 3):
         check_phase(s, step)
 
 

@@ -74,14 +74,14 @@ def test_table_of_rooms_names_every_module():
     assert rooms() == {str(path) if len(path.parts) == 2 else f"{path.parent}/" for path in found}
 
 
-def parse(command: click.Command, words: list[str]) -> None:
+def parse(command: click.Command, words: list[str], parent: click.Context | None = None) -> None:
     """Read a command line as click would, down to the last option, without running it."""
-    context = command.make_context(words[0], words[1:], resilient_parsing=False)
+    context = command.make_context(words[0], words[1:], parent=parent, resilient_parsing=False)
     if isinstance(command, click.Group):
         name, below, rest = command.resolve_command(context, [*context._protected_args, *context.args])
         assert name
         assert below
-        parse(below, [name, *rest])
+        parse(below, [name, *rest], context)
 
 
 def test_every_bounce_command_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -157,7 +157,7 @@ def _times(diagram: xarray.Dataset) -> NDArray[np.float64]:
 def _restitution_of_its_own(given: Comparison, own: Comparison) -> Claim:
     return Claim(
         False,
-        "ε = f(ξ), which the paper leaves open, is half the restitution of the spring as its own contact: "
+        "ε = f(ξ), which the paper leaves open, is half the restitution of a contact damped like the spring: "
         f"f(0.5) = 0.1492, closer than 0.15 (median {np.median(own.deviations):.4f} rad instead of "
         f"{np.median(given.deviations):.4f})",
     )

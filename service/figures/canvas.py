@@ -23,7 +23,7 @@ from service.figures.caption import Caption
 #: Inches; printed a column (3.4 in) wide, the smallest letters are still 5.5 points high.
 WIDTH: Final = 4.6
 DPI: Final = 216
-COLOURS: Final = 48
+COLOURS: Final = 96
 CAPTION_SIZE: Final = 7.5  # points
 LINE: Final = 1.32 * CAPTION_SIZE / 72  # inches
 SPACE: Final = 0.33 * CAPTION_SIZE / 72  # inches between words, a little more than there is
@@ -89,7 +89,11 @@ class Drawing:
         """The PNG in as few colours as a drawing has, a third of the size, the caption in it as text."""
         text, small = PngInfo(), io.BytesIO()
         text.add_itxt("Description", str(self.caption))
-        colours = Image.open(file).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        colours = (
+            Image.open(file)
+            .convert("RGB")
+            .quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        )
         colours.save(small, "png", optimize=True, dpi=(DPI, DPI), pnginfo=text)
         return small.getvalue()
 

@@ -5,7 +5,6 @@ from typing import Final
 
 import numpy as np
 import xarray
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from kernel.threshold import threshold
@@ -33,9 +32,11 @@ def draw(job: Job, lower: Job) -> Drawing:
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     drawing, room = page(3.1, _caption(loop, from_lower, step))
     axes = room.subplots()
-    axes.plot(FINE, threshold(FINE, XI), color=BLUE, linewidth=0.7, linestyle=(0, (4, 2)), label="Eq. 25")
-    _curve(axes, loop.omega.values, loop.up.values, "0.6", "o", r"$\Gamma$ increased")
-    _curve(axes, loop.omega.values, loop.down.values, "black", "s", r"$\Gamma$ decreased")
+    omega = loop.omega.values
+    axes.plot(omega, loop.up.values, color="0.7", linewidth=3, label=r"$\Gamma$ increased")
+    axes.plot(omega, loop.down.values, color="black", marker="s", markersize=2, linewidth=0.8,
+              label=r"$\Gamma$ decreased")  # fmt: skip
+    axes.plot(FINE, threshold(FINE, XI), color=BLUE, linewidth=0.9, linestyle=(0, (4, 2)), label="Eq. 25")
     axes.set_xlim(0, float(loop.omega[-1]))
     axes.set_ylim(0, TOP)
     axes.set_xlabel(r"$\Omega$", labelpad=1)
@@ -60,12 +61,6 @@ def _rise(values: NDArray[np.float64]) -> float:
     """How high the values rise over the first one before they fall below it."""
     below = np.flatnonzero(values < values[0])
     return float(np.max(values[: below[0]] if len(below) else values) - values[0])
-
-
-def _curve(
-    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], colour: str, mark: str, name: str
-) -> None:
-    axes.plot(x, y, color=colour, marker=mark, markersize=2.6, markeredgewidth=0, linewidth=1, label=name)
 
 
 def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Caption:

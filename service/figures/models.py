@@ -12,7 +12,7 @@ CAPTION = Caption(
     "The two models: a ball (left), and two masses joined by a spring and a damper (right), on a plate that "
     "oscillates as A cos ωt.",
     (
-        Claim(True, "the drawn forces are those of Eqs. 1 to 8"),
+        Claim(True, "the parts are those of Eqs. 1 to 8"),
         Claim(
             False,
             "Eq. 4 lacks a sign, the ball leaves with v⁺ = −ε v⁻; the law and the depth of the spring's "
