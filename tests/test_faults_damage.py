@@ -1,5 +1,6 @@
 """Stored results that are flipped, cut or gone: never a silent wrong answer; named, and computed again."""
 
+import contextlib
 import os
 import random
 import shutil
@@ -76,7 +77,13 @@ def running(folder: Path) -> Iterator[Service]:
 
 
 def files(url: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+    """What is stored; a file that is just being put in its place is not there yet."""
+    found = {}
+    for path in url.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):
+            if path.is_file():
+                found[str(path.relative_to(url))] = path.read_bytes()
+    return found
 
 
 def flip(path: Path, chance: random.Random) -> None:

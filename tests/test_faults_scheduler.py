@@ -85,6 +85,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[Kept, str]]:
     scheduler.end()
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_a_scheduler_that_freezes_and_one_that_dies(
     tmp_path: Path, scheduler: tuple[Kept, str], capsys: pytest.CaptureFixture[str]

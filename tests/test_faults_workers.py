@@ -108,6 +108,7 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             assert counting.submitted - calm.chunks_total <= 4  # the window
 
 
+@pytest.mark.long
 def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
     """A hung, a greedy and a poisonous chunk at once, beside jobs that have none."""
     whole(fragile)
@@ -163,6 +164,7 @@ def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile
         assert job.chunks_done == job.chunks_total - 1
 
 
+@pytest.mark.long
 def test_a_small_job_beside_a_huge_one_is_hardly_delayed(tmp_path: Path, fragile: Dask):
     whole(fragile)
     with running(tmp_path, fragile, window_seconds=0.5) as service:

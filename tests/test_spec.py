@@ -120,6 +120,7 @@ DEPTH = "plate amplitudes deep, allowed are 1e-12 to 1"
 RULES = [
     ({"omega": 0}, "omega: must be at least 1e-06, not 0.0"),
     ({"xi": -0.1}, "xi: must be at least 0, not -0.1"),
+    ({"xi": [0.0, 1e-40, 1.0]}, "xi: must be 0 or at least 1e-30, not 1e-40"),
     ({"xi": 1e7}, "xi: must be at most 1e+06, not 10000000.0"),
     ({"xi": range_(start=-1.0)}, "xi.start: must be at least 0, not -1.0"),
     ({"gama": 1}, f"gama: is not a field here; did you mean 'gamma'? {AXES_ONLY}"),

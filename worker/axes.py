@@ -156,6 +156,10 @@ def values_of(axis: AxisValue) -> NDArray[np.float64]:
     return values
 
 
+#: Kernels take no number nearer to zero than this but zero itself.
+FAINTEST: Final = 1e-30
+
+
 def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
     """A validator: all of an axis lies in [low, high], and its values are distinct."""
 
@@ -165,6 +169,10 @@ def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
                 raise BrokenRuleError(field, f"must be at least {low:g}, not {value!r}")
             if value > high:
                 raise BrokenRuleError(field, f"must be at most {high:g}, not {value!r}")
+        values = values_of(axis)
+        faint = values[(values > 0.0) & (values < FAINTEST)]
+        if len(faint):
+            raise BrokenRuleError("", f"must be 0 or at least {FAINTEST:g}, not {float(faint[0])!r}")
         if isinstance(axis, Range) and not np.all(np.diff(values_of(axis)) > 0):
             rule = f"must be small enough for distinct values: {axis.start!r} and {axis.stop!r} are too close"
             raise BrokenRuleError("num", rule)
