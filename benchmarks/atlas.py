@@ -66,8 +66,8 @@ class Counting(Dask):
     kernel_seconds = 0.0
     task_seconds = 0.0
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> "Future[ChunkReport]":
-        future = super().submit(spec, chunk, store_url)
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **given: float) -> "Future[ChunkReport]":
+        future = super().submit(spec, chunk, store_url, **given)
         future.add_done_callback(self._count)
         return future
 
