@@ -373,11 +373,11 @@ def test_the_store_opens_lazily(job: Job):
 
 
 def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
-    with (
-        serving(tmp_path, Held(capacity=0)) as client,
-        pytest.raises(StoreUnreachable, match="has not begun"),
-    ):
-        client.submit(sweep()).open()
+    with serving(tmp_path, Held(), active_jobs=1) as client:
+        client.submit(sweep("never ends"))
+        waiting = client.submit(sweep("waits for it", omega=0.6))
+        with pytest.raises(StoreUnreachable, match="has not begun"):
+            waiting.open()
 
 
 # How things look, and what is exported
