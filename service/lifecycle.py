@@ -5,7 +5,7 @@ import json
 import logging
 import threading
 import time
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
@@ -21,6 +21,9 @@ from worker.plan import check_size, make_plan
 from worker.spec import SweepSpec
 
 log = logging.getLogger(__name__)
+
+#: A bucket that does not answer may hold up the end of a thread, but not for longer.
+STOP_SECONDS: Final = 2.0
 
 
 class Submission(NamedTuple):
@@ -47,8 +50,8 @@ class Lifecycle:
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs go on at the next start."""
-        self._housekeeper.stop()
-        self._supervisor.stop()
+        self._housekeeper.stop(STOP_SECONDS)
+        self._supervisor.stop(STOP_SECONDS)
 
     def _is_clear(self, job_id: str) -> bool:
         return self._housekeeper.is_clear(job_id)

@@ -13,29 +13,26 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final
 
-from kernel.params import KERNEL_VERSION
-from service.choosing import Choosing, attributes_of, computed_spec
+from service.choosing import Choosing
 from service.jobs import UNFINISHED, JobRecord, JobState
 from service.ledger import Ledger
 from service.news import News, Settled, Undone, done_of, error_of
+from service.opening import opened
 from service.running import Limits, Run
 from service.settings import Settings
 from worker import store
 from worker.executors import ClusterLost, Executor, WorkerLost
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.places import UNREACHABLE
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkReport, PredecessorMissing
 
 log = logging.getLogger(__name__)
 
 
-class KernelChanged(Exception):
-    """A job was begun by a kernel whose numbers may differ."""
-
-
 #: Chunks of one job, however small.
 MOST_IN_FLIGHT: Final = 64
+#: Of a heartbeat, from one look for workers to the next while there are none.
+IDLE_SHARE: Final = 0.25
 
 
 class Supervisor:
@@ -81,12 +78,12 @@ class Supervisor:
         self._inbox.put(Undone(job_id, chunks))
         self.ring()
 
-    def stop(self) -> None:
-        """Let go of everything in flight and end; unfinished jobs stay so in the ledger."""
+    def stop(self, seconds: float) -> None:
+        """Let go of everything in flight and end, in at most so long; unfinished jobs stay so in the ledger."""
         self._stop.set()
         self.ring()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(seconds)
 
     def _work(self) -> None:
         while not self._stop.is_set():
@@ -175,8 +172,10 @@ class Supervisor:
 
     def _adopt(self) -> None:
         """Pick up jobs that wait, stop those that shall stop, let go on those that after all shall."""
-        self._next_look = time.monotonic() + self._settings.heartbeat_seconds
         self._places = self._settings.window * self._executor.workers()
+        # Workers that come back shall not have to wait for work.
+        pause = self._settings.heartbeat_seconds * (1.0 if self._places else IDLE_SHARE)
+        self._next_look = time.monotonic() + pause
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.active_jobs)
         for brief in unfinished:
@@ -196,7 +195,10 @@ class Supervisor:
             settled = self._choosing.settled(job)
             if settled is None:
                 return  # it rings
-            run = self._opened(settled)
+            run = opened(settled, self._ledger, self._settings)
+        except UNREACHABLE as error:
+            log.warning("job %s cannot begin yet, its bucket does not answer: %s", job_id, error)
+            return  # until the next look
         except Exception as error:
             log.exception("job %s cannot begin", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
@@ -204,20 +206,6 @@ class Supervisor:
         if self._mark_running(job_id):
             self._runs[job_id] = run
             log.info("job %s runs, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
-
-    def _opened(self, job: JobRecord) -> Run:
-        if job.kernel_version != KERNEL_VERSION:
-            raise KernelChanged(
-                f"kernel {job.kernel_version} began it, this is {KERNEL_VERSION}: submit it again"
-            )
-        spec = SweepSpec.from_json(job.spec)
-        plan = make_plan(spec, chunk_shape=job.chunk_shape)
-        url = self._settings.store_of(job.id)
-        store.create(url, spec, plan, attributes_of(job))
-        store.clear_cancelled(url)
-        run = Run(job, computed_spec(job), plan, url, self._ledger.done_mask(job))
-        run.stopping = job.cancel_requested  # the service stopped before the job could
-        return run
 
     def _mark_running(self, job_id: str) -> bool:
         """Whether the job may run: it may have been cancelled since it was seen in the queue."""
