@@ -10,7 +10,7 @@ from fastapi.responses import StreamingResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from numpy.typing import NDArray
 
-from service import calls, diagrams, exports, queries, schemas
+from service import answers, calls, diagrams, exports, queries, schemas
 from service.calls import TheJob, TheService
 from service.errors import NotInStore
 from service.jobs import UNFINISHED, JobState
@@ -61,13 +61,14 @@ def diagram(service: TheService, job: TheJob, query: Annotated[schemas.DiagramQu
     return Response(content, media_type=media_type, headers=_complete(all(one.complete for one in found)))
 
 
-@router.get("/threshold", responses=problem_responses(404, 413, 422, 429, 503))
+@router.get("/threshold", responses={**answers.RESPONSES, **problem_responses(404, 413, 422, 429, 503)})
 def job_threshold(
     service: TheService, job: TheJob, query: Annotated[schemas.JobThresholdQuery, Query()]
 ) -> schemas.Thresholds:
     """Per Ω at one xi: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
 
-    To the grid, or with a tolerance as finely as asked for: null then where the change is not on the grid.
+    To the grid, or with a tolerance as finely as asked for: null then where the change is not on the grid,
+    and 202 with how far the workers are until they have found them all.
     """
     sweep = calls.sweep(service, job)
     found = queries.thresholds(sweep, query.xi, service.settings.max_points)

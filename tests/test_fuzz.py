@@ -74,7 +74,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     ):
         queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
         schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
-        # Measures for half a minute, and answers 503 until it has: no place for thousands of requests.
+        # Measures for half a minute, and answers 202 until it has: no place for thousands of requests.
         yield Api(address, done, queued, schema.exclude(path="/v1/tradeoff"))
     idle.close()
 

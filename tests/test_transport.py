@@ -15,6 +15,7 @@ import pytest
 from service.client import (
     Busy,
     Client,
+    NotComputedYet,
     NotFound,
     Refused,
     ServiceError,
@@ -23,6 +24,7 @@ from service.client import (
     Unauthorized,
     UnexpectedAnswer,
 )
+from service.client.display import counting
 
 ID = "0123456789abcdef" * 2
 LOST = None  # the connection is closed instead of an answer
@@ -286,6 +288,47 @@ def test_a_wait_gives_a_lost_service_up_in_the_end(monkeypatch: pytest.MonkeyPat
         job._transport = again._transport
         with pytest.raises(ServiceUnreachable):
             job.wait(progress=False)
+
+
+def underway(done: int) -> Answer:
+    return Answer(
+        202, {"state": "running", "progress": {"parts_done": done, "parts_total": 4}}, Retry_After="0.2"
+    )
+
+
+def test_what_workers_compute_is_asked_for_until_it_is_there():
+    told: list[tuple[int, int]] = []
+    script = (
+        underway(0),
+        Answer(429, {"detail": "full"}, Retry_After="0.1"),
+        underway(3),
+        Answer(body={"rows": []}),
+    )
+    with scripted(*script) as (server, client):
+        assert client.tradeoff(progress=lambda *parts: told.append(parts)) == {"rows": []}
+        assert told == [(0, 4), (3, 4)]
+        assert server.when[1] - server.when[0] >= 0.2
+
+
+def test_who_waits_no_longer_is_told_that_it_goes_on():
+    with (
+        scripted(underway(1)) as (_, client),
+        pytest.raises(NotComputedYet, match=r"^1 of 4 parts computed after -1 s; it goes on: ask again$"),
+    ):
+        client.tradeoff(patience=-1.0, progress=False)
+    with scripted(Answer(202, {"state": "running"})) as (_, client), pytest.raises(UnexpectedAnswer):
+        client.tradeoff(progress=False)
+
+
+def test_a_wait_for_workers_shows_itself_by_lines(capsys: pytest.CaptureFixture[str]):
+    show = counting(True)
+    for done in range(24):
+        show(done, 23)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "computed 0 of 23 parts"
+    assert len(lines) == 8
+    counting(False)(1, 2)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_list_goes_on_to_its_last_page():
