@@ -240,9 +240,9 @@ def test_a_cell_that_is_clicked_is_seen_to_move(browser: Any, address: str, loop
         page.wait_for_url(re.compile("cell=.*,down"))
         page.get_by_role("button", name="Pause").click()
         shoot(page, "motion")
-        still = page.locator(".motion").get_attribute("data-phase")
+        still = page.locator(".motion .player").get_attribute("data-phase")
         page.wait_for_timeout(120)
-        assert page.locator(".motion").get_attribute("data-phase") == still
+        assert page.locator(".motion .player").get_attribute("data-phase") == still
         page.get_by_role("button", name="Close").click()
         assert page.locator(".motion").is_hidden()
 
@@ -250,12 +250,12 @@ def test_a_cell_that_is_clicked_is_seen_to_move(browser: Any, address: str, loop
 def _phase_after(page: Any, before: str | None) -> str:
     page.wait_for_function(
         """before => {
-            const { phase } = document.querySelector(".motion").dataset;
+            const { phase } = document.querySelector(".motion .player")?.dataset ?? {};
             return phase && phase !== before;
         }""",
         arg=before,
     )
-    return str(page.locator(".motion").get_attribute("data-phase"))
+    return str(page.locator(".motion .player").get_attribute("data-phase"))
 
 
 def test_the_picture_of_the_readme(browser: Any, address: str):

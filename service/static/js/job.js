@@ -123,7 +123,6 @@ export class JobView {
       directions: directionsOf(spec),
       choose: (cell) => this.#choose(cell),
       chosen: () => this.cell,
-      fail: (error) => this.#fail(error),
     });
   }
 
@@ -157,10 +156,6 @@ export class JobView {
 
   #fail(error) {
     if (error && toldElsewhere(error)) return;
-    if (error?.status === 503) { // damaged results are computed again
-      clearTimeout(this.timer);
-      this.timer = setTimeout(() => this.#look(true), LATER);
-    }
     this.problem.hidden = !error;
     this.problem.textContent = error?.message ?? "";
   }
