@@ -53,6 +53,15 @@ def test_topology_is_a_scheduler_two_workers_and_the_service():
     assert SERVICES["worker"]["deploy"]["replicas"] == 2
 
 
+def test_scheduler_is_set_as_the_service_wants_it():
+    from worker.link import SCHEDULER, variable
+
+    given = {name: float(value) for name, value in SERVICES["scheduler"]["environment"].items()}
+    assert given == {variable(name): wanted for name, (wanted, _) in SCHEDULER.items()}
+    readme = (ROOT / "README.md").read_text()
+    assert all(f"{name}={SERVICES['scheduler']['environment'][name]}" in readme for name in given)
+
+
 @pytest.mark.parametrize("name", SERVICES)
 def test_container_comes_back_is_watched_and_bounded(name: str):
     container = SERVICES[name]

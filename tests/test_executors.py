@@ -186,12 +186,14 @@ def scheduler(tmp_path):
     process.wait()
 
 
-def test_a_cluster_without_workers_a_frozen_and_a_dead_one(scheduler, planned):
+def test_a_cluster_without_workers_a_frozen_and_a_dead_one(scheduler, planned, caplog):
     process, file = scheduler
     spec, plan, url = planned
     executor = Dask(scheduler_file=file)
     try:
         assert not executor.ready()
+        [why] = [one for one in caplog.messages if "allowed-failures" in one]
+        assert why.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")
         assert executor.workers() == 0
         waiting = executor.submit(spec, plan[0], url)
 

@@ -1,6 +1,7 @@
 """The compose file's containers as plain processes here: same commands, same health checks, one job."""
 
 import json
+import os
 import re
 import socket
 import subprocess
@@ -43,6 +44,7 @@ class Process:
             self.popen = subprocess.Popen(
                 self._here(self._container["command"]),
                 cwd=folder,
+                env=os.environ | self._environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -53,6 +55,11 @@ class Process:
         pattern = re.compile("|".join(map(re.escape, sorted(self._words, key=len, reverse=True))))
         program, *arguments = (pattern.sub(lambda found: self._words[found[0]], word) for word in command)
         return [str(Path(sys.executable).with_name(program)), *arguments]
+
+    def _environment(self) -> dict[str, str]:
+        """The container's own variables, but for those that its user gives."""
+        given = self._container.get("environment", {})
+        return {name: value for name, value in given.items() if not value.startswith("${")}
 
     def wait_until_healthy(self) -> None:
         """Run the container's own health check until it passes."""
@@ -155,6 +162,8 @@ def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
         nearest = [min(known, key=lambda one: abs(one - flight)) for flight in found]
         assert set(nearest) == set(known)
         assert found == pytest.approx(nearest, abs=1e-9)
+
+    assert "start it with" not in topology.processes[-1].log()  # the scheduler is set as it has to be
 
     codes = topology.end()
     assert codes["service"] == 0, topology.processes[-1].log()

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
+import dask
 from distributed import KilledWorker, LocalCluster
 
 from worker.faults import ClusterLost, ExecutorError, WorkerDied, WorkerLost
-from worker.link import Link, address_in
+from worker.link import SCHEDULER, Link, address_in
 from worker.plan import Chunk
 from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
@@ -218,6 +219,7 @@ def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
 
 def _local_cluster(workers: int, memory: int | None) -> Any:
     loopback = "127.0.0.1"
+    dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()})
     return LocalCluster(  # type: ignore[no-untyped-call]
         n_workers=workers,
         threads_per_worker=1,
@@ -225,7 +227,4 @@ def _local_cluster(workers: int, memory: int | None) -> Any:
         host=loopback,
         dashboard_address=f"{loopback}:0",
         memory_limit=memory or "auto",
-        # Whose fault a death was is judged here, at once; the scheduler would try the chunk again first,
-        # and blame its neighbours too.
-        scheduler_kwargs={"allowed_failures": 0},
     )

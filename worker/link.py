@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+import dask
 from distributed import Client, WorkerPlugin
 
 from worker.faults import ClusterLost
@@ -20,6 +21,13 @@ log = logging.getLogger(__name__)
 PING_SECONDS: Final = 2.0
 #: How often a lost scheduler is looked for.
 RETRY_SECONDS: Final = 1.0
+#: How a scheduler has to be set, and what comes of it otherwise.
+SCHEDULER: Final[dict[str, tuple[float, str]]] = {
+    # Whose fault a worker's death was is judged here, at once.
+    "distributed.scheduler.allowed-failures": (0, "a chunk that ends its worker ends more of them first"),
+    # What waits for a worker waits at the scheduler, and goes to whichever is free.
+    "distributed.scheduler.worker-saturation": (1.0, "chunks may wait behind one that hangs"),
+}
 #: What leads to no scheduler: a time-out is an OSError, a file may be half written.
 _NOBODY: Final = (OSError, ValueError, KeyError, TypeError)
 
@@ -96,7 +104,20 @@ class Link:
         """Tell a scheduler what it has to know; after that, chunks may be given to it."""
         self._client.subscribe_topic(TOPIC, lambda event: self._heard(event[1]))
         self._client.register_plugin(self._plugin)
+        self._look_at_settings()
         self._scheduler = self._identity()["id"]
+
+    def _look_at_settings(self) -> None:
+        """Say so if the scheduler is not set as it has to be; results are right all the same."""
+        for name, (wanted, otherwise) in SCHEDULER.items():
+            try:
+                found = self._client.run_on_scheduler(dask.config.get, name)
+            except (OSError, ValueError, KeyError) as error:  # it runs nobody's code, or is gone again
+                log.warning("the scheduler does not tell its %s: %s", name, error)
+                continue
+            if found != wanted:
+                said = "the scheduler's %s is %s: %s; start it with %s=%g"
+                log.warning(said, name, found, otherwise, variable(name), wanted)
 
     def _keep(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):
@@ -125,6 +146,11 @@ class Link:
             return bool(self._identity()["id"] != self._scheduler)
         except (OSError, TimeoutError, RuntimeError):
             return False
+
+
+def variable(name: str) -> str:
+    """Of a scheduler's environment, what sets a configuration of Dask."""
+    return "DASK_" + name.replace(".", "__").replace("-", "_").upper()
 
 
 def address_in(file: Path, timeout: float) -> str:
