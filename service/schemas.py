@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from service.choosing import ChoiceView
 from service.exports import FileFormat
 from service.failures import FailureView, failures_view
 from service.jobs import Failure, JobRecord, JobState
@@ -105,26 +106,6 @@ class ProgressView(BaseModel):
     cells_total: int
     percent: float
     eta_seconds: float | None
-
-
-class RungView(BaseModel):
-    """One model beside the exact contact, over a sample of the sweep's cells; deviations in rad."""
-
-    model: str
-    cost: float = Field(description="core-µs a cell and plate period, by the table that decides")
-    measured: float | None = Field(description="the same, as it went while choosing")
-    median: float | None = Field(description="deviation of flight times; null where some cell has none")
-    percentile_95: float | None
-    cells: int
-
-
-class ChoiceView(BaseModel):
-    """The model that was chosen for a sweep whose own is `auto`."""
-
-    model: str
-    reason: str
-    tolerance: float
-    table: list[RungView]
 
 
 class JobView(BaseModel):
