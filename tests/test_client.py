@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from scripted import Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, Held, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -200,8 +200,7 @@ def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
 
         def follow(job: Job) -> None:
             seen.append((job.state, job.progress.cells_done))
-            if held.held():
-                held.let_go()
+            held.let_go_all()
 
         assert job.wait(progress=follow) is job
         assert seen[0] == ("queued", 0)
@@ -236,8 +235,9 @@ def test_a_cancelled_job_can_be_taken_up_again(tmp_path: Path):
         wait_for(held.held)
         assert job.cancel() is job
         job.cancel()
+        wait_for(held.told_to_stop)
         with pytest.raises(JobCancelled, match="submit the same sweep"):
-            job.wait(progress=lambda job: held.let_go() if held.held() else None, timeout=30)
+            job.wait(progress=lambda job: held.let_go_all(), timeout=DEADLINE)
         with pytest.raises(JobCancelled):
             job.wait(progress=False)
         assert client.submit(sweep()).id == job.id

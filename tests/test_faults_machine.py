@@ -26,8 +26,8 @@ from worker import store
 CASES = int(os.environ.get("BOUNCE_TEST_CASES", "8"))
 
 SWEEPS = (
-    sweep("rest", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=20_000),
-    sweep("ramp", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=20_000, xi=0.1,
+    sweep("rest", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=5000),
+    sweep("ramp", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=5000, xi=0.1,
           protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}),
 )  # fmt: skip
 jobs = st.integers(0, len(SWEEPS) - 1)
