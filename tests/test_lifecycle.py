@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted import Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, Held, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
 from service.errors import IllegalTransition, QueueFull, UnknownJob
@@ -47,8 +47,8 @@ class Running:
         assert found is not None
         return found
 
-    def until(self, job: JobRecord, *states: JobState) -> JobRecord:
-        wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}")
+    def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
+        wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
         return self.job(job)
 
     def outcomes(self, job: JobRecord) -> np.ndarray:
