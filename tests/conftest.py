@@ -7,6 +7,7 @@ proxies on the way to this machine itself, are none of the tests' business.
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from worker.warm import claim_cache, warm
 CACHE = Path(__file__).parents[1] / ".numba-cache"
 claim_cache(CACHE)
 
-from worker.executors import Dask  # noqa: E402 - the cache comes first
+from worker.executors import Dask, Inline  # noqa: E402 - the cache comes first
 from worker.spec import SweepSpec  # noqa: E402
 
 for name in [name for name in os.environ if name.startswith("BOUNCE_")]:
@@ -42,6 +43,13 @@ def cluster() -> Iterator[Dask]:
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()
+
+
+@pytest.fixture
+def inline() -> Iterator[Inline]:
+    """An executor that computes in this process."""
+    with closing(Inline()) as executor:
+        yield executor
 
 
 @pytest.fixture

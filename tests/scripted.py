@@ -19,12 +19,16 @@ from worker.tasks import ChunkReport, run_chunk
 DEADLINE = 120.0
 
 
+#: What happens to each chunk before it can be computed.
+Script = dict[int, list[Exception]]
+
+
 class Scripted(Inline):
     """Computes like Inline, but first raises what the script has for a chunk, one error a try."""
 
-    def __init__(self, script: dict[int, list[Exception]] | None = None) -> None:
+    def __init__(self, script: Script | None = None) -> None:
         super().__init__()
-        self.script = defaultdict(list, script or {})
+        self.script = defaultdict(list, {chunk: list(errors) for chunk, errors in (script or {}).items()})
         self.tried: list[int] = []
 
     def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":

@@ -23,13 +23,6 @@ from worker.tasks import ChunkCancelled, ChunkReport
 PATIENCE = 180
 
 
-@pytest.fixture
-def inline():
-    executor = Inline()
-    yield executor
-    executor.close()
-
-
 @pytest.fixture(params=["inline", "cluster"])
 def executor(request) -> Executor:
     return request.getfixturevalue(request.param)
