@@ -10,7 +10,7 @@ from fastapi.responses import StreamingResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from numpy.typing import NDArray
 
-from service import answers, calls, diagrams, exports, queries, schemas
+from service import answers, calls, diagrams, encoding, exports, planes, queries, schemas
 from service.calls import TheJob, TheService
 from service.errors import NotInStore
 from service.jobs import UNFINISHED, JobState
@@ -52,11 +52,21 @@ async def events(service: TheService, job: TheJob, request: Request) -> AsyncIte
 
 @router.get("/diagram", responses={200: {"content": _PICTURES}, **problem_responses(404, 413, 422)})
 def diagram(service: TheService, job: TheJob, query: Annotated[schemas.DiagramQuery, Query()]) -> Response:
-    """The bifurcation diagram along one axis, also of a job that is not done: `complete` says so."""
+    """The bifurcation diagram along one axis, also of a job that is not done: `complete` says so.
+
+    Pictures show lines of any length, dense ones as density. JSON and CSV end at a number of flights; `every`
+    takes every n-th cell, which the JSON then repeats.
+    """
     sweep = calls.sweep(service, job)
     given = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    line = (sweep, query.along, given, query.direction, query.min_flight, service.settings.max_points)
-    found = [queries.diagram(*line)] if query.format is Format.JSON else queries.diagrams(*line)
+    line = (sweep, query.along, given, query.direction, query.min_flight)
+    most = service.settings.max_points
+    if query.format is Format.JSON:
+        found = [queries.diagram(*line, most, query.every)]
+    elif query.format is Format.CSV:
+        found = queries.diagrams(*line, most, query.every)
+    else:
+        found = queries.pictured(*line, query.every)
     content, media_type = _encoded(found, sweep.spec, query.format)
     return Response(content, media_type=media_type, headers=_complete(all(one.complete for one in found)))
 
@@ -71,7 +81,7 @@ def job_threshold(
     and 202 with how far the workers are until they have found them all.
     """
     sweep = calls.sweep(service, job)
-    found = queries.thresholds(sweep, query.xi, service.settings.max_points)
+    found = planes.thresholds(sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
         found = refined(service.answers, job, sweep, found, query.tolerance)
     return schemas.Thresholds(
@@ -88,9 +98,10 @@ def job_threshold(
 @router.get("/modes", response_model=schemas.Modes, responses=problem_responses(404, 413, 422))
 def modes(service: TheService, job: TheJob, query: Annotated[schemas.ModesQuery, Query()]) -> Response:
     """The mode map at one xi: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
-    found = queries.modes(calls.sweep(service, job), query.xi, query.direction, service.settings.max_points)
+    sweep, most = calls.sweep(service, job), service.settings.max_points
+    found = planes.modes(sweep, query.xi, query.direction, most, query.every)
     return Response(
-        diagrams.modes_as_json(found), media_type="application/json", headers=_complete(found.complete)
+        encoding.modes_as_json(found), media_type="application/json", headers=_complete(found.complete)
     )
 
 
@@ -147,9 +158,9 @@ def numbers(values: NDArray[np.float64]) -> list[float | None]:
 def _encoded(found: list[queries.Diagram], spec: SweepSpec, format: Format) -> tuple[bytes, str]:
     """The diagrams' bytes and what they are."""
     if format is Format.JSON:
-        return diagrams.as_json(found[0]), "application/json"
+        return encoding.as_json(found[0]), "application/json"
     if format is Format.CSV:
-        return diagrams.as_csv(found), "text/csv"
+        return encoding.as_csv(found), "text/csv"
     media_type = "image/png" if format is Format.PNG else "image/svg+xml"
     return diagrams.as_picture(found, spec, format), media_type
 

@@ -18,6 +18,7 @@ from service.jobs import Failure, JobRecord, JobState
 LONG_SPEC: Final = 10_000
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: take every n-th value only")]
 
 
 class Format(StrEnum):
@@ -66,6 +67,7 @@ class DiagramQuery(LineQuery):
     """A line and the form it comes in."""
 
     format: Format = Format.JSON
+    every: Every = 1
 
 
 class ThresholdQuery(Query):
@@ -84,11 +86,17 @@ class JobThresholdQuery(Query):
     )
 
 
-class ModesQuery(Query):
+class PlaneQuery(Query):
     """Which plane of the grid: at the xi nearest to the one given, in one direction."""
 
     xi: Number | None = None
     direction: str | None = Field(None, description="rest, up or down; the sweep's first if left out")
+
+
+class ModesQuery(PlaneQuery):
+    """A plane, and how much of it."""
+
+    every: Every = 1
 
 
 class ExportQuery(Query):
@@ -156,6 +164,7 @@ class Modes(BaseModel):
     bounces: list[list[int]]
     periods: list[list[int]]
     complete: bool
+    every: int = Field(1, description="the values are every n-th of both axes; left out where it is 1")
 
 
 class Threshold(BaseModel):

@@ -24,7 +24,7 @@ OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
 ALLOWED = {
     "kernel": {"numpy", "numba"},
     "kernel.params": {"numpy"},
-    "worker": {"numpy", "numba", "pydantic", "zarr", "obstore", "xarray", "dask", "distributed"},
+    "worker": {"numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed"},
     "worker.spec": {"numpy", "pydantic"},
     "worker.plan": {"numpy", "pydantic"},
     "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic", "zarr"},

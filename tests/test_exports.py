@@ -18,7 +18,8 @@ from test_api import finished, get, service
 
 from kernel.params import Outcome
 from service import embedded
-from service.queries import Sweep, modes
+from service.planes import modes
+from service.queries import Sweep
 from service.settings import Settings
 from worker import layout, store
 from worker.executors import Inline
