@@ -4,6 +4,7 @@
 need it.
 """
 
+import gc
 import logging
 import math
 import signal
@@ -25,8 +26,10 @@ from service.app import create_app
 from service.client.errors import BounceError
 from service.errors import ServiceError
 from service.ledger import Ledger
+from service.patience import impatient
 from service.settings import Settings
 from worker.executors import ClusterLost, Dask, Executor
+from worker.warm import claim_cache, warm
 
 #: The web server's own log: silent until it has started, because why it does not start is raised, not logged.
 _LOG: Final = logging.getLogger("uvicorn.error")
@@ -82,6 +85,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         server = _Server(settings, executor, listener, announce)
         server.run_until_told()
         server.wait_until_started()
+    gc.freeze()  # the process ends now: nobody needs it taken apart, which compiled kernels make long
 
 
 class _Stopped(BaseException):
@@ -143,6 +147,7 @@ class _Server(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 self._application,
+                http=impatient(settings.body_seconds),
                 lifespan="on",
                 log_config=None,
                 log_level=logging.CRITICAL,
@@ -250,7 +255,17 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
     except ClusterLost as error:
         raise NotStarted(str(error)) from error
     with closing(cluster):
+        _warm_beside()
         yield cluster
+
+
+def _warm_beside() -> None:
+    """Have kernels ready here too, for motions are computed in this process; nobody waits for it.
+
+    The workers have compiled by now, and left what they compiled. A process without a cache waits till asked.
+    """
+    if claim_cache() is not None:
+        threading.Thread(target=warm, name="warm", daemon=True).start()
 
 
 def _tls(settings: Settings) -> Any:

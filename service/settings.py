@@ -48,7 +48,7 @@ class Settings(BaseSettings):
     scheduler_key: Path | None = None
 
     max_body_bytes: PositiveInt = 1_000_000
-    body_seconds: PositiveFloat = 10.0  # for a request's body to arrive
+    body_seconds: PositiveFloat = 10.0  # for a request's head to arrive, and for its body
     max_cells: PositiveInt = 20_000_000  # of one sweep
     max_bytes: PositiveInt = 32 * 2**30  # of one sweep's stored arrays before compression
     max_queue: PositiveInt = 1_000  # jobs queued or running

@@ -1,6 +1,7 @@
 """Bad requests, one line each: the status, a piece of the message, and the service still answers."""
 
 import asyncio
+import contextlib
 import json
 import socket
 import threading
@@ -8,6 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import httpx2
 import pytest
 import uvicorn
 from fastapi.testclient import TestClient
@@ -15,6 +17,7 @@ from test_api import finished, service
 
 from service.app import create_app
 from service.bodies import BodyLimit
+from service.patience import impatient
 from service.settings import Settings
 from worker.executors import Inline
 
@@ -245,7 +248,8 @@ def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):
 def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor = Inline()
     settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings, executor), port=0, log_level="error"))
+    app, http = create_app(settings, executor), impatient(settings.body_seconds)
+    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
     thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:
@@ -268,6 +272,43 @@ def test_a_stalled_body_is_given_up(address: tuple[str, int]):
     answer = spoken(address, b"Content-Length: 100\r\n\r\n", b'{"gamma": ')
     assert answer.startswith(b"HTTP/1.1 408 ")
     assert b"did not arrive within 0.5 s" in answer
+
+
+HEAD = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+
+
+@pytest.mark.parametrize("before", [b"", HEAD + b"\r\n"], ids=["first", "next"])
+@pytest.mark.parametrize("pieces", [[HEAD], [bytes([byte]) for byte in HEAD]], ids=["stalled", "dripping"])
+def test_a_head_that_does_not_come_is_given_up(address: tuple[str, int], before: bytes, pieces: list[bytes]):
+    """On a fresh connection, and on one that has had an answer."""
+    with socket.create_connection(address, timeout=10) as connection:
+        if before:
+            connection.sendall(before)
+            while not (got := connection.recv(65536)).endswith(b"}"):
+                assert got
+        with contextlib.suppress(ConnectionError):  # closed while it dripped
+            for piece in pieces:
+                connection.sendall(piece)
+                time.sleep(0.05)
+            rest = b"".join(iter(lambda: connection.recv(65536), b""))
+            assert rest.startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_connection_without_a_word_is_given_up(address: tuple[str, int]):
+    with socket.create_connection(address, timeout=10) as connection:
+        assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
+
+
+def test_who_asks_again_and_again_is_not_given_up(address: tuple[str, int]):
+    """For longer than a head may take."""
+    with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}") as client:
+        opened = set()
+        for _ in range(8):
+            answer = client.get("/healthz", headers={"Host": "localhost"})
+            assert answer.status_code == 200
+            opened.add(answer.extensions["network_stream"].get_extra_info("client_addr"))
+            time.sleep(0.1)
+        assert len(opened) == 1
 
 
 def test_a_body_declared_too_long_is_refused_unread(address: tuple[str, int]):

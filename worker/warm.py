@@ -46,6 +46,8 @@ def warm(root: str | Path | None = None) -> None:
     from kernel import ramp  # noqa: PLC0415
 
     if slot is None or (slot.parent / _READY).exists():
+        if slot is not None:
+            _seed(slot)  # it may have been claimed before there was anything to copy
         ramp.warm()
         return
     with (slot.parent / "compiling").open("a") as turn:
