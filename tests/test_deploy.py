@@ -21,7 +21,7 @@ LOCK = (ROOT / "requirements.lock").read_text()
 
 def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [Path(sys.executable).with_name(name), *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
 
 
 def instructions(name: str) -> list[str]:

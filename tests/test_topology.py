@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ from urllib.request import urlopen
 import psutil
 import pytest
 import yaml
+from scripted import free_port
 
 ROOT = Path(__file__).parents[1]
 SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
@@ -21,17 +21,11 @@ SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_te
 #: Seconds for a process to become healthy (longest: the service, whose workers may have to compile the
 #: kernels first), and to end when asked to.
 PATIENCE = 240
-FAREWELL = 20
+FAREWELL = 120
 
 #: MODEL: what Fig. 2 has at these values of gamma; below threshold the mass never leaves the plate.
 GAMMA = [0.5, 1.5, 2.3, 3.6]
 EXPECTED = [[], [4.855013427295], [3.722384327764, 6.284615845152], [11.246604305128]]
-
-
-def free_port() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return str(probe.getsockname()[1])
 
 
 class Process:
@@ -65,7 +59,7 @@ class Process:
         """Run the container's own health check until it passes."""
         check = self._here(self._container["healthcheck"]["test"][1:])
         deadline = time.monotonic() + PATIENCE
-        while subprocess.run(check, capture_output=True, check=False, timeout=30).returncode != 0:
+        while subprocess.run(check, capture_output=True, check=False, timeout=PATIENCE).returncode != 0:
             assert self.popen.poll() is None, f"{self.name} ended\n{self.log()}"
             assert time.monotonic() < deadline, f"{self.name} did not become healthy\n{self.log()}"
             time.sleep(0.2)
@@ -98,7 +92,7 @@ class Topology:
             "//scheduler:": "//127.0.0.1:",
             "/data": str(folder / "data"),
             "/tmp/dask": str(folder / "dask"),
-            **{port: free_port() for port in ("8000", "8786", "8787")},
+            **{port: str(free_port()) for port in ("8000", "8786", "8787")},
         }
         self.processes: list[Process] = []
 
@@ -111,7 +105,7 @@ class Topology:
 
     def _begin(self, container: str, name: str) -> Process:
         # A container has its port 8788 to itself; processes of one machine do not.
-        process = Process(container, name, self._words | {"8788": free_port()}, self._folder)
+        process = Process(container, name, self._words | {"8788": str(free_port())}, self._folder)
         self.processes.append(process)
         return process
 
@@ -121,7 +115,7 @@ class Topology:
 
     def workers(self) -> int:
         """How many workers the scheduler knows of, by its own count."""
-        with urlopen(f"http://127.0.0.1:{self._words['8787']}/json/counts.json", timeout=10) as answer:
+        with urlopen(f"http://127.0.0.1:{self._words['8787']}/json/counts.json", timeout=PATIENCE) as answer:
             return json.load(answer)["workers"]
 
     def end(self) -> dict[str, int]:
@@ -139,7 +133,7 @@ def topology(tmp_path: Path) -> Iterator[Topology]:
         topology.end()
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
     from service.client import Client
 
