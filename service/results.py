@@ -16,11 +16,12 @@ from service.errors import NotInStore
 from service.jobs import UNFINISHED, JobState
 from service.refining import refined
 from service.schemas import Format, problem_responses
+from service.unchanged import NOT_MODIFIED, Results, Tagged
 from worker import layout, places
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
-router = APIRouter(prefix="/v1/jobs/{job_id}")
+router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=Tagged)
 
 Content = dict[str, dict[str, Any]]
 
@@ -50,8 +51,10 @@ async def events(service: TheService, job: TheJob, request: Request) -> AsyncIte
         yield ServerSentEvent(event=kind, raw_data=view.model_dump_json())
 
 
-@router.get("/diagram", responses={200: {"content": _PICTURES}, **problem_responses(404, 413, 422)})
-def diagram(service: TheService, job: TheJob, query: Annotated[schemas.DiagramQuery, Query()]) -> Response:
+@router.get(
+    "/diagram", responses={200: {"content": _PICTURES}, **NOT_MODIFIED, **problem_responses(404, 413, 422)}
+)
+def diagram(service: TheService, job: Results, query: Annotated[schemas.DiagramQuery, Query()]) -> Response:
     """The bifurcation diagram along one axis, also of a job that is not done: `complete` says so.
 
     Pictures show lines of any length, dense ones as density. JSON and CSV end at a number of flights; `every`
@@ -71,9 +74,12 @@ def diagram(service: TheService, job: TheJob, query: Annotated[schemas.DiagramQu
     return Response(content, media_type=media_type, headers=_complete(all(one.complete for one in found)))
 
 
-@router.get("/threshold", responses={**answers.RESPONSES, **problem_responses(404, 413, 422, 429, 503)})
+@router.get(
+    "/threshold",
+    responses={**answers.RESPONSES, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
+)
 def job_threshold(
-    service: TheService, job: TheJob, query: Annotated[schemas.JobThresholdQuery, Query()]
+    service: TheService, job: Results, query: Annotated[schemas.JobThresholdQuery, Query()]
 ) -> schemas.Thresholds:
     """Per Ω at one xi: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
 
@@ -95,8 +101,10 @@ def job_threshold(
     )
 
 
-@router.get("/modes", response_model=schemas.Modes, responses=problem_responses(404, 413, 422))
-def modes(service: TheService, job: TheJob, query: Annotated[schemas.ModesQuery, Query()]) -> Response:
+@router.get(
+    "/modes", response_model=schemas.Modes, responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)}
+)
+def modes(service: TheService, job: Results, query: Annotated[schemas.ModesQuery, Query()]) -> Response:
     """The mode map at one xi: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
     sweep, most = calls.sweep(service, job), service.settings.max_points
     found = planes.modes(sweep, query.xi, query.direction, most, query.every)
@@ -136,9 +144,9 @@ STORE_KEY: Final = re.compile(
 
 @router.get(
     "/zarr/{key:path}",
-    responses={200: {"content": {"application/octet-stream": {}}}, **problem_responses(404)},
+    responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
 )
-def zarr(service: TheService, job: TheJob, key: str) -> Response:
+def zarr(service: TheService, job: Results, key: str) -> Response:
     """The store itself, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
     found = places.read(service.settings.store_of(job.id), key) if STORE_KEY.fullmatch(key) else None
     if found is None:

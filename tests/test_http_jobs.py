@@ -163,6 +163,51 @@ def test_links_name_every_part_and_nothing_of_the_machine(tmp_path: Path):
         assert client.get(f"{view['links']['zarr']}/zarr.json").status_code == 200
 
 
+# Results that a caller has already
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        "diagram",
+        "diagram?format=csv",
+        "diagram?format=png",
+        "threshold",
+        "modes",
+        "zarr/zarr.json",
+        "zarr/gamma/c/0",
+    ],
+)
+def test_results_of_a_done_job_are_not_sent_twice(tmp_path: Path, part: str):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        first = client.get(f"{here}/{part}")
+        tag = first.headers["ETag"]
+        assert (first.status_code, tag[0]) == (200, '"')
+        assert client.get(f"{here}/{part}").content == first.content  # which a strong tag promises
+        again = client.get(f"{here}/{part}", headers={"If-None-Match": f'"other", {tag}'})
+        assert (again.status_code, again.content, again.headers["ETag"]) == (304, b"", tag)
+        assert client.get(f"{here}/{part}", headers={"If-None-Match": '"other"'}).content == first.content
+        assert client.delete(here).status_code == 204
+        assert client.get(f"{here}/{part}", headers={"If-None-Match": tag}).status_code == 404
+        finished(client, SWEEP)
+        assert client.get(f"{here}/{part}").headers["ETag"] != tag  # accepted anew: its label may differ
+
+
+def test_results_that_may_change_and_errors_have_no_tag(tmp_path: Path):
+    with service(tmp_path, held := Held()) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        wait_for(lambda: held.held() > 0)
+        assert "ETag" not in client.get(f"{here}/diagram").headers
+    with computing(tmp_path) as client:
+        finished(client, SWEEP)
+        tag = client.get(f"{here}/diagram").headers["ETag"]
+        wrong = client.get(f"{here}/diagram?omega=77", headers={"If-None-Match": '"other", *'})
+        assert (wrong.status_code, "ETag" in wrong.headers) == (422, False)
+        assert client.get(f"{here}/zarr/nothing", headers={"If-None-Match": "*"}).status_code == 404
+        assert client.get(f"{here}/diagram", headers={"If-None-Match": tag}).status_code == 304
+
+
 # Resume, delete
 
 
