@@ -1,6 +1,7 @@
 """A real Chromium for the tests, and what every one of its pages is watched for."""
 
 import shutil
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,12 +11,27 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SHOTS = ROOT / "test-artefacts" / "page"
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 ARGUMENTS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
+#: For anything to happen, ms, on a machine with far too much to do.
+PATIENCE_MS = 120_000
 
+
+def _found() -> str | None:
+    """Where a Chromium is that runs: a name may stand for one that is to be installed first."""
+    for name in ("chromium", "chromium-browser"):
+        path = shutil.which(name)
+        if (
+            path
+            and b"Chromium" in subprocess.run([path, "--version"], capture_output=True, check=False).stdout
+        ):
+            return path
+    return None
+
+
+CHROMIUM = _found()
 needs_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="no Chromium on this machine: `apt-get install chromium` brings it"
 )
@@ -59,7 +75,7 @@ def chromium() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS, timeout=PATIENCE_MS)
         yield browser
         browser.close()
 
@@ -71,7 +87,7 @@ def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **give
     complaints: list[str] = []
     context = browser.new_context(**given)
     page = context.new_page()
-    page.set_default_timeout(15_000)
+    page.set_default_timeout(PATIENCE_MS)
     page.on("console", lambda said: said.type in ("error", "warning") and complaints.append(said.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     try:
