@@ -267,6 +267,32 @@ def _phase_after(page: Any, before: str | None) -> str:
     return str(page.locator(".player").get_attribute("data-phase"))
 
 
+def test_a_motion_that_takes_long_is_waited_for(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6)
+        held: list[Any] = []
+        page.route("**/trajectory?*", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks it
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+        page.locator(".motion .waiting", has_text="compiled").wait_for()
+        shoot(page, "waiting")
+        held[0].continue_()
+        page.locator(".motion .player[data-phase]").wait_for()
+        assert page.locator(".motion .waiting").is_hidden()
+
+
+def test_what_goes_wrong_is_said_where_it_would_have_been_shown(browser: Any, address: str):
+    job = done(address, submitted(address, {**LOOP, "name": "Gone", "xi": 0.2, "settle": 1}))
+    with opened(browser, view(address, job, omega=0.6), expected=("404",)) as page:
+        wait_shown(page, omega=0.6)
+        httpx2.delete(f"{address}/v1/jobs/{job}").raise_for_status()
+        slider = page.get_by_role("slider").first
+        slider.focus()
+        page.keyboard.press("End")
+        page.locator(".panel .problem", has_text=job).wait_for()
+
+
 def test_the_picture_of_the_readme(browser: Any, address: str):
     """Left in test-artefacts/page/figure-2.png."""
     gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
@@ -293,6 +319,20 @@ def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
         page.get_by_role("button", name="Play").wait_for()
         page.keyboard.press("+")
         page.wait_for_url(re.compile("x0="))
+
+
+def test_a_map_of_too_many_cells_is_thinned_until_one_looks_closer(browser: Any, tmp_path: Path):
+    spec = {**MAP, "gamma": {**MAP["gamma"], "num": 60}, "omega": {**MAP["omega"], "num": 40}}
+    with serving(tmp_path, 0, max_points=1000) as address:
+        job = done(address, submitted(address, spec))
+        with opened(browser, view(address, job, "modes")) as page:
+            said = page.get_by_text("Shown: every 2nd")
+            said.wait_for()
+            page.locator(".panel .plot").focus()
+            for _ in range(3):
+                page.keyboard.press("+")
+            said.wait_for(state="hidden")
+            shoot(page, "modes-close")
 
 
 def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: str):

@@ -2,7 +2,7 @@
 
 import { flightsOf } from "./flights.js";
 import { number, ordinal } from "./format.js";
-import { area, circle, upright } from "./pen.js";
+import { area, circle, disc, upright } from "./pen.js";
 import { OUTCOME, SYMBOL, threshold } from "./physics.js";
 
 const MOST_RINGS = 200;
@@ -10,13 +10,10 @@ const MOST_RINGS = 200;
 /** What stands over the frame: the values held still, and the ramps' colours where there are two. */
 export function head(lines, colourOf) {
   const title = Object.entries(lines[0].fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(",   ");
-  const dot = (direction) => (pen, x, y, theme) => {
-    pen.fillStyle = colourOf(direction, theme);
-    pen.fillRect(x + 12, y - 4, 9, 9);
-  };
+  const dot = (direction, i) => (pen, x, y, theme) => disc(pen, colourOf(direction, theme), x + 16, y, i ? 2.8 : 4.5);
   const every = Math.max(...lines.map((line) => line.every ?? 1)); // where they are too many, every so many-th
   const part = every > 1 ? `,   every ${ordinal(every)} ${SYMBOL[lines[0].along]}` : "";
-  return { title: title + part, key: lines.length > 1 ? lines.map(({ direction }) => [`ramp ${direction}`, dot(direction)]) : [] };
+  return { title: title + part, key: lines.length > 1 ? lines.map(({ direction }, i) => [`ramp ${direction}`, dot(direction, i)]) : [] };
 }
 
 /** Why there is nothing to see, if there is nothing. */

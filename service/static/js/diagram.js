@@ -27,7 +27,7 @@ export class Diagram extends PlotView {
     const { grid, directions, asked } = this;
     const axes = Object.keys(SYMBOL);
     this.axes = axes.filter((axis) => grid[axis].length > 1);
-    this.along = this.axes.includes(asked.along) ? asked.along : (this.axes[0] ?? "gamma");
+    this.along = this.axes.includes(asked.along) ? asked.along : longest(grid);
     this.fixed = Object.fromEntries(axes.map((axis) => [axis, startOf(grid[axis], asked[axis])]));
     this.least = Number(asked.min) || 0;
     this.chosenRamps = directions.filter((one) => !asked.show || asked.show.split(",").includes(one));
@@ -207,6 +207,11 @@ export class Diagram extends PlotView {
     if (this.#isDense()) return blobOf(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#asked(), format: "csv" })}`);
     return tableOf(this.lines, this.along, this.shown());
   }
+}
+
+/** The axis with most values makes the best picture; of equals Γ. */
+function longest(grid) {
+  return Object.keys(SYMBOL).reduce((best, axis) => (grid[axis].length > grid[best].length ? axis : best));
 }
 
 /** The value of an axis nearest to the one asked for, or the middle one. */

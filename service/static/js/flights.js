@@ -70,7 +70,7 @@ function counted(box, line, wider) {
     }
   }
   // Where cells lie further apart than dots, a dot is too small a mark.
-  const size = Math.round(Math.min(2.5 * box.dots, Math.max(1, width / visible(box, line).cells))) + (wider ? 1 : 0);
+  const size = Math.round(Math.min(2.5 * box.dots, Math.max(1, (1.6 * width) / visible(box, line).cells))) + (wider ? 1 : 0);
   return { counts: size > 1 ? thickened(counts, width, height, size) : counts, width, height };
 }
 

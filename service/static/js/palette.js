@@ -12,7 +12,7 @@ const HUES = [
   ["#efc1da", "#cc79a7", "#8e3f6b"], // 4
   ["#f7ef9a", "#e2d21f", "#97890a"], // 5
 ];
-const LONGER = "#a59a8c";
+const LONGER = "#6b6459";
 
 const OTHERS = { // on light paper, on dark
   [OUTCOME.aperiodic]: ["#27221e", "#000000"],
