@@ -1,4 +1,4 @@
-"""The rigid spring by diffrax: Dopri8 with events, a whole cell compiled by JAX as one loop over its phases."""
+"""The rigid spring by diffrax: Dopri8 with events; JAX compiles a whole cell as one loop over phases."""
 
 from functools import partial
 from typing import Any
@@ -62,7 +62,7 @@ def _flights(rtol: float, gamma: Any, omega: Any, xi: Any, periods: Any) -> Any:
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(slope), diffrax.Dopri8(), t, end, None, y, max_steps=_STEPS,
             stepsize_controller=diffrax.PIDController(rtol=rtol, atol=1e-3 * rtol),
-            event=diffrax.Event(event, optimistix.Newton(1e-13, _ROOT), direction=False),
+            event=diffrax.Event(event, optimistix.Bisection(1e-15, _ROOT, flip=True), direction=False),
         )  # fmt: skip
         return found.ts[0], found.ys[0]
 

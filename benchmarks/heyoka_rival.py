@@ -1,5 +1,8 @@
 """The rigid spring by heyoka: adaptive Taylor integration with terminal events, one integrator a phase."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import heyoka as hy
 
 from benchmarks import phases
@@ -44,7 +47,7 @@ class Spring:
         return march(spring, periods, stick, fly)
 
     @staticmethod
-    def _until_event(integrator: "hy.taylor_adaptive", t: float, state: list[float], end: float):
+    def _until_event(integrator: Any, t: float, state: Sequence[float], end: float) -> Any:
         integrator.time = t
         integrator.state[:] = state
         integrator.reset_cooldowns()

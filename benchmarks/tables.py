@@ -6,7 +6,7 @@ from collections.abc import Sequence
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """The first column to the left, the others to the right; columns as wide as they need."""
     cells = [[str(cell) for cell in row] for row in (head, *rows)]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
+    widths = [max(3, *(len(row[column]) for row in cells)) for column in range(len(head))]
 
     def line(row: Sequence[str]) -> str:
         first, *others = row

@@ -14,7 +14,7 @@ from queue import Empty, SimpleQueue
 from typing import Final
 
 from service.choosing import Choosing
-from service.jobs import UNFINISHED, JobRecord, JobState
+from service.jobs import UNFINISHED, JobState
 from service.ledger import Ledger
 from service.news import News, Settled, Undone, done_of, error_of
 from service.opening import opened
@@ -79,7 +79,7 @@ class Supervisor:
         self.ring()
 
     def stop(self, seconds: float) -> None:
-        """Let go of everything in flight and end, in at most so long; unfinished jobs stay so in the ledger."""
+        """Let go of what is in flight and end, in at most so long; unfinished jobs stay so in the ledger."""
         self._stop.set()
         self.ring()
         if self._thread.is_alive():
@@ -135,7 +135,7 @@ class Supervisor:
     def _take_in(self, settled: Settled) -> None:
         """Sort a chunk that came back into written, to be done again, or failed."""
         run, chunk = self._runs[settled.job_id], settled.chunk
-        del run.in_flight[chunk]
+        run.came_back(chunk)
         error = error_of(settled.future)
         if error is None:
             run.written.append(done_of(settled.future))
@@ -254,7 +254,7 @@ class Supervisor:
             run.put_back(chunk.index)
             self._places = 0  # until the next look
             return False
-        run.in_flight[chunk.index] = future
+        run.sent(chunk, future)
         future.add_done_callback(partial(self._came_back, run.job.id, chunk.index))
         return True
 
