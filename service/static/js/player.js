@@ -92,7 +92,7 @@ export class Waiting {
     this.element.textContent = "Computing the motion …";
     this.element.hidden = false;
     this.timer = setTimeout(() => {
-      this.element.textContent = "Computing the motion … The first one after a start of the service waits until its kernels are compiled, half a minute at most.";
+      this.element.textContent = "Computing the motion … The first one after a start of the service may wait for its kernels to be compiled.";
     }, 2500);
   }
 
