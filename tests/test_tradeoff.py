@@ -81,10 +81,13 @@ def test_each_rung_costs_less_than_the_next(measured: list[Measured]):
 
 
 def test_the_plan_reckons_with_what_is_measured(measured: list[Measured]):
-    """Within the reach of a loaded machine."""
-    for model, which in (("ball", {"locked_only": False}), ("rigid", {}), ("soft", {"penetration": 1e-3})):
-        cost = found(measured, "plate", model, **which).cost
-        assert 1 / 6 < cost / COST_US[model] < 6, model
+    """But for how fast this machine is."""
+    which = {"ball": {"locked_only": False}, "rigid": {}, "soft": {"penetration": 1e-3}}
+    told = {
+        model: found(measured, "plate", model, **given).cost / COST_US[model]
+        for model, given in which.items()
+    }
+    assert max(told.values()) < 12 * min(told.values()), told
 
 
 def test_steps_come_nearer_at_the_scheme_s_order():
