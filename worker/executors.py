@@ -99,16 +99,17 @@ class _Flight:
 class Dask:
     """A Dask cluster: one that is there already, or one of `workers` processes on this machine.
 
-    Give `address` (tcp://host:port) or `scheduler_file` for the former, with distributed's own
-    `security` if it asks for TLS; a scheduler that dies is found again when it is back. The own
-    cluster listens on loopback only; each of its processes may use `memory` bytes (None: its share
-    of the machine's). Returns when the workers that are there have their kernels compiled; later
-    ones do that on joining. Raises `ClusterLost` if nobody answers within `timeout` seconds.
+    Give `address` (tcp://host:port, or a cluster object of Dask's) or `scheduler_file` for the former,
+    with distributed's own `security` if it asks for TLS; a scheduler that dies is found again when it
+    is back. The own cluster listens on loopback only; each of its processes may use `memory` bytes
+    (None: its share of the machine's). Returns when the workers that are there have their kernels
+    compiled; later ones do that on joining. Raises `ClusterLost` if nobody answers within `timeout`
+    seconds.
     """
 
     def __init__(
         self,
-        address: str | None = None,
+        address: Any = None,
         *,
         scheduler_file: str | Path | None = None,
         security: Any = None,
