@@ -205,10 +205,10 @@ def test_lanes_say_what_the_scalar_functions_say(gamma, omega, xi, epsilon):
     onset = float(threshold(omega, xi))
     assume(abs(gamma - onset) > 1e-3 * onset)
     lanes, alone = (
-        run(gamma, omega, xi, restitution=epsilon, settle=0, observe=2, keep=256, carry=carry)
+        run(gamma, omega, xi, restitution=epsilon, settle=0, observe=2, keep=8192, carry=carry)
         for carry in (False, True)
     )
-    long = [times[times > 1e-4][:8] for times in (recorded(lanes), recorded(alone))]
+    long = [times[times > 1e-4][:4] for times in (recorded(lanes), recorded(alone))]
     assert len(long[0]) == len(long[1])
     np.testing.assert_allclose(long[0], long[1], rtol=1e-4, atol=1e-5)
     assert (lanes.outcome[0] == Outcome.AT_REST) == (alone.outcome[0] == Outcome.AT_REST)
