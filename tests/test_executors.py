@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from harm import Stuck
 from scripted import DEADLINE, wait_for
 
 from worker import store
@@ -176,6 +177,20 @@ def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worke
         assert report.outcomes[0] == 0
     finally:
         executor.close()
+
+
+def test_a_worker_that_is_still_starting_does_not_hold_up_the_end(tmp_path):
+    executor = Dask(workers=1)
+    try:
+        executor._link.client.register_plugin(Stuck(tmp_path / "stuck"))
+        (tmp_path / "stuck").touch()
+        [pid] = executor._link.client.run(os.getpid).values()
+        os.kill(pid, signal.SIGKILL)
+        wait_for((tmp_path / "starting").exists, seconds=PATIENCE)
+    finally:
+        began = time.monotonic()
+        executor.close()
+    assert time.monotonic() - began < 30  # and not an hour
 
 
 @pytest.fixture

@@ -6,7 +6,11 @@ of a report is in worker.faults.
 """
 
 import asyncio
+import contextlib
 import math
+import os
+import signal
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -29,6 +33,8 @@ __all__ = ["ClusterLost", "Dask", "Executor", "ExecutorError", "Inline", "Worker
 
 #: How long the number of workers is believed.
 COUNT_SECONDS: Final = 1.0
+#: For workers to end by themselves.
+CLOSE_SECONDS: Final = 2.0
 #: Above that of any chunk: somebody waits for the answer.
 CALL_PRIORITY: Final = 1_000_000.0
 
@@ -174,7 +180,10 @@ class Dask:
 
     def _close_cluster(self) -> None:
         if self._cluster is not None:
+            late = threading.Timer(CLOSE_SECONDS, _kill, [list(self._cluster.workers.values())])
+            late.start()
             self._cluster.close()
+            late.cancel()
 
     def _hear(self, said: dict[str, Any]) -> None:
         """A worker began a chunk, or ends itself over one."""
@@ -216,6 +225,14 @@ def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
     if not flight.watched or flight.worker == error.last_worker.address:
         return WorkerDied("the worker process that computed it died")
     return WorkerLost("the worker process at which it waited died")
+
+
+def _kill(nannies: list[Any]) -> None:
+    """End worker processes without a word: one that starts, and may compile for a minute, hears none."""
+    for nanny in nannies:
+        if nanny.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
 
 
 def _local_cluster(workers: int, memory: int | None) -> Any:
