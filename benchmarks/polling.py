@@ -15,7 +15,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import httpx2
 import numpy as np
 
 from benchmarks.machine import describe
@@ -44,7 +43,7 @@ def run(service: Serving, settle: int, connections: int, pause: float, figures: 
         figures.took.append(time.perf_counter() - began)
     figures.answers += polls.seconds
     figures.wrong += polls.wrong
-    httpx2.delete(service.url + path)
+    service.delete(path)
 
 
 def calibrated(service: Serving, seconds: float) -> int:

@@ -16,6 +16,8 @@ import httpx2
 import psutil
 
 MB = 1 << 20
+#: Seconds for an answer, on a machine that may be busy with other things.
+PATIENCE = 60.0
 
 
 def sweep(number: int, gammas: int = 400, settle: int = 4_000) -> dict[str, Any]:
@@ -68,16 +70,23 @@ class Serving:
 
     def submit(self, spec: dict[str, Any]) -> str:
         """The path of the job."""
-        return str(httpx2.post(f"{self.url}/v1/jobs", json=spec).headers["Location"])
+        return str(httpx2.post(f"{self.url}/v1/jobs", json=spec, timeout=PATIENCE).headers["Location"])
 
     def wait(self, path: str) -> dict[str, Any]:
         """The job when it is done; ends the program if it ends otherwise."""
-        job: dict[str, Any]
-        while (job := httpx2.get(self.url + path).json())["state"] in ("queued", "running"):
+        while (job := self._job(path))["state"] in ("queued", "running"):
             time.sleep(0.05)
         if job["state"] != "done":
             raise SystemExit(f"a job is {job['state']}: {json.dumps(job)[:2000]}")
         return job
+
+    def _job(self, path: str) -> dict[str, Any]:
+        job: dict[str, Any] = httpx2.get(self.url + path, timeout=PATIENCE).json()
+        return job
+
+    def delete(self, path: str) -> None:
+        """Forget a job."""
+        httpx2.delete(self.url + path, timeout=PATIENCE).raise_for_status()
 
     def digest(self, job: dict[str, Any]) -> str:
         """Of everything in a job's store."""

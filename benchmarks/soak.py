@@ -17,7 +17,6 @@ import threading
 import time
 from pathlib import Path
 
-import httpx2
 import numpy as np
 
 from benchmarks.machine import describe
@@ -41,7 +40,7 @@ class Soak:
     def _digest(self, number: int) -> str:
         path = self._service.submit(sweep(number))
         found = self._service.digest(self._service.wait(path))
-        httpx2.delete(self._service.url + path)
+        self._service.delete(path)
         return found
 
     def compute(self) -> None:
