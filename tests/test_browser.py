@@ -490,11 +490,15 @@ def test_everything_fits_a_phone(browser: Any, address: str, loop: str, scheme: 
 
 
 def _settled(page: Any, place: str) -> None:
-    if "/job/" in place:
-        page.get_by_role("button", name="Play").wait_for()
-        page.wait_for_timeout(100)  # for the frame that draws it
-    else:
-        page.locator(".cost", has_text="cells in").or_(page.locator(".jobs li")).first.wait_for()
+    """Until a view shows all it has to show."""
+    if "/new" in place:
+        page.locator(".cost", has_text="cells in").wait_for()
+        return
+    page.locator(".player[data-phase]").wait_for()
+    if "/job/" not in place:
+        page.locator(".jobs li").first.wait_for()
+    elif "/details" not in place:
+        page.locator(".panel .plot[data-shows]").wait_for()
 
 
 # A service that goes away, and one that asks who is there

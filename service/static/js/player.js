@@ -20,7 +20,7 @@ export class Player {
   constructor(root) {
     this.stage = h("canvas", { className: "stage", role: "img", "aria-label": "The masses, the spring and the plate in motion" });
     const figure = h("figure", { className: "trace" });
-    this.button = h("button", { type: "button", onclick: () => this.play(!this.playing) });
+    this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // nothing yet
     this.scrub = h("input", {
       type: "range", min: 0, max: PERIODS, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
       oninput: () => {
@@ -43,6 +43,7 @@ export class Player {
   /** Go on with another motion, at the phase this one has come to. */
   show(path) {
     this.trace = traceOf(path);
+    this.button.disabled = false;
     this.plot.draw();
     this.play(this.playing);
   }
