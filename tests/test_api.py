@@ -182,7 +182,7 @@ def test_the_cluster_computes_what_inline_computes(
 ):
     with service(tmp_path, cluster) as other:
         there = get(other, f"{finished(other, FIGURE_2)}/diagram")
-        assert get(other, "/readyz") == {"status": "ok"}
+        wait_for(lambda: other.get("/readyz").json() == {"status": "ok"})
     assert there == get(client, f"{figure_2}/diagram")
 
 

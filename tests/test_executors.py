@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from distributed import system
 from harm import Stuck
 from scripted import DEADLINE, wait_for
 
@@ -102,6 +103,11 @@ def test_two_workers_never_share_a_kernel_cache(cluster):
     caches = cluster._link.client.run(lambda: os.environ["NUMBA_CACHE_DIR"])
     assert len(set(caches.values())) == 2
     assert os.environ["NUMBA_CACHE_DIR"] not in caches.values()
+
+
+def test_workers_share_the_memory_however_many_cores_there_are(cluster):
+    limits = cluster._link.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
+    assert set(limits.values()) == {system.MEMORY_LIMIT // 2}
 
 
 def test_the_cluster_listens_on_loopback_only(cluster):

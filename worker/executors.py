@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
 import dask
-from distributed import KilledWorker, LocalCluster
+from distributed import KilledWorker, LocalCluster, system
 
 from worker.faults import ClusterLost, ExecutorError, WorkerDied, WorkerLost
 from worker.link import SCHEDULER, Link, address_in
@@ -244,5 +244,6 @@ def _local_cluster(workers: int, memory: int | None) -> Any:
         processes=True,
         host=loopback,
         dashboard_address=f"{loopback}:0",
-        memory_limit=memory or "auto",
+        # Not by the number of cores, which has nothing to do with how many processes there are.
+        memory_limit=memory or system.MEMORY_LIMIT // workers,
     )

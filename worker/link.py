@@ -19,6 +19,8 @@ log = logging.getLogger(__name__)
 
 #: A frozen scheduler never answers and never fails: after so long it counts as not there.
 PING_SECONDS: Final = 2.0
+#: But one that has just come may have a lot to do.
+GREETING_SECONDS: Final = 30.0
 #: How often a lost scheduler is looked for.
 RETRY_SECONDS: Final = 1.0
 #: How a scheduler has to be set, and what comes of it otherwise.
@@ -85,11 +87,9 @@ class Link:
         self._keeper.join(2 * PING_SECONDS)
         self._client.close()
 
-    def _identity(self) -> dict[str, Any]:
+    def _identity(self, seconds: float = PING_SECONDS) -> dict[str, Any]:
         client = self._client
-        found: dict[str, Any] = client.sync(
-            client.scheduler.identity, n_workers=0, callback_timeout=PING_SECONDS
-        )
+        found: dict[str, Any] = client.sync(client.scheduler.identity, n_workers=0, callback_timeout=seconds)
         return found
 
     def _connected(self, timeout: float) -> Any:
@@ -105,7 +105,7 @@ class Link:
         self._client.subscribe_topic(TOPIC, lambda event: self._heard(event[1]))
         self._client.register_plugin(self._plugin)
         self._look_at_settings()
-        self._scheduler = self._identity()["id"]
+        self._scheduler = self._identity(GREETING_SECONDS)["id"]
 
     def _look_at_settings(self) -> None:
         """Say so if the scheduler is not set as it has to be; results are right all the same."""
