@@ -52,7 +52,7 @@ def inline() -> Iterator[Inline]:
         yield executor
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def small_spec() -> Callable[..., SweepSpec]:
     """Makes sweeps of 2 x 3 x 10 cheap cells; any field can be given."""
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import layout, store
@@ -172,9 +174,49 @@ def test_reads_touch_any_part_of_the_grid(url, spec, plan):
         assert found["flight_time"].shape == (2, 6, 8)
 
 
-def test_reads_outside_the_grid_are_refused(url):
+@pytest.fixture(scope="module")
+def full(tmp_path_factory, small_spec) -> tuple[str, dict[str, np.ndarray]]:
+    """A store with every chunk written, and all of it as zarr reads it."""
+    spec = small_spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
+    plan, url = make_plan(spec, chunk_shape=(2, 2, 4)), str(tmp_path_factory.mktemp("full") / "sweep.zarr")
+    store.create(url, spec, plan)
+    for chunk in plan:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    with xr.open_zarr(url) as dataset:
+        return url, {name: dataset[name].values for name in ("end_state", "bounces")}
+
+
+def indices(length: int) -> st.SearchStrategy[int | slice]:
+    """Places along an axis: one, also counted from the end, or a slice with a step, also an empty one."""
+    ends = st.none() | st.integers(-length - 1, length + 1)
+    return st.integers(-length, length - 1) | st.builds(
+        slice, ends, ends, st.none() | st.integers(1, length + 1)
+    )
+
+
+@given(st.tuples(*map(indices, (2, 2, 3, 10))))
+def test_any_part_reads_as_zarr_reads_it(full, where):
+    url, whole = full
+    axes = dict(zip(("direction", "xi", "omega", "gamma"), where, strict=True))
+    for name, array in store.read_slice(url, list(whole), **axes).items():
+        np.testing.assert_array_equal(array, whole[name][where])
+        assert array.dtype == whole[name].dtype
+
+
+@pytest.mark.parametrize("place", [10, -11])
+def test_reads_outside_the_grid_are_refused(url, place):
     with pytest.raises(IndexError):
-        store.read_slice(url, ["outcome"], gamma=10)
+        store.read_slice(url, ["outcome"], gamma=place)
+
+
+def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
+    """Its writer is not done: outcomes come last."""
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    (Path(url) / "outcome" / "c" / "0" / "0" / "0" / "0").unlink()
+    found = store.read_chunk(url, plan[0], ["outcome", "flights", "flight_time"])
+    assert not found["outcome"].any()
+    assert not found["flights"].any()
+    assert np.isnan(found["flight_time"]).all()
 
 
 def test_coordinates(url, spec):
