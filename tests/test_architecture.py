@@ -72,7 +72,7 @@ def is_ours(module: str) -> bool:
 
 def project_files() -> list[Path]:
     """Every text file of the project, generated and installed ones left out."""
-    files = [path for path in ROOT.iterdir() if path.is_file()]
+    files = [path for path in ROOT.iterdir() if path.is_file() and path.name != ".git"]
     for folder in (*OURS, "docs"):
         files += [path for path in (ROOT / folder).rglob("*") if path.is_file()]
     generated = {"__pycache__", ".hypothesis"}
