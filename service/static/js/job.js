@@ -73,6 +73,7 @@ export class JobView {
     this.#describe();
     if (first) this.go();
     else if (moved || redraw) this.view?.update(job);
+    if (redraw && !first) this.#showCell(); // it may have been lost on its way
     if (UNFINISHED.has(job.state)) this.timer = setTimeout(() => this.#look(false), this.#pause());
   }
 

@@ -20,6 +20,9 @@ export class Motion {
 
   /** Compute and show a cell: {gamma, omega, xi, direction}. */
   async show(job, cell) {
+    const name = JSON.stringify(cell);
+    if (this.shown === name) return;
+    this.shown = name;
     this.asking?.abort();
     this.asking = new AbortController();
     const { signal } = this.asking;
@@ -35,6 +38,7 @@ export class Motion {
     } catch (error) {
       if (error.name === "AbortError") return;
       this.#stop();
+      this.shown = null;
       this.root.replaceChildren(this.#head(cell), h("p", { className: "problem", role: "alert" }, error.message));
     } finally {
       if (!signal.aborted) {
@@ -46,6 +50,7 @@ export class Motion {
 
   hide() {
     this.asking?.abort();
+    this.shown = null;
     this.waiting.stop();
     this.#stop();
     this.root.hidden = true;

@@ -90,6 +90,7 @@ export class Waiting {
   }
 
   start() {
+    this.stop();
     this.element.textContent = "Computing the motion …";
     this.element.hidden = false;
     this.timer = setTimeout(() => {
