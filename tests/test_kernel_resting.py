@@ -55,6 +55,18 @@ def test_an_up_ramp_at_rest_stays_at_rest_up_to_eq_25(which, omega, xi):
     assert not line.flights.any()
 
 
+@pytest.mark.parametrize("which", [Model.RIGID, Model.SOFT])
+@pytest.mark.parametrize("carry", [False, True])
+def test_at_the_threshold_to_the_last_digit_there_is_an_answer(which, carry):
+    """Eq. 25 and the numbers next to it, where the force that holds the mass touches zero."""
+    omega, xi = (a.ravel() for a in np.meshgrid([1e-3, 0.3, 0.6, 1.0, 1.5, 3.0, 1e3], [0.01, 0.05, 0.2, 1.0]))
+    at = threshold(omega, xi)
+    for gamma in (np.nextafter(at, 0.0), at, np.nextafter(at, np.inf)):
+        for i in range(len(gamma)):
+            line = run(gamma[i], omega[i], xi[i], which, settle=40, observe=20, carry=carry)
+            assert line.outcome[0] in (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+
+
 @pytest.mark.parametrize(("omega", "xi"), RINGING)
 @pytest.mark.parametrize("which", KINDS)
 def test_a_cell_that_rests_costs_one_look_however_long_its_window(which, omega, xi):

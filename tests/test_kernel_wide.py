@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, examples, recorded, run
+from kernel_runs import TWO_PI, examples, phases, recorded, run
 from naive import Setting
 from naive_ball import Fall, trajectory
 from naive_steps import Stepper
@@ -212,3 +212,24 @@ def test_lanes_say_what_the_scalar_functions_say(gamma, omega, xi, epsilon):
     assert len(long[0]) == len(long[1])
     np.testing.assert_allclose(long[0], long[1], rtol=1e-4, atol=1e-5)
     assert (lanes.outcome[0] == Outcome.AT_REST) == (alone.outcome[0] == Outcome.AT_REST)
+
+
+# --- cost -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_no_cell_of_the_default_range_costs_a_hundred_times_the_median(soft):
+    """Gamma and xi up to 10, Omega from 0.1 to 10; in evaluations, which no other program disturbs.
+
+    The median of those that bounce: what rests costs next to nothing.
+    """
+    rng = np.random.default_rng(2)
+    used, bouncing = [], []
+    for _ in range(120):
+        gamma, omega, xi = (10.0 ** rng.uniform(low, 1) for low in (-1, -1, -3))
+        s = Setting(gamma, omega, xi, soft, 0.01 if soft else 0.0)
+        steps = list(phases(s, 20, 100_000))
+        used.append(sum(step.used for step in steps))
+        bouncing.append(len(steps) > 20)
+    assert sum(bouncing) > 40
+    assert max(used) <= 100 * np.median(np.array(used)[bouncing])

@@ -65,6 +65,16 @@ def test_the_ascending_threshold_is_eq_25(tmp_path: Path, xi: float, model: dict
     np.testing.assert_allclose(found, threshold(np.array(OMEGA), xi), rtol=0, atol=TOLERANCE)
 
 
+@pytest.mark.parametrize("xi", [0.01, 0.2, 1.0])
+@pytest.mark.parametrize("omega", [1e-3, 1e-2, np.sqrt(2.0), 1e2, 1e3])
+def test_the_ascending_threshold_at_extreme_frequencies(tmp_path: Path, omega: float, xi: float):
+    """Slow plates, fast ones, and the antiresonance, where Eq. 25 goes like 1/(sqrt(8) xi)."""
+    gamma = {"start": 0.3, "stop": 80.0, "num": 60, "spacing": "log"}
+    spec, url = computed(tmp_path, gamma=gamma, omega=float(omega), xi=xi, protocol=ramp("up"))
+    found = thresholds(spec, url, 1e-5).up
+    assert found == pytest.approx([float(threshold(omega, xi))], rel=0, abs=1e-5)
+
+
 def descending(folder: Path, **model: Any) -> tuple[SweepSpec, str]:
     """From a bouncing state at the top, in the paper's steps."""
     gamma = {"start": 0.4, "stop": 1.2, "num": 201}
