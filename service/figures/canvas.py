@@ -26,6 +26,7 @@ DPI: Final = 216
 COLOURS: Final = 96
 CAPTION_SIZE: Final = 7.5  # points
 LINE: Final = 1.32 * CAPTION_SIZE / 72  # inches
+ASCENT: Final = 0.76  # of a line's height
 SPACE: Final = 0.33 * CAPTION_SIZE / 72  # inches between words, a little more than there is
 MARGIN: Final = 0.06  # inches, on all sides
 
@@ -106,12 +107,8 @@ def page(height: float, caption: Caption) -> tuple[Drawing, SubFigure]:
     figure = Figure(figsize=(WIDTH, height + below), dpi=DPI, layout="constrained")
     above, under = split(figure, height, below)
     for i, (heading, line) in enumerate(lines):
-        place: Any = {
-            "y": 1 - (MARGIN + i * LINE) / below,
-            "fontsize": CAPTION_SIZE,
-            "va": "top",
-            "in_layout": False,
-        }
+        baseline = 1 - (MARGIN + (i + ASCENT) * LINE) / below
+        place: Any = {"y": baseline, "fontsize": CAPTION_SIZE, "va": "baseline", "in_layout": False}
         under.text(MARGIN / WIDTH, s=heading, fontweight="bold", **place)
         under.text((MARGIN + _indent(heading)) / WIDTH, s=line, **place)
     return Drawing(figure, caption), above

@@ -123,7 +123,7 @@ def _not_constant() -> Claim:
 def _unmentioned_maximum() -> Claim:
     tops = [f"{threshold(np.sqrt(2), xi):.{digits}f} at ξ = {xi:g}" for xi, digits in ((0.05, 2), (0.01, 1))]
     return Claim(
-        False, f"the text does not mention the maximum: Γ_th(√2) = √(1 + 1/8ξ²), {' and '.join(tops)}"
+        False, f"the text does not mention the maximum: Γ_th(√2) = √(1+1/(8ξ²)), {' and '.join(tops)}"
     )
 
 
