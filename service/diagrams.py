@@ -112,7 +112,8 @@ def _draw_density(axes: Axes, diagram: Diagram, colour: str, scale: float) -> No
     sheet = axes.inset_axes((0.0, 0.0, 1.0, 1.0), zorder=3)
     sheet.set_axis_off()
     sheet.imshow(image, origin="lower", aspect="auto", interpolation="nearest")
-    axes.plot([], [], linestyle="none", marker=".", color=colour, label=diagram.direction)
+    size = 2 * _dot(diagram) * scale
+    axes.plot([], [], ".", markersize=size, markeredgewidth=0, color=colour, label=diagram.direction)
 
 
 def _widened(counts: NDArray[np.int64], width: int) -> NDArray[np.int64]:
