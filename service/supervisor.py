@@ -9,9 +9,10 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import Any, Final
 
 from service.choosing import Choosing
 from service.jobs import UNFINISHED, JobState
@@ -41,7 +42,7 @@ class Supervisor:
     Each job has a small window of chunks in flight, and of those that wait at the workers the
     ones begin first whose job has the least work in flight, so that a small job passes a huge one.
     A job from an earlier life of the service goes on when `cleared` says that what is marked as
-    done of it is really there.
+    done of it is really there. Stores are made under the lock `making`.
     """
 
     def __init__(
@@ -50,9 +51,10 @@ class Supervisor:
         executor: Executor,
         settings: Settings,
         cleared: Callable[[str], bool] = lambda job_id: True,
+        making: AbstractContextManager[Any] | None = None,
     ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
-        self._cleared = cleared
+        self._cleared, self._making = cleared, making or nullcontext()
         self._limits = Limits(
             settings.chunk_tries, settings.failed_chunks, settings.chunk_seconds, settings.chunk_slack
         )
@@ -182,7 +184,8 @@ class Supervisor:
             run = self._runs.get(brief.id)
             if run is None:
                 if self._cleared(brief.id):
-                    self._pick_up(brief.id)
+                    with self._making:
+                        self._pick_up(brief.id)
             elif run.stopping != brief.cancel_requested:
                 self._stop_or_go_on(run, stop=brief.cancel_requested)
 

@@ -102,9 +102,15 @@ class Machine(RuleBasedStateMachine):
             assert not Path(self._url(number)).exists()
             self.marked.pop(SWEEPS[number].job_id("1"), None)
 
+    def _stop(self) -> None:
+        """As at the end of a process: none of its threads goes on."""
+        self.lifecycle.stop()
+        for part in (self.lifecycle._housekeeper, self.lifecycle._supervisor):
+            part._thread.join()
+
     @rule()
     def restart(self) -> None:
-        self.lifecycle.stop()
+        self._stop()
         self.ledger.close()
         self.start()
 
@@ -114,7 +120,7 @@ class Machine(RuleBasedStateMachine):
         self.ledger.close()
         while self.held.held():
             self.held.let_go()
-        self.lifecycle.stop()
+        self._stop()
         self.start()
 
     @rule(number=jobs)
@@ -140,7 +146,7 @@ class Machine(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         if hasattr(self, "lifecycle"):
-            self.lifecycle.stop()
+            self._stop()
             self.ledger.close()
         self._folder.cleanup()
 

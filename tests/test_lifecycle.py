@@ -246,6 +246,30 @@ def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
 
 
+def test_a_job_deleted_while_its_store_is_made_leaves_none(
+    tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch
+):
+    making, go_on, real = threading.Event(), threading.Event(), store.create
+
+    def create(*given: Any) -> None:
+        making.set()
+        assert go_on.wait(DEADLINE)
+        real(*given)
+
+    monkeypatch.setattr(store, "create", create)
+    with running(tmp_path, inline) as service:
+        job = service.submit(sweep())
+        assert making.wait(DEADLINE)
+        service.lifecycle.cancel(job.id)
+        deleting = threading.Thread(target=service.lifecycle.delete, args=[job.id])
+        deleting.start()
+        go_on.set()
+        deleting.join(DEADLINE)
+        assert service.ledger.find(job.id) is None
+        wait_for(lambda: not list(tmp_path.rglob("*.zarr*/*")))
+    assert not list(tmp_path.rglob("*.zarr"))
+
+
 def test_a_cancel_survives_the_service(tmp_path: Path, inline: Inline):
     held = Held()
     with running(tmp_path, held) as service:
