@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import psutil
 
@@ -119,8 +119,41 @@ def sweep(chunks: int) -> SweepSpec:
     return spec()
 
 
-def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> list[str]:
-    """One job from submission to done; a row of the table."""
+class Driven(NamedTuple):
+    """What one job took."""
+
+    workers: int
+    chunks: int
+    wall: float  # s
+    first: float  # s to the first commit
+    last_rate: float  # chunks a second in the last tenth
+    commits: int
+    processor: float  # s
+    memory: int  # bytes more than before
+    files: int  # bytes of the ledger
+    reread: float  # s for which chunks are done, as after a restart
+
+    @property
+    def rate(self) -> float:
+        """Chunks a second."""
+        return self.chunks / self.wall
+
+    @property
+    def ledger_bytes(self) -> float:
+        """Of the ledger, for each chunk."""
+        return self.files / self.chunks
+
+    def row(self) -> list[str]:
+        """Of the table."""
+        return [
+            f"{self.workers:,}", f"{self.chunks:,}", f"{self.wall:.0f}", f"{self.first:.1f}", short(self.rate),
+            short(self.last_rate), short(self.commits / self.wall), short(self.processor / self.chunks * 1e6),
+            f"{self.memory / 2**20:.0f}", f"{self.ledger_bytes:.0f}", f"{self.reread:.1f}",
+        ]  # fmt: skip
+
+
+def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> Driven:
+    """One job from submission to done."""
     settings = Settings(data=folder, max_cells=10**12, max_bytes=10**15)
     executor = Pretending(workers, seconds)
     before = psutil.Process().memory_info().rss
@@ -151,11 +184,7 @@ def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> list[s
     first = next(when for when, done in marks if done)
     tail = [(when, done) for when, done in marks if done >= 0.9 * chunks]
     last_rate = (chunks - tail[0][1]) / (tail[-1][0] - tail[0][0]) if tail[-1][0] > tail[0][0] else math.nan
-    return [
-        f"{workers:,}", f"{chunks:,}", f"{wall:.0f}", f"{first:.1f}", short(chunks / wall), short(last_rate),
-        short(commits / wall), short(processor / chunks * 1e6), f"{(peak - before) / 2**20:.0f}",
-        f"{files / chunks:.0f}", f"{reread:.1f}",
-    ]  # fmt: skip
+    return Driven(workers, chunks, wall, first, last_rate, commits, processor, peak - before, files, reread)
 
 
 def through_dask(tasks: int, in_flight: int = 64) -> float:
@@ -191,7 +220,7 @@ def main() -> None:
     for place, workers in enumerate(int(number) for number in given.workers.split(",")):
         spec = sweep(given.chunks if place == 0 else given.chunks // 10)
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(drive(spec, workers, given.seconds, Path(folder)))
+            rows.append(drive(spec, workers, given.seconds, Path(folder)).row())
     print("\n" + table(HEAD, rows))
     rates = [through_dask(2_000) for _ in range(3)]
     print(f"\nDask, two worker processes of this machine: {statistics.median(rates):.0f} tasks/s")
