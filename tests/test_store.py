@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import layout, store
 from worker.plan import Chunk, Plan, make_plan
+from worker.problems import SpecError
 from worker.spec import SweepSpec
 
 
@@ -93,8 +94,25 @@ def test_attributes_say_what_it_is(url, spec):
     assert attrs["job"] == spec.job_id(KERNEL_VERSION)
     assert attrs["kernel_version"] == KERNEL_VERSION
     assert attrs["model"] == "rigid"
+    assert "time_steps" not in attrs
     assert attrs["title"] == "a label"
     assert attrs["Conventions"].startswith("CF-")
+
+
+@pytest.mark.parametrize("scheme", ["verlet", "euler"])
+def test_a_store_of_time_steps_states_their_limit(tmp_path, scheme):
+    """The longest step of any cell, and the shortest that is unstable in one: the last is refused."""
+    model = {"kind": "stepped", "scheme": scheme, "penetration": 0.05, "steps_per_contact": 200}
+    given = {"gamma": [1.0, 2.0], "omega": [0.1, 3.0], "xi": [0.1, 20.0]}
+    spec = SweepSpec(**given, model=model)
+    store.create(str(tmp_path / "sweep.zarr"), spec, make_plan(spec))
+    said = store.read_attrs(str(tmp_path / "sweep.zarr"))["time_steps"]
+    assert 0.0 < said["longest_step"] < said["stable_below"]
+    fewest = said["fewest_stable_steps_per_contact"]
+    SweepSpec(**given, model=model | {"steps_per_contact": fewest})
+    if fewest > 1:
+        with pytest.raises(SpecError, match=f"must be at least {fewest}, not {fewest - 1}"):
+            SweepSpec(**given, model=model | {"steps_per_contact": fewest - 1})
 
 
 def test_attributes_of_the_creator_are_kept(tmp_path, spec, plan):
