@@ -9,7 +9,6 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck
@@ -20,7 +19,9 @@ from worker.warm import claim_cache, warm
 CACHE = Path(__file__).parents[1] / ".numba-cache"
 claim_cache(CACHE)
 
-from worker.executors import Dask, Inline  # noqa: E402 - the cache comes first
+from scripted import small  # noqa: E402 - the cache comes first
+
+from worker.executors import Dask, Inline  # noqa: E402
 from worker.spec import SweepSpec  # noqa: E402
 
 for name in [name for name in os.environ if name.startswith("BOUNCE_")]:
@@ -55,17 +56,4 @@ def inline() -> Iterator[Inline]:
 @pytest.fixture(scope="session")
 def small_spec() -> Callable[..., SweepSpec]:
     """Makes sweeps of 2 x 3 x 10 cheap cells; any field can be given."""
-
-    def make(**given: Any) -> SweepSpec:
-        fields: dict[str, Any] = {
-            "gamma": {"start": 0.5, "stop": 5.0, "num": 10},
-            "omega": [0.5, 0.7, 1.0],
-            "xi": [0.05, 0.26],
-            "model": {"kind": "rigid"},
-            "settle": 20,
-            "observe": 20,
-            "keep": 8,
-        }
-        return SweepSpec(**(fields | given))
-
-    return make
+    return small

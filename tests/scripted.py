@@ -138,6 +138,32 @@ def free_port() -> int:
     raise AssertionError("no port is free")
 
 
+def small(**given: Any) -> SweepSpec:
+    """2 x 3 x 10 cheap cells (xi, omega, gamma); any field can be given."""
+    fields: dict[str, Any] = {
+        "gamma": {"start": 0.5, "stop": 5.0, "num": 10},
+        "omega": [0.5, 0.7, 1.0],
+        "xi": [0.05, 0.26],
+        "model": {"kind": "rigid"},
+        "settle": 20,
+        "observe": 20,
+        "keep": 8,
+    }
+    return SweepSpec(**(fields | given))
+
+
+#: 2 x 46 cells along gamma, with rest, a mode (1, 1) and what comes after it, as it is handed in.
+TWO_LINES: dict[str, Any] = {
+    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
+    "omega": [0.5, 0.7],
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 20,
+    "observe": 20,
+    "keep": 8,
+}
+
+
 def sweep(name: str = "", **given: Any) -> SweepSpec:
     """60 cells at rest or nearly so, in eight chunks: by any table of costs."""
     fields: dict[str, Any] = {

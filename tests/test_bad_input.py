@@ -13,7 +13,7 @@ import httpx2
 import pytest
 import uvicorn
 from fastapi.testclient import TestClient
-from scripted import DEADLINE, wait_for
+from scripted import DEADLINE, Held, wait_for
 from served import computing, finished, service
 
 from service.app import create_app
@@ -209,20 +209,15 @@ def test_no_refused_sweep_has_left_anything(client: TestClient, job: str):
 
 
 def test_a_full_queue_says_when_to_come_back(tmp_path: Any):
-    executor = Inline()
-    with service(tmp_path, executor, max_queue=1) as client:
-        slow = {**GOOD, "gamma": {"start": 1, "stop": 6, "num": 2000}, "settle": 2000}
-        assert client.post("/v1/jobs", json=slow).status_code == 202
+    with service(tmp_path, Held(), max_queue=1) as client:
+        assert client.post("/v1/jobs", json={**GOOD, "xi": 0.3}).status_code == 202
         answer = client.post("/v1/jobs", json=GOOD)
         check_refusal(answer, 429, "at most 1 may be")
         assert int(answer.headers["Retry-After"]) > 0
-        client.post(client.get("/v1/jobs").json()["jobs"][0]["links"]["cancel"])
-    executor.close()
 
 
 def test_an_answer_too_large_says_what_fits(tmp_path: Any):
-    executor = Inline()
-    with service(tmp_path, executor, max_points=100) as client:
+    with computing(tmp_path, max_points=100) as client:
         here = finished(client, GOOD)
         for format in ("json", "csv"):
             answer = client.get(f"{here}/diagram?omega=0.5&format={format}")
@@ -232,7 +227,6 @@ def test_an_answer_too_large_says_what_fits(tmp_path: Any):
         for format in ("png", "svg"):
             assert client.get(f"{here}/diagram?omega=0.5&format={format}").status_code == 200
         assert client.get(f"{here}/threshold").status_code == 200
-    executor.close()
 
 
 def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 from click.testing import CliRunner, Result
-from scripted import DEADLINE, Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
 from service import embedded
 from service.cli import main
@@ -27,16 +27,7 @@ COMMANDS = [
     "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 
-SPEC = {
-    "name": "two ω",
-    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
-    "omega": [0.5, 0.7],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 20,
-    "observe": 20,
-    "keep": 8,
-}
+SPEC = {**TWO_LINES, "name": "two ω"}
 
 
 def serving(folder: Path, executor: Executor, **given: object):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from scripted import DEADLINE, Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -35,16 +35,7 @@ from service.settings import Settings
 from worker.executors import Executor, Inline
 from worker.spec import SweepSpec
 
-SPEC: dict[str, Any] = {
-    "name": "coarse <figure 2>",
-    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
-    "omega": [0.5, 0.7],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 100,
-    "observe": 20,
-    "keep": 8,
-}
+SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import DEADLINE, Held
-from served import finished, get, occupied, service
+from served import computing, finished, get, occupied, service
 
 from kernel.params import Outcome
 from service import embedded
@@ -51,10 +51,9 @@ class Done:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
-    folder, executor = tmp_path_factory.mktemp("data"), Inline()
-    with service(folder, executor) as client:
+    folder = tmp_path_factory.mktemp("data")
+    with computing(folder) as client:
         yield Done(client, folder)
-    executor.close()
 
 
 def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Held
-from test_api import finished, get, service
+from served import computing, finished, get, service
 
 from service import page
 from service.figures.catalogue import FIGURES
-from worker.executors import Inline
 from worker.spec import SweepSpec
 
 LINE: dict[str, Any] = {
@@ -42,10 +41,8 @@ RAMP: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    executor = Inline()
-    with service(tmp_path_factory.mktemp("data"), executor) as client:
+    with computing(tmp_path_factory.mktemp("data")) as client:
         yield client
-    executor.close()
 
 
 @pytest.fixture(scope="module")
@@ -223,8 +220,7 @@ def test_a_window_of_a_plane_is_that_part_of_it(client: TestClient, line: str):
 
 
 def test_a_plane_too_large_for_one_answer_comes_thinned(tmp_path: Path):
-    executor = Inline()
-    with service(tmp_path, executor, max_points=60) as client:
+    with computing(tmp_path, max_points=60) as client:
         here = finished(client, LINE)
         facts, arrays = unpacked(client, f"{here}/plane")
         assert (facts["every_gamma"], facts["every_omega"]) == (2, 2)
@@ -232,7 +228,6 @@ def test_a_plane_too_large_for_one_answer_comes_thinned(tmp_path: Path):
         assert arrays["omega"].tolist() == [0.5]
         facts, arrays = unpacked(client, f"{here}/plane", left=1.0, right=2.0)
         assert (facts["every_gamma"], arrays["outcome"].size) == (1, 42)
-    executor.close()
 
 
 def test_a_line_too_long_to_be_read_comes_thinned(

@@ -2,10 +2,10 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from scripted import small as spec
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -18,20 +18,6 @@ from worker.spec import SweepSpec
 from worker.tasks import run_chunk
 
 NOWHERE: dict[str, float | None] = {}
-
-
-def spec(**given: Any) -> SweepSpec:
-    """2 x 3 x 10 cells, xi, omega and gamma; cheap."""
-    fields: dict[str, Any] = {
-        "gamma": {"start": 0.5, "stop": 5.0, "num": 10},
-        "omega": [0.5, 0.7, 1.0],
-        "xi": [0.05, 0.26],
-        "model": {"kind": "rigid"},
-        "settle": 20,
-        "observe": 20,
-        "keep": 8,
-    }
-    return SweepSpec(**(fields | given))
 
 
 def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Sweep:
