@@ -146,9 +146,10 @@ class Driven(NamedTuple):
     def row(self) -> list[str]:
         """Of the table."""
         return [
-            f"{self.workers:,}", f"{self.chunks:,}", f"{self.wall:.0f}", f"{self.first:.1f}", short(self.rate),
-            short(self.last_rate), short(self.commits / self.wall), short(self.processor / self.chunks * 1e6),
-            f"{self.memory / 2**20:.0f}", f"{self.ledger_bytes:.0f}", f"{self.reread:.1f}",
+            f"{self.workers:,}", f"{self.chunks:,}", f"{self.wall:.0f}", f"{self.first:.1f}",
+            short(self.rate), short(self.last_rate), short(self.commits / self.wall),
+            short(self.processor / self.chunks * 1e6), f"{self.memory / 2**20:.0f}",
+            f"{self.ledger_bytes:.0f}", f"{self.reread:.1f}",
         ]  # fmt: skip
 
 

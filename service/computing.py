@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import dask
 from distributed import Security
 
 from service.settings import Settings
 from worker.executors import ClusterLost, Dask
+from worker.link import SCHEDULER
 
 
 @contextmanager
@@ -39,6 +41,8 @@ def _made(name: str | None) -> Iterator[Any]:
     if "" not in sys.path:
         sys.path.insert(0, "")  # as `python -m` would: the module may lie in the current folder
     try:
+        # For a scheduler in this process; another's has to be started so.
+        dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()})
         cluster = getattr(importlib.import_module(module), function)()
     except Exception as error:
         raise ClusterLost(f"no cluster from {name}: {type(error).__name__}: {error}") from error

@@ -51,6 +51,7 @@ def test_a_cluster_that_a_function_makes_computes_and_is_closed(tmp_path: Path, 
         assert job.progress.cells_done == 6
         (cluster,) = sys.modules[maker].made
         assert {worker["nthreads"] for worker in cluster.scheduler_info["workers"].values()} == {1}
+        assert cluster.scheduler.allowed_failures == 0  # whose fault a death was is judged by the service
     assert cluster.status.name == "closed"
 
 
