@@ -87,8 +87,9 @@ class _Reading:
 
     def _put(self, name: str, part: _Part, content: bytes) -> None:
         cut = self._cuts[name]
+        numbers = np.empty(cut.chunks, cut.array.dtype)  # damaged bytes may claim to hold far more
         try:
-            numbers = np.frombuffer(decompress(content), cut.array.dtype).reshape(cut.chunks)
+            decompress(content, numbers)
         except (RuntimeError, ValueError) as error:  # what is raised for bytes that are not ours
             self.damaged.setdefault(part.place, f"{key(name, part.place)}: cannot be read back: {error}")
         else:
