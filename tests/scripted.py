@@ -16,7 +16,7 @@ from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
 
 #: Seconds for anything to happen, on a machine with far too much to do.
-DEADLINE = 120.0
+DEADLINE = 240.0
 
 
 #: What happens to each chunk before it can be computed.
