@@ -207,6 +207,15 @@ def test_a_plane_is_the_mode_map(client: TestClient, line: str):
         assert arrays[name].tolist() == np.concatenate(modes[name]).tolist()
 
 
+def test_the_mode_map_and_the_diagram_come_thinned_where_asked(client: TestClient, line: str):
+    whole, part = (get(client, f"{line}/modes", xi=0.26, every=every) for every in (1, 50))
+    assert "every" not in whole
+    assert (part["every"], part["gamma"], part["omega"]) == (50, whole["gamma"][::50], [0.5])
+    assert part["bounces"] == [whole["bounces"][0][::50]]
+    thinned = get(client, f"{line}/diagram", omega=0.5, every=50)
+    assert (thinned["every"], thinned["values"]) == (50, whole["gamma"][::50])
+
+
 def test_a_window_of_a_plane_is_that_part_of_it(client: TestClient, line: str):
     _, whole = unpacked(client, f"{line}/plane")
     _, part = unpacked(client, f"{line}/plane", left=2.0, right=3.51, bottom=0.55)
