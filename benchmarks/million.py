@@ -1,6 +1,6 @@
 """The plan, the ledger and the supervisor with a million chunks, on workers that only pretend.
 
-    python -m benchmarks.million [--chunks 1000000] [--workers 2,100,1000] [--seconds 0]
+    python -m benchmarks.million [--chunks 1000000] [--workers 1000,100,2] [--seconds 0]
 
 Every chunk comes back at once, or after --seconds, with a report as a worker would give, so that what is
 measured is the service alone: how many chunks a second it can plan, hand out, take back and commit, with the
@@ -213,7 +213,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chunks", type=int, default=1_000_000)
-    parser.add_argument("--workers", default="2,100,1000", help="numbers of workers, with commas")
+    parser.add_argument("--workers", default="1000,100,2", help="numbers of workers, with commas")
     parser.add_argument("--seconds", type=float, default=0.0, help="that a worker takes for a chunk")
     given = parser.parse_args()
     print(describe("dask", "zarr"), flush=True)

@@ -56,13 +56,13 @@ def computed(spec: SweepSpec, plan: Plan, count: int) -> tuple[list[Record], flo
     return records, statistics.mean(kernel)
 
 
-def written(place: Any, record: Record, codec: Any, parts: int | None = None) -> zarr.Group:
-    """One chunk's arrays, each one chunk, or one shard of its lines along Gamma, each in so many parts."""
+def written(place: Any, record: Record, codec: Any, lines: int | None = None) -> zarr.Group:
+    """One chunk's arrays, each one chunk, or one shard of chunks of so many lines along Gamma."""
     group = zarr.open_group(place, mode="w", zarr_format=3)
     for name, values in record.items():
-        gamma = values.shape[2]
-        size = next(n for n in range(gamma // (parts or 1), 0, -1) if gamma % n == 0)
-        inner, shards = ((1, 1, size, *values.shape[3:]), values.shape) if parts else (values.shape, None)
+        whole = values.shape
+        size = next(n for n in range(min(lines or 1, whole[1]), 0, -1) if whole[1] % n == 0)
+        inner, shards = ((1, size, *whole[2:]), whole) if lines else (whole, None)
         group.create_array(name, data=values, chunks=inner, shards=shards, compressors=codec)
     return group
 
@@ -95,7 +95,7 @@ def codec_row(name: str, records: list[Record], kernel: float, repeat: int) -> t
     )  # fmt: skip
 
 
-def shard_row(name: str, records: list[Record], parts: int | None, repeat: int) -> tuple[str, ...]:
+def shard_row(name: str, records: list[Record], lines: int | None, repeat: int) -> tuple[str, ...]:
     """Files and times of one way to lay chunks out on the disk."""
     codec = ZstdCodec(level=3, checksum=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -103,7 +103,7 @@ def shard_row(name: str, records: list[Record], parts: int | None, repeat: int) 
 
         def write() -> None:
             for place, record in zip(places, records, strict=True):
-                written(LocalStore(place), record, codec, parts)
+                written(LocalStore(place), record, codec, lines)
 
         def read() -> None:
             for place in places:
@@ -147,10 +147,10 @@ def main() -> None:
     print("\n" + table(head, [codec_row(name, records, kernel, given.repeat) for name in CODECS]))
     layouts = {
         "now: a task writes one chunk of each array": None,
-        "a task writes a shard, inner chunks a line along Gamma": 1,
-        "a task writes a shard, inner chunks a fourth of a line": 4,
+        "a task writes a shard, inner chunks of one line along Gamma": 1,
+        "a task writes a shard, inner chunks of ten lines": 10,
     }
-    rows = [shard_row(name, records, parts, given.repeat) for name, parts in layouts.items()]
+    rows = [shard_row(name, records, lines, given.repeat) for name, lines in layouts.items()]
     head = ["layout", "files a task", "kB a task", "write, ms a task", "read a line, ms a task"]
     print("\n" + table(head, rows))
 
