@@ -1,6 +1,8 @@
 """Workers that die, hang, and eat memory: only the job that is to blame suffers, and nothing is lost.
 
-Real worker processes, really killed. `BOUNCE_TEST_RUNS=10` for the long version.
+Real worker processes, really killed. The long version, on a machine with nothing else to do:
+
+    BOUNCE_TEST_RUNS=10 pytest -n 0 -m "long or not long" tests/test_faults_workers.py
 """
 
 import os
@@ -28,6 +30,8 @@ from worker.tasks import ChunkReport
 from worker.warm import warm
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
+#: Whether times are those of a machine with nothing else to do.
+STRICT = RUNS >= 10
 MEMORY = 600 << 20
 #: Seconds that a chunk may take: a hung one takes them, no other comes near them on a busy machine.
 HUNG = 12.0
@@ -124,7 +128,7 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
 def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
     """A hung, a greedy, a poisonous and a failing chunk at once, beside jobs that have none."""
     whole(fragile)
-    tries = 2 if RUNS >= 10 else 1
+    tries = 2 if STRICT else 1
     terms = {"chunk_seconds": HUNG, "chunk_tries": tries}
     with running(tmp_path, fragile, **terms) as service:
         bad = {
@@ -145,6 +149,7 @@ def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
     }
     for name, job in ended.items():
         [failure] = failed[name]
+        assert not STRICT or (job.finished or 0) - (job.started or 0) < tries * HUNG + 10
         assert (failure.chunk, failure.tries) == (2, tries)
         assert failure.place.startswith("chunk 2 (rest, gamma ")
         assert why[name] in failure.error
@@ -176,11 +181,11 @@ def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, f
         service.lifecycle.cancel(busy.id)
         for job in (hung, busy):
             service.until(job, JobState.CANCELLED)
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < (5 if STRICT else 30)
         whole(fragile)
 
 
-@pytest.mark.skipif(RUNS < 10, reason="long: BOUNCE_TEST_RUNS=10")
+@pytest.mark.skipif(not STRICT, reason="long: BOUNCE_TEST_RUNS=10")
 def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
     whole(fragile)
     with running(tmp_path, fragile, chunk_seconds=2.0, chunk_tries=1) as service:
