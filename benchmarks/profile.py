@@ -39,6 +39,8 @@ PURPOSES = (
     ("HTTP", ("(uvicorn/", "(service/", "(starlette/")),
     ("Dask: scheduler, workers, client", ("(distributed/", "(tornado/", "(dask/")),
 )
+#: A thread whose innermost function is one of these waits, also where it is only its turn that it waits for.
+WAITS = ("EpollSelector.select ", "Condition.wait ", "Popen.poll ", "_worker ")
 ROW, WIDTH = 17, 1200
 LEAST = 0.002
 
@@ -60,7 +62,9 @@ def stacks(file: Path, root: str) -> Counter[Stack]:
     found: Counter[Stack] = Counter()
     for line in file.read_text().splitlines():
         frames, _, count = line.rpartition(" ")
-        found[(root, *(_named(frame) for frame in frames.split(";")))] += int(count)
+        stack = (root, *(_named(frame) for frame in frames.split(";")))
+        if not stack[-1].startswith(WAITS):
+            found[stack] += int(count)
     return found
 
 
@@ -84,10 +88,9 @@ def purpose(stack: Stack) -> str:
 def flame(found: Counter[Stack], title: str) -> str:
     """The stacks as an SVG: one bar a frame, its width its share, what it calls above it."""
     total = sum(found.values())
-    deepest = max(map(len, found))
-    bars: list[str] = []
+    bars: list[tuple[int, float, float, str]] = []  # level, left, share, frame
 
-    def draw(level: int, left: float, below: list[tuple[Stack, int]]) -> None:
+    def lay(level: int, left: float, below: list[tuple[Stack, int]]) -> None:
         groups: dict[str, list[tuple[Stack, int]]] = {}
         for stack, count in sorted(below):
             if len(stack) > level:
@@ -95,15 +98,17 @@ def flame(found: Counter[Stack], title: str) -> str:
         for frame, group in groups.items():
             share = sum(count for _, count in group) / total
             if share >= LEAST:
-                bars.append(_bar(frame, left * WIDTH, (deepest - level) * ROW + 24, share))
-                draw(level + 1, left, group)
+                bars.append((level, left, share, frame))
+                lay(level + 1, left, group)
             left += share
 
-    draw(0, 0.0, list(found.items()))
-    height = (deepest + 1) * ROW + 30
+    lay(0, 0.0, list(found.items()))
+    top = max(level for level, *_ in bars)
+    height = (top + 1) * ROW + 34
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="monospace">'
     text = f'<rect width="100%" height="100%" fill="#fff"/><text x="8" y="16" font-size="13">{title}</text>'
-    return "\n".join([head, text, *bars, "</svg>\n"])
+    drawn = [_bar(frame, left * WIDTH, (top - level) * ROW + 28, share) for level, left, share, frame in bars]
+    return "\n".join([head, text, *drawn, "</svg>\n"])
 
 
 def _bar(frame: str, left: float, top: float, share: float) -> str:
