@@ -184,7 +184,7 @@ def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
     executor = Inline()
     with (
         embedded.running(Settings(data=tmp_path, port=0, heartbeat_seconds=0.2), executor) as address,
-        httpx2.Client(base_url=address) as client,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         here = finished(client, RAMP)  # type: ignore[arg-type]
         found = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
@@ -231,7 +231,10 @@ def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, s
     """A service's host and port, and two jobs of it that are done."""
     executor = Inline()
     settings = Settings(data=tmp_path_factory.mktemp("data"), port=0, heartbeat_seconds=0.2)
-    with embedded.running(settings, executor) as address, httpx2.Client(base_url=address) as client:
+    with (
+        embedded.running(settings, executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
         one, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
         yield address.removeprefix("http://"), one, other
     executor.close()

@@ -8,7 +8,6 @@ unless-stopped` does. The figures of a machine with nothing else to do:
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -20,7 +19,7 @@ import numpy as np
 import psutil
 import pytest
 from conftest import CACHE
-from scripted import wait_for
+from scripted import free_port, wait_for
 from test_faults_workers import Counting, sweep
 from test_lifecycle import Running, running
 
@@ -74,9 +73,7 @@ class Kept:
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[Kept, str]]:
     warm(CACHE)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     scheduler = Kept(
         tmp_path, "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port),

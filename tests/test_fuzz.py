@@ -24,12 +24,15 @@ from schemathesis.specs.openapi.checks import (
     response_schema_conformance,
     status_code_conformance,
 )
-from test_api import finished
+from scripted import DEADLINE
+from served import finished
 
 from service import embedded
 from service.settings import Settings
 from worker.executors import Inline
 
+#: Seconds for an answer, on a machine that does much else.
+PATIENCE = 60
 CASES = int(os.environ.get("BOUNCE_FUZZ", "300"))
 
 DONE: dict[str, Any] = {
@@ -71,13 +74,16 @@ class Api(NamedTuple):
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     given = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2}
     computing, idle = Inline(), Idle()
-    with embedded.running(Settings(**given), computing) as address, httpx2.Client(base_url=address) as client:
+    with (
+        embedded.running(Settings(**given), computing) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
         done = finished(client, DONE).rsplit("/", 1)[1]  # type: ignore[arg-type]
     computing.close()
     caps = {"max_queue": 100_000, "trajectory_seconds": 0.02, "body_seconds": 2.0}
     with (
         embedded.running(Settings(**given, **caps), idle) as address,
-        httpx2.Client(base_url=address) as client,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
         schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
@@ -116,12 +122,12 @@ def test_no_request_is_answered_with_a_defect(api: Api):
     )
     @given(requests_of(api))
     def check(case: Any) -> None:
-        response = case.call(session=session, timeout=20)
+        response = case.call(session=session, timeout=DEADLINE)
         case.validate_response(response, checks=CHECKS)
 
     check()
     session.close()
-    assert requests.get(f"{api.address}/v1/jobs/{api.done}", timeout=5).json()["state"] == "done"
+    assert requests.get(f"{api.address}/v1/jobs/{api.done}", timeout=DEADLINE).json()["state"] == "done"
 
 
 def test_no_sequence_of_requests_is_answered_with_a_defect(api: Api):
@@ -131,6 +137,7 @@ def test_no_sequence_of_requests_is_answered_with_a_defect(api: Api):
     machine.validate_response = lambda self, response, case, additional_checks=(), **rest: (
         case.validate_response(response, checks=CHECKS)
     )
+    machine.get_call_kwargs = lambda self, case: {"timeout": PATIENCE}
     machine.TestCase.settings = settings(
         max_examples=AT_A_TIME,
         stateful_step_count=12,

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import httpx2
 import pytest
+from scripted import DEADLINE
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -129,16 +130,16 @@ def test_rest_example_runs(service: str):
     SweepSpec.model_validate(sweep)
 
     (url,) = (word for word in hand_in if word.startswith(ADDRESS))
-    answer = httpx2.post(url.replace(ADDRESS, service), json=sweep)
+    answer = httpx2.post(url.replace(ADDRESS, service), json=sweep, timeout=DEADLINE)
     assert answer.status_code == 202, answer.text
     job = answer.json()["id"]
     with Client(service) as client:
-        client.job(job).wait(progress=False, timeout=300)
+        client.job(job).wait(progress=False, timeout=DEADLINE)
 
     types = []
     for words in look:
         (url,) = (word for word in words if word.startswith(ADDRESS))
-        answer = httpx2.get(url.replace(ADDRESS, service).replace("/ID", f"/{job}"))
+        answer = httpx2.get(url.replace(ADDRESS, service).replace("/ID", f"/{job}"), timeout=DEADLINE)
         assert answer.status_code == 200, answer.text
         types.append(answer.headers["content-type"])
     assert types == ["application/json", "image/png"]

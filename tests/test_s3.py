@@ -11,8 +11,8 @@ import pytest
 import xarray
 from fastapi.testclient import TestClient
 from moto.server import ThreadedMotoServer
-from scripted import Held, wait_for
-from test_api import finished, get, service
+from scripted import DEADLINE, Held, wait_for
+from served import finished, get, service
 from test_exports import RAMP
 
 from service import embedded
@@ -117,7 +117,10 @@ def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClie
 def test_the_store_opens_with_xarray_from_the_bucket_and_over_http(bucket: str, tmp_path: Path):
     executor = Inline()
     settings = embedded.settings(data=tmp_path, port=0, stores=f"{PLACE}/http", heartbeat_seconds=0.2)
-    with embedded.running(settings, executor) as address, httpx2.Client(base_url=address) as client:
+    with (
+        embedded.running(settings, executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
         here = finished(client, RAMP)  # type: ignore[arg-type]
         over_http = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
         direct = places.open_store(settings.store_of(here.rsplit("/", 1)[1]), read_only=True)
