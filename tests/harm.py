@@ -18,6 +18,10 @@ from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
 
+#: Seconds until what the worker said of the chunk before has surely left it: lost with the worker, that one
+#: would be taken for the guilty one, and tried again.
+REPORTED = 2.0
+
 
 def hang() -> None:
     """As a kernel that never comes back: deaf to the cancel mark."""
@@ -32,6 +36,7 @@ def freeze() -> None:
 def hog() -> None:
     """Take memory until someone ends it."""
     taken = []
+    time.sleep(REPORTED)
     while True:
         taken.append(b"x" * (50 << 20))
         time.sleep(0.1)
@@ -39,7 +44,7 @@ def hog() -> None:
 
 def poison() -> None:
     """As a compiled function that writes where it must not."""
-    time.sleep(0.1)
+    time.sleep(REPORTED)
     os.kill(os.getpid(), signal.SIGSEGV)
 
 

@@ -34,7 +34,7 @@ RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 STRICT = RUNS >= 10
 MEMORY = 600 << 20
 #: Seconds that a chunk may take: a hung one takes them, no other comes near them on a busy machine.
-HUNG = 12.0
+HUNG = 10.0
 PATIENCE = 180.0
 
 
@@ -128,7 +128,7 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
 def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
     """A hung, a greedy, a poisonous and a failing chunk at once, beside jobs that have none."""
     whole(fragile)
-    tries = 2 if STRICT else 1
+    tries = 2  # so that who is busy or unlucky once is not counted among the guilty
     terms = {"chunk_seconds": HUNG, "chunk_tries": tries}
     with running(tmp_path, fragile, **terms) as service:
         bad = {
