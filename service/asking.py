@@ -55,6 +55,7 @@ def follow(job_id: str, as_json: bool, url: str, token: str | None) -> None:
 @click.argument("job_id", metavar="ID")
 @click.option("--xi", type=float, help="Take the nearest ξ of the grid.")
 @click.option("--direction", type=click.Choice(["up", "down"]), help="Which way, after a ramp both ways.")
+@click.option("--every", type=click.IntRange(min=1), help="Take every n-th value of both axes only.")
 @click.option("--format", type=click.Choice(TABLES), help="What to write.  [default: the ending of FILE]")
 @output_option
 @service_options
@@ -62,6 +63,7 @@ def modes(
     job_id: str,
     xi: float | None,
     direction: str | None,
+    every: int | None,
     format: str | None,
     output: str,
     url: str,
@@ -70,7 +72,7 @@ def modes(
     """Write job ID's mode map over Γ and Ω, as csv or json."""
     chosen = format or format_of(output, TABLES)
     with connected(url, token) as client:
-        found = client.job(job_id).modes(xi, direction)
+        found = client.job(job_id).modes(xi, direction, every=every)
     write_file(output, _map_as_json(found) if chosen == "json" else _map_as_csv(found))
 
 

@@ -53,6 +53,7 @@ def line_options(command: Command) -> Command:
         click.option("--direction", type=click.Choice(["up", "down"]),
                      help="Which way, after a ramp both ways."),
         click.option("--min-flight", type=float, help="Leave out flights shorter than this, in rad."),
+        click.option("--every", type=click.IntRange(min=1), help="Take every n-th cell only."),
     )  # fmt: skip
 
 

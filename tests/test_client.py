@@ -287,6 +287,12 @@ def test_a_diagram_goes_along_any_axis(job: Job):
     assert float(diagram.gamma) == 1.5
 
 
+def test_cells_can_be_left_out(job: Job):
+    whole, thinned = job.diagram(omega=0.5), job.diagram(omega=0.5, every=3)
+    np.testing.assert_array_equal(thinned.gamma, whole.gamma[::3])
+    np.testing.assert_array_equal(thinned.outcome, whole.outcome[::3])
+
+
 def test_short_flights_can_be_left_out(job: Job):
     diagram = job.diagram(omega=0.5, min_flight=6.0)
     assert float(diagram.flight_time.min()) >= 6.0

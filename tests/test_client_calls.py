@@ -167,6 +167,8 @@ def test_modes(running: Running, tmp_path: Path):
     rows = (tmp_path / "modes.csv").read_text().splitlines()
     assert rows[0] == "omega,gamma,outcome,bounces,periods"
     assert len(rows) == 1 + 22
+    thinned = running.job.modes(direction="down", every=2)
+    np.testing.assert_array_equal(thinned.outcome, found.outcome[::2, ::2])
     omega, gamma, outcome, *_ = rows[-1].split(",")
     assert (float(omega), float(gamma)) == (0.7, 1.6)
     assert outcome in ("periodic", "aperiodic", "at_rest")

@@ -32,19 +32,26 @@ class Results:
         xi: float | None = None,
         direction: str | None = None,
         min_flight: float | None = None,
+        every: int | None = None,
     ) -> "xarray.Dataset":
         """The bifurcation diagram along one axis, the others fixed at the nearest value of the grid.
 
         Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
         there is no flight; `flights`, `outcome`, `bounces`, `periods` along the axis. Its attribute
         `complete` is 0 while cells are still missing. `direction` is up or down for a ramp both ways (up if
-        left out); flights shorter than `min_flight` (rad) are left out. Raises BadRequest naming the
-        parameter, TooLarge.
+        left out); flights shorter than `min_flight` (rad) are left out; `every` takes every n-th cell only.
+        Raises BadRequest naming the parameter, TooLarge naming the `every` that fits.
         """
         from service.client.datasets import diagram_dataset
 
         query = _line(
-            along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight
+            along=along,
+            gamma=gamma,
+            omega=omega,
+            xi=xi,
+            direction=direction,
+            min_flight=min_flight,
+            every=every,
         )
         return diagram_dataset(
             document(self._transport.get(self._path("diagram"), query)), self.id, self.name
@@ -60,13 +67,22 @@ class Results:
         xi: float | None = None,
         direction: str | None = None,
         min_flight: float | None = None,
+        every: int | None = None,
     ) -> bytes:
         """The same diagram as the bytes of a file: `format` is png, svg, csv or json.
 
         A ramp both ways shows both directions unless one is named. Raises as `diagram`.
         """
         query = {
-            **_line(along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight),
+            **_line(
+                along=along,
+                gamma=gamma,
+                omega=omega,
+                xi=xi,
+                direction=direction,
+                min_flight=min_flight,
+                every=every,
+            ),
             "format": format,
         }
         return self._transport.get(self._path("diagram"), query).content
@@ -94,15 +110,18 @@ class Results:
         )
         return threshold_dataset(document(answer), self.id)
 
-    def modes(self, xi: float | None = None, direction: str | None = None) -> "xarray.Dataset":
+    def modes(
+        self, xi: float | None = None, direction: str | None = None, *, every: int | None = None
+    ) -> "xarray.Dataset":
         """The mode map at the grid's ξ nearest to the one given: `outcome`, `bounces`, `periods`.
 
         Returns a Dataset with dims (omega, gamma); its attribute `complete` is 0 while cells are missing.
-        Raises BadRequest naming the parameter, TooLarge.
+        `every` takes every n-th value of both axes only. Raises BadRequest naming the parameter, TooLarge
+        naming the `every` that fits.
         """
         from service.client.datasets import modes_dataset
 
-        query = {"xi": xi, "direction": direction}
+        query = {"xi": xi, "direction": direction, "every": every}
         return modes_dataset(document(self._transport.get(self._path("modes"), query)), self.id)
 
     def export(self, path: str | PathLike[str]) -> Path:
@@ -134,6 +153,7 @@ def _line(
     xi: float | None,
     direction: str | None,
     min_flight: float | None,
+    every: int | None,
 ) -> dict[str, str | float | None]:
     """The query that chooses one line of the grid."""
     return {
@@ -143,4 +163,5 @@ def _line(
         "xi": xi,
         "direction": direction,
         "min_flight": min_flight,
+        "every": every,
     }
