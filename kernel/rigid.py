@@ -20,7 +20,7 @@ from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import landing, state_after, take_off
 from kernel.jit import inlined, jit
 from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
+from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator, quiet_after
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
 #: computed as one 5e-9 beside it, where the closed form still has eight digits.
@@ -141,10 +141,10 @@ def _contact(
     h1 = q1 + (s.q_re * sin + s.q_im * cos)
     h2 = -s.dashpot * h1 - s.stiffness * h
     h3 = -s.dashpot * h2 - s.stiffness * h1
-    if 2.0 * s.gravity - math.hypot(s.n_re, s.n_im) > envelope(s.stuck, h2, h3):
-        tau, ending, used = horizon, HORIZON, 1  # n cannot reach zero any more
-    else:
-        tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, horizon, budget)
+    quiet = quiet_after(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, min(horizon, quiet), budget)
+    if ending == HORIZON:  # or n cannot reach zero any more
+        tau = horizon
     h, h1 = motion(s.stuck, h, h1, tau)
     sin, cos = math.sin(phi + tau), math.cos(phi + tau)
     q = s.sag + (s.q_re * cos - s.q_im * sin) + h

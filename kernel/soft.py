@@ -18,8 +18,9 @@ from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import Flight, flight_terms, landing, state_after, take_off
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import derivatives, envelope, motion
+from kernel.oscillator import derivatives, envelope, motion, quiet_after
 from kernel.pressed import SoftSpring, join, pressed, soft_spring, split
+from kernel.ringing import pressed_until
 
 
 class SoftPlate(NamedTuple):
@@ -71,11 +72,17 @@ def _contact(
 ) -> Phase:
     m = split(s, phi, gap, gap1, q, q1)
     p = pressed(s, m, phi)
+    lull = p.still - math.hypot(p.w_re, p.w_im)
     ringing = envelope(p.slow_osc, p.slow, p.slow1) + envelope(p.fast_osc, p.fast, p.fast1)
-    if p.still - math.hypot(p.w_re, p.w_im) > ringing:
-        tau, ending, used = horizon, HORIZON, 1  # nothing can lift it any more
-    else:
-        tau, ending, used = first_root(p, 0.0, horizon, budget)
+    quiet = 0.0
+    if ringing >= lull:
+        quiet = max(
+            quiet_after(p.slow_osc, p.slow, p.slow1, 0.5 * lull),
+            quiet_after(p.fast_osc, p.fast, p.fast1, 0.5 * lull),
+        )
+    tau, ending, used = first_root(p, pressed_until(p, terms(p, 0.0)), min(horizon, quiet), budget)
+    if ending == HORIZON:  # or nothing can lift it any more
+        tau = horizon
     gap, gap1, q, q1 = join(s, m, phi, tau)
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
