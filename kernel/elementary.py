@@ -22,13 +22,16 @@ _ONE_OVER_LN2: Final = 1.4426950408889634
 _LN2_1: Final = 0.6931471803691238
 _LN2_2: Final = 1.9082149292705877e-10
 
+#: Beyond this many rad the reduction of `sincos` loses digits.
+_FAR: Final = 1e5
+
 #: Exponents below this are taken as it: theirs is the least power of two with all its digits.
 _LEAST: Final = -708.0
 
 
 @jit
 def sincos(x: float) -> tuple[float, float]:
-    """sin x and cos x for |x| < 1e5 rad."""
+    """sin x and cos x for |x| < _FAR rad."""
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
     u = r * r
@@ -59,6 +62,12 @@ def sincos(x: float) -> tuple[float, float]:
         -first if (quadrant & 2) != 0 else first,
         -second if ((quadrant + 1) & 2) != 0 else second,
     )
+
+
+@jit
+def turned(x: float) -> tuple[float, float]:
+    """sin x and cos x for any x."""
+    return sincos(x) if abs(x) < _FAR else (math.sin(x), math.cos(x))
 
 
 @jit

@@ -75,15 +75,16 @@ def departure_step(f2: float, f3: float, f4: float) -> float:
 def safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, guess: float) -> float:
     """How far f0 + f1 s + f2 s^2/2 + f3 s^3/6 - f4 s^4/24 surely stays positive, f0 >= 0, f4 >= 0.
 
-    On [0, h] the second derivative is at least f2 + min(f3, 0) h - f4 h^2/2, which leaves a
-    parabola to solve. h is widened or narrowed until it is about the step it allows.
+    That is f0 + f1 s + (f2 + f3 s/3 - f4 s^2/12) s^2/2, where the bracket is concave: on [0, h]
+    it is at least what it is at the ends, which leaves a parabola to solve. h is widened or
+    narrowed until it is about the step it allows.
     """
     if f0 == 0.0 and f1 == 0.0:
         return departure_step(f2, f3, f4)
     h = guess
     best = 0.0
     for _ in range(8):
-        curve = -f2 - min(f3, 0.0) * h + 0.5 * f4 * h * h
+        curve = max((f4 * h / 12.0 - f3 / 3.0) * h, 0.0) - f2
         if curve > 0.0:
             root = math.sqrt(f1 * f1 + 2.0 * curve * f0)
             step = (f1 + root) / curve if f1 > 0.0 else 2.0 * f0 / (root - f1)

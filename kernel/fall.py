@@ -8,6 +8,7 @@ concave, and a first zero is bracketed or excluded for certain, however short a 
 import math
 from typing import Final, NamedTuple
 
+from kernel.elementary import turned
 from kernel.events import EPS, HORIZON, ROOT, SPENT, halley
 from kernel.jit import jit
 from kernel.modes import TWO_PI
@@ -80,7 +81,7 @@ def drop(gravity: float, lift: float, slope: float, phi: float, gap: float, gap1
     bend = TWO_PI - lift - phi
     if convex:
         bend = lift - phi if phi < lift else TWO_PI + lift - phi
-    sin, cos = math.sin(phi), math.cos(phi)
+    sin, cos = turned(phi)
     return Drop(gravity, lift, slope, convex, bend, sin, cos, cos - gravity, gap, gap1)
 
 
@@ -103,7 +104,7 @@ def state_after(p: Drop, tau: float) -> tuple[float, float, float, float]:
         gap = p.gap + tau * p.gap1 + half * p.pull - p.sin * odd - p.cos * even
         gap1 = p.gap1 + tau * p.pull - p.sin * less - p.cos * odd
         return gap, gap1, p.pull - p.sin * sin - p.cos * less, p.sin * less - p.cos * sin - p.sin
-    sin, cos = math.sin(tau), math.cos(tau)
+    sin, cos = turned(tau)
     drift = p.gap1 - p.sin
     gap = p.gap + tau * (drift - 0.5 * p.gravity * tau) + p.sin * sin + p.cos * (1.0 - cos)
     gap1 = drift - p.gravity * tau + p.sin * cos + p.cos * sin

@@ -64,7 +64,7 @@ def load(
     table[V0 * LANES + k] = v
     table[HORIZON * LANES + k] = horizon
     table[TAU * LANES + k] = min(start, horizon)
-    table[GUESS * LANES + k] = min(0.5, 4.0 / osc.rate)
+    table[GUESS * LANES + k] = min(1.5, 3.0 / osc.rate)
     table[CLOSING * LANES + k] = 0.0
     table[COUNT * LANES + k] = 0.0
 
@@ -88,7 +88,7 @@ def coefficients(
 @jit
 def _parabola(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
     """One round of events.safe_step: a step of at most h on which F stays positive."""
-    curve = max(fma(fma(0.5 * f4, h, -min(f3, 0.0)), h, -f2), 1e-300)
+    curve = max(max(fma(f4 * (1.0 / 12.0), h, f3 * (-1.0 / 3.0)) * h, 0.0) - f2, 1e-300)
     root = math.sqrt(fma(f1, f1, 2.0 * curve * f0))
     rising = f1 > 0.0
     return min((f1 + root if rising else 2.0 * f0) / (curve if rising else root - f1), h)
@@ -162,7 +162,7 @@ def advance(table: Any) -> None:
         status = STRAYED if lost_way else status
         onward = min(tau + (move if closing > 0.0 else step), horizon)
         table[TAU * LANES + k] = onward if status == SEARCHING else tau
-        table[GUESS * LANES + k] = (4.0 if step >= guess else 1.5) * step
+        table[GUESS * LANES + k] = (2.0 if step >= guess else 1.5) * step
         table[CLOSING * LANES + k] = closing
         table[COUNT * LANES + k] = count
         table[STATUS * LANES + k] = status

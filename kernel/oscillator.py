@@ -7,6 +7,7 @@ obeys the same equation, which gives n'', gap''' and so on without differencing.
 import math
 from typing import Final, NamedTuple
 
+from kernel.elementary import exp, turned
 from kernel.jit import inlined, jit
 
 TWO_PI: Final = 2.0 * math.pi
@@ -46,17 +47,21 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
 
     C(0) = 1, C'(0) = 0, S(0) = 0, S'(0) = 1 and C' = -w S.
     """
+    if tau == 0.0:
+        return 1.0, 0.0, 1.0
     if osc.discriminant < 0.0:
-        decay = math.exp(-osc.damping * tau)
-        cosine = decay * math.cos(osc.root * tau)
-        sine = decay * math.sin(osc.root * tau) / osc.root
+        decay = exp(-osc.damping * tau)
+        turn, turn1 = turned(osc.root * tau)
+        cosine = decay * turn1
+        sine = decay * turn / osc.root
         return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
-    slow = math.exp(osc.slow * tau)
+    slow = exp(osc.slow * tau)
     spread = 2.0 * osc.root * tau
     if osc.root > NEAR_CRITICAL * osc.damping:
-        lost = math.exp(-spread)
+        gone = -math.expm1(-spread)
+        lost = 1.0 - gone
         scale = slow / (2.0 * osc.root)
-        sine = -scale * math.expm1(-spread)
+        sine = scale * gone
         return scale * (osc.slow * lost - osc.fast), sine, scale * (osc.slow - osc.fast * lost)
     sine = slow * tau if spread == 0.0 else -slow * tau * math.expm1(-spread) / spread
     return slow - osc.slow * sine, sine, slow + osc.fast * sine
