@@ -3,7 +3,7 @@
 Conservative advancement: from where F > 0 is known with its first three derivatives
 and a bound on the fourth, step no further than the first zero of a lower bound of F.
 No zero can lie inside a step, however short a graze is, and near a zero the bound
-touches F to third order, so that the steps converge like Halley's method.
+touches F to third order. Where F surely falls through zero, Householder's method closes in on it.
 
 A phase function is given as a smooth part (a parabola and the plate's sinusoid) plus
 a ringing part (a damped oscillation). Where the ringing is fast but small against the
@@ -116,12 +116,17 @@ def monotone_width(f0: float, f1: float, f2: float, f3: float, f4: float) -> flo
 
 
 @jit
-def halley(f0: float, f1: float, f2: float, f3: float) -> tuple[float, float]:
-    """Halley's step from F, F', F'' towards its zero, and the size of what that leaves."""
-    newton = -f0 / f1
-    bend = 0.5 * f2 / f1
-    left = abs(newton) ** 3 * (bend * bend + abs(f3 / (6.0 * f1)))
-    return newton / (1.0 + newton * bend), left
+def householder(f0: float, f1: float, f2: float, f3: float, f4: float) -> tuple[float, float]:
+    """Householder's third-order step from F and its derivatives to its zero, and about what that leaves.
+
+    f4 bounds the fourth derivative.
+    """
+    inverse = 1.0 / f1
+    newton, bend, twist = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse / 6.0
+    step = newton * (1.0 + bend * newton) / (1.0 + (2.0 * bend + twist * newton) * newton)
+    astray = 5.0 * abs(bend) * (bend * bend + abs(twist)) + f4 * abs(inverse) / 24.0
+    square = newton * newton
+    return step, square * square * astray
 
 
 @jit
@@ -130,7 +135,9 @@ def close_in(phase: Any, low: float, high: float, tau: float, budget: int) -> tu
     for used in range(budget):
         t = terms(phase, tau)
         f0 = t.smooth + t.ring
-        step, left = halley(f0, t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3)
+        step, left = householder(
+            f0, t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+        )
         tau = min(max(tau + step, low), high)
         if left <= EPS * tau or abs(f0) <= t.noise:
             return tau, ROOT, used + 1
@@ -160,7 +167,7 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         f0 = max(f0, t.noise)  # or where F is all rounding, steps would vanish
         width = monotone_width(f0, f1, f2, f3, f4)
         if width > 0.0:
-            step, _ = halley(f0, f1, f2, f3)
+            step, _ = householder(f0, f1, f2, f3, f4)
             tau, ending, more = close_in(phase, tau, tau + width, tau + step, budget - used)
             beyond = tau >= horizon
             return (horizon if beyond else tau), (HORIZON if beyond else ending), used + more

@@ -9,7 +9,7 @@ import math
 from typing import Final, NamedTuple
 
 from kernel.elementary import turned
-from kernel.events import EPS, HORIZON, ROOT, SPENT, halley
+from kernel.events import EPS, HORIZON, ROOT, SPENT, householder
 from kernel.jit import jit
 from kernel.modes import TWO_PI
 
@@ -206,14 +206,14 @@ def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
 
 @jit
 def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
-    """The zero in a bracket to rounding, by Halley's method; by halving where that leads astray."""
+    """The zero in a bracket to rounding, by Householder's method; by halving where that leads astray."""
     low, high, tau = bracket
     if not low < tau < high:
         tau = 0.5 * (low + high)
     start, here = 0.0, p
     for used in range(1, budget + 1):
         f0, f1, f2, f3 = state_after(here, tau - start)
-        step, left = halley(f0, f1, f2, f3)
+        step, left = householder(f0, f1, f2, f3, 1.0)
         done = f1 < 0.0 and (left <= EPS * tau or abs(f0) <= _noise(p, tau))
         if f0 > 0.0:
             low = tau
@@ -223,8 +223,10 @@ def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
             step = 0.5 * (low + high) - tau
             done = not low < tau + step < high
         if done:
-            f1 += step * (f2 + 0.5 * step * f3)
-            f2, f3 = f2 + step * f3, f3 - step * (f2 + p.gravity)
+            cos, half, sixth = f2 + p.gravity, 0.5 * step, step * step / 6.0
+            f1 += step * (f2 + half * f3 - sixth * cos)
+            f2 += step * (f3 - half * cos - sixth * f3)
+            f3 -= step * (cos + half * f3 - sixth * cos)
             return Landing(min(max(tau + step, low), high), ROOT, f1, f2, f3, used)
         if abs(step) < NEARBY * tau and start == 0.0:  # no more sines
             here = Drop(p.gravity, p.lift, p.slope, p.convex, p.bend, -f3, f2 + p.gravity, f2, f0, f1)
