@@ -24,6 +24,10 @@ BROKEN: Final = 3  # a number stopped being finite
 #: Rounding of one operation.
 EPS: Final = 2.3e-16
 
+#: A last step is shorter than this, in rad and in times over which F changes its shape: what the
+#: step's formula leaves out is then below rounding.
+NEAR: Final = 3e-4
+
 #: No step is wider than this, rad.
 WIDEST: Final = 1e3
 
@@ -125,8 +129,9 @@ def householder(f0: float, f1: float, f2: float, f3: float, f4: float) -> tuple[
     newton, bend, twist = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse / 6.0
     step = newton * (1.0 + bend * newton) / (1.0 + (2.0 * bend + twist * newton) * newton)
     astray = 5.0 * abs(bend) * (bend * bend + abs(twist)) + f4 * abs(inverse) / 24.0
-    square = newton * newton
-    return step, square * square * astray
+    cube = abs(newton * newton * newton)
+    near = abs(newton) < NEAR and cube * f4 * abs(inverse) < NEAR * NEAR * NEAR
+    return step, abs(newton) * cube * astray if near else math.inf
 
 
 @jit

@@ -14,7 +14,7 @@ import math
 from typing import Any, Final
 
 from kernel.elementary import exp, sincos
-from kernel.events import EPS
+from kernel.events import EPS, NEAR
 from kernel.instructions import fma
 from kernel.jit import inlined, jit
 from kernel.oscillator import NEAR_CRITICAL, Oscillator
@@ -142,6 +142,7 @@ def advance(table: Any) -> None:
         square = newton * newton
         astray = fma(5.0 * abs(bend), fma(bend, bend, abs(twist)), -f4 * inverse * (1.0 / 24.0))
         left = square * square * abs(astray)
+        near = square * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
         width = 2.0 * newton
         steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
         falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
@@ -153,8 +154,9 @@ def advance(table: Any) -> None:
         # how this evaluation ends
         horizon = table[HORIZON * LANES + k]
         noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
-        exact = (abs(f0) <= noise) | (left <= EPS * tau)
-        found = (f1 < 0.0) & (tau + move <= horizon) & (((closing > 0.0) & exact) | (f0 <= noise))
+        exact = (abs(f0) <= noise) | (near & (left <= EPS * tau))
+        there = exact if closing > 0.0 else f0 <= noise
+        found = (f1 < 0.0) & (tau + move <= horizon) & there
         status = AT_ROOT if found else SEARCHING
         status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not found) else status
         count = table[COUNT * LANES + k] + 1.0

@@ -107,7 +107,8 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
     y4 = -2.0 * osc.damping * y3 - osc.stiffness * y2
     y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
     y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
-    bent, less = move * (1.0 - move * move * (1.0 / 6.0)), 0.5 * move * move
+    square = move * move
+    bent, less = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
     sin, cos = sin + cos * bent - sin * less, cos - sin * bent - cos * less
     ending = ROOT if table[STATUS * LANES + k] == AT_ROOT else HORIZON
     used = int(table[COUNT * LANES + k])

@@ -58,10 +58,9 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     slow = exp(osc.slow * tau)
     spread = 2.0 * osc.root * tau
     if osc.root > NEAR_CRITICAL * osc.damping:
-        gone = -math.expm1(-spread)
-        lost = 1.0 - gone
+        lost = exp(-spread)
         scale = slow / (2.0 * osc.root)
-        sine = scale * gone
+        sine = -scale * math.expm1(-spread)
         return scale * (osc.slow * lost - osc.fast), sine, scale * (osc.slow - osc.fast * lost)
     sine = slow * tau if spread == 0.0 else -slow * tau * math.expm1(-spread) / spread
     return slow - osc.slow * sine, sine, slow + osc.fast * sine
