@@ -1,26 +1,39 @@
-"""CPU time per cell and plate period of each contact model, beside heyoka's Taylor integrator.
+"""CPU time per cell and plate period of each contact model and of general integrators, and their errors.
 
-    python -m benchmarks.kernel [--repeat 7] [--no-rival]
+    python -m benchmarks.kernel [--repeat 7] [--only rigid,heyoka,...]
 
-Cells are those of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate
-periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, which is how a
-sweep runs them; "alone" runs one cell through the scalar functions. Every figure is the median
-over the cells of the median over repetitions, and the ratios come from the same run.
+Time: cells are those of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate
+periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, which is how a sweep runs
+them; "alone" runs one cell through the scalar functions. Every figure is the median over the cells of the
+median over repetitions, and the ratios come from the same run. The rivals solve the rigid spring, compiled
+beforehand; the slow ones run fewer periods.
+
+Error: of the flight times of tests/golden's rigid cells after 200 periods, the worst of all; those numbers
+are themselves certain to 6e-10. And how far the first three flights from rest are from `rigid`'s.
 """
 
 import argparse
+import json
+import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.machine import describe
+from benchmarks.tables import short, table
 from kernel.params import Line, Model
 from kernel.ramp import run_line
 
 PERIODS = 300
 NEIGHBOURS = 64
+GOLDEN = json.loads((Path(__file__).parents[1] / "tests" / "golden" / "rigid.json").read_text())
+GOLDEN_PERIODS = 200
+FIRST = 3
 
 #: (Gamma, Omega, xi)
 CELLS = [
@@ -37,102 +50,179 @@ CELLS = [
     (3.0, 1.24, 0.05),
 ]
 
+#: (Gamma, Omega, xi, periods) -> flight times from rest, rad.
+Solver = Callable[[float, float, float, int], Sequence[float]]
+
+
+class Row(NamedTuple):
+    """One line of the table: microseconds, and the two errors in rad where they make sense."""
+
+    name: str
+    cost: float
+    golden: float = math.nan
+    first: float = math.nan
+
 
 def line(
-    gamma: np.ndarray,
-    omega: float,
-    xi: float,
-    model: Model,
-    *,
-    e: float,
-    d: float,
-    adhesive: bool,
-    alone: bool,
-) -> Line:
+    gamma: Any, omega: float, xi: float, model: Model = Model.RIGID, *, e: float = 0.0, d: float = 1e-3,
+    adhesive: bool = True, alone: bool = False, settle: int = 200, observe: int = PERIODS - 200,
+) -> Line:  # fmt: skip
     """A line of cells from rest; a single cell `alone` runs as a ramp of one."""
+    gamma = np.atleast_1d(np.asarray(gamma, float))
     full = np.full_like
     return run_line(
         gamma, full(gamma, omega), full(gamma, xi), model=model, restitution=full(gamma, e),
-        penetration=full(gamma, d), adhesive=adhesive, carry=alone,
-        settle=200, observe=PERIODS - 200, keep=64,
+        penetration=full(gamma, d), adhesive=adhesive, carry=alone, settle=settle, observe=observe, keep=64,
     )  # fmt: skip
 
 
-def microseconds(run: Callable[[], object], cells: int, repeat: int) -> float:
-    """Median CPU microseconds per cell and plate period."""
+def flights_alone(gamma: float, omega: float, xi: float, periods: int) -> list[float]:
+    """The last flights of one cell by the scalar kernel."""
+    settle = max(0, periods - 20)
+    done = line(gamma, omega, xi, alone=True, settle=settle, observe=periods - settle)
+    return _recorded(done, 0)
+
+
+def flights_neighbours(gamma: float, omega: float, xi: float, periods: int) -> list[float]:
+    """The last flights of the middle one of nine cells side by side."""
+    settle = max(0, periods - 20)
+    spread = gamma * (1.0 + 1e-3 * np.arange(-4, 5))
+    return _recorded(line(spread, omega, xi, settle=settle, observe=periods - settle), 4)
+
+
+def _recorded(done: Line, cell: int) -> list[float]:
+    return done.flight_time[cell, : done.flights[cell]].tolist()
+
+
+def cost_of(run: Callable[[], object], units: float, repeat: int) -> float:
+    """Median CPU microseconds per unit; the first run, which may compile, does not count."""
     run()
     times = []
     for _ in range(repeat):
         start = time.process_time()
         run()
         times.append(time.process_time() - start)
-    return statistics.median(times) / cells / PERIODS * 1e6
+    return statistics.median(times) / units * 1e6
 
 
-def once(run: Callable[[], object], periods: int) -> float:
-    """CPU microseconds per plate period of a run too slow to repeat."""
-    start = time.process_time()
-    run()
-    return (time.process_time() - start) / periods * 1e6
-
-
-def kernel_cost(model: Model, repeat: int, *, e: float, d: float, adhesive: bool, alone: bool) -> float:
+def kernel_cost(model: Model, repeat: int, **given: Any) -> float:
     """Median over CELLS."""
     costs = []
     for gamma, omega, xi in CELLS:
-        spread = np.array([gamma]) if alone else gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
+        spread = np.array([gamma]) if given.get("alone") else gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
 
         def run(g: np.ndarray = spread, o: float = omega, x: float = xi) -> Line:
-            return line(g, o, x, model, e=e, d=d, adhesive=adhesive, alone=alone)
+            return line(g, o, x, model, **given)
 
-        costs.append(microseconds(run, len(spread), repeat))
+        costs.append(cost_of(run, len(spread) * PERIODS, repeat))
     return statistics.median(costs)
+
+
+def golden_error(solve: Solver) -> float:
+    """The worst flight of tests/golden's periodic cells, compared in order of length."""
+    worst = 0.0
+    for cell in GOLDEN:
+        found = solve(cell["gamma"], cell["omega"], cell["xi"], GOLDEN_PERIODS)
+        last = sorted(found[len(found) - cell["bounces"] :])
+        worst = max(worst, *(abs(a - b) for a, b in zip(last, sorted(cell["flights"]), strict=True)))
+    return worst
+
+
+def first_error(solve: Solver) -> float:
+    """How far a solver's first flights in the same cells are from those of `rigid`, alone."""
+    worst = 0.0
+    for cell in GOLDEN:
+        where = (cell["gamma"], cell["omega"], cell["xi"], 20)
+        theirs, ours = solve(*where), flights_alone(*where)
+        # The kernel does not count a flight that is under way when the plate starts.
+        pairs = zip(theirs[len(theirs) - len(ours) :], ours, strict=True)
+        worst = max(worst, *(abs(a - b) for a, b in islice(pairs, FIRST)))
+    return worst
+
+
+def own_rows(repeat: int) -> list[Row]:
+    """This project's models."""
+    rows = [
+        Row("rigid, neighbours", kernel_cost(Model.RIGID, repeat),
+            golden_error(flights_neighbours), first_error(flights_neighbours)),
+        Row("rigid, alone", kernel_cost(Model.RIGID, repeat, alone=True), golden_error(flights_alone)),
+    ]  # fmt: skip
+    for adhesive in (True, False):
+        for d in (1e-3, 1e-6):
+            name = f"soft, {'adhesive' if adhesive else 'nonadhesive'}, e = 0.01, d = {d:g}"
+            rows.append(Row(name, kernel_cost(Model.SOFT, repeat, e=0.01, d=d, adhesive=adhesive)))
+    stepped = kernel_cost(Model.STEPPED, 1, e=0.01, alone=True)
+    rows.append(Row("stepped, the paper's method, d = 0.001", stepped))
+    return rows
+
+
+def rival(name: str, solve: Solver, periods: int, repeat: int) -> Row:
+    """One general integrator: its cost over CELLS and its errors."""
+    costs = [cost_of(lambda c=cell: solve(*c, periods), periods, repeat) for cell in CELLS]
+    return Row(name, statistics.median(costs), golden_error(solve), first_error(solve))
+
+
+def heyoka(repeat: int) -> list[Row]:
+    """Taylor's method to the last digit, compiled."""
+    from benchmarks.heyoka_rival import Spring
+
+    return [rival("heyoka, tolerance 2.2e-16", Spring().run, PERIODS, repeat)]
+
+
+def sundials(repeat: int) -> list[Row]:
+    """CVODE with roots; the equations are called back in Python."""
+    from benchmarks.sundials_rival import Spring
+
+    return [rival("scikit-sundae CVODE (Adams), rtol 1e-11", Spring(1e-11).run, 20, min(repeat, 3))]
+
+
+def diffrax(repeat: int) -> list[Row]:
+    """Dopri8 compiled by JAX, one cell at a time, and as many as `rigid` has neighbours side by side."""
+    from benchmarks.diffrax_rival import Spring
+
+    spring = Spring(1e-11)
+    alone = rival("diffrax Dopri8, rtol 1e-11", spring.run, 40, min(repeat, 3))
+    costs = []
+    for gamma, omega, xi in CELLS[::4]:
+        spread = gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
+        run = lambda g=spread, o=omega, x=xi: spring.run_batch(g, o, x, 20)  # noqa: E731
+        costs.append(cost_of(run, NEIGHBOURS * 20, 1))
+    return [alone, Row("the same under vmap, 64 neighbours", statistics.median(costs), alone.golden)]
+
+
+def scipy(repeat: int) -> list[Row]:
+    """solve_ivp, the equations in Python."""
+    from benchmarks import scipy_rival
+
+    def of(method: str) -> Solver:
+        return lambda *cell: scipy_rival.run(*cell, method)
+
+    methods = ("DOP853", "LSODA")
+    return [rival(f"scipy solve_ivp {m}, rtol 1e-9", of(m), 20, min(repeat, 1)) for m in methods]
+
+
+RIVALS = {"heyoka": heyoka, "diffrax": diffrax, "sundials": sundials, "scipy": scipy}
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=7)
-    parser.add_argument("--no-rival", action="store_true", help="leave heyoka out")
-    arguments = parser.parse_args()
-    print(describe())
-    rows = [
-        (
-            "rigid, neighbours",
-            kernel_cost(Model.RIGID, arguments.repeat, e=0, d=1e-3, adhesive=True, alone=False),
-        )
-    ]
-    rows.append(
-        ("rigid, alone", kernel_cost(Model.RIGID, arguments.repeat, e=0, d=1e-3, adhesive=True, alone=True))
-    )
-    for adhesive in (True, False):
-        for d in (1e-3, 1e-6):
-            cost = kernel_cost(Model.SOFT, arguments.repeat, e=0.01, d=d, adhesive=adhesive, alone=False)
-            rows.append((f"soft, {'adhesive' if adhesive else 'nonadhesive'}, e = 0.01, d = {d:g}", cost))
-    stepped = [
-        microseconds(
-            lambda c=c: line(
-                np.array([c[0]]), c[1], c[2], Model.STEPPED, e=0.01, d=1e-3, adhesive=True, alone=False
-            ),
-            1,
-            1,
-        )
-        for c in CELLS
-    ]
-    rows.append(("stepped, the paper's method, d = 0.001", statistics.median(stepped)))
-    if not arguments.no_rival:
-        from benchmarks import scipy_rival
-        from benchmarks.heyoka_rival import Spring
+    parser.add_argument("--only", default=",".join(RIVALS), help="which rivals, with commas; '' for none")
+    given = parser.parse_args()
+    wanted = [name for name in given.only.split(",") if name]
+    packages = {"sundials": "scikit-sundae"}
+    print(describe(*(packages.get(name, name) for name in wanted)))
+    rows = own_rows(given.repeat)
+    for name in wanted:
+        rows += RIVALS[name](given.repeat)
 
-        spring = Spring()
-        costs = [microseconds(lambda c=c: spring.run(*c, PERIODS), 1, arguments.repeat) for c in CELLS]
-        rows.append(("heyoka, rigid, tolerance 2.2e-16", statistics.median(costs)))
-        for method in ("DOP853", "LSODA"):
-            costs = [once(lambda c=c, m=method: scipy_rival.run(*c, 20, m), 20) for c in CELLS]
-            rows.append((f"scipy solve_ivp {method}, rigid, rtol 1e-9", statistics.median(costs)))
-    print(f"\n{'':44}{'us per plate period':>20}{'of rigid, neighbours':>22}")
-    for name, cost in rows:
-        print(f"{name:44}{cost:20.3f}{cost / rows[0][1]:22.1f}")
+    def shown(row: Row) -> list[str]:
+        errors = ["" if math.isnan(error) else f"{error:.0e}" for error in (row.golden, row.first)]
+        return [row.name, short(row.cost), short(row.cost / rows[0].cost), *errors]
+
+    head = ["", "µs per plate period", "of rigid, neighbours", "worst error, rad", "first flights off, rad"]
+    print("\n" + table(head, [shown(row) for row in rows]))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,16 @@
-"""Answers that workers compute for a request: awaited for a while, kept, and asked for again without loss."""
+"""Answers that workers compute for a request: awaited for a while, kept, and asked for again without loss.
+
+A request that has waited long enough is told how far the workers are (202), which is no error.
+"""
 
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, wait
-from typing import Any, Final
+from typing import Any, Final, Literal
+
+from fastapi import Request, Response
+from pydantic import BaseModel
 
 from service.errors import Busy, NotComputed
 from worker.executors import Executor, ExecutorError
@@ -16,10 +22,53 @@ KEPT: Final = 64
 Begin = Callable[[Executor], Sequence["Future[Any]"]]
 
 
+#: Seconds after which it is worth to ask again.
+RETRY_AFTER: Final = 1
+
+
+class PartsView(BaseModel):
+    """How far an answer is."""
+
+    parts_done: int
+    parts_total: int
+    percent: float
+
+
+class UnderwayView(BaseModel):
+    """Workers are computing the answer: ask again after Retry-After."""
+
+    state: Literal["running"] = "running"
+    progress: PartsView
+
+
+#: What the API document says of calls that may answer so.
+RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
+    202: {"model": UnderwayView, "description": "Not computed yet: ask again after Retry-After"}
+}
+
+
+class Underway(Exception):
+    """Workers are computing the answer; raised to the one handler below."""
+
+    def __init__(self, done: int, total: int) -> None:
+        super().__init__(done, total)
+        self.done, self.total = done, total
+
+
+def underway(_: Request, error: Exception) -> Response:
+    """202 with how far the workers are."""
+    assert isinstance(error, Underway)  # as it is registered
+    parts = PartsView(
+        parts_done=error.done, parts_total=error.total, percent=round(100.0 * error.done / error.total, 1)
+    )
+    content = UnderwayView(progress=parts).model_dump_json()
+    return Response(content, 202, {"Retry-After": str(RETRY_AFTER)}, "application/json")
+
+
 class Answers:
     """What workers answer. A request that gives up waiting leaves the work going for the next one."""
 
-    def __init__(self, executor: Executor, places: int = 4, patience: float = 20.0) -> None:
+    def __init__(self, executor: Executor, places: int = 4, patience: float = 2.0) -> None:
         self._executor, self._places, self._patience = executor, places, patience
         self._asked: OrderedDict[Hashable, Sequence[Future[Any]]] = OrderedDict()
         self._lock = threading.Lock()
@@ -27,12 +76,13 @@ class Answers:
     def to(self, question: Hashable, begin: Begin) -> list[Any]:
         """The parts of the answer, as soon as all are there; `begin` is used if nobody asked before.
 
-        Raises Busy if many others are being computed, NotComputed if it takes longer than a request may
-        wait or the workers were lost, and what the work itself raised.
+        Raises Underway if it takes longer than a request may wait, Busy if many others are being computed,
+        NotComputed if the workers were lost, and what the work itself raised.
         """
         parts = self._parts(question, begin)
-        if wait(parts, timeout=self._patience).not_done:
-            raise NotComputed(f"not computed within {self._patience:g} s; it goes on: ask again")
+        done, left = wait(parts, timeout=self._patience)
+        if left:
+            raise Underway(len(done), len(parts))
         try:
             return [part.result() for part in parts]
         except BaseException as error:

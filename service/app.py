@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service import docs, errors, exports, page, probes, results, routes, tradeoff, trajectories
-from service.answers import Answers
+from service.answers import Answers, Underway, underway
 from service.bodies import BodyLimit
 from service.calls import Service
 from service.damage import damaged
@@ -55,6 +55,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     page.install(app)
     errors.install(app)
     app.add_exception_handler(StoreDamaged, damaged)
+    app.add_exception_handler(Underway, underway)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Requests, metrics=metrics)  # the outermost: it tells of refusals too

@@ -37,7 +37,7 @@ class Service:
     answers: Answers
 
 
-def _service(request: Request) -> Service:
+async def _service(request: Request) -> Service:  # async: a plain one would take a thread for nothing
     service: Service = request.app.state.service
     return service
 
@@ -45,7 +45,8 @@ def _service(request: Request) -> Service:
 TheService = Annotated[Service, Depends(_service)]
 
 
-def _job(job_id: str, service: TheService) -> JobRecord:
+def job_of(job_id: str, service: TheService) -> JobRecord:
+    """The job that a path names. Raises UnknownJob."""
     job = service.ledger.find(job_id)
     if job is None:
         raise UnknownJob.of(job_id)
@@ -60,7 +61,7 @@ async def _json_body(request: Request) -> bytes:
     return await request.body()
 
 
-TheJob = Annotated[JobRecord, Depends(_job)]
+TheJob = Annotated[JobRecord, Depends(job_of)]
 JsonBody = Annotated[bytes, Depends(_json_body)]
 
 

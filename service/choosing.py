@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from typing import Any, Final
 
+from pydantic import BaseModel, Field
+
 from service.jobs import JobRecord
 from service.ledger import Ledger
 from worker.choice import Choice, choose, resolved
@@ -21,6 +23,27 @@ log = logging.getLogger(__name__)
 
 #: Workers that may be lost over one choice.
 TRIES: Final = 3
+
+
+class RungView(BaseModel):
+    """One model beside the exact contact, over a sample of the sweep's cells; deviations in rad."""
+
+    model: str
+    cost: float = Field(description="core-µs a cell and plate period, by the table that decides")
+    measured: float | None = Field(description="the same, as it went while choosing")
+    median: float | None = Field(description="deviation of flight times; null where some cell has none")
+    percentile_95: float | None
+    cells: int
+    resting: int = Field(0, description="of them on the plate throughout, which a closed form answers")
+
+
+class ChoiceView(BaseModel):
+    """The model that was chosen for a sweep whose own is `auto`."""
+
+    model: str
+    reason: str
+    tolerance: float
+    table: list[RungView]
 
 
 class Choosing:

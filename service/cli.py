@@ -48,6 +48,7 @@ def main() -> None:
 @click.option("--workers", type=int, help="Processes of the embedded cluster.  [default: 2]")
 @click.option("--scheduler", help="Address of a Dask scheduler, instead of an embedded cluster.")
 @click.option("--scheduler-file", type=click.Path(), help="File in which a Dask scheduler left its address.")
+@click.option("--cluster", metavar="MODULE:FUNCTION", help="What makes a Dask cluster, instead of all these.")
 def serve(**given: str | int | None) -> None:
     """Run the service until SIGINT or SIGTERM.
 

@@ -1,36 +1,22 @@
-"""A diagram as JSON, as a table, or as a picture fit for a paper."""
+"""A diagram as a picture fit for a paper."""
 
-import csv
 import io
-import json
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.queries import Diagram, Plane
+from service.density import Window, density
+from service.queries import Diagram
 from worker.spec import SweepSpec
-
-#: The columns of the table, with units where there are any. One row is one flight.
-COLUMNS: Final = (
-    "direction",
-    "gamma",
-    "omega",
-    "xi",
-    "flight",
-    "flight_time_rad",
-    "takeoff_phase_rad",
-    "outcome",
-    "bounces",
-    "periods",
-)
 
 SYMBOLS: Final = {"gamma": r"$\Gamma$", "omega": r"$\Omega$", "xi": r"$\xi$"}
 
@@ -42,53 +28,20 @@ OVERLAID: Final = (("#a6a6a6", 1.7), ("#b2182b", 0.8))
 FONT: Final = "STIXGeneral"
 TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
 TURN: Final = 2 * np.pi
+DPI: Final = 200
 
 #: More points than this become an image inside an SVG.
 MANY_POINTS: Final = 5_000
 
+#: More of a direction are drawn as density, on so many columns and rows: about the pixels of the axes.
+DENSE_POINTS: Final = 200_000
+COLUMNS_AND_ROWS: Final = (1200, 680)
+#: Opacity of a part of the picture on which one flight falls, and how many it takes to be opaque.
+FAINTEST: Final = 0.5
+OPAQUE: Final = 24
+
 #: matplotlib shares caches between figures without locking them.
 drawing: Final = threading.Lock()
-
-
-def as_json(diagram: Diagram) -> bytes:
-    """The diagram as a JSON document; every list of flights is as long as there are flights to show."""
-    members = {
-        "along": _json(diagram.along),
-        "fixed": _json(diagram.fixed),
-        "direction": _json(diagram.direction),
-        "values": _json(diagram.values.tolist()),
-        "flight_time": _lists(diagram.flight_time, diagram.shown),
-        "takeoff_phase": _lists(diagram.takeoff_phase, diagram.shown),
-        "flights": _json(diagram.flights.tolist()),
-        "outcome": _json(diagram.outcome.tolist()),
-        "bounces": _json(diagram.bounces.tolist()),
-        "periods": _json(diagram.periods.tolist()),
-        "complete": _json(diagram.complete),
-    }
-    return _object(members)
-
-
-def modes_as_json(plane: Plane) -> bytes:
-    """A mode map as a JSON document; arrays as lists of rows, one for each Ω."""
-    members = {
-        "xi": _json(plane.xi),
-        "direction": _json(plane.direction),
-        "omega": _json(plane.omega.tolist()),
-        "gamma": _json(plane.gamma.tolist()),
-        **{name: _rows_of(array) for name, array in plane.arrays.items()},
-        "complete": _json(plane.complete),
-    }
-    return _object(members)
-
-
-def as_csv(diagrams: Sequence[Diagram]) -> bytes:
-    """A table with a header and one row a flight; cells without flights have none."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(COLUMNS)
-    for diagram in diagrams:
-        table.writerows(_rows(diagram))
-    return text.getvalue().encode()
 
 
 def as_picture(diagrams: Sequence[Diagram], spec: SweepSpec, format: str) -> bytes:
@@ -97,47 +50,21 @@ def as_picture(diagrams: Sequence[Diagram], spec: SweepSpec, format: str) -> byt
     A cell at rest has no flight and so no point. Missing cells are told on the picture.
     """
     with drawing:
-        figure = Figure(figsize=(6.8, 4.2), dpi=200, layout="constrained")
+        figure = Figure(figsize=(6.8, 4.2), dpi=DPI, layout="constrained")
         _draw(figure.subplots(), diagrams, spec)
         file = io.BytesIO()
         figure.savefig(file, format=format, metadata={"Date": None} if format == "svg" else {})
     return file.getvalue()
 
 
-def _json(value: object) -> str:
-    return json.dumps(value, allow_nan=False, separators=(",", ":"))
-
-
-def _object(members: Mapping[str, str]) -> bytes:
-    return ("{" + ",".join(f'"{name}":{text}' for name, text in members.items()) + "}").encode()
-
-
-def _rows_of(array: NDArray[Any]) -> str:
-    """Row by row, so that other threads get their turn in between."""
-    return "[" + ",".join(_json(row.tolist()) for row in array) + "]"
-
-
-def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> str:
-    """A list for every cell; written one by one, so that other threads get their turn in between."""
-    return "[" + ",".join(_json(row[mask].tolist()) for row, mask in zip(values, shown, strict=True)) + "]"
-
-
-def _rows(diagram: Diagram) -> Iterator[list[Any]]:
-    outcomes = {int(outcome): outcome.name.lower() for outcome in Outcome}
-    for cell, value in enumerate(diagram.values.tolist()):
-        point = {**diagram.fixed, diagram.along: value}
-        place = [diagram.direction, point["gamma"], point["omega"], point["xi"]]
-        what = [outcomes[int(diagram.outcome[cell])], int(diagram.bounces[cell]), int(diagram.periods[cell])]
-        times, phases = diagram.flight_time[cell].tolist(), diagram.takeoff_phase[cell].tolist()
-        for flight in np.flatnonzero(diagram.shown[cell]).tolist():
-            yield [*place, flight, times[flight], phases[flight], *what]
-
-
 def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
     first = diagrams[0]
-    for diagram, (colour, size) in zip(diagrams, ALONE if len(diagrams) == 1 else OVERLAID, strict=True):
-        _draw_points(axes, diagram, colour, size)
     _scale(axes, first.values, max(_highest(diagram) for diagram in diagrams))
+    for diagram, (colour, size) in zip(diagrams, ALONE if len(diagrams) == 1 else OVERLAID, strict=True):
+        if np.count_nonzero(diagram.shown) > DENSE_POINTS:
+            _draw_density(axes, diagram, colour, size)
+        else:
+            _draw_points(axes, diagram, colour, size)
     _draw_turns(axes)
     if first.along == "gamma":
         _draw_threshold(axes, first)
@@ -147,15 +74,14 @@ def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
     _warn(axes, sum(diagram.missing for diagram in diagrams), sum(len(one.values) for one in diagrams))
 
 
-def _draw_points(axes: Axes, diagram: Diagram, colour: str, scale: float = 1.0) -> None:
+def _draw_points(axes: Axes, diagram: Diagram, colour: str, scale: float) -> None:
     cells, flights = np.nonzero(diagram.shown)
-    size = float(np.clip(450 / max(len(diagram.values), 1), 0.7, 3.5))
     axes.plot(
         diagram.values[cells],
         diagram.flight_time[cells, flights],
         linestyle="none",
         marker=".",
-        markersize=2 * size * scale,  # the dot is half as wide as its marker
+        markersize=2 * _dot(diagram) * scale,  # the dot is half as wide as its marker
         markeredgewidth=0,
         color=colour,
         alpha=0.8,
@@ -163,6 +89,45 @@ def _draw_points(axes: Axes, diagram: Diagram, colour: str, scale: float = 1.0) 
         label=diagram.direction,
         zorder=3,
     )
+
+
+def _dot(diagram: Diagram) -> float:
+    """Width of a flight's dot, in points."""
+    return float(np.clip(450 / max(len(diagram.values), 1), 0.7, 3.5))
+
+
+def _draw_density(axes: Axes, diagram: Diagram, colour: str, scale: float) -> None:
+    """What the dots of `_draw_points` would cover, the darker the more of them there are."""
+    shown = diagram.shown
+    window = Window(*axes.get_xlim(), *axes.get_ylim())
+    log = axes.get_xscale() == "log"
+    flights = diagram.flight_time[shown]
+    counts = density(diagram.values, np.count_nonzero(shown, axis=1), flights, window, *COLUMNS_AND_ROWS, log)
+    counts = _widened(counts, round(_dot(diagram) * scale * DPI / 72))
+    shades = np.log(np.maximum(counts, 1)) / np.log(np.clip(counts.max(), 2, OPAQUE))
+    image = np.empty((*counts.shape, 4))
+    image[..., :3] = to_rgb(colour)
+    image[..., 3] = np.where(counts > 0, np.minimum(FAINTEST + (1 - FAINTEST) * shades, 1.0), 0.0)
+    # Over all of the axes, whatever their scale.
+    sheet = axes.inset_axes((0.0, 0.0, 1.0, 1.0), zorder=3)
+    sheet.set_axis_off()
+    sheet.imshow(image, origin="lower", aspect="auto", interpolation="nearest")
+    size = 2 * _dot(diagram) * scale
+    axes.plot([], [], ".", markersize=size, markeredgewidth=0, color=colour, label=diagram.direction)
+
+
+def _widened(counts: NDArray[np.int64], width: int) -> NDArray[np.int64]:
+    """Every count spread over a square of so many parts; the highest wins."""
+    back = (width - 1) // 2
+    for axis in (0, 1):
+        spread = counts
+        for shift in range(-back, width - back):
+            moved = np.roll(counts, shift, axis)
+            edge = slice(0, shift) if shift > 0 else slice(counts.shape[axis] + shift, None)
+            moved[(edge, slice(None)) if axis == 0 else (slice(None), edge)] = 0
+            spread = np.maximum(spread, moved)
+        counts = spread
+    return counts
 
 
 def _highest(diagram: Diagram) -> float:
@@ -239,9 +204,10 @@ def _how(diagram: Diagram, spec: SweepSpec) -> str:
     """How the cells were computed, in a few words."""
     start = "from rest" if spec.ramp_axis is None else f"ramped along {SYMBOLS[spec.ramp_axis]}"
     least = f", flights of at least {diagram.min_flight:g} rad" if diagram.min_flight else ""
+    thinned = f", 1 cell in {diagram.every:,}" if diagram.every > 1 else ""
     lost = int(np.count_nonzero(np.isin(diagram.outcome, (Outcome.UNRESOLVED, Outcome.DIVERGED))))
     unresolved = f", {lost:,} of {len(diagram.values):,} cells unresolved" if lost else ""
-    return f"{spec.model.kind} contact, {start}{least}{unresolved}"
+    return f"{spec.model.kind} contact, {start}{least}{thinned}{unresolved}"
 
 
 def _legend(axes: Axes) -> None:

@@ -4,18 +4,18 @@
 need it.
 """
 
+import gc
 import logging
 import math
 import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import Any, Final
 
 import uvicorn
-from distributed import Security
 from fastapi import FastAPI
 from pydantic import ValidationError
 from starlette.types import Receive, Scope, Send
@@ -23,10 +23,13 @@ from starlette.types import Receive, Scope, Send
 from service import logs
 from service.app import create_app
 from service.client.errors import BounceError
+from service.computing import computing
 from service.errors import ServiceError
 from service.ledger import Ledger
+from service.patience import impatient
 from service.settings import Settings
-from worker.executors import ClusterLost, Dask, Executor
+from worker.executors import ClusterLost, Executor
+from worker.warm import claim_cache, warm
 
 #: The web server's own log: silent until it has started, because why it does not start is raised, not logged.
 _LOG: Final = logging.getLogger("uvicorn.error")
@@ -82,6 +85,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         server = _Server(settings, executor, listener, announce)
         server.run_until_told()
         server.wait_until_started()
+    gc.freeze()  # the process ends now: nobody needs it taken apart, which compiled kernels make long
 
 
 class _Stopped(BaseException):
@@ -143,6 +147,7 @@ class _Server(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 self._application,
+                http=impatient(settings.body_seconds),
                 lifespan="on",
                 log_config=None,
                 log_level=logging.CRITICAL,
@@ -205,8 +210,8 @@ def _not_started(error: Exception | None) -> Exception:
 
 
 def _means(settings: Settings) -> str:
-    place = settings.scheduler or settings.scheduler_file
-    workers = f"scheduler {place}" if place else f"{settings.workers} worker processes"
+    place = settings.scheduler or settings.scheduler_file or settings.cluster
+    workers = f"cluster {place}" if place else f"{settings.workers} worker processes"
     return f"data in {settings.data}, {workers}"
 
 
@@ -239,27 +244,19 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
     if executor is not None:
         yield executor
         return
-    try:
-        cluster = Dask(
-            settings.scheduler,
-            scheduler_file=settings.scheduler_file,
-            security=_tls(settings),
-            workers=settings.workers,
-            memory=settings.worker_memory,
-        )
-    except ClusterLost as error:
-        raise NotStarted(str(error)) from error
-    with closing(cluster):
+    with ExitStack() as stack:
+        try:
+            cluster = stack.enter_context(computing(settings))
+        except ClusterLost as error:
+            raise NotStarted(str(error)) from error
+        _warm_beside()
         yield cluster
 
 
-def _tls(settings: Settings) -> Any:
-    """What distributed needs to speak TLS with the scheduler, if the settings ask for it."""
-    if settings.scheduler_ca is None:
-        return None
-    return Security(  # type: ignore[no-untyped-call]
-        require_encryption=True,
-        tls_ca_file=str(settings.scheduler_ca),
-        tls_client_cert=str(settings.scheduler_cert),
-        tls_client_key=str(settings.scheduler_key),
-    )
+def _warm_beside() -> None:
+    """Have kernels ready here too, for motions are computed in this process; nobody waits for it.
+
+    The workers have compiled by now, and left what they compiled. A process without a cache waits till asked.
+    """
+    if claim_cache() is not None:
+        threading.Thread(target=warm, name="warm", daemon=True).start()

@@ -14,7 +14,7 @@
     ├── TooLarge               body, sweep or answer above a cap; says what would fit
     ├── QueueFull              too many jobs wait already
     ├── Busy                   too many costly requests are being answered already
-    ├── NotComputed            workers have not answered, or not yet
+    ├── NotComputed            no worker is there to answer, or those that did were lost
     ├── NoSpace                there is no room for a file of an answer
     ├── DataFolderBusy         another service uses the data folder (only at start)
     └── LedgerUnusable         the ledger was written by a newer version (only at start)
@@ -114,7 +114,7 @@ class Busy(ServiceError):
 
 
 class NotComputed(ServiceError):
-    """Workers have not answered, or not yet; what they compute goes on."""
+    """No worker is there to compute an answer, or those that did were lost."""
 
 
 class NoSpace(ServiceError):

@@ -49,11 +49,11 @@ class Housekeeper:
             self._newest = ledger.newest_seq()
         self._thread.start()
 
-    def stop(self) -> None:
-        """End; what was not looked at is looked at after the next start."""
+    def stop(self, seconds: float) -> None:
+        """End, in at most so long; what was not looked at is looked at after the next start."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(seconds)
 
     def is_clear(self, job_id: str) -> bool:
         """Whether everything marked as done of this job was found to be there since the start."""

@@ -5,7 +5,7 @@ import json
 import logging
 import threading
 import time
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
@@ -22,6 +22,9 @@ from worker.spec import SweepSpec
 
 log = logging.getLogger(__name__)
 
+#: A bucket that does not answer may hold up the end, but not for longer.
+STOP_SECONDS: Final = 4.0
+
 
 class Submission(NamedTuple):
     """What became of a submitted sweep; `accepted`: there is something to compute that was not asked for."""
@@ -36,7 +39,8 @@ class Lifecycle:
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._settings = ledger, settings
         self._turn = threading.Lock()  # a sweep is not accepted again while its results are being deleted
-        self._supervisor = Supervisor(ledger, executor, settings, self._is_clear)
+        self._places = threading.Lock()  # no store is made while results are taken away
+        self._supervisor = Supervisor(ledger, executor, settings, self._is_clear, self._places)
         self.repairs = Repairs(ledger, settings, self._supervisor.undone)
         self._housekeeper = Housekeeper(ledger, settings, self.repairs, self._supervisor.ring)
 
@@ -47,8 +51,9 @@ class Lifecycle:
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs go on at the next start."""
-        self._housekeeper.stop()
-        self._supervisor.stop()
+        give_up = time.monotonic() + STOP_SECONDS
+        self._housekeeper.stop(STOP_SECONDS)
+        self._supervisor.stop(max(give_up - time.monotonic(), 0.1))
 
     def _is_clear(self, job_id: str) -> bool:
         return self._housekeeper.is_clear(job_id)
@@ -107,7 +112,7 @@ class Lifecycle:
 
         Raises UnknownJob, and IllegalTransition while workers may write: cancel it first.
         """
-        with self._turn:
+        with self._turn, self._places:
             doomed = self._forget(job_id)
         threading.Thread(target=_remove, args=[doomed], name="remove", daemon=True).start()
 

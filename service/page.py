@@ -10,7 +10,6 @@ from starlette.staticfiles import StaticFiles
 
 from service import views
 from service.figures.catalogue import FIGURES
-from service.lines import Lines
 
 FILES: Final = Path(__file__).parent / "static"
 
@@ -34,7 +33,6 @@ class FigureView(BaseModel):
 
 def install(app: FastAPI) -> None:
     """Give `app` the page, its files, and the calls that only it makes."""
-    app.state.lines = Lines()
     app.include_router(router)
     app.include_router(views.router)
     app.mount("/static", StaticFiles(directory=FILES), name="static")

@@ -1,15 +1,16 @@
-"""From a job's store to the arrays people look at: one line of cells, or one plane of them."""
+"""From a job's store to the arrays people look at: lines of cells; service/planes.py has planes of them."""
 
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import prod
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
-from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from worker import layout, store
 from worker.problems import one_of
@@ -18,11 +19,8 @@ from worker.spec import AXES, SweepSpec
 #: The arrays of a diagram, by their names in the store.
 LINE_ARRAYS: Final = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
-#: The arrays of a mode map.
-MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
-
-#: Outcomes of a cell that bounces.
-BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
+#: Flights, or outcomes, read at once for what is drawn or summed up; of more, every n-th cell is.
+MAX_READ: Final = 8_000_000
 
 #: A value may lie outside an axis by rounding, relative to the axis's own size.
 SLACK: Final = 1e-9
@@ -55,6 +53,7 @@ class Diagram:
     bounces: NDArray[np.int16]  # (n,)
     periods: NDArray[np.int16]  # (n,)
     min_flight: float = 0.0  # rad; shorter flights are left out of `shown`
+    every: int = 1  # the cells are every n-th of the axis
 
     @cached_property
     def shown(self) -> NDArray[np.bool_]:
@@ -74,34 +73,6 @@ class Diagram:
         return self.missing == 0
 
 
-@dataclass(frozen=True)
-class Plane:
-    """Arrays over (omega, gamma) at one xi and direction."""
-
-    xi: float
-    direction: str
-    omega: NDArray[np.float64]
-    gamma: NDArray[np.float64]
-    arrays: Mapping[str, NDArray[Any]]  # each (n_omega, n_gamma)
-
-    @property
-    def complete(self) -> bool:
-        """Whether every cell is computed."""
-        return bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """Per Ω at one xi; NaN where nothing bounces or the sweep has no such direction."""
-
-    xi: float
-    omega: NDArray[np.float64]
-    analytic: NDArray[np.float64]
-    up: NDArray[np.float64]
-    down: NDArray[np.float64]
-    complete: bool
-
-
 def diagram(
     sweep: Sweep,
     along: str,
@@ -109,21 +80,24 @@ def diagram(
     direction: str | None,
     min_flight: float,
     max_points: int,
+    every: int = 1,
 ) -> Diagram:
     """The line of cells along `along` through the grid values nearest to those given for the other axes.
 
-    Reads only the chunks that the line touches. Raises InvalidRequest naming a parameter that is missing,
-    unknown or outside its axis, TooLarge for more than `max_points` flights.
+    Every n-th cell of it; reads only the chunks that these lie in. Raises InvalidRequest naming a parameter
+    that is missing, unknown or outside its axis, TooLarge for more than `max_points` flights.
     """
     spec = sweep.spec
     fixed = fixed_places(spec, along, given)
     chosen = direction_of(spec, direction)
     values = spec.axis_values(along)
-    what = f"{len(values):,} values of {along} × keep {spec.keep:,}"
-    check_points(len(values) * spec.keep, max_points, what)
-    arrays = read(sweep, LINE_ARRAYS, chosen, {axis: place for axis, (place, _) in fixed.items()})
+    fits = thinning((len(values),), spec.keep, max_points)
+    what = f"{len(values[::every]):,} values of {along} × keep {spec.keep:,}"
+    check_points(len(values[::every]) * spec.keep, max_points, what, fits)
+    where = {axis: place for axis, (place, _) in fixed.items()} | {along: slice(None, None, every)}
+    arrays = read(sweep, LINE_ARRAYS, chosen, where)
     fixed_values = {axis: value for axis, (_, value) in fixed.items()}
-    return Diagram(along, fixed_values, chosen, values, min_flight=min_flight, **arrays)
+    return Diagram(along, fixed_values, chosen, values[::every], **arrays, min_flight=min_flight, every=every)
 
 
 def diagrams(
@@ -133,56 +107,38 @@ def diagrams(
     direction: str | None,
     min_flight: float,
     max_points: int,
+    every: int = 1,
 ) -> list[Diagram]:
     """The same line in the direction asked for, or in every direction the sweep has."""
     wanted = sweep.spec.directions if direction is None else (direction,)
     share = max_points // len(wanted)
-    return [diagram(sweep, along, given, one, min_flight, share) for one in wanted]
+    return [diagram(sweep, along, given, one, min_flight, share, every) for one in wanted]
 
 
-def modes(sweep: Sweep, xi: float | None, direction: str | None, max_points: int) -> Plane:
-    """The mode map at one xi: outcome, bounces and periods of every cell. Raises as `diagram`."""
-    return plane(sweep, xi, direction_of(sweep.spec, direction), MODE_ARRAYS, max_points)
-
-
-def plane(sweep: Sweep, xi: float | None, direction: str, names: tuple[str, ...], max_points: int) -> Plane:
-    """The named arrays over all (omega, gamma) at the grid's xi nearest to the one given.
-
-    Raises as `diagram`.
-    """
+def pictured(
+    sweep: Sweep,
+    along: str,
+    given: Mapping[str, float | None],
+    direction: str | None,
+    min_flight: float,
+    every: int = 1,
+) -> list[Diagram]:
+    """As `diagrams`, for drawing: of a very long line only as many cells as can be read for a picture."""
     spec = sweep.spec
-    place, value = place_of(spec, "xi", xi)
-    omega, gamma = spec.axis_values("omega"), spec.axis_values("gamma")
-    what = f"{len(omega):,} values of omega × {len(gamma):,} of gamma"
-    check_points(len(omega) * len(gamma), max_points, what)
-    arrays = read(sweep, names, direction_of(spec, direction), {"xi": place})
-    return Plane(value, direction, omega, gamma, arrays)
+    share = MAX_READ // len(spec.directions)
+    needed = thinning((len(spec.axis_values(along)),), spec.keep, share)
+    every = max(every, needed or len(spec.axis_values(along)))
+    return diagrams(sweep, along, given, direction, min_flight, MAX_READ, every)
 
 
-def thresholds(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
-    """Where bouncing begins on the way up (or from rest) and ends on the way down, per Ω, to the grid in Γ.
+def thinning(lengths: Sequence[int], each: int, most: int) -> int | None:
+    """The least n for which every n-th along all the axes, `each` points a cell, are at most `most` points.
 
-    Raises InvalidRequest for a sweep ramped along another axis than gamma, and as `plane`.
+    None if even a single cell is too much.
     """
-    spec = sweep.spec
-    if spec.ramp_axis not in (None, "gamma"):
-        rule = f"is {spec.ramp_axis}; thresholds in gamma need a sweep from rest or ramped along gamma"
-        raise InvalidRequest.of("protocol.axis", rule)
-    planes = [plane(sweep, xi, direction, ("outcome",), max_points) for direction in spec.directions]
-    first = planes[0]
-    nowhere = np.full(len(first.omega), np.nan)
-    found = {"up": nowhere, "down": nowhere} | {
-        "down" if one.direction == "down" else "up": _lowest_bouncing(one) for one in planes
-    }
-    complete = all(one.complete for one in planes)
-    return Thresholds(first.xi, first.omega, threshold(first.omega, first.xi), complete=complete, **found)
-
-
-def _lowest_bouncing(plane: Plane) -> NDArray[np.float64]:
-    """(n_omega,) the lowest Γ that bounces, NaN where none does."""
-    bounces = np.isin(plane.arrays["outcome"], BOUNCING)
-    lowest = plane.gamma[np.argmax(bounces, axis=1)]
-    return np.where(bounces.any(axis=1), lowest, np.nan)
+    steps = range(1, max(lengths) + 1)
+    found = bisect_left(steps, True, key=lambda every: each * prod(-(-n // every) for n in lengths) <= most)
+    return steps[found] if found < len(steps) else None
 
 
 def fixed_places(
@@ -220,7 +176,7 @@ def direction_of(spec: SweepSpec, direction: str | None) -> str:
     return direction
 
 
-def read(sweep: Sweep, names: tuple[str, ...], direction: str, places: Places) -> dict[str, NDArray[Any]]:
+def read(sweep: Sweep, names: Sequence[str], direction: str, places: Places) -> dict[str, NDArray[Any]]:
     """The named arrays at one direction and `places`, whole along the other axes."""
     where = {"direction": sweep.spec.directions.index(direction), **places}
     try:
@@ -241,10 +197,11 @@ def _nothing(spec: SweepSpec, array: layout.Array, where: Places) -> NDArray[Any
     return np.full(shape, array.fill, array.dtype)
 
 
-def check_points(points: int, max_points: int, what: str) -> None:
-    """Raise TooLarge for more points than one answer may hold."""
+def check_points(points: int, max_points: int, what: str, every: int | None) -> None:
+    """Raise TooLarge for more points than one answer may hold; `every` says what would fit."""
     if points > max_points:
+        fits = "" if every is None else f"every={every} asks for as many as fit, a picture for all, and "
         raise TooLarge(
-            f"the answer would hold up to {points:,} points ({what}), at most {max_points:,} are sent; "
-            f"{max_points / points:.1%} as many fit, and opening the store itself has no such limit"
+            f"the answer would hold up to {points:,} points ({what}), at most {max_points:,} are sent: "
+            f"{fits}opening the store itself has no such limit"
         )

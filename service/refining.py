@@ -9,7 +9,8 @@ import numpy as np
 from service.answers import Answers
 from service.errors import TooLarge
 from service.jobs import JobRecord
-from service.queries import Sweep, Thresholds
+from service.planes import Thresholds
+from service.queries import Sweep
 from worker.executors import Executor
 from worker.plan import cell_seconds
 from worker.refine import USUAL_CELLS, Refined, refine

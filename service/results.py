@@ -10,17 +10,18 @@ from fastapi.responses import StreamingResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from numpy.typing import NDArray
 
-from service import calls, diagrams, exports, queries, schemas
+from service import answers, calls, diagrams, encoding, exports, planes, queries, schemas
 from service.calls import TheJob, TheService
 from service.errors import NotInStore
 from service.jobs import UNFINISHED, JobState
 from service.refining import refined
 from service.schemas import Format, problem_responses
+from service.unchanged import NOT_MODIFIED, Results, Tagged
 from worker import layout, places
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
-router = APIRouter(prefix="/v1/jobs/{job_id}")
+router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=Tagged)
 
 Content = dict[str, dict[str, Any]]
 
@@ -50,27 +51,43 @@ async def events(service: TheService, job: TheJob, request: Request) -> AsyncIte
         yield ServerSentEvent(event=kind, raw_data=view.model_dump_json())
 
 
-@router.get("/diagram", responses={200: {"content": _PICTURES}, **problem_responses(404, 413, 422)})
-def diagram(service: TheService, job: TheJob, query: Annotated[schemas.DiagramQuery, Query()]) -> Response:
-    """The bifurcation diagram along one axis, also of a job that is not done: `complete` says so."""
+@router.get(
+    "/diagram", responses={200: {"content": _PICTURES}, **NOT_MODIFIED, **problem_responses(404, 413, 422)}
+)
+def diagram(service: TheService, job: Results, query: Annotated[schemas.DiagramQuery, Query()]) -> Response:
+    """The bifurcation diagram along one axis, also of a job that is not done: `complete` says so.
+
+    Pictures show lines of any length, dense ones as density. JSON and CSV end at a number of flights; `every`
+    takes every n-th cell, which the JSON then repeats.
+    """
     sweep = calls.sweep(service, job)
     given = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    line = (sweep, query.along, given, query.direction, query.min_flight, service.settings.max_points)
-    found = [queries.diagram(*line)] if query.format is Format.JSON else queries.diagrams(*line)
+    line = (sweep, query.along, given, query.direction, query.min_flight)
+    most = service.settings.max_points
+    if query.format is Format.JSON:
+        found = [queries.diagram(*line, most, query.every)]
+    elif query.format is Format.CSV:
+        found = queries.diagrams(*line, most, query.every)
+    else:
+        found = queries.pictured(*line, query.every)
     content, media_type = _encoded(found, sweep.spec, query.format)
     return Response(content, media_type=media_type, headers=_complete(all(one.complete for one in found)))
 
 
-@router.get("/threshold", responses=problem_responses(404, 413, 422, 429, 503))
+@router.get(
+    "/threshold",
+    responses={**answers.RESPONSES, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
+)
 def job_threshold(
-    service: TheService, job: TheJob, query: Annotated[schemas.JobThresholdQuery, Query()]
+    service: TheService, job: Results, query: Annotated[schemas.JobThresholdQuery, Query()]
 ) -> schemas.Thresholds:
     """Per Ω at one xi: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
 
-    To the grid, or with a tolerance as finely as asked for: null then where the change is not on the grid.
+    To the grid, or with a tolerance as finely as asked for: null then where the change is not on the grid,
+    and 202 with how far the workers are until they have found them all.
     """
     sweep = calls.sweep(service, job)
-    found = queries.thresholds(sweep, query.xi, service.settings.max_points)
+    found = planes.thresholds(sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
         found = refined(service.answers, job, sweep, found, query.tolerance)
     return schemas.Thresholds(
@@ -84,12 +101,15 @@ def job_threshold(
     )
 
 
-@router.get("/modes", response_model=schemas.Modes, responses=problem_responses(404, 413, 422))
-def modes(service: TheService, job: TheJob, query: Annotated[schemas.ModesQuery, Query()]) -> Response:
+@router.get(
+    "/modes", response_model=schemas.Modes, responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)}
+)
+def modes(service: TheService, job: Results, query: Annotated[schemas.ModesQuery, Query()]) -> Response:
     """The mode map at one xi: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
-    found = queries.modes(calls.sweep(service, job), query.xi, query.direction, service.settings.max_points)
+    sweep, most = calls.sweep(service, job), service.settings.max_points
+    found = planes.modes(sweep, query.xi, query.direction, most, query.every)
     return Response(
-        diagrams.modes_as_json(found), media_type="application/json", headers=_complete(found.complete)
+        encoding.modes_as_json(found), media_type="application/json", headers=_complete(found.complete)
     )
 
 
@@ -124,9 +144,9 @@ STORE_KEY: Final = re.compile(
 
 @router.get(
     "/zarr/{key:path}",
-    responses={200: {"content": {"application/octet-stream": {}}}, **problem_responses(404)},
+    responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
 )
-def zarr(service: TheService, job: TheJob, key: str) -> Response:
+def zarr(service: TheService, job: Results, key: str) -> Response:
     """The store itself, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
     found = places.read(service.settings.store_of(job.id), key) if STORE_KEY.fullmatch(key) else None
     if found is None:
@@ -146,9 +166,9 @@ def numbers(values: NDArray[np.float64]) -> list[float | None]:
 def _encoded(found: list[queries.Diagram], spec: SweepSpec, format: Format) -> tuple[bytes, str]:
     """The diagrams' bytes and what they are."""
     if format is Format.JSON:
-        return diagrams.as_json(found[0]), "application/json"
+        return encoding.as_json(found[0]), "application/json"
     if format is Format.CSV:
-        return diagrams.as_csv(found), "text/csv"
+        return encoding.as_csv(found), "text/csv"
     media_type = "image/png" if format is Format.PNG else "image/svg+xml"
     return diagrams.as_picture(found, spec, format), media_type
 

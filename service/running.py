@@ -46,6 +46,7 @@ class Run:
         self.written: list[DoneChunk] = []  # not yet marked in the ledger
         self._frontier = Frontier(predecessors(plan), done)
         self._cell_seconds = cell_seconds(spec)
+        self._cells_in_flight = 0
         self._tries: Counter[int] = Counter()
         self._misfortunes: Counter[int] = Counter()
         self._failures: list[Failure] = []
@@ -67,7 +68,17 @@ class Run:
     @property
     def load(self) -> float:
         """Core-seconds in flight, by the plan."""
-        return sum(self.plan.chunks[chunk].cells for chunk in self.in_flight) * self._cell_seconds
+        return self._cells_in_flight * self._cell_seconds
+
+    def sent(self, chunk: Chunk, future: "Future[ChunkReport]") -> None:
+        """A chunk was given to the executor."""
+        self.in_flight[chunk.index] = future
+        self._cells_in_flight += chunk.cells
+
+    def came_back(self, chunk: int) -> None:
+        """A chunk is no longer at the executor, whatever became of it."""
+        del self.in_flight[chunk]
+        self._cells_in_flight -= self.plan.chunks[chunk].cells
 
     def put_back(self, chunk: int) -> None:
         """A chunk was not computed, through no fault of its own."""

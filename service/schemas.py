@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from service.choosing import ChoiceView
 from service.exports import FileFormat
 from service.failures import FailureView, failures_view
 from service.jobs import Failure, JobRecord, JobState
@@ -17,6 +18,7 @@ from service.jobs import Failure, JobRecord, JobState
 LONG_SPEC: Final = 10_000
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: take every n-th value only")]
 
 
 class Format(StrEnum):
@@ -65,6 +67,7 @@ class DiagramQuery(LineQuery):
     """A line and the form it comes in."""
 
     format: Format = Format.JSON
+    every: Every = 1
 
 
 class ThresholdQuery(Query):
@@ -83,11 +86,17 @@ class JobThresholdQuery(Query):
     )
 
 
-class ModesQuery(Query):
+class PlaneQuery(Query):
     """Which plane of the grid: at the xi nearest to the one given, in one direction."""
 
     xi: Number | None = None
     direction: str | None = Field(None, description="rest, up or down; the sweep's first if left out")
+
+
+class ModesQuery(PlaneQuery):
+    """A plane, and how much of it."""
+
+    every: Every = 1
 
 
 class ExportQuery(Query):
@@ -105,26 +114,6 @@ class ProgressView(BaseModel):
     cells_total: int
     percent: float
     eta_seconds: float | None
-
-
-class RungView(BaseModel):
-    """One model beside the exact contact, over a sample of the sweep's cells; deviations in rad."""
-
-    model: str
-    cost: float = Field(description="core-µs a cell and plate period, by the table that decides")
-    measured: float | None = Field(description="the same, as it went while choosing")
-    median: float | None = Field(description="deviation of flight times; null where some cell has none")
-    percentile_95: float | None
-    cells: int
-
-
-class ChoiceView(BaseModel):
-    """The model that was chosen for a sweep whose own is `auto`."""
-
-    model: str
-    reason: str
-    tolerance: float
-    table: list[RungView]
 
 
 class JobView(BaseModel):
@@ -175,6 +164,7 @@ class Modes(BaseModel):
     bounces: list[list[int]]
     periods: list[list[int]]
     complete: bool
+    every: int = Field(1, description="the values are every n-th of both axes; left out where it is 1")
 
 
 class Threshold(BaseModel):

@@ -43,12 +43,13 @@ class Settings(BaseSettings):
     workers: PositiveInt = 2  # processes of the embedded cluster; unused with a scheduler
     scheduler: str | None = None  # address of a Dask scheduler
     scheduler_file: Path | None = None  # written by `dask scheduler --scheduler-file`
+    cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = None  # module:function that makes one
     scheduler_ca: Path | None = None  # TLS to the scheduler (tls://...): who vouches for it,
     scheduler_cert: Path | None = None  # and what we show it
     scheduler_key: Path | None = None
 
     max_body_bytes: PositiveInt = 1_000_000
-    body_seconds: PositiveFloat = 10.0  # for a request's body to arrive
+    body_seconds: PositiveFloat = 10.0  # for a request's head to arrive, and for its body
     max_cells: PositiveInt = 20_000_000  # of one sweep
     max_bytes: PositiveInt = 32 * 2**30  # of one sweep's stored arrays before compression
     max_queue: PositiveInt = 1_000  # jobs queued or running
@@ -110,6 +111,12 @@ class Settings(BaseSettings):
             raise ValueError(
                 f"to listen on {self.host}, where others can reach it, needs a token: set BOUNCE_TOKEN"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _one_cluster(self) -> Self:
+        if sum(map(bool, (self.scheduler, self.scheduler_file, self.cluster))) > 1:
+            raise ValueError("only one of scheduler, scheduler_file and cluster can be computed with")
         return self
 
     @model_validator(mode="after")

@@ -9,33 +9,31 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Final
+from typing import Any, Final
 
-from kernel.params import KERNEL_VERSION
-from service.choosing import Choosing, attributes_of, computed_spec
-from service.jobs import UNFINISHED, JobRecord, JobState
+from service.choosing import Choosing
+from service.jobs import UNFINISHED, JobState
 from service.ledger import Ledger
 from service.news import News, Settled, Undone, done_of, error_of
+from service.opening import opened
 from service.running import Limits, Run
 from service.settings import Settings
 from worker import store
 from worker.executors import ClusterLost, Executor, WorkerLost
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.places import UNREACHABLE
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkReport, PredecessorMissing
 
 log = logging.getLogger(__name__)
 
 
-class KernelChanged(Exception):
-    """A job was begun by a kernel whose numbers may differ."""
-
-
 #: Chunks of one job, however small.
 MOST_IN_FLIGHT: Final = 64
+#: Of a heartbeat, from one look for workers to the next while there are none.
+IDLE_SHARE: Final = 0.25
 
 
 class Supervisor:
@@ -44,7 +42,7 @@ class Supervisor:
     Each job has a small window of chunks in flight, and of those that wait at the workers the
     ones begin first whose job has the least work in flight, so that a small job passes a huge one.
     A job from an earlier life of the service goes on when `cleared` says that what is marked as
-    done of it is really there.
+    done of it is really there. Stores are made under the lock `making`.
     """
 
     def __init__(
@@ -53,9 +51,10 @@ class Supervisor:
         executor: Executor,
         settings: Settings,
         cleared: Callable[[str], bool] = lambda job_id: True,
+        making: AbstractContextManager[Any] | None = None,
     ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
-        self._cleared = cleared
+        self._cleared, self._making = cleared, making or nullcontext()
         self._limits = Limits(
             settings.chunk_tries, settings.failed_chunks, settings.chunk_seconds, settings.chunk_slack
         )
@@ -81,12 +80,12 @@ class Supervisor:
         self._inbox.put(Undone(job_id, chunks))
         self.ring()
 
-    def stop(self) -> None:
-        """Let go of everything in flight and end; unfinished jobs stay so in the ledger."""
+    def stop(self, seconds: float) -> None:
+        """Let go of what is in flight and end, in at most so long; unfinished jobs stay so in the ledger."""
         self._stop.set()
         self.ring()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(seconds)
 
     def _work(self) -> None:
         while not self._stop.is_set():
@@ -138,7 +137,7 @@ class Supervisor:
     def _take_in(self, settled: Settled) -> None:
         """Sort a chunk that came back into written, to be done again, or failed."""
         run, chunk = self._runs[settled.job_id], settled.chunk
-        del run.in_flight[chunk]
+        run.came_back(chunk)
         error = error_of(settled.future)
         if error is None:
             run.written.append(done_of(settled.future))
@@ -175,15 +174,18 @@ class Supervisor:
 
     def _adopt(self) -> None:
         """Pick up jobs that wait, stop those that shall stop, let go on those that after all shall."""
-        self._next_look = time.monotonic() + self._settings.heartbeat_seconds
         self._places = self._settings.window * self._executor.workers()
+        # Workers that come back shall not have to wait for work.
+        pause = self._settings.heartbeat_seconds * (1.0 if self._places else IDLE_SHARE)
+        self._next_look = time.monotonic() + pause
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.active_jobs)
         for brief in unfinished:
             run = self._runs.get(brief.id)
             if run is None:
                 if self._cleared(brief.id):
-                    self._pick_up(brief.id)
+                    with self._making:
+                        self._pick_up(brief.id)
             elif run.stopping != brief.cancel_requested:
                 self._stop_or_go_on(run, stop=brief.cancel_requested)
 
@@ -196,7 +198,10 @@ class Supervisor:
             settled = self._choosing.settled(job)
             if settled is None:
                 return  # it rings
-            run = self._opened(settled)
+            run = opened(settled, self._ledger, self._settings)
+        except UNREACHABLE as error:
+            log.warning("job %s cannot begin yet, its bucket does not answer: %s", job_id, error)
+            return  # until the next look
         except Exception as error:
             log.exception("job %s cannot begin", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
@@ -204,20 +209,6 @@ class Supervisor:
         if self._mark_running(job_id):
             self._runs[job_id] = run
             log.info("job %s runs, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
-
-    def _opened(self, job: JobRecord) -> Run:
-        if job.kernel_version != KERNEL_VERSION:
-            raise KernelChanged(
-                f"kernel {job.kernel_version} began it, this is {KERNEL_VERSION}: submit it again"
-            )
-        spec = SweepSpec.from_json(job.spec)
-        plan = make_plan(spec, chunk_shape=job.chunk_shape)
-        url = self._settings.store_of(job.id)
-        store.create(url, spec, plan, attributes_of(job))
-        store.clear_cancelled(url)
-        run = Run(job, computed_spec(job), plan, url, self._ledger.done_mask(job))
-        run.stopping = job.cancel_requested  # the service stopped before the job could
-        return run
 
     def _mark_running(self, job_id: str) -> bool:
         """Whether the job may run: it may have been cancelled since it was seen in the queue."""
@@ -266,7 +257,7 @@ class Supervisor:
             run.put_back(chunk.index)
             self._places = 0  # until the next look
             return False
-        run.in_flight[chunk.index] = future
+        run.sent(chunk, future)
         future.add_done_callback(partial(self._came_back, run.job.id, chunk.index))
         return True
 

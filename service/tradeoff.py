@@ -7,7 +7,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
-from service import schemas, tradeoff_picture
+from service import answers, schemas, tradeoff_picture
 from service.calls import TheService
 from service.schemas import problem_responses
 from service.tradeoff_text import advice
@@ -55,12 +55,16 @@ _PICTURES: Final = {Form.PNG: "image/png", Form.SVG: "image/svg+xml"}
 @router.get(
     "/tradeoff",
     response_model=Tradeoff,
-    responses={200: {"content": {"image/png": {}, "image/svg+xml": {}}}, **problem_responses(422, 429, 503)},
+    responses={
+        200: {"content": {"image/png": {}, "image/svg+xml": {}}},
+        **answers.RESPONSES,
+        **problem_responses(422, 429, 503),
+    },
 )
 def tradeoff(service: TheService, query: Annotated[TradeoffQuery, Query()]) -> Response:
     """What each contact model costs and how far off it is, over a fixed set of cells, extremes among them.
 
-    Measured once while the service runs, by a minute of computing: until then 503, with Retry-After.
+    Measured once while the service runs, by a minute of computing: until then 202 with how far it is.
     """
     found = table(service.answers.to("tradeoff", _begin))
     if query.format is Form.JSON:

@@ -31,6 +31,7 @@ def tradeoff(
 
     format = format_of(output, PICTURES) if output else None
     with _service(url, workers) as address, connected(address, token) as client:
+        click.echo("measuring, unless it is done already (about half a minute)", err=True)
         found = client.tradeoff()
         if output and format:
             write_file(output, client.tradeoff_picture(format))
@@ -63,5 +64,4 @@ def _service(url: str | None, workers: int | None) -> Iterator[str]:
     with tempfile.TemporaryDirectory(prefix="bounce-") as data:
         settings = embedded.settings(workers=workers, data=data, host="127.0.0.1", port=0)
         with embedded.running(settings) as address:
-            click.echo("measuring (about a minute)", err=True)
             yield address

@@ -4,8 +4,7 @@ The same arrays as `/diagram` and `/modes`, in a form that a slider can ask for 
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -13,18 +12,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
-from service import calls, lines, packing, queries, schemas, trajectories
+from service import calls, packing, planes, queries, schemas, trajectories
 from service.calls import TheJob, TheService
+from service.density import Window, density
 from service.errors import InvalidRequest
-from service.jobs import JobRecord, JobState
 from service.queries import Sweep
-from service.schemas import LineQuery, ModesQuery, Number, Trajectory, problem_responses
+from service.schemas import LineQuery, Number, PlaneQuery, Trajectory, problem_responses
 from service.trajectories import TrajectorySpec
 
 router = APIRouter(prefix="/v1/jobs/{job_id}")
 
-#: Flights read for one view; more than are sent as points become density.
-MAX_READ: Final = 16_000_000
+#: What a line is made of.
+LINE_ARRAYS: Final = ("flight_time", "flights", "outcome", "bounces", "periods")
 
 _PACKED: Final[dict[str, Any]] = {"content": {packing.MEDIA_TYPE: {}}}
 
@@ -42,6 +41,15 @@ class LineViewQuery(LineQuery):
     width: Pixels = 800
     height: Pixels = 400
     most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
+
+
+class PlaneViewQuery(PlaneQuery):
+    """A plane, and the window of it that is looked at: left to right in Γ, bottom to top in Ω."""
+
+    left: Number | None = None
+    right: Number | None = None
+    bottom: Number | None = None
+    top: Number | None = None
 
 
 class CellQuery(schemas.Query):
@@ -63,15 +71,17 @@ def line(
 
     Up to `most` flights come as `flight_time`, cell after cell as `shown` counts them. More come as
     `density`: `height` rows (from `bottom` up) of `width` columns, how many flights fell where, up to 255.
+    Of very long lines only every n-th cell comes: `every`.
     """
-    found = read_line(calls.sweep(service, job), query, _reader(request, job))
+    found = read_line(calls.sweep(service, job), query)
     window = window_of(found, query)
     dense = len(found.flights) > query.most
-    flights = {"density": density(found, window, query)} if dense else {"flight_time": found.flights}
+    flights = {"density": _counted(found, window, query)} if dense else {"flight_time": found.flights}
     facts = {
         "along": query.along,
         "fixed": found.fixed,
         "direction": found.direction,
+        "every": found.every,
         "missing": int(np.count_nonzero(found.cells["outcome"] == Outcome.MISSING)),
         "points": len(found.flights),
         "highest": float(found.flights.max(initial=0.0)),
@@ -82,11 +92,21 @@ def line(
 
 @router.get("/plane", responses={200: _PACKED, **problem_responses(404, 413, 422)})
 def plane(
-    service: TheService, job: TheJob, query: Annotated[ModesQuery, Query()], request: Request
+    service: TheService, job: TheJob, query: Annotated[PlaneViewQuery, Query()], request: Request
 ) -> Response:
-    """The mode map, packed: `outcome`, `bounces` and `periods`, row after row of Ω."""
-    found = queries.modes(calls.sweep(service, job), query.xi, query.direction, service.settings.max_points)
-    facts = {"xi": found.xi, "direction": found.direction, "complete": found.complete}
+    """The mode map, or a window of it, packed: `outcome`, `bounces` and `periods`, row after row of Ω.
+
+    Of more cells than one answer may hold only every n-th of both axes come: `every_gamma`, `every_omega`.
+    """
+    sweep = calls.sweep(service, job)
+    gamma = _between(sweep.spec.axis_values("gamma"), query.left, query.right)
+    omega = _between(sweep.spec.axis_values("omega"), query.bottom, query.top)
+    every = queries.thinning((len(omega), len(gamma)), 1, service.settings.max_points) or 1
+    direction = queries.direction_of(sweep.spec, query.direction)
+    part = (slice(omega.start, omega.stop, every), slice(gamma.start, gamma.stop, every))
+    found = planes.plane(sweep, query.xi, direction, planes.MODE_ARRAYS, *part)
+    facts = {"xi": found.xi, "direction": direction, "complete": found.complete}
+    facts |= {"every_gamma": every, "every_omega": every}
     content = packing.packed(facts, {"omega": found.omega, "gamma": found.gamma, **found.arrays})
     return packing.answer(content, squeeze=_takes_gzip(request))
 
@@ -111,42 +131,27 @@ class Line:
     direction: str
     cells: dict[str, NDArray[Any]]  # each (n,): values, shown, outcome, bounces, periods
     flights: NDArray[np.float32]  # (sum of shown,) rad
+    every: int  # the cells are every n-th of the axis
 
 
-def _reader(request: Request, job: JobRecord) -> lines.Reader:
-    """How a job's lines are read: of one that is done, together with those beside them."""
-    if job.state is not JobState.DONE:
-        return lines.read
-    kept: lines.Lines = request.app.state.lines
-    return partial(kept.read, chunk_shape=job.chunk_shape)
-
-
-def read_line(sweep: Sweep, query: LineViewQuery, read: lines.Reader = lines.read) -> Line:
-    """The line that a query names. Raises InvalidRequest, TooLarge."""
+def read_line(sweep: Sweep, query: LineViewQuery) -> Line:
+    """The line that a query names. Raises InvalidRequest."""
     spec = sweep.spec
     given = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    places = queries.fixed_places(spec, query.along, given)
+    fixed = queries.fixed_places(spec, query.along, given)
     direction = queries.direction_of(spec, query.direction)
     values = spec.axis_values(query.along)
-    what = f"{len(values):,} values of {query.along} × keep {spec.keep:,}"
-    queries.check_points(len(values) * spec.keep, MAX_READ, what)
-    found = read(sweep, query.along, direction, {axis: place for axis, (place, _) in places.items()})
+    every = queries.thinning((len(values),), spec.keep, queries.MAX_READ) or len(values)
+    places = {axis: place for axis, (place, _) in fixed.items()} | {query.along: slice(None, None, every)}
+    found = queries.read(sweep, LINE_ARRAYS, direction, places)
     times = found["flight_time"]
     counts = np.arange(spec.keep) < found["flights"][:, None]
     counts &= times >= query.min_flight  # never true of NaN
-    cells = {"values": values, "shown": np.count_nonzero(counts, axis=1).astype(np.int32)}
+    cells = {"values": values[::every], "shown": np.count_nonzero(counts, axis=1).astype(np.int32)}
     cells |= {name: found[name] for name in ("outcome", "bounces", "periods")}
-    fixed = {axis: value for axis, (_, value) in places.items()}
-    return Line(fixed, direction, cells, times[counts])
-
-
-class Window(NamedTuple):
-    """What is looked at of a line; x in units of its axis, y in rad."""
-
-    left: float
-    right: float
-    bottom: float
-    top: float
+    fixed_values = {axis: value for axis, (_, value) in fixed.items()}
+    # In single precision, which is more than a screen shows.
+    return Line(fixed_values, direction, cells, times[counts].astype(np.float32), every)
 
 
 def window_of(line: Line, query: LineViewQuery) -> Window:
@@ -167,29 +172,24 @@ def window_of(line: Line, query: LineViewQuery) -> Window:
     return window
 
 
-def density(line: Line, window: Window, query: LineViewQuery) -> NDArray[np.uint8]:
+def _counted(line: Line, window: Window, query: LineViewQuery) -> NDArray[np.uint8]:
     """(height, width) how many flights fall on each part of the window, 255 for more, low flights first."""
-    warp = np.log if query.log else np.asarray
-    left, right = float(warp(window.left)), float(warp(window.right))
-    column = np.repeat(_bins(warp(line.cells["values"]), left, right, query.width), line.cells["shown"])
-    row = _bins(line.flights, window.bottom, window.top, query.height)
-    inside = (column >= 0) & (row >= 0)
-    counts = np.bincount(row[inside] * query.width + column[inside], minlength=query.width * query.height)
-    return np.minimum(counts, 255).astype(np.uint8).reshape(query.height, query.width)
+    values, shown = line.cells["values"], line.cells["shown"]
+    found = density(values, shown, line.flights, window, query.width, query.height, query.log)
+    return np.minimum(found, 255).astype(np.uint8)
+
+
+def _between(values: NDArray[np.float64], low: float | None, high: float | None) -> range:
+    """Where on an axis the values between two lie; the one nearest to their middle if none does."""
+    first, last = _first(low, values[0]), _first(high, values[-1])
+    start = int(np.searchsorted(values, first, side="left"))
+    stop = int(np.searchsorted(values, last, side="right"))
+    nearest = int(np.argmin(np.abs(values - 0.5 * (first + last))))
+    return range(start, stop) if start < stop else range(nearest, nearest + 1)
 
 
 def _first(given: float | None, otherwise: float) -> float:
     return float(otherwise) if given is None else given
-
-
-def _bins(values: NDArray[Any], low: float, high: float, n: int) -> NDArray[np.int64]:
-    """The bin of each value, the highest value in the last one; -1 outside."""
-    if not high > low:
-        return np.where(values == low, 0, -1)
-    bins = np.floor((values - low) * (n / (high - low)))
-    bins[values == high] = n - 1
-    bins[(bins < 0) | (bins >= n)] = -1
-    return bins.astype(np.int64)
 
 
 def _cell(sweep: Sweep, query: CellQuery) -> tuple[TrajectorySpec, NDArray[np.float64] | None]:

@@ -3,10 +3,12 @@
 `hang:3` hangs in chunk 3, and so on; every other chunk is computed as always.
 """
 
+import asyncio
 import ctypes
 import os
 import signal
 import time
+from pathlib import Path
 from typing import Any
 
 from distributed import WorkerPlugin
@@ -53,6 +55,20 @@ def run_harmed(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     if harm in HARMS and chunk.index == int(index):
         HARMS[harm]()
     return run_chunk(spec, chunk, store_url)
+
+
+class Stuck(WorkerPlugin):
+    """Keeps a worker from ever having started, once a file is there."""
+
+    name = "stuck"
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    async def setup(self, worker: Any) -> None:
+        if self._file.exists():
+            (self._file.parent / "starting").touch()
+            await asyncio.sleep(3600)
 
 
 class Harm(WorkerPlugin):

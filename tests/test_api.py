@@ -3,22 +3,22 @@
 import csv
 import io
 import json
+import os
 import re
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import psutil
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
+from served import computing, finished, get, occupied, service
 
-from service.app import create_app
 from service.errors import DataFolderBusy
-from service.settings import Settings
-from worker.executors import Dask, Executor, Inline
+from worker.executors import Dask
 
 GOLDEN = Path(__file__).parent / "golden"
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -32,41 +32,16 @@ FIGURE_2: dict[str, Any] = {
 }
 
 
-@contextmanager
-def service(folder: Path, executor: Executor, **given: Any) -> Iterator[TestClient]:
-    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
-    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
-        yield client
-
-
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    executor = Inline()
-    with service(tmp_path_factory.mktemp("data"), executor) as client:
+    with computing(tmp_path_factory.mktemp("data")) as client:
         yield client
-    executor.close()
 
 
 @pytest.fixture(scope="module")
 def figure_2(client: TestClient) -> str:
     """Where the finished job is."""
     return finished(client, FIGURE_2)
-
-
-def finished(client: TestClient, spec: dict[str, Any]) -> str:
-    answer = client.post("/v1/jobs", json=spec)
-    assert answer.status_code in (200, 202), answer.text
-    here = str(answer.headers["Location"])
-    wait_for(lambda: client.get(here).json()["state"] not in ("queued", "running"))
-    view = client.get(here).json()
-    assert view["state"] == "done", view["error"]
-    return here
-
-
-def get(client: TestClient, path: str, **query: Any) -> Any:
-    answer = client.get(path, params=query)
-    assert answer.status_code == 200, answer.text
-    return answer.json()
 
 
 # Jobs
@@ -144,17 +119,17 @@ def test_a_job_that_takes_long_asks_for_patience(tmp_path: Path):
 
 
 def test_jobs_are_listed_newest_first(tmp_path: Path):
-    with service(tmp_path, Held()) as client:
-        for omega in (0.4, 0.5, 0.6):
+    with occupied(tmp_path) as client:
+        for omega in (0.5, 0.6):
             client.post("/v1/jobs", json={**FIGURE_2, "omega": omega})
         everything = get(client, "/v1/jobs")
-        assert [job["spec"]["omega"] for job in everything["jobs"]] == [0.6, 0.5, 0.4]
+        assert [job["spec"]["omega"] for job in everything["jobs"]] == [0.6, 0.5, 0.123]
         assert everything["total"] == 3
         two = get(client, "/v1/jobs", limit=2)
         assert ([job["spec"]["omega"] for job in two["jobs"]], two["total"]) == ([0.6, 0.5], 3)
         assert get(client, "/v1/jobs", state="done") == {"jobs": [], "total": 0, "next": None}
         client.post(f"/v1/jobs/{everything['jobs'][0]['id']}/cancel")
-        wait_for(lambda: get(client, "/v1/jobs", state="cancelled")["total"] == 1)
+        assert get(client, "/v1/jobs", state="cancelled")["total"] == 1
 
 
 def test_a_long_specification_is_left_out_of_lists(tmp_path: Path):
@@ -173,15 +148,11 @@ def test_cancel_and_resume(tmp_path: Path):
         here = client.post("/v1/jobs", json=spec).headers["Location"]
         wait_for(lambda: held.held() == 4)
         assert client.post(f"{here}/cancel").status_code == 202
-        wait_for(lambda: (Path(held.chunks[0][3] + ".cancelled")).exists())
-        while held.held():
-            held.let_go()
-        wait_for(lambda: client.get(here).json()["state"] == "cancelled")
+        wait_for(held.told_to_stop)
+        held.let_go_until(lambda: client.get(here).json()["state"] == "cancelled")
         assert client.post(f"{here}/cancel").status_code == 202  # twice is once
         assert client.post("/v1/jobs", json=spec).status_code == 202
-        while client.get(here).json()["state"] != "done":
-            if held.held():
-                held.let_go()
+        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
         refused = client.post(f"{here}/cancel")
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
 
@@ -197,10 +168,8 @@ def test_a_failed_job_tells_why(tmp_path: Path):
 def test_jobs_outlive_the_service(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
-    executor = Inline()
-    with service(tmp_path, executor) as client:
+    with computing(tmp_path) as client:
         wait_for(lambda: client.get(here).json()["state"] == "done")
-    executor.close()
 
 
 def test_a_data_folder_serves_one_service(tmp_path: Path):
@@ -213,18 +182,24 @@ def test_the_cluster_computes_what_inline_computes(
 ):
     with service(tmp_path, cluster) as other:
         there = get(other, f"{finished(other, FIGURE_2)}/diagram")
-        assert get(other, "/readyz") == {"status": "ok"}
+        wait_for(lambda: other.get("/readyz").json() == {"status": "ok"})
     assert there == get(client, f"{figure_2}/diagram")
 
 
-def test_figure_2_is_done_in_five_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
+def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
+    """By the workers' own clocks; the seconds that pass on a quiet machine: `python -m benchmarks.figure`."""
+    pids = cluster._link.client.run(os.getpid).values()
+
+    def spent() -> float:
+        return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids)
+
     with service(tmp_path, cluster) as client:
         finished(client, {**FIGURE_2, "gamma": 1.5})
         for kind in ("rigid", "soft"):
             gamma = {"start": 1.0, "stop": 6.0, "num": 1000}
-            began = time.monotonic()
+            before = spent()
             finished(client, {**FIGURE_2, "gamma": gamma, "model": {"kind": kind}})
-            assert time.monotonic() - began < 5
+            assert spent() - before < 5
 
 
 # Diagrams

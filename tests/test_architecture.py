@@ -24,7 +24,7 @@ OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
 ALLOWED = {
     "kernel": {"numpy", "numba"},
     "kernel.params": {"numpy"},
-    "worker": {"numpy", "numba", "pydantic", "zarr", "obstore", "xarray", "dask", "distributed"},
+    "worker": {"numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed"},
     "worker.spec": {"numpy", "pydantic"},
     "worker.plan": {"numpy", "pydantic"},
     "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic", "zarr"},
@@ -72,7 +72,7 @@ def is_ours(module: str) -> bool:
 
 def project_files() -> list[Path]:
     """Every text file of the project, generated and installed ones left out."""
-    files = [path for path in ROOT.iterdir() if path.is_file()]
+    files = [path for path in ROOT.iterdir() if path.is_file() and path.name != ".git"]
     for folder in (*OURS, "docs"):
         files += [path for path in (ROOT / folder).rglob("*") if path.is_file()]
     generated = {"__pycache__", ".hypothesis"}

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from scripted import wait_for
+from served import service
 
-from service.app import create_app
-from service.settings import Settings
 from worker import store
-from worker.executors import ClusterLost, Dask, Executor, Inline, WorkerDied
+from worker.executors import ClusterLost, Dask, Inline, WorkerDied
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -42,13 +41,6 @@ class Unlucky(Inline):
 
     def _raise(self, *_: Any) -> None:
         raise self.errors.pop(0)
-
-
-@contextmanager
-def service(folder: Path, executor: Executor) -> Iterator[TestClient]:
-    settings = Settings(data=folder, heartbeat_seconds=0.1)
-    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
-        yield client
 
 
 def ended(client: TestClient, spec: dict[str, Any] = SWEEP) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Bad requests, one line each: the status, a piece of the message, and the service still answers."""
 
 import asyncio
+import contextlib
 import json
 import socket
 import threading
@@ -8,13 +9,16 @@ import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import httpx2
 import pytest
 import uvicorn
 from fastapi.testclient import TestClient
-from test_api import finished, service
+from scripted import DEADLINE, Held, wait_for
+from served import computing, finished, service
 
 from service.app import create_app
 from service.bodies import BodyLimit
+from service.patience import impatient
 from service.settings import Settings
 from worker.executors import Inline
 
@@ -159,11 +163,9 @@ REQUESTS = {
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    executor = Inline()
     limits = {"max_body_bytes": MAX_BODY, "max_cells": 1_000_000, "max_bytes": 2**32}
-    with service(tmp_path_factory.mktemp("data"), executor, **limits) as client:
+    with computing(tmp_path_factory.mktemp("data"), **limits) as client:
         yield client
-    executor.close()
 
 
 @pytest.fixture(scope="module")
@@ -207,26 +209,24 @@ def test_no_refused_sweep_has_left_anything(client: TestClient, job: str):
 
 
 def test_a_full_queue_says_when_to_come_back(tmp_path: Any):
-    executor = Inline()
-    with service(tmp_path, executor, max_queue=1) as client:
-        slow = {**GOOD, "gamma": {"start": 1, "stop": 6, "num": 2000}, "settle": 2000}
-        assert client.post("/v1/jobs", json=slow).status_code == 202
+    with service(tmp_path, Held(), max_queue=1) as client:
+        assert client.post("/v1/jobs", json={**GOOD, "xi": 0.3}).status_code == 202
         answer = client.post("/v1/jobs", json=GOOD)
         check_refusal(answer, 429, "at most 1 may be")
         assert int(answer.headers["Retry-After"]) > 0
-        client.post(client.get("/v1/jobs").json()["jobs"][0]["links"]["cancel"])
-    executor.close()
 
 
 def test_an_answer_too_large_says_what_fits(tmp_path: Any):
-    executor = Inline()
-    with service(tmp_path, executor, max_points=100) as client:
+    with computing(tmp_path, max_points=100) as client:
         here = finished(client, GOOD)
-        for format in ("json", "csv", "png", "svg"):
+        for format in ("json", "csv"):
             answer = client.get(f"{here}/diagram?omega=0.5&format={format}")
             check_refusal(answer, 413, "9 values of gamma × keep 64")
+            assert "every=9 asks for as many as fit" in answer.json()["detail"]
+            assert client.get(f"{here}/diagram?omega=0.5&format={format}&every=9").status_code == 200
+        for format in ("png", "svg"):
+            assert client.get(f"{here}/diagram?omega=0.5&format={format}").status_code == 200
         assert client.get(f"{here}/threshold").status_code == 200
-    executor.close()
 
 
 def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):
@@ -241,7 +241,8 @@ def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):
 def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor = Inline()
     settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings, executor), port=0, log_level="error"))
+    app, http = create_app(settings, executor), impatient(settings.body_seconds)
+    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
     thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:
@@ -255,7 +256,7 @@ def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
 def spoken(address: tuple[str, int], *pieces: bytes) -> bytes:
     """All the service answers until it closes the connection."""
     head = b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
-    with socket.create_connection(address, timeout=10) as connection:
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
         connection.sendall(head + b"".join(pieces))
         return b"".join(iter(lambda: connection.recv(65536), b""))
 
@@ -264,6 +265,47 @@ def test_a_stalled_body_is_given_up(address: tuple[str, int]):
     answer = spoken(address, b"Content-Length: 100\r\n\r\n", b'{"gamma": ')
     assert answer.startswith(b"HTTP/1.1 408 ")
     assert b"did not arrive within 0.5 s" in answer
+
+
+HEAD = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+
+
+@pytest.mark.parametrize("before", [b"", HEAD + b"\r\n"], ids=["first", "next"])
+@pytest.mark.parametrize("pieces", [[HEAD], [bytes([byte]) for byte in HEAD]], ids=["stalled", "dripping"])
+def test_a_head_that_does_not_come_is_given_up(address: tuple[str, int], before: bytes, pieces: list[bytes]):
+    """On a fresh connection, and on one that has had an answer."""
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
+        if before:
+            connection.sendall(before)
+            while not (got := connection.recv(65536)).endswith(b"}"):
+                assert got
+        with contextlib.suppress(ConnectionError):  # closed while it dripped
+            for piece in pieces:
+                connection.sendall(piece)
+                time.sleep(0.05)
+            rest = b"".join(iter(lambda: connection.recv(65536), b""))
+            assert rest.startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_connection_without_a_word_is_given_up(address: tuple[str, int]):
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
+        assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
+
+
+def test_who_asks_again_and_again_is_not_given_up(address: tuple[str, int]):
+    """For longer than a head may take, unless this machine pauses for so long itself."""
+
+    def connections() -> int:
+        with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}", timeout=DEADLINE) as client:
+            opened = set()
+            for _ in range(8):
+                answer = client.get("/healthz", headers={"Host": "localhost"})
+                assert answer.status_code == 200
+                opened.add(answer.extensions["network_stream"].get_extra_info("client_addr"))
+                time.sleep(0.1)
+            return len(opened)
+
+    wait_for(lambda: connections() == 1)
 
 
 def test_a_body_declared_too_long_is_refused_unread(address: tuple[str, int]):

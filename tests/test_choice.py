@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from kernel_runs import run
 
 from kernel.params import KERNEL_VERSION, Line, Model
+from kernel.threshold import threshold
 from worker.choice import CELLS, Choice, choose, resolved, sample
 from worker.contacts import Ball, Rigid, Soft
 from worker.deviation import deviations
@@ -54,7 +55,20 @@ def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
 
 
 def test_where_everything_rests_a_ball_will_do():
-    assert choose(sweep(1e-9, gamma={"start": 0.1, "stop": 0.5, "num": 20})).model == "ball"
+    choice = choose(sweep(1e-9, gamma={"start": 0.1, "stop": 0.5, "num": 20}))
+    assert choice.model == "ball"
+    assert [rung.resting for rung in choice.table] == [20] * 3
+    assert "(20 cells, 20 of them at rest, in closed form; 95th" in choice.reason
+
+
+def test_what_rests_is_counted_by_each_model():
+    """On the way up to twice the threshold of Eq. 25, which is 0.87; a ball's is 1."""
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
+    choice = choose(sweep(1e-2, gamma={"start": 0.1, "stop": 1.9, "num": 200}, protocol=ramp, model=STIFF))
+    onsets = {"ball": 1.0, "rigid": float(threshold(0.5, 0.26)), "soft": float(threshold(0.5, 0.26))}
+    for rung in choice.table:
+        visited = np.array([0.1 + 1.8 * (200 * (2 * k + 1) // 24) / 199 for k in range(12)])
+        assert rung.resting == np.count_nonzero(visited < onsets[rung.model])
 
 
 def test_a_locked_dashpot_is_a_ball():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from scripted import Held, Scripted, sweep, wait_for
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -35,16 +35,7 @@ from service.settings import Settings
 from worker.executors import Executor, Inline
 from worker.spec import SweepSpec
 
-SPEC: dict[str, Any] = {
-    "name": "coarse <figure 2>",
-    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
-    "omega": [0.5, 0.7],
-    "xi": 0.26,
-    "model": {"kind": "rigid"},
-    "settle": 100,
-    "observe": 20,
-    "keep": 8,
-}
+SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 
 
 @contextmanager
@@ -200,8 +191,7 @@ def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
 
         def follow(job: Job) -> None:
             seen.append((job.state, job.progress.cells_done))
-            if held.held():
-                held.let_go()
+            held.let_go_all()
 
         assert job.wait(progress=follow) is job
         assert seen[0] == ("queued", 0)
@@ -236,8 +226,9 @@ def test_a_cancelled_job_can_be_taken_up_again(tmp_path: Path):
         wait_for(held.held)
         assert job.cancel() is job
         job.cancel()
+        wait_for(held.told_to_stop)
         with pytest.raises(JobCancelled, match="submit the same sweep"):
-            job.wait(progress=lambda job: held.let_go() if held.held() else None, timeout=30)
+            job.wait(progress=lambda job: held.let_go_all(), timeout=DEADLINE)
         with pytest.raises(JobCancelled):
             job.wait(progress=False)
         assert client.submit(sweep()).id == job.id
@@ -373,11 +364,11 @@ def test_the_store_opens_lazily(job: Job):
 
 
 def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
-    with (
-        serving(tmp_path, Held(capacity=0)) as client,
-        pytest.raises(StoreUnreachable, match="has not begun"),
-    ):
-        client.submit(sweep()).open()
+    with serving(tmp_path, Held(), active_jobs=1) as client:
+        client.submit(sweep("never ends"))
+        waiting = client.submit(sweep("waits for it", omega=0.6))
+        with pytest.raises(StoreUnreachable, match="has not begun"):
+            waiting.open()
 
 
 # How things look, and what is exported

@@ -49,10 +49,10 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    """A service where nothing is ever begun."""
-    settings = embedded.settings(data=tmp_path_factory.mktemp("data"), port=0)
-    with embedded.running(settings, Held(capacity=0)) as address, Client(address) as client:
-        yield Running(address, client, client.submit(sweep("idle")))
+    """A service with a place for one job, which a job has that never ends: all others stay queued."""
+    settings = embedded.settings(data=tmp_path_factory.mktemp("data"), port=0, active_jobs=1)
+    with embedded.running(settings, Held()) as address, Client(address) as client:
+        yield Running(address, client, client.submit(sweep("never ends")))
 
 
 def bounce(running: Running, *words: str, token: str | None = TOKEN) -> Result:

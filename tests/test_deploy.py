@@ -21,7 +21,7 @@ LOCK = (ROOT / "requirements.lock").read_text()
 
 def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [Path(sys.executable).with_name(name), *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
 
 
 def instructions(name: str) -> list[str]:
@@ -51,6 +51,15 @@ def test_dockerfile_has_no_findings():
 def test_topology_is_a_scheduler_two_workers_and_the_service():
     assert set(SERVICES) == {"scheduler", "worker", "service"}
     assert SERVICES["worker"]["deploy"]["replicas"] == 2
+
+
+def test_scheduler_is_set_as_the_service_wants_it():
+    from worker.link import SCHEDULER, variable
+
+    given = {name: float(value) for name, value in SERVICES["scheduler"]["environment"].items()}
+    assert given == {variable(name): wanted for name, (wanted, _) in SCHEDULER.items()}
+    readme = (ROOT / "README.md").read_text()
+    assert all(f"{name}={SERVICES['scheduler']['environment'][name]}" in readme for name in given)
 
 
 @pytest.mark.parametrize("name", SERVICES)

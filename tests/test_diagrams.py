@@ -13,7 +13,8 @@ from matplotlib.image import imread
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.diagrams import COLUMNS, as_csv, as_json, as_picture
+from service.diagrams import as_picture
+from service.encoding import COLUMNS, as_csv, as_json
 from service.queries import Diagram
 from worker.spec import SweepSpec
 
@@ -82,6 +83,18 @@ def test_json_is_the_contract_to_the_letter():
     }
 
 
+def test_json_of_every_nth_cell_says_so():
+    assert json.loads(as_json(made(every=7)))["every"] == 7
+
+
+def test_long_lists_are_the_same_in_pieces():
+    many = long(2_000, 9)
+    content = json.loads(as_json(many))
+    assert content["flight_time"] == many.flight_time.tolist()
+    assert content["values"] == many.values.tolist()
+    assert content["flights"] == [9] * 2_000
+
+
 def test_json_keeps_every_digit():
     values = np.array([0.1 + 0.2, np.nextafter(1.5, 2), 2.5, 3.5])
     assert json.loads(as_json(made(values=values)))["values"] == values.tolist()
@@ -147,6 +160,41 @@ def test_few_points_are_drawn_and_many_become_an_image():
     assert b"<image" in many
     assert len(many) < 3_000_000
     ElementTree.fromstring(many)
+
+
+@pytest.mark.parametrize("values", [np.linspace(0.5, 6.0, 1200), np.geomspace(0.5, 6.0, 1200)])
+def test_density_covers_what_points_would(values: np.ndarray, monkeypatch: pytest.MonkeyPatch):
+    """The same flights as dots and as density: dark in the same places, on linear and logarithmic axes."""
+    flights = 3.0 + 2.0 * np.sin(6 * values)[:, None] * np.ones(30) + 1e-3 * np.arange(30)
+    wave = long(1200, 30)
+    wave = Diagram(**{**_fields(wave), "values": values, "flight_time": flights})
+    monkeypatch.setattr("service.diagrams.DENSE_POINTS", 1000)
+    dense = imread(io.BytesIO(as_picture([wave], spec(), "png")))[..., :3].mean(axis=-1) < 0.5
+    monkeypatch.setattr("service.diagrams.DENSE_POINTS", 10**9)
+    dots = imread(io.BytesIO(as_picture([wave], spec(), "png")))[..., :3].mean(axis=-1) < 0.5
+    assert 0.7 < dense.sum() / dots.sum() < 1.4
+    assert (dense & _near(dots)).sum() > 0.99 * dense.sum()
+    assert (dots & _near(dense)).sum() > 0.99 * dots.sum()
+
+
+def _near(dark: np.ndarray) -> np.ndarray:
+    """Within two pixels of something dark."""
+    found = dark.copy()
+    for axis in (0, 1):
+        found = np.logical_or.reduce([np.roll(found, shift, axis) for shift in range(-2, 3)])
+    return found
+
+
+def test_a_dense_picture_of_two_directions_names_both():
+    up, down = (Diagram(**{**_fields(long(3200, 64)), "direction": one}) for one in ("up", "down"))
+    ramp = spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
+    picture = words(as_picture([up, down], ramp, "svg"))
+    assert "<!-- up -->" in picture
+    assert "<!-- down -->" in picture
+
+
+def test_a_picture_of_every_nth_cell_says_so():
+    assert "1 cell in 7" in words(as_picture([made(every=7)], spec(), "svg"))
 
 
 def test_a_picture_says_what_is_missing_and_what_is_unresolved():

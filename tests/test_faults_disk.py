@@ -1,18 +1,17 @@
 """No room for results: the job fails with the reason, the service lives, and resuming finishes it."""
 
-import os
 import resource
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scripted import sweep
+from scripted import Held, sweep, wait_for
 from test_lifecycle import running
 
 from kernel.params import Outcome
 from service.jobs import JobState
-from worker.executors import Dask, Inline
+from worker.executors import Dask
 
 
 @pytest.fixture
@@ -43,38 +42,44 @@ def fill(path: Path) -> None:
 
 
 def test_a_full_disk_fails_the_job_and_no_more(small_disk: Path):
-    """Ledger and stores on it."""
-    executor, spec = Inline(), sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
-    with running(small_disk / "data", executor, heartbeat_seconds=0.2) as service:
-        service.until(service.submit(sweep(omega=0.7)), JobState.DONE)
+    """Ledger and stores on it; what the ledger keeps aside is enough to say what happened."""
+    held, spec = Held(capacity=1), sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
+    with running(small_disk / "data", held, window=1) as service:
+        job = service.submit(spec)
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 1)
         ballast = small_disk / "ballast"
         fill(ballast)
-        os.truncate(ballast, ballast.stat().st_size - (200 << 10))  # for accepting it
-        job = service.until(service.submit(spec), JobState.FAILED)
+        held.let_go()
+        job = service.until(job, JobState.FAILED)
         assert job.error is not None
         assert "No space left on device" in job.error
         ballast.unlink()
-        job = service.until(service.submit(spec), JobState.DONE)
+        assert service.submit(spec).state is JobState.QUEUED
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         assert (service.outcomes(job) != Outcome.MISSING).all()
-    executor.close()
 
 
-def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(small_disk: Path):
-    """Not even the ledger can say what happened; the job goes on by itself."""
-    executor = Inline()
-    with running(small_disk / "data", executor, heartbeat_seconds=0.2) as service:
-        job = service.submit(sweep(gamma={"start": 0.5, "stop": 1.2, "num": 600}))
-        service.until(job, JobState.RUNNING)
+def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(
+    small_disk: Path, caplog: pytest.LogCaptureFixture
+):
+    """Not even the ledger can say what happened, until then."""
+    held = Held()
+    with running(small_disk / "data", held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
         ballast = small_disk / "ballast"
+        service.settings.ledger_path.with_suffix(".reserve").unlink()
         fill(ballast)
-        executor.ready()
+        held.let_go()
+        wait_for(lambda: "the supervisor stumbled" in caplog.text)
+        assert service.job(job).state is JobState.RUNNING
         ballast.unlink()
-        job = service.until(job, JobState.DONE, JobState.FAILED)
-        if job.state is JobState.FAILED:  # a chunk met the full disk
-            assert "No space left" in (job.error or "")
-            service.submit(sweep(gamma={"start": 0.5, "stop": 1.2, "num": 600}))
-            service.until(job, JobState.DONE)
-    executor.close()
+        held.let_go_until(lambda: service.job(job).state is JobState.FAILED)
+        assert "No space left" in (service.job(job).error or "")
+        service.submit(sweep())
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
 
 
 def test_a_limit_on_the_size_of_files_fails_the_job_and_no_more(tmp_path: Path, cluster: Dask):

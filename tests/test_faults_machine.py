@@ -26,8 +26,8 @@ from worker import store
 CASES = int(os.environ.get("BOUNCE_TEST_CASES", "8"))
 
 SWEEPS = (
-    sweep("rest", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=20_000),
-    sweep("ramp", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=20_000, xi=0.1,
+    sweep("rest", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=5000),
+    sweep("ramp", gamma={"start": 0.5, "stop": 1.2, "num": 12}, settle=5000, xi=0.1,
           protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}),
 )  # fmt: skip
 jobs = st.integers(0, len(SWEEPS) - 1)
@@ -102,9 +102,15 @@ class Machine(RuleBasedStateMachine):
             assert not Path(self._url(number)).exists()
             self.marked.pop(SWEEPS[number].job_id("1"), None)
 
+    def _stop(self) -> None:
+        """As at the end of a process: none of its threads goes on."""
+        self.lifecycle.stop()
+        for part in (self.lifecycle._housekeeper, self.lifecycle._supervisor):
+            part._thread.join()
+
     @rule()
     def restart(self) -> None:
-        self.lifecycle.stop()
+        self._stop()
         self.ledger.close()
         self.start()
 
@@ -114,7 +120,7 @@ class Machine(RuleBasedStateMachine):
         self.ledger.close()
         while self.held.held():
             self.held.let_go()
-        self.lifecycle.stop()
+        self._stop()
         self.start()
 
     @rule(number=jobs)
@@ -140,7 +146,7 @@ class Machine(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         if hasattr(self, "lifecycle"):
-            self.lifecycle.stop()
+            self._stop()
             self.ledger.close()
         self._folder.cleanup()
 

@@ -1,17 +1,21 @@
 """Workers that die, hang, and eat memory: only the job that is to blame suffers, and nothing is lost.
 
-Real worker processes, really killed. `BOUNCE_TEST_RUNS=10` for the long version.
+Real worker processes, really killed. The long version, on a machine with nothing else to do:
+
+    BOUNCE_TEST_RUNS=10 pytest -n 0 -m "long or not long" tests/test_faults_workers.py
 """
 
 import os
 import random
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import dask
 import pytest
 from conftest import CACHE
 from harm import Harm
@@ -20,33 +24,45 @@ from test_lifecycle import Running, running
 
 from service.jobs import JobState
 from worker.executors import Dask, Inline
+from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 from worker.warm import warm
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
+#: Whether times are those of a machine with nothing else to do.
+STRICT = RUNS >= 10
 MEMORY = 600 << 20
+#: Seconds that a chunk may take: a hung one takes them, no other comes near them on a busy machine.
+HUNG = 12.0
+PATIENCE = 180.0
 
 
 @pytest.fixture(scope="module")
 def fragile() -> Iterator[Dask]:
     """A cluster of this module's own, whose workers do the harm that a sweep's name asks for."""
     warm(CACHE)
-    executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
+    with dask.config.set({"distributed.worker.memory.terminate": False}):  # it is our watch that is tried
+        executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
     executor._link.client.register_plugin(Harm())
     yield executor
     executor.close()
 
 
 class Counting:
-    """The same executor, counting what it is given."""
+    """The same executor, noting the chunks that it is given."""
 
     def __init__(self, executor: Dask) -> None:
-        self._executor, self.submitted = executor, 0
+        self._executor = executor
+        self.given: list[int] = []
 
-    def submit(self, *task: Any, **terms: Any) -> "Future[ChunkReport]":
-        future = self._executor.submit(*task, **terms)
-        self.submitted += 1
+    @property
+    def submitted(self) -> int:
+        return len(self.given)
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **terms: Any) -> "Future[ChunkReport]":
+        future = self._executor.submit(spec, chunk, url, **terms)
+        self.given.append(chunk.index)
         return future
 
     def __getattr__(self, name: str) -> Any:
@@ -108,11 +124,12 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             assert counting.submitted - calm.chunks_total <= 4  # the window
 
 
-@pytest.mark.long
+@pytest.mark.timeout(400)
 def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
-    """A hung, a greedy and a poisonous chunk at once, beside jobs that have none."""
+    """A hung, a greedy, a poisonous and a failing chunk at once, beside jobs that have none."""
     whole(fragile)
-    terms = {"chunk_seconds": 5.0, "chunk_slack": 5.0, "chunk_tries": 2}
+    tries = 2 if STRICT else 1
+    terms = {"chunk_seconds": HUNG, "chunk_tries": tries}
     with running(tmp_path, fragile, **terms) as service:
         bad = {
             name: service.submit(sweep(f"{name}:2", omega=omega))
@@ -120,24 +137,36 @@ def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
         }
         good = [service.submit(sweep(omega=omega)) for omega in (0.6, 0.7)]
         for job in good:
-            service.until(job, JobState.DONE)
-        ended = {name: service.until(job, JobState.FAILED) for name, job in bad.items()}
+            service.until(job, JobState.DONE, seconds=PATIENCE)
+        ended = {name: service.until(job, JobState.FAILED, seconds=PATIENCE) for name, job in bad.items()}
         with service.ledger.reading() as ledger:
             failed = {name: ledger.failures(job) for name, job in ended.items()}
     why = {
-        "hang": "longer than 5 s",
+        "hang": f"it took longer than {HUNG:g} s",
         "hog": "MB of memory",
         "poison": "died",
         "fail": "ValueError: the spring broke",
     }
     for name, job in ended.items():
         [failure] = failed[name]
-        assert (failure.chunk, failure.tries) == (2, 2)
+        assert not STRICT or (job.finished or 0) - (job.started or 0) < tries * HUNG + 10
+        assert (failure.chunk, failure.tries) == (2, tries)
         assert failure.place.startswith("chunk 2 (rest, gamma ")
-        nannied = name == "hog" and "died" in failure.error  # its nanny was quicker
-        assert why[name] in failure.error or nannied
+        assert why[name] in failure.error
         assert job.chunks_done == job.chunks_total - 1
     assert "the spring broke" in (failed["fail"][0].traceback or "")
+
+
+def test_nothing_waits_behind_a_chunk_that_hangs(tmp_path: Path, fragile: Dask):
+    """Its own job's other chunks, and another job, are done long before its time is up."""
+    whole(fragile)
+    with running(tmp_path, fragile, chunk_seconds=PATIENCE) as service:
+        hung, good = service.submit(sweep("hang:0")), service.submit(sweep(omega=0.6))
+        service.until(good, JobState.DONE)
+        wait_for(lambda: service.job(hung).chunks_done == service.job(hung).chunks_total - 1)
+        assert service.job(hung).state is JobState.RUNNING
+        service.lifecycle.cancel(hung.id)
+        service.until(hung, JobState.CANCELLED)
 
 
 def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, fragile: Dask):
@@ -152,11 +181,11 @@ def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, f
         service.lifecycle.cancel(busy.id)
         for job in (hung, busy):
             service.until(job, JobState.CANCELLED)
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < (5 if STRICT else 30)
         whole(fragile)
 
 
-@pytest.mark.skipif(RUNS < 10, reason="long: BOUNCE_TEST_RUNS=10")
+@pytest.mark.skipif(not STRICT, reason="long: BOUNCE_TEST_RUNS=10")
 def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
     whole(fragile)
     with running(tmp_path, fragile, chunk_seconds=2.0, chunk_tries=1) as service:
@@ -164,26 +193,49 @@ def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile
         assert job.chunks_done == job.chunks_total - 1
 
 
-@pytest.mark.long
-def test_a_small_job_beside_a_huge_one_is_hardly_delayed(tmp_path: Path, fragile: Dask):
+def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: Path, fragile: Dask):
+    """While it is computed hardly a chunk of the huge one is, though eighty wait."""
     whole(fragile)
-    with running(tmp_path, fragile, window_seconds=0.5) as service:
-        alone = [
-            timed(service, sweep("small", chunks=8, seconds=0.05, omega=0.6 + run / 100)) for run in range(3)
-        ]
-        huge = service.submit(sweep("huge", chunks=60, seconds=1.5))
+    with running(tmp_path, fragile) as service:
+        huge = service.submit(sweep("huge", chunks=80, seconds=0.2))
         wait_for(lambda: service.job(huge).chunks_done >= 2)
-        beside = []
-        for run in range(RUNS):
-            time.sleep(0.4)
-            beside.append(timed(service, sweep("small", chunks=8, seconds=0.05, omega=0.8 + run / 100)))
+        for run in range(RUNS // 2):
+            small = service.submit(sweep("small", chunks=10, seconds=0.03, omega=0.8 + run / 100))
+            wait_for(lambda small=small: service.job(small).chunks_done >= 1)
+            first = service.job(huge).chunks_done
+            service.until(small, JobState.DONE)
+            # One on each worker when it came, and one more as its last chunk was computed on the other.
+            assert service.job(huge).chunks_done - first <= 3
         assert service.job(huge).state is JobState.RUNNING
         service.lifecycle.cancel(huge.id)
         service.until(huge, JobState.CANCELLED)
-        with service.ledger.reading() as ledger:
-            longest = ledger._sql.execute("SELECT max(seconds) FROM chunks").fetchone()[0]
-    # On a machine with nothing else to do a chunk takes less than a second.
-    assert max(beside) < 3 * sorted(alone)[1] + max(1.0, 1.5 * longest), (alone, beside, longest)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_a_small_job_beside_a_huge_one_is_hardly_delayed(
+    tmp_path: Path, fragile: Dask, capsys: pytest.CaptureFixture[str]
+):
+    """Within three times its time alone and a second, which a chunk of the huge one takes at most."""
+    whole(fragile)
+    with running(tmp_path, fragile, window_seconds=0.5) as service:
+        alone = [timed(service, small(0.6 + run / 100)) for run in range(3)]
+        huge = service.submit(sweep("huge", chunks=200, seconds=1.0))
+        wait_for(lambda: service.job(huge).chunks_done >= 2)
+        beside = []
+        for run in range(max(RUNS, 5)):
+            time.sleep(0.4)
+            beside.append(timed(service, small(0.8 + run / 100)))
+        assert service.job(huge).state is JobState.RUNNING
+        service.lifecycle.cancel(huge.id)
+        service.until(huge, JobState.CANCELLED)
+    with capsys.disabled():
+        sys.stderr.write(f"\nalone {sorted(alone)[1]:.2f} s, beside at most {max(beside):.2f} s\n")
+    assert max(beside) <= 3 * sorted(alone)[1] + 1.0, (alone, beside)
+
+
+def small(omega: float) -> SweepSpec:
+    return sweep("small", chunks=8, seconds=0.1, omega=omega)
 
 
 def timed(service: Running, spec: SweepSpec) -> float:

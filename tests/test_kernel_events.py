@@ -8,7 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from kernel_runs import Step, examples, one_phase
 from mpmath import mp, mpf
-from naive import Exact, Setting, State, exact, instants, lowest, response
+from naive import Setting, State
+from naive_exact import Exact, exact, instants, lowest, response
 
 from kernel import oscillator
 from kernel.events import HORIZON, ROOT, safe_step

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from kernel_runs import TWO_PI, Step, examples, phases, recorded, run, run_setting
-from naive import Exact, Setting, energy, exact, instants, work
+from naive import Setting
+from naive_exact import Exact, energy, exact, instants, work
 
 from kernel.events import HORIZON, ROOT
 from kernel.params import Line, Model, Outcome

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from kernel_runs import TWO_PI, last_cycle, phases, recorded, run, run_setting
-from naive import Setting, flight, trajectory
+from naive import Setting, trajectory
+from naive_exact import flight
 
 from kernel.events import ROOT
 from kernel.params import Model, Outcome

@@ -11,7 +11,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from kernel_runs import TWO_PI, constants, examples, last_cycle, one_phase, phases, recorded, run, run_setting
 from mpmath import mp, mpf
-from naive import Setting, bounce, damping_for, pressed, restitution_of, trajectory
+from naive import Setting, bounce, damping_for, restitution_of, trajectory
+from naive_exact import pressed
 
 from kernel.events import ROOT
 from kernel.impact import damping_ratio, restitution

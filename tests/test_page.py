@@ -11,18 +11,12 @@ from urllib.parse import urljoin
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from scripted import Held, sweep
-from test_api import finished, get, service
+from scripted import Held
+from served import computing, finished, get, service
 
 from service import page
 from service.figures.catalogue import FIGURES
-from service.lines import Lines, read
-from service.queries import Sweep
-from worker import store
-from worker.executors import Inline
-from worker.plan import make_plan
 from worker.spec import SweepSpec
-from worker.tasks import run_chunk
 
 LINE: dict[str, Any] = {
     "name": "Fig. 2, coarse",
@@ -47,10 +41,8 @@ RAMP: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    executor = Inline()
-    with service(tmp_path_factory.mktemp("data"), executor) as client:
+    with computing(tmp_path_factory.mktemp("data")) as client:
         yield client
-    executor.close()
 
 
 @pytest.fixture(scope="module")
@@ -207,11 +199,56 @@ def test_a_line_that_is_not_there_is_refused(
 def test_a_plane_is_the_mode_map(client: TestClient, line: str):
     facts, arrays = unpacked(client, f"{line}/plane", xi=0.26)
     modes = get(client, f"{line}/modes", xi=0.26)
-    assert facts == {"xi": 0.26, "direction": "rest", "complete": True}
+    whole = {"every_gamma": 1, "every_omega": 1}
+    assert facts == {"xi": 0.26, "direction": "rest", "complete": True} | whole
     for name in ("gamma", "omega"):
         assert arrays[name].tolist() == modes[name]
     for name in ("outcome", "bounces", "periods"):
         assert arrays[name].tolist() == np.concatenate(modes[name]).tolist()
+
+
+def test_the_mode_map_and_the_diagram_come_thinned_where_asked(client: TestClient, line: str):
+    whole, part = (get(client, f"{line}/modes", xi=0.26, every=every) for every in (1, 50))
+    assert "every" not in whole
+    assert (part["every"], part["gamma"], part["omega"]) == (50, whole["gamma"][::50], [0.5])
+    assert part["bounces"] == [whole["bounces"][0][::50]]
+    thinned = get(client, f"{line}/diagram", omega=0.5, every=50)
+    assert (thinned["every"], thinned["values"]) == (50, whole["gamma"][::50])
+
+
+def test_a_window_of_a_plane_is_that_part_of_it(client: TestClient, line: str):
+    _, whole = unpacked(client, f"{line}/plane")
+    _, part = unpacked(client, f"{line}/plane", left=2.0, right=3.51, bottom=0.55)
+    inside = (whole["gamma"] >= 2.0) & (whole["gamma"] <= 3.51)
+    assert part["gamma"].tolist() == whole["gamma"][inside].tolist()
+    assert part["omega"].tolist() == [0.6]
+    assert part["bounces"].tolist() == whole["bounces"].reshape(2, 101)[1, inside].tolist()
+    _, between = unpacked(client, f"{line}/plane", left=2.03, right=2.04, bottom=0.51, top=0.52)
+    assert (len(between["gamma"]), between["omega"].tolist()) == (1, [0.5])
+    assert between["gamma"][0] == pytest.approx(2.05)
+
+
+def test_a_plane_too_large_for_one_answer_comes_thinned(tmp_path: Path):
+    with computing(tmp_path, max_points=60) as client:
+        here = finished(client, LINE)
+        facts, arrays = unpacked(client, f"{here}/plane")
+        assert (facts["every_gamma"], facts["every_omega"]) == (2, 2)
+        assert len(arrays["gamma"]) == 51
+        assert arrays["omega"].tolist() == [0.5]
+        facts, arrays = unpacked(client, f"{here}/plane", left=1.0, right=2.0)
+        assert (facts["every_gamma"], arrays["outcome"].size) == (1, 42)
+
+
+def test_a_line_too_long_to_be_read_comes_thinned(
+    client: TestClient, line: str, monkeypatch: pytest.MonkeyPatch
+):
+    whole, cells = unpacked(client, f"{line}/line", omega=0.5)
+    assert whole["every"] == 1
+    monkeypatch.setattr("service.queries.MAX_READ", 40 * 16)
+    facts, arrays = unpacked(client, f"{line}/line", omega=0.5)
+    assert facts["every"] == 3
+    assert arrays["values"].tolist() == cells["values"][::3].tolist()
+    assert arrays["shown"].tolist() == cells["shown"][::3].tolist()
 
 
 # A cell in motion
@@ -249,27 +286,3 @@ def test_a_cell_that_no_ramp_has_reached_is_refused(tmp_path: Path):
         facts, arrays = unpacked(client, f"{here}/line")
         assert facts["missing"] == len(arrays["values"]) == 81
         assert len(arrays["flight_time"]) == 0
-
-
-# Lines that are kept
-
-
-def test_lines_that_are_kept_are_those_of_the_store(tmp_path: Path):
-    spec = sweep(gamma={"start": 1.0, "stop": 4.0, "num": 7}, omega=[0.4, 0.5, 0.6], xi=[0.1, 0.2], settle=5)
-    plan = make_plan(spec, chunk_shape=(1, 2, 4))
-    url = str(tmp_path / "store.zarr")
-    store.create(url, spec, plan)
-    for chunk in plan:
-        run_chunk(spec, chunk, url)
-    kept, found = Lines(most_bytes=1000), Sweep(spec, url)
-    for along, places in [
-        *(("gamma", {"omega": i, "xi": j}) for i in range(3) for j in range(2)),
-        *(("omega", {"gamma": i, "xi": 1}) for i in range(7)),
-        *(("xi", {"gamma": i, "omega": 2}) for i in (6, 0)),
-    ]:
-        for _ in range(2):
-            line = kept.read(found, along, "rest", places, plan.chunk_shape)
-            expected = read(found, along, "rest", places)
-            for name, array in expected.items():
-                np.testing.assert_array_equal(line[name], array)
-    assert len(kept._blocks) < 5  # what is too much was let go

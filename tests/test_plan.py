@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worker.plan import (
+    ALONE_US,
     COST_US,
+    ELASTIC_US,
     FEWEST_CHUNKS,
     TARGET_SECONDS,
     Chunk,
@@ -175,13 +177,31 @@ def test_chunks_fit_into_memory_however_many_flights_are_kept():
     assert make_plan(spec)[0].cells * 10_000 * 16 <= 64 * 2**20
 
 
-def test_chunk_along_a_ramp_comes_before_chunk_across_it():
-    assert make_plan(sweep(omega=50, gamma=20, ramp=("omega", "up")), chunk_cells=100).chunk_shape == (
+def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
+    ramped = make_plan(sweep(omega=50, gamma=20, ramp=("omega", "up")), chunk_cells=100)
+    assert ramped.chunk_shape == (1, 50, 2)
+    assert make_plan(sweep(omega=50, gamma=20, ramp=("omega", "up")), chunk_cells=20).chunk_shape == (
         1,
-        50,
-        2,
+        17,
+        1,
     )
-    assert make_plan(sweep(omega=50, gamma=20), chunk_cells=100).chunk_shape == (1, 5, 20)
+
+
+@given(grids, st.integers(1, 500))
+def test_a_line_from_rest_touches_few_chunks_whichever_axis_it_goes_along(spec, cells):
+    """No axis is cut into more parts than the least number that all of them could be cut into."""
+    plan = make_plan(spec.model_copy(update={"protocol": sweep().protocol}), chunk_cells=cells)
+    fewest = next(
+        parts
+        for parts in range(1, 10)
+        if parts == 9 or math.prod(-(-n // min(n, parts)) for n in plan.grid) <= cells
+    )
+    assert max(plan.counts) <= fewest
+
+
+def test_the_chunks_of_an_atlas():
+    """A line along any axis of the million cells touches at most five chunks."""
+    assert make_plan(sweep(10, 100, 1000)).counts == (5, 5, 3)
 
 
 def test_parts_are_as_equal_as_can_be():
@@ -221,7 +241,13 @@ def test_estimate_counts_what_the_store_holds():
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 2 + 2 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(found.cells * 300 * COST_US["rigid"] * 1e-6)
+    assert found.core_seconds == pytest.approx(found.cells * 300 * ALONE_US * 1e-6)
+
+
+def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
+    assert cell_seconds(sweep()) == pytest.approx(300 * COST_US["rigid"] * 1e-6)
+    elastic = sweep(model={"kind": "rigid", "restitution": 0.5})
+    assert cell_seconds(elastic) == pytest.approx(300 * ELASTIC_US * 1e-6)
 
 
 def test_time_steps_are_counted():

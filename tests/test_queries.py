@@ -2,37 +2,22 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import zarr.storage
+from scripted import small as spec
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service import queries
+from service import planes, queries
 from service.errors import InvalidRequest, TooLarge
 from service.queries import Sweep
-from worker import layout, store
+from worker import layout, places, reading, store
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
 
 NOWHERE: dict[str, float | None] = {}
-
-
-def spec(**given: Any) -> SweepSpec:
-    """2 x 3 x 10 cells, xi, omega and gamma; cheap."""
-    fields: dict[str, Any] = {
-        "gamma": {"start": 0.5, "stop": 5.0, "num": 10},
-        "omega": [0.5, 0.7, 1.0],
-        "xi": [0.05, 0.26],
-        "model": {"kind": "rigid"},
-        "settle": 20,
-        "observe": 20,
-        "keep": 8,
-    }
-    return SweepSpec(**(fields | given))
 
 
 def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Sweep:
@@ -170,20 +155,19 @@ def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
     assert (found.complete, found.missing, found.flight_time.shape) == (False, 10, (10, 8))
     assert np.isnan(found.flight_time).all()
     assert found.flights.dtype == np.int32
-    assert not queries.thresholds(queued, None, 1000).complete
+    assert not planes.thresholds(queued, None, 1000).complete
 
 
 @pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Every file of a store that is read, by its name within the store."""
     seen: list[str] = []
-    get = zarr.storage.LocalStore.get
 
-    async def counted(self: Any, key: str, *args: Any, **named: Any) -> Any:
+    def counted(url: str, key: str) -> bytes | None:
         seen.append(key)
-        return await get(self, key, *args, **named)
+        return places.read(url, key)
 
-    monkeypatch.setattr(zarr.storage.LocalStore, "get", counted)
+    monkeypatch.setattr(reading, "read", counted)
     return seen
 
 
@@ -203,16 +187,77 @@ def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[st
     reads.clear()
     with pytest.raises(TooLarge, match=r"80 points \(10 values of gamma × keep 8\), at most 79 are sent"):
         queries.diagram(sweep, "gamma", point, None, 0.0, 79)
-    with pytest.raises(TooLarge, match=r"3 values of omega × 10 of gamma"):
-        queries.plane(sweep, 0.05, "rest", ("outcome",), 29)
+    with pytest.raises(TooLarge, match=r"3 values of omega × 10 of gamma.*every=2 "):
+        planes.modes(sweep, 0.05, "rest", 29)
     assert reads == []
+
+
+@pytest.mark.parametrize(("most", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
+def test_what_is_refused_is_told_what_would_fit(sweep: Sweep, most: int, every: int | None):
+    """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
+    point = {"omega": 0.5, "xi": 0.05}
+    assert queries.thinning((10,), 8, most) == every
+    if every is None:
+        with pytest.raises(TooLarge, match=r"are sent: opening the store itself has no such limit"):
+            queries.diagram(sweep, "gamma", point, None, 0.0, most)
+        return
+    assert queries.diagram(sweep, "gamma", point, None, 0.0, most, every).every == every
+    if every > 1:
+        with pytest.raises(TooLarge, match=f"every={every} asks for as many as fit"):
+            queries.diagram(sweep, "gamma", point, None, 0.0, most, every - 1)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 4, 7, 10, 99])
+def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
+    for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
+        whole = queries.diagram(sweep, along, point, None, 0.0, 1000)
+        found = queries.diagram(sweep, along, point, None, 0.0, 1000, every)
+        for name in ("values", *queries.LINE_ARRAYS):
+            np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[::every])
+    whole_map, found_map = (planes.modes(sweep, 0.05, None, 1000, n) for n in (1, every))
+    np.testing.assert_array_equal(found_map.omega, whole_map.omega[::every])
+    np.testing.assert_array_equal(found_map.gamma, whole_map.gamma[::every])
+    for name in planes.MODE_ARRAYS:
+        np.testing.assert_array_equal(found_map.arrays[name], whole_map.arrays[name][::every, ::every])
+
+
+def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: list[str]):
+    queries.diagram(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0, 1000, 10)
+    assert "flight_time/c/0/1/0/0/0" in reads
+    assert "flight_time/c/0/1/0/1/0" not in reads
+
+
+def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
+    """What can be read for it, every n-th cell."""
+    monkeypatch.setattr(queries, "MAX_READ", 40)
+    (found,) = queries.pictured(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
+    assert (found.every, len(found.values)) == (2, 5)
+    monkeypatch.setattr(queries, "MAX_READ", 8)
+    assert len(queries.pictured(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)[0].values) == 1
+
+
+def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
+    """However large the store: a line touches as many files as the plan has chunks along its axis."""
+    large = spec(
+        gamma={"start": 1.0, "stop": 6.0, "num": 1000},
+        omega={"start": 0.1, "stop": 5.0, "num": 100},
+        xi={"start": 0.1, "stop": 5.0, "num": 10},
+    )
+    plan, url = make_plan(large), str(tmp_path / "large.zarr")
+    store.create(url, large, plan)
+    point = {"gamma": 2.0, "omega": 0.5, "xi": 0.5}
+    for along, chunks in zip(("xi", "omega", "gamma"), plan.counts, strict=True):
+        reads.clear()
+        given = {axis: value for axis, value in point.items() if axis != along}
+        assert queries.diagram(Sweep(large, url), along, given, None, 0.0, 10**6).missing > 0
+        assert len(reads) == 1 + chunks  # the description, and outcomes, which are not there
 
 
 # Planes and thresholds
 
 
 def test_a_plane_is_the_stores_own(sweep: Sweep):
-    found = queries.plane(sweep, 0.2, "rest", ("bounces", "periods"), 1000)
+    found = planes.plane(sweep, 0.2, "rest", ("bounces", "periods"))
     assert (found.xi, found.omega.tolist(), len(found.gamma)) == (0.26, [0.5, 0.7, 1.0], 10)
     for name, array in store.read_slice(sweep.url, ("bounces", "periods"), direction=0, xi=1).items():
         np.testing.assert_array_equal(found.arrays[name], array)
@@ -220,13 +265,23 @@ def test_a_plane_is_the_stores_own(sweep: Sweep):
 
 def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
     fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    found = queries.thresholds(fine, None, 1000)
+    found = planes.thresholds(fine, None, 1000)
     gamma = fine.spec.axis_values("gamma")
     expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
     np.testing.assert_allclose(found.up, expected)
     np.testing.assert_array_equal(found.analytic, threshold([0.5, 0.7, 1.0], 0.05))
     assert np.isnan(found.down).all()
     assert found.complete
+
+
+def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Read a few rows of Ω at a time, the same."""
+    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
+    whole = planes.thresholds(fine, None, 3)
+    monkeypatch.setattr(planes, "MAX_READ", 50)
+    np.testing.assert_array_equal(planes.thresholds(fine, None, 3).up, whole.up)
+    with pytest.raises(TooLarge, match="3 values of omega"):
+        planes.thresholds(fine, None, 2)
 
 
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
@@ -238,7 +293,7 @@ def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     outcomes[1, 0, 0, 2:] = Outcome.APERIODIC
     outcomes[:, 0, 1, 3:] = Outcome.UNRESOLVED  # not known to bounce
     outcomes[1, 0, 2, 0] = Outcome.PERIODIC
-    found = queries.thresholds(handmade(tmp_path, outcomes, both), 0.05, 1000)
+    found = planes.thresholds(handmade(tmp_path, outcomes, both), 0.05, 1000)
     gamma = both.axis_values("gamma")
     np.testing.assert_array_equal(found.up, [gamma[4], np.nan, np.nan])
     np.testing.assert_array_equal(found.down, [gamma[2], np.nan, gamma[0]])
@@ -250,7 +305,7 @@ def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
     outcomes = np.full(down.shape, Outcome.AT_REST)
     outcomes[..., 6:] = Outcome.PERIODIC
     outcomes[..., 9] = Outcome.MISSING
-    found = queries.thresholds(handmade(tmp_path, outcomes, down), None, 1000)
+    found = planes.thresholds(handmade(tmp_path, outcomes, down), None, 1000)
     assert (found.down.tolist(), found.complete) == ([down.axis_values("gamma")[6]], False)
     assert np.isnan(found.up).all()
 
@@ -258,4 +313,4 @@ def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
 def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
     along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
     with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
-        queries.thresholds(Sweep(along, str(tmp_path)), 0.05, 1000)
+        planes.thresholds(Sweep(along, str(tmp_path)), 0.05, 1000)

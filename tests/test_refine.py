@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
+from scripted import wait_for
+from served import computing, finished, get, service
 
 from kernel.threshold import threshold
-from service.app import create_app
 from service.cli import main
 from service.client import BadRequest, Client, Job
 from service.embedded import running
@@ -62,6 +63,16 @@ def test_the_ascending_threshold_is_eq_25(tmp_path: Path, xi: float, model: dict
     found = np.array(thresholds(spec, url, TOLERANCE).up)
     assert len(found) == 20
     np.testing.assert_allclose(found, threshold(np.array(OMEGA), xi), rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("xi", [0.01, 0.2, 1.0])
+@pytest.mark.parametrize("omega", [1e-3, 1e-2, np.sqrt(2.0), 1e2, 1e3])
+def test_the_ascending_threshold_at_extreme_frequencies(tmp_path: Path, omega: float, xi: float):
+    """Slow plates, fast ones, and the antiresonance, where Eq. 25 goes like 1/(sqrt(8) xi)."""
+    gamma = {"start": 0.3, "stop": 80.0, "num": 60, "spacing": "log"}
+    spec, url = computed(tmp_path, gamma=gamma, omega=float(omega), xi=xi, protocol=ramp("up"))
+    found = thresholds(spec, url, 1e-5).up
+    assert found == pytest.approx([float(threshold(omega, xi))], rel=0, abs=1e-5)
 
 
 def descending(folder: Path, **model: Any) -> tuple[SweepSpec, str]:
@@ -206,42 +217,33 @@ class Counting(Inline):
         return super().call(function, *arguments)
 
 
-def finished(client: TestClient) -> str:
-    here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-    while client.get(here).json()["state"] in ("queued", "running"):
-        pass
-    return f"{here}/threshold"
+def answered(client: TestClient, here: str, **query: float) -> dict[str, Any]:
+    """What is answered once the workers have computed it."""
+    wait_for(lambda: client.get(here, params=query).status_code == 200)
+    answer: dict[str, Any] = get(client, here, **query)
+    return answer
 
 
 def test_an_answer_is_remembered_and_one_that_was_lost_is_asked_for_again(tmp_path: Path):
-    settings = Settings(data=tmp_path)
-    with (
-        closing(Counting(ClusterLost("gone"))) as executor,
-        TestClient(create_app(settings, executor), base_url="http://localhost") as client,
-    ):
-        here = finished(client)
+    with closing(Counting(ClusterLost("gone"))) as executor, service(tmp_path, executor) as client:
+        here = f"{finished(client, SWEEP)}/threshold"
         fine = {"xi": 0.05, "tolerance": 1e-4}
         refused = client.get(here, params=fine)
         assert (refused.status_code, refused.headers["Retry-After"]) == (503, "2")
         assert refused.json()["detail"] == "no worker is there to compute it (gone): ask again"
-        one, two = client.get(here, params=fine).json(), client.get(here, params=fine).json()
+        one, two = answered(client, here, **fine), answered(client, here, **fine)
         assert one == two
         assert one["tolerance"] == 1e-4
         assert executor.calls == 2
-        assert client.get(here, params=fine | {"xi": 0.2}).json() != one
+        assert answered(client, here, **fine | {"xi": 0.2}) != one
         assert executor.calls == 3
 
 
 def test_more_computing_than_one_answer_may_take_is_refused(tmp_path: Path):
     spec = SWEEP | {"gamma": [0.4, 1.2], "omega": {"start": 0.5, "stop": 1.0, "num": 2000}, "xi": 0.05}
-    settings = Settings(data=tmp_path)
-    with (
-        closing(Inline()) as executor,
-        TestClient(create_app(settings, executor), base_url="http://localhost") as client,
-    ):
+    with computing(tmp_path) as client:
         here = client.post("/v1/jobs", json=spec | {"settle": 2000}).headers["Location"]
-        while not client.get(here).json()["progress"]["chunks_done"]:
-            pass
+        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] > 0)
         refused = client.get(f"{here}/threshold", params={"tolerance": 1e-4})
         client.post(f"{here}/cancel")
     assert refused.status_code == 413

@@ -1,5 +1,6 @@
 """Results in an S3-compatible bucket: the same code path, the same bytes, against a server of moto's."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,19 @@ from test_exports import RAMP
 
 from service import embedded
 from worker import places, store
-from worker.executors import Inline
+from worker.executors import Dask, Inline
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
 PLACE = "s3://results/of/sweeps"
+
+ENVIRONMENT = {
+    "AWS_ENDPOINT_URL": "of the server",
+    "AWS_ACCESS_KEY_ID": "test",
+    "AWS_SECRET_ACCESS_KEY": "test",
+    "AWS_REGION": "us-east-1",
+    "AWS_ALLOW_HTTP": "true",
+}
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +39,8 @@ def bucket() -> Iterator[str]:
     server.start()
     host, port = server.get_host_and_port()
     address = f"http://{host}:{port}"
-    environment = {
-        "AWS_ENDPOINT_URL": address,
-        "AWS_ACCESS_KEY_ID": "test",
-        "AWS_SECRET_ACCESS_KEY": "test",
-        "AWS_REGION": "us-east-1",
-        "AWS_ALLOW_HTTP": "true",
-    }
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
+        for name, value in (ENVIRONMENT | {"AWS_ENDPOINT_URL": address}).items():
             patch.setenv(name, value)
         assert httpx2.put(f"{address}/results").status_code == 200
         yield address
@@ -152,17 +154,48 @@ def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
     executor.close()
 
 
-def test_a_bucket_that_does_not_answer_is_an_error_that_says_so(
-    bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_workers_of_a_cluster_write_to_the_bucket(
+    bucket: str, both: dict[str, tuple[TestClient, str]], tmp_path: Path, cluster: Dask
 ):
+    """Real ones, in processes of their own, told of the bucket as they always are: by their environment."""
+    run = cluster._link.client.run
+    known = {name: os.environ[name] for name in ENVIRONMENT}
+    run(os.environ.update, known)
+    try:
+        with service(tmp_path, cluster, stores=f"{PLACE}/cluster") as client:
+            here = finished(client, RAMP)
+            _, inline = both["bucket"]
+            for key in ("outcome/c/0/0/0/0", "flight_time/c/1/0/0/0/0", "end_state/c/0/0/0/0/0"):
+                stored = client.get(f"{here}/zarr/{key}")
+                assert stored.status_code == 200
+                assert stored.content == both["bucket"][0].get(f"{inline}/zarr/{key}").content
+            long = {**RAMP, "settle": 1_000_000, "protocol": {"kind": "rest"}}
+            slow = client.post("/v1/jobs", json=long).headers["Location"]
+            wait_for(lambda: get(client, slow)["state"] == "running")
+            client.post(f"{slow}/cancel")
+            wait_for(lambda: get(client, slow)["state"] == "cancelled")
+    finally:
+        for name in known:
+            run(os.environ.pop, name, None)
+
+
+def test_a_bucket_that_does_not_answer_is_waited_for(
+    bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    address = os.environ["AWS_ENDPOINT_URL"]
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setattr(places, "_PATIENCE", places._PATIENCE / 30)
-    with service(tmp_path, Held(), stores="s3://nowhere/x") as client:
+    executor = Inline()
+    with service(tmp_path, executor, stores=f"{PLACE}/away") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
-        wait_for(lambda: get(client, here)["state"] == "failed")
-        assert "cannot begin" in get(client, here)["error"]
+        wait_for(lambda: sum("its bucket does not answer" in one for one in caplog.messages) >= 2)
+        assert get(client, here)["state"] == "queued"
         answer: Any = client.get(f"{here}/modes?xi=0.26")
         assert (answer.status_code, answer.headers["Retry-After"]) == (503, "2")
         assert "does not answer" in answer.json()["detail"]
         assert "127.0.0.1" not in answer.text
         assert client.get("/healthz").status_code == 200
+        monkeypatch.setenv("AWS_ENDPOINT_URL", address)
+        places._bucket.cache_clear()
+        wait_for(lambda: get(client, here)["state"] == "done")
+    executor.close()

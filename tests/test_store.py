@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import layout, store
 from worker.plan import Chunk, Plan, make_plan
+from worker.problems import SpecError
 from worker.spec import SweepSpec
 
 
@@ -91,8 +94,25 @@ def test_attributes_say_what_it_is(url, spec):
     assert attrs["job"] == spec.job_id(KERNEL_VERSION)
     assert attrs["kernel_version"] == KERNEL_VERSION
     assert attrs["model"] == "rigid"
+    assert "time_steps" not in attrs
     assert attrs["title"] == "a label"
     assert attrs["Conventions"].startswith("CF-")
+
+
+@pytest.mark.parametrize("scheme", ["verlet", "euler"])
+def test_a_store_of_time_steps_states_their_limit(tmp_path, scheme):
+    """The longest step of any cell, and the shortest that is unstable in one: the last is refused."""
+    model = {"kind": "stepped", "scheme": scheme, "penetration": 0.05, "steps_per_contact": 200}
+    given = {"gamma": [1.0, 2.0], "omega": [0.1, 3.0], "xi": [0.1, 20.0]}
+    spec = SweepSpec(**given, model=model)
+    store.create(str(tmp_path / "sweep.zarr"), spec, make_plan(spec))
+    said = store.read_attrs(str(tmp_path / "sweep.zarr"))["time_steps"]
+    assert 0.0 < said["longest_step"] < said["stable_below"]
+    fewest = said["fewest_stable_steps_per_contact"]
+    SweepSpec(**given, model=model | {"steps_per_contact": fewest})
+    if fewest > 1:
+        with pytest.raises(SpecError, match=f"must be at least {fewest}, not {fewest - 1}"):
+            SweepSpec(**given, model=model | {"steps_per_contact": fewest - 1})
 
 
 def test_attributes_of_the_creator_are_kept(tmp_path, spec, plan):
@@ -172,9 +192,49 @@ def test_reads_touch_any_part_of_the_grid(url, spec, plan):
         assert found["flight_time"].shape == (2, 6, 8)
 
 
-def test_reads_outside_the_grid_are_refused(url):
+@pytest.fixture(scope="module")
+def full(tmp_path_factory, small_spec) -> tuple[str, dict[str, np.ndarray]]:
+    """A store with every chunk written, and all of it as zarr reads it."""
+    spec = small_spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
+    plan, url = make_plan(spec, chunk_shape=(2, 2, 4)), str(tmp_path_factory.mktemp("full") / "sweep.zarr")
+    store.create(url, spec, plan)
+    for chunk in plan:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    with xr.open_zarr(url) as dataset:
+        return url, {name: dataset[name].values for name in ("end_state", "bounces")}
+
+
+def indices(length: int) -> st.SearchStrategy[int | slice]:
+    """Places along an axis: one, also counted from the end, or a slice with a step, also an empty one."""
+    ends = st.none() | st.integers(-length - 1, length + 1)
+    return st.integers(-length, length - 1) | st.builds(
+        slice, ends, ends, st.none() | st.integers(1, length + 1)
+    )
+
+
+@given(st.tuples(*map(indices, (2, 2, 3, 10))))
+def test_any_part_reads_as_zarr_reads_it(full, where):
+    url, whole = full
+    axes = dict(zip(("direction", "xi", "omega", "gamma"), where, strict=True))
+    for name, array in store.read_slice(url, list(whole), **axes).items():
+        np.testing.assert_array_equal(array, whole[name][where])
+        assert array.dtype == whole[name].dtype
+
+
+@pytest.mark.parametrize("place", [10, -11])
+def test_reads_outside_the_grid_are_refused(url, place):
     with pytest.raises(IndexError):
-        store.read_slice(url, ["outcome"], gamma=10)
+        store.read_slice(url, ["outcome"], gamma=place)
+
+
+def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
+    """Its writer is not done: outcomes come last."""
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    (Path(url) / "outcome" / "c" / "0" / "0" / "0" / "0").unlink()
+    found = store.read_chunk(url, plan[0], ["outcome", "flights", "flight_time"])
+    assert not found["outcome"].any()
+    assert not found["flights"].any()
+    assert np.isnan(found["flight_time"]).all()
 
 
 def test_coordinates(url, spec):

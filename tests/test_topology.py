@@ -1,8 +1,8 @@
 """The compose file's containers as plain processes here: same commands, same health checks, one job."""
 
 import json
+import os
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +13,7 @@ from urllib.request import urlopen
 import psutil
 import pytest
 import yaml
+from scripted import free_port
 
 ROOT = Path(__file__).parents[1]
 SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
@@ -20,17 +21,11 @@ SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_te
 #: Seconds for a process to become healthy (longest: the service, whose workers may have to compile the
 #: kernels first), and to end when asked to.
 PATIENCE = 240
-FAREWELL = 20
+FAREWELL = 120
 
 #: MODEL: what Fig. 2 has at these values of gamma; below threshold the mass never leaves the plate.
 GAMMA = [0.5, 1.5, 2.3, 3.6]
 EXPECTED = [[], [4.855013427295], [3.722384327764, 6.284615845152], [11.246604305128]]
-
-
-def free_port() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return str(probe.getsockname()[1])
 
 
 class Process:
@@ -43,6 +38,7 @@ class Process:
             self.popen = subprocess.Popen(
                 self._here(self._container["command"]),
                 cwd=folder,
+                env=os.environ | self._environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -54,11 +50,16 @@ class Process:
         program, *arguments = (pattern.sub(lambda found: self._words[found[0]], word) for word in command)
         return [str(Path(sys.executable).with_name(program)), *arguments]
 
+    def _environment(self) -> dict[str, str]:
+        """The container's own variables, but for those that its user gives."""
+        given = self._container.get("environment", {})
+        return {name: value for name, value in given.items() if not value.startswith("${")}
+
     def wait_until_healthy(self) -> None:
         """Run the container's own health check until it passes."""
         check = self._here(self._container["healthcheck"]["test"][1:])
         deadline = time.monotonic() + PATIENCE
-        while subprocess.run(check, capture_output=True, check=False, timeout=30).returncode != 0:
+        while subprocess.run(check, capture_output=True, check=False, timeout=PATIENCE).returncode != 0:
             assert self.popen.poll() is None, f"{self.name} ended\n{self.log()}"
             assert time.monotonic() < deadline, f"{self.name} did not become healthy\n{self.log()}"
             time.sleep(0.2)
@@ -91,7 +92,7 @@ class Topology:
             "//scheduler:": "//127.0.0.1:",
             "/data": str(folder / "data"),
             "/tmp/dask": str(folder / "dask"),
-            **{port: free_port() for port in ("8000", "8786", "8787")},
+            **{port: str(free_port()) for port in ("8000", "8786", "8787")},
         }
         self.processes: list[Process] = []
 
@@ -104,7 +105,7 @@ class Topology:
 
     def _begin(self, container: str, name: str) -> Process:
         # A container has its port 8788 to itself; processes of one machine do not.
-        process = Process(container, name, self._words | {"8788": free_port()}, self._folder)
+        process = Process(container, name, self._words | {"8788": str(free_port())}, self._folder)
         self.processes.append(process)
         return process
 
@@ -114,7 +115,7 @@ class Topology:
 
     def workers(self) -> int:
         """How many workers the scheduler knows of, by its own count."""
-        with urlopen(f"http://127.0.0.1:{self._words['8787']}/json/counts.json", timeout=10) as answer:
+        with urlopen(f"http://127.0.0.1:{self._words['8787']}/json/counts.json", timeout=PATIENCE) as answer:
             return json.load(answer)["workers"]
 
     def end(self) -> dict[str, int]:
@@ -132,7 +133,7 @@ def topology(tmp_path: Path) -> Iterator[Topology]:
         topology.end()
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
     from service.client import Client
 
@@ -155,6 +156,8 @@ def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
         nearest = [min(known, key=lambda one: abs(one - flight)) for flight in found]
         assert set(nearest) == set(known)
         assert found == pytest.approx(nearest, abs=1e-9)
+
+    assert "start it with" not in topology.processes[-1].log()  # the scheduler is set as it has to be
 
     codes = topology.end()
     assert codes["service"] == 0, topology.processes[-1].log()

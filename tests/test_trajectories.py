@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Held
-from test_api import service
+from served import service
 
 from kernel.params import Cell, Contact, KernelInputError, Model
 from kernel.ramp import run_line

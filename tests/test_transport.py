@@ -8,13 +8,16 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from scripted import DEADLINE
 
 from service.client import (
     Busy,
     Client,
+    NotComputedYet,
     NotFound,
     Refused,
     ServiceError,
@@ -23,6 +26,7 @@ from service.client import (
     Unauthorized,
     UnexpectedAnswer,
 )
+from service.client.display import counting
 
 ID = "0123456789abcdef" * 2
 LOST = None  # the connection is closed instead of an answer
@@ -95,20 +99,22 @@ def scripted(*script: Answer | None) -> Iterator[tuple[Server, Client]]:
         assert server.script == []
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
+@pytest.fixture
+def deaf() -> Iterator[str]:
+    """An address at which nobody listens, for as long as the test takes."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        yield f"http://127.0.0.1:{taken.getsockname()[1]}"
 
 
 # Getting through
 
 
-def test_nobody_there_is_said_with_what_to_do():
-    url = f"http://127.0.0.1:{free_port()}"
-    with Client(url) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
+def test_nobody_there_is_said_with_what_to_do(deaf: str):
+    with Client(deaf) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
         client.job(ID)
-    assert url in str(caught.value)
-    assert caught.value.url == url
+    assert deaf in str(caught.value)
+    assert caught.value.url == deaf
 
 
 @pytest.mark.parametrize("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
@@ -141,9 +147,9 @@ def test_a_silent_service_is_unreachable():
             client.job(ID)
 
 
-def test_a_proxy_is_not_asked_for_this_machine(monkeypatch: pytest.MonkeyPatch):
+def test_a_proxy_is_not_asked_for_this_machine(monkeypatch: pytest.MonkeyPatch, deaf: str):
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
-        monkeypatch.setenv(name, f"http://127.0.0.1:{free_port()}")
+        monkeypatch.setenv(name, deaf)
     for name in ("NO_PROXY", "no_proxy"):
         monkeypatch.delenv(name, raising=False)
     with scripted(Answer(body=view())) as (_, client):
@@ -245,13 +251,17 @@ def test_a_wait_goes_at_the_pace_the_service_asks_for():
     assert third - second >= 0.5
 
 
-def test_a_wait_without_a_pace_looks_often_at_first_and_then_seldom():
-    looks = [Answer(200, view("running")) for _ in range(5)]
-    with scripted(Answer(202, view("queued")), *looks, Answer(200, view("done", 10))) as (server, client):
+def test_a_wait_without_a_pace_looks_often_at_first_and_then_seldom(monkeypatch: pytest.MonkeyPatch):
+    from service.client import job as module
+
+    pauses: list[float] = []
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
+    monkeypatch.setattr(module, "time", clock)
+    looks = [Answer(200, view("running")) for _ in range(9)]
+    with scripted(Answer(202, view("queued")), *looks, Answer(200, view("done", 10))) as (_, client):
         client.submit({}).wait(progress=False)
-        gaps = [b - a for a, b in zip(server.when, server.when[1:], strict=False)]
-    assert 0.1 <= gaps[0] < 0.5
-    assert gaps[-1] > 3 * 0.1
+    assert (pauses[0], pauses[-1]) == (0.1, 2.0)
+    assert pauses == sorted(pauses)
 
 
 def test_an_unchanged_job_is_asked_for_by_its_etag():
@@ -270,7 +280,7 @@ def test_an_unchanged_job_is_asked_for_by_its_etag():
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
     from service.client import job as module
 
-    monkeypatch.setattr(module, "PATIENCE", 5.0)
+    monkeypatch.setattr(module, "PATIENCE", DEADLINE)
     gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
@@ -286,6 +296,47 @@ def test_a_wait_gives_a_lost_service_up_in_the_end(monkeypatch: pytest.MonkeyPat
         job._transport = again._transport
         with pytest.raises(ServiceUnreachable):
             job.wait(progress=False)
+
+
+def underway(done: int) -> Answer:
+    return Answer(
+        202, {"state": "running", "progress": {"parts_done": done, "parts_total": 4}}, Retry_After="0.2"
+    )
+
+
+def test_what_workers_compute_is_asked_for_until_it_is_there():
+    told: list[tuple[int, int]] = []
+    script = (
+        underway(0),
+        Answer(429, {"detail": "full"}, Retry_After="0.1"),
+        underway(3),
+        Answer(body={"rows": []}),
+    )
+    with scripted(*script) as (server, client):
+        assert client.tradeoff(progress=lambda *parts: told.append(parts)) == {"rows": []}
+        assert told == [(0, 4), (3, 4)]
+        assert server.when[1] - server.when[0] >= 0.2
+
+
+def test_who_waits_no_longer_is_told_that_it_goes_on():
+    with (
+        scripted(underway(1)) as (_, client),
+        pytest.raises(NotComputedYet, match=r"^1 of 4 parts computed after -1 s; it goes on: ask again$"),
+    ):
+        client.tradeoff(patience=-1.0, progress=False)
+    with scripted(Answer(202, {"state": "running"})) as (_, client), pytest.raises(UnexpectedAnswer):
+        client.tradeoff(progress=False)
+
+
+def test_a_wait_for_workers_shows_itself_by_lines(capsys: pytest.CaptureFixture[str]):
+    show = counting(True)
+    for done in range(24):
+        show(done, 23)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "computed 0 of 23 parts"
+    assert len(lines) == 8
+    counting(False)(1, 2)
+    assert capsys.readouterr().err == ""
 
 
 def test_a_list_goes_on_to_its_last_page():

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import CACHE
 
 from worker import warm
 
@@ -96,6 +97,28 @@ def test_kernels_declared_before_the_claim_keep_no_cache(tmp_path):
     done = subprocess.run([sys.executable, "-c", late], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == "None\n"
     assert not list(tmp_path.iterdir())
+
+
+LATE = """
+import shutil
+from worker.warm import claim_cache, warm
+slot = claim_cache({root!r})
+shutil.copytree({ready!r}, slot.parent / "ready")
+warm()
+print(slot)
+"""
+
+
+def test_a_cache_claimed_before_there_was_one_to_copy_is_filled_when_warmed(tmp_path):
+    """As the service's own, on the machine's first start: its workers compile, it does not."""
+    warm.warm(CACHE)
+    ready = warm.claim_cache().parent / "ready"
+    code = LATE.format(root=str(tmp_path), ready=str(ready))
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    slot = Path(done.stdout.strip())
+    made = {path.relative_to(ready): path.stat().st_mtime_ns for path in ready.rglob("*.nbc")}
+    assert made
+    assert {path.relative_to(slot): path.stat().st_mtime_ns for path in slot.rglob("*.nbc")} == made
 
 
 def test_this_process_keeps_its_claim():

@@ -5,6 +5,11 @@ contact the specification gives and by every cheaper model, and their flights ar
 The cheapest model that holds the tolerance in 95 of 100 cells is taken. Costs are compared by
 the fixed table of worker.plan and not by the clock, so that the same specification always
 gets the same model. A task like any other: idempotent, and it returns a report.
+
+One model for the whole sweep, never a mixture: its results would jump by the tolerance along a seam
+that nobody could tell from a bifurcation, and a ramp cannot be handed from a ball to a spring, for the
+ball has no elongation to carry on from. What rests on the plate is not followed whatever the model: its
+end is in closed form (`kernel.rigid`, `kernel.soft`, `kernel.ball`), and the table counts such cells.
 """
 
 import time
@@ -15,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Line as Record
+from kernel.params import Outcome
 from worker.axes import Strict
 from worker.contacts import Auto, Ball, Rigid, Soft
 from worker.deviation import deviations, percentile
@@ -54,6 +60,7 @@ class Rung(Strict):
     median: float | None
     percentile_95: float | None
     cells: int  # compared
+    resting: int = 0  # of them by this model on the plate throughout: answered in closed form
 
 
 class Choice(Strict):
@@ -176,12 +183,14 @@ def _rung(spec: SweepSpec, model: Soft | Rigid | Ball, lines: list[Line], exact:
     found = np.concatenate(
         [deviations(one, other, run.micro_flight) for one, other in zip(exact, records, strict=True)]
     )
-    found = found[~np.isnan(found)]
+    compared = ~np.isnan(found)
+    resting = np.concatenate([record.outcome for record in records])[compared] == Outcome.AT_REST
+    found = found[compared]
     median, most = (percentile(found, percent) for percent in (50.0, HOLDS))
     cost = COST_US[model.kind]
     return Rung(
         model=model.kind, cost=cost, measured=round(microseconds, 3), median=median, percentile_95=most,
-        cells=len(found),
+        cells=len(found), resting=int(np.count_nonzero(resting)),
     )  # fmt: skip
 
 
@@ -193,7 +202,8 @@ def _choice(auto: Auto, table: list[Rung], rung: Rung) -> Choice:
             f"{rung.model}: no model holds {auto.tolerance:g} rad in 95% of the cells, and this is the best"
         )
     seen = ", ".join(f"{one.model} {_said(one.percentile_95)}" for one in table)
-    reason = f"{verdict} ({rung.cells} cells; 95th percentiles: {seen})"
+    closed = f", {rung.resting} of them at rest, in closed form" if rung.resting else ""
+    reason = f"{verdict} ({rung.cells} cells{closed}; 95th percentiles: {seen})"
     return Choice(model=rung.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
 

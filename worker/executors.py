@@ -6,7 +6,11 @@ of a report is in worker.faults.
 """
 
 import asyncio
+import contextlib
 import math
+import os
+import signal
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -14,10 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
-from distributed import KilledWorker, LocalCluster
+import dask
+from distributed import KilledWorker, LocalCluster, system
 
 from worker.faults import ClusterLost, ExecutorError, WorkerDied, WorkerLost
-from worker.link import Link, address_in
+from worker.link import SCHEDULER, Link, address_in
 from worker.plan import Chunk
 from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
@@ -28,6 +33,8 @@ __all__ = ["ClusterLost", "Dask", "Executor", "ExecutorError", "Inline", "Worker
 
 #: How long the number of workers is believed.
 COUNT_SECONDS: Final = 1.0
+#: For workers to end by themselves.
+CLOSE_SECONDS: Final = 2.0
 #: Above that of any chunk: somebody waits for the answer.
 CALL_PRIORITY: Final = 1_000_000.0
 
@@ -98,16 +105,17 @@ class _Flight:
 class Dask:
     """A Dask cluster: one that is there already, or one of `workers` processes on this machine.
 
-    Give `address` (tcp://host:port) or `scheduler_file` for the former, with distributed's own
-    `security` if it asks for TLS; a scheduler that dies is found again when it is back. The own
-    cluster listens on loopback only; each of its processes may use `memory` bytes (None: its share
-    of the machine's). Returns when the workers that are there have their kernels compiled; later
-    ones do that on joining. Raises `ClusterLost` if nobody answers within `timeout` seconds.
+    Give `address` (tcp://host:port, or a cluster object of Dask's) or `scheduler_file` for the former,
+    with distributed's own `security` if it asks for TLS; a scheduler that dies is found again when it
+    is back. The own cluster listens on loopback only; each of its processes may use `memory` bytes
+    (None: its share of the machine's). Returns when the workers that are there have their kernels
+    compiled; later ones do that on joining. Raises `ClusterLost` if nobody answers within `timeout`
+    seconds.
     """
 
     def __init__(
         self,
-        address: str | None = None,
+        address: Any = None,
         *,
         scheduler_file: str | Path | None = None,
         security: Any = None,
@@ -172,7 +180,10 @@ class Dask:
 
     def _close_cluster(self) -> None:
         if self._cluster is not None:
+            late = threading.Timer(CLOSE_SECONDS, _kill, [list(self._cluster.workers.values())])
+            late.start()
             self._cluster.close()
+            late.cancel()
 
     def _hear(self, said: dict[str, Any]) -> None:
         """A worker began a chunk, or ends itself over one."""
@@ -216,16 +227,23 @@ def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
     return WorkerLost("the worker process at which it waited died")
 
 
+def _kill(nannies: list[Any]) -> None:
+    """End worker processes without a word: one that starts, and may compile for a minute, hears none."""
+    for nanny in nannies:
+        if nanny.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
+
+
 def _local_cluster(workers: int, memory: int | None) -> Any:
     loopback = "127.0.0.1"
+    dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()})
     return LocalCluster(  # type: ignore[no-untyped-call]
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
         host=loopback,
         dashboard_address=f"{loopback}:0",
-        memory_limit=memory or "auto",
-        # Whose fault a death was is judged here, at once; the scheduler would try the chunk again first,
-        # and blame its neighbours too.
-        scheduler_kwargs={"allowed_failures": 0},
+        # Not by the number of cores, which has nothing to do with how many processes there are.
+        memory_limit=memory or system.MEMORY_LIMIT // workers,
     )

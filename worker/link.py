@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+import dask
 from distributed import Client, WorkerPlugin
 
 from worker.faults import ClusterLost
@@ -18,8 +19,17 @@ log = logging.getLogger(__name__)
 
 #: A frozen scheduler never answers and never fails: after so long it counts as not there.
 PING_SECONDS: Final = 2.0
+#: But one that has just come may have a lot to do.
+GREETING_SECONDS: Final = 30.0
 #: How often a lost scheduler is looked for.
 RETRY_SECONDS: Final = 1.0
+#: How a scheduler has to be set, and what comes of it otherwise.
+SCHEDULER: Final[dict[str, tuple[float, str]]] = {
+    # Whose fault a worker's death was is judged here, at once.
+    "distributed.scheduler.allowed-failures": (0, "a chunk that ends its worker ends more of them first"),
+    # What waits for a worker waits at the scheduler, and goes to whichever is free.
+    "distributed.scheduler.worker-saturation": (1.0, "chunks may wait behind one that hangs"),
+}
 #: What leads to no scheduler: a time-out is an OSError, a file may be half written.
 _NOBODY: Final = (OSError, ValueError, KeyError, TypeError)
 
@@ -77,11 +87,9 @@ class Link:
         self._keeper.join(2 * PING_SECONDS)
         self._client.close()
 
-    def _identity(self) -> dict[str, Any]:
+    def _identity(self, seconds: float = PING_SECONDS) -> dict[str, Any]:
         client = self._client
-        found: dict[str, Any] = client.sync(
-            client.scheduler.identity, n_workers=0, callback_timeout=PING_SECONDS
-        )
+        found: dict[str, Any] = client.sync(client.scheduler.identity, n_workers=0, callback_timeout=seconds)
         return found
 
     def _connected(self, timeout: float) -> Any:
@@ -96,7 +104,20 @@ class Link:
         """Tell a scheduler what it has to know; after that, chunks may be given to it."""
         self._client.subscribe_topic(TOPIC, lambda event: self._heard(event[1]))
         self._client.register_plugin(self._plugin)
-        self._scheduler = self._identity()["id"]
+        self._look_at_settings()
+        self._scheduler = self._identity(GREETING_SECONDS)["id"]
+
+    def _look_at_settings(self) -> None:
+        """Say so if the scheduler is not set as it has to be; results are right all the same."""
+        for name, (wanted, otherwise) in SCHEDULER.items():
+            try:
+                found = self._client.run_on_scheduler(dask.config.get, name)
+            except (OSError, ValueError, KeyError) as error:  # it runs nobody's code, or is gone again
+                log.warning("the scheduler does not tell its %s: %s", name, error)
+                continue
+            if found != wanted:
+                said = "the scheduler's %s is %s: %s; start it with %s=%g"
+                log.warning(said, name, found, otherwise, variable(name), wanted)
 
     def _keep(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):
@@ -125,6 +146,11 @@ class Link:
             return bool(self._identity()["id"] != self._scheduler)
         except (OSError, TimeoutError, RuntimeError):
             return False
+
+
+def variable(name: str) -> str:
+    """Of a scheduler's environment, what sets a configuration of Dask."""
+    return "DASK_" + name.replace(".", "__").replace("-", "_").upper()
 
 
 def address_in(file: Path, timeout: float) -> str:

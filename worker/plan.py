@@ -7,10 +7,14 @@ Chunks lie on a regular grid. They are numbered in the order they can be run: fr
 that is the grid's own order; on a ramp all lines' first chunks come before any line's
 second ones, down after up, so that a chunk never waits for a later number and
 neighbouring numbers hardly ever wait for each other.
+
+From rest there are about as many chunks along every axis, so that a line of cells touches few of
+them whichever axis it goes along. On a ramp a chunk holds whole lines along it where they fit.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple, overload
@@ -18,21 +22,25 @@ from typing import Final, NamedTuple, overload
 import numpy as np
 
 from kernel.steps import steps_per_period
-from worker.contacts import Stepped, penetration_of
+from worker.contacts import Rigid, Stepped, penetration_of
 from worker.layout import bytes_per_cell
 from worker.problems import Problem, SpecTooLarge
 from worker.spec import AXES, SweepSpec
 
-#: Core-microseconds of one cell for one plate period, measured by benchmarks/tradeoff.py over cells of
-#: all kinds; for `stepped` of one time step. `auto` costs at most what the exact contact does.
-COST_US: Final = {"ball": 0.2, "rigid": 0.5, "soft": 3.0, "auto": 3.0, "stepped": 0.0042}
+#: Core-microseconds of one cell for one plate period, measured over cells of all kinds from rest; for
+#: `stepped` of one time step. `auto` costs at most what the exact contact does.
+COST_US: Final = {"ball": 0.15, "rigid": 0.25, "soft": 3.5, "auto": 3.5, "stepped": 0.0042}
+#: The same of `rigid` where cells cannot be computed side by side: on a ramp, and where it bounces back.
+ALONE_US: Final = 1.0
+ELASTIC_US: Final = 3.5
 
-#: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small
-#: enough to show progress, to lose little, and to share out a small job.
-TARGET_SECONDS: Final = 0.75
+#: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small enough to show
+#: progress, to lose little, and to let a small job that comes in between have its turn soon.
+TARGET_SECONDS: Final = 1.2
 SMALLEST_SECONDS: Final = 0.02
 FEWEST_CHUNKS: Final = 8
-MAX_CHUNK_BYTES: Final = 64 * 2**20
+#: Before compression: who reads one cell reads its chunk.
+MAX_CHUNK_BYTES: Final = 16 * 2**20
 
 DEFAULT_MAX_CELLS: Final = 10_000_000
 DEFAULT_MAX_BYTES: Final = 64 * 2**30
@@ -178,7 +186,16 @@ def make_plan(
 
 def cell_seconds(spec: SweepSpec) -> float:
     """Core-seconds one cell of the sweep takes, from the table above."""
-    return COST_US[spec.model.kind] * _steps(spec) * 1e-6 * (spec.settle + spec.observe)
+    return _period_us(spec) * _steps(spec) * 1e-6 * (spec.settle + spec.observe)
+
+
+def _period_us(spec: SweepSpec) -> float:
+    if isinstance(spec.model, Rigid):
+        if spec.model.restitution > 0:
+            return ELASTIC_US
+        if spec.ramp_axis is not None:
+            return ALONE_US
+    return COST_US[spec.model.kind]
 
 
 def _steps(spec: SweepSpec) -> float:
@@ -221,15 +238,28 @@ def _cells_per_chunk(spec: SweepSpec) -> int:
 
 
 def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
-    """Up to `cells` cells: as far along the ramp as they go, then gamma, omega, xi."""
+    """Up to `cells` cells: as far along the ramp as they go, then about as many chunks along every axis."""
     if cells < 1:
         raise ValueError(f"chunk_cells: must be at least 1, not {cells}")
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
-    size = {}
-    for axis in dict.fromkeys([spec.ramp_axis or "gamma", "gamma", "omega", "xi"]):
-        size[axis] = _even(grid[axis], cells)
-        cells = max(1, cells // size[axis])
+    along = {spec.ramp_axis: _even(grid.pop(spec.ramp_axis), cells)} if spec.ramp_axis else {}
+    size = along | _balanced(grid, max(1, cells // math.prod(along.values())))
     return size["xi"], size["omega"], size["gamma"]
+
+
+def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
+    """Sizes along some axes, of up to `cells` cells together, that cut each into about as many parts."""
+
+    def cut(parts: int) -> dict[str, int]:
+        return {axis: -(-n // min(n, parts)) for axis, n in grid.items()}
+
+    every = range(1, max(grid.values()) + 1)
+    fits = bisect_left(every, True, key=lambda parts: math.prod(cut(parts).values()) <= cells)
+    size = cut(every[fits])
+    for axis in ("gamma", "omega", "xi"):  # what is left of the cells goes to the axis most looked along
+        if axis in size:
+            size[axis] = _even(grid[axis], cells * size[axis] // math.prod(size.values()))
+    return size
 
 
 def _even(n: int, most: int) -> int:

@@ -14,8 +14,10 @@ from zarr.storage import MemoryStore
 
 from kernel.params import KERNEL_VERSION
 from worker import layout
+from worker.contacts import Stepped
 from worker.plan import Plan
 from worker.spec import SweepSpec
+from worker.stepping import corners, stated
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
 _consolidating = threading.Lock()
@@ -43,13 +45,17 @@ def identity(spec: SweepSpec, plan: Plan) -> dict[str, Any]:
 
 
 def _provenance(spec: SweepSpec) -> dict[str, Any]:
-    return {
+    said = {
         "Conventions": "CF-1.11",
         "title": spec.name or "bouncing spring",
         "kernel_version": KERNEL_VERSION,
         "model": spec.model.kind,
         "spec": spec.as_submitted(),
     }
+    if isinstance(spec.model, Stepped):
+        axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
+        said["time_steps"] = stated(spec.model, corners(*axes))
+    return said
 
 
 def _create_coordinate(group: zarr.Group, coordinate: layout.Coordinate, spec: SweepSpec) -> None:

@@ -9,7 +9,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.steps import MOST_STEPS_PER_PERIOD, Scheme, stable_steps_per_contact, steps_per_period
+from kernel.steps import (
+    MOST_STEPS_PER_PERIOD,
+    Scheme,
+    largest_stable_step,
+    stable_steps_per_contact,
+    steps_per_period,
+)
 from worker.contacts import Stepped, penetration_of
 from worker.problems import BrokenRuleError
 
@@ -55,6 +61,25 @@ def check_steps(model: Stepped, cells: Cells, periods: int) -> None:
     field = "penetration" if model.rest_length is None else "rest_length"
     deeper = _rounded_up(getattr(model, field) * asked / most)
     raise BrokenRuleError(f"model.{field}", f"{rule}; {deeper:g} would do")
+
+
+def stated(model: Stepped, cells: Cells) -> dict[str, float]:
+    """What a store says of its time steps, over all cells: the longest (rad), and the limit of stability.
+
+    The limit is that of contact, spring and dashpot together in the worst cell, as a step (rad) and as
+    `steps_per_contact`.
+    """
+    depth = penetration_of(model, cells.gamma, cells.omega)
+    steps = steps_per_period(model.restitution, depth, model.steps_per_contact, adhesive=model.adhesive)
+    limit = largest_stable_step(
+        cells.omega, cells.xi, model.restitution, depth,
+        adhesive=model.adhesive, scheme=Scheme[model.scheme.upper()],
+    )  # fmt: skip
+    return {
+        "longest_step": float(2.0 * np.pi / np.min(steps)),
+        "stable_below": float(np.min(limit)),
+        "fewest_stable_steps_per_contact": _fewest_stable(model, cells, depth),
+    }
 
 
 def _fewest_stable(model: Stepped, cells: Cells, depth: NDArray[np.float64]) -> int:

@@ -18,19 +18,17 @@ from typing import Any, Final, Literal
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.abc.store import ByteRequest, Store
-from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.core.sync import sync
 from zarr.errors import GroupNotFoundError
-from zarr.storage import WrapperStore
 
 from worker import layout, stored
 from worker.marks import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
 from worker.places import StoreError, open_store, read, remove, set_aside
 from worker.plan import Chunk, Plan
+from worker.reading import ROOT, read_cells
 from worker.skeleton import identity, skeleton
 from worker.spec import AXES, SweepSpec
-from worker.stored import Index, Place, harden, key, place_in, place_of, touched
+from worker.stored import Index, StoreDamaged, StoreMissing, harden, key, place_of
 
 __all__ = [
     "StoreConflict",
@@ -56,23 +54,11 @@ __all__ = [
     "write_chunk",
 ]  # fmt: skip
 
-_ROOT: Final = "zarr.json"
-
 _EVERYTHING: Final = slice(None)
-
-
-class StoreMissing(StoreError):
-    """There is no store at that place."""
 
 
 class StoreConflict(StoreError):
     """What is stored there is not what was to be stored there."""
-
-
-class StoreDamaged(StoreError):
-    """Stored bytes cannot be read back, or are gone; `places` says which chunks, where it is a chunk."""
-
-    places: tuple[Place, ...] = ()
 
 
 def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> None:
@@ -91,7 +77,7 @@ def mend(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None 
     right = skeleton(spec, plan, attrs or {})
     wrong = [address for address, content in right.items() if read(url, address) != content.to_bytes()]
     # The root comes last: whoever finds consolidated metadata finds a complete store.
-    wrong.sort(key=lambda address: address == _ROOT)
+    wrong.sort(key=lambda address: address == ROOT)
     store = open_store(url, read_only=False)
     for address in wrong:
         sync(store.set(address, right[address]))
@@ -146,17 +132,11 @@ def read_slice(
 
     `promised`: everything was written, so what is not there is damage and not still to come.
 
-    A whole number drops its dimension, a slice keeps it; flights (or state fields) come last.
+    A whole number drops its dimension, a slice (its step, if any, above 0) keeps it; flights (or state
+    fields) come last. Cells without an outcome yet read as fill values throughout.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
-    noting = _Noting(open_store(url, read_only=True))
-    group = _open(url, "r", noting)
-    where = (direction, xi, omega, gamma)
-    # Outcomes first: a cell that had one had everything else before.
-    wanted = dict.fromkeys([layout.OUTCOME.name, *(names := list(names))])
-    found = {name: _read_cells(group, name, where) for name in wanted}
-    _check_whole(noting.absent, promised)
-    return {name: found[name] for name in names}
+    return read_cells(url, names, (direction, xi, omega, gamma), promised)
 
 
 def read_chunk(
@@ -170,7 +150,7 @@ def read_chunk(
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
     """`xi`, `omega`, `gamma` as float64 and `direction` as text, each (n,)."""
     group = _open(url, "r")
-    return {coordinate.name: _read(_array(group, coordinate.name), ()) for coordinate in layout.COORDINATES}
+    return {coordinate.name: _read(_array(group, coordinate.name)) for coordinate in layout.COORDINATES}
 
 
 def read_attrs(url: str) -> dict[str, Any]:
@@ -184,27 +164,10 @@ def chunk_shape(url: str) -> tuple[int, int, int]:
     return xi, omega, gamma
 
 
-class _Noting(WrapperStore[Store]):
-    """A store that notes what was asked for and not there: zarr reads that as fill values."""
-
-    def __init__(self, store: Store) -> None:
-        super().__init__(store)
-        self.absent: list[str] = []
-
-    async def get(
-        self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
-    ) -> Buffer | None:
-        found = await super().get(key, prototype, byte_range)
-        if found is None:
-            self.absent.append(key)
-        return found
-
-
-def _open(url: str, mode: Literal["r", "r+"], store: Store | None = None) -> zarr.Group:
+def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
     group, trouble = None, ""
     try:
-        store = store or open_store(url, read_only=mode == "r")
-        group = zarr.open_group(store, mode=mode, zarr_format=3)
+        group = zarr.open_group(open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
         pass
     except (ValueError, KeyError, TypeError) as error:
@@ -246,44 +209,12 @@ def _names(group: zarr.Group) -> list[str]:
     return [array.name for array in order if array.name in group]
 
 
-def _read(array: zarr.Array[Any], where: tuple[Index, ...]) -> NDArray[Any]:
+def _read(array: zarr.Array[Any]) -> NDArray[Any]:
     try:
-        return np.asarray(array[where or ...])
+        return np.asarray(array[...])
     except (RuntimeError, ValueError) as error:  # what codecs raise for bytes that are not theirs
         trouble = str(error)
     raise StoreDamaged(f"{array.path}: cannot be read back: {trouble}")
-
-
-def _read_cells(group: zarr.Group, name: str, where: tuple[Index, ...]) -> NDArray[Any]:
-    """As `_read`, and damage is told with the chunks it is in."""
-    array = _array(group, name)
-    try:
-        return _read(array, where)
-    except StoreDamaged as error:
-        error.places = tuple(
-            place for place in touched(array.shape, array.chunks, where) if not _readable(array, place)
-        )
-        raise
-
-
-def _readable(array: zarr.Array[Any], place: Place) -> bool:
-    try:
-        array.get_block_selection(place)
-    except (RuntimeError, ValueError):
-        return False
-    return True
-
-
-def _check_whole(absent: Iterable[str], promised: bool) -> None:
-    """Raise StoreDamaged if there are chunks whose outcomes are there and something else is not."""
-    gone = [(address.split("/")[0], place_in(address)) for address in absent if "/c/" in address]
-    unwritten = {place for name, place in gone if name == layout.OUTCOME.name and not promised}
-    torn = {place: name for name, place in gone if place not in unwritten}
-    if torn:
-        place, name = next(iter(torn.items()))
-        error = StoreDamaged(f"{key(name, place)}: is gone")
-        error.places = tuple(torn)
-        raise error
 
 
 def _chunk_shape(group: zarr.Group) -> tuple[int, ...]:

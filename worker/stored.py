@@ -9,17 +9,16 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from itertools import product, starmap
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from worker import layout
-from worker.places import delete, in_bucket, read
+from worker.places import StoreError, delete, in_bucket, read
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 
-#: A disk answers several of these at once as fast as one.
-_SYNC_THREADS: Final = 8
+#: A disk's syncs and a bucket's answers come several at a time as fast as one.
+_THREADS: Final = 8
 
 _DIMS: Final = {array.name: array.dims for array in (*layout.RECORD, layout.END_STATE, layout.OUTCOME)}
 
@@ -36,6 +35,16 @@ class Place(NamedTuple):
     gamma: int
 
 
+class StoreMissing(StoreError):
+    """There is no store at that place."""
+
+
+class StoreDamaged(StoreError):
+    """Stored bytes cannot be read back, or are gone; `places` says which chunks, where it is a chunk."""
+
+    places: tuple[Place, ...] = ()
+
+
 def place_of(chunk: Chunk, chunk_shape: Shape) -> Place:
     """Where a chunk lies; `chunk_shape` is (xi, omega, gamma)."""
     xi, omega, gamma = (
@@ -48,22 +57,6 @@ def key(name: str, place: Place) -> str:
     """Address of one array's chunk below the store's own."""
     extra = "/0" * (len(_DIMS[name]) - len(place))
     return f"{name}/c/{'/'.join(map(str, place))}{extra}"
-
-
-def place_in(address: str) -> Place:
-    """The chunk that an address made by `key` belongs to."""
-    direction, xi, omega, gamma = map(int, address.split("/")[2:6])
-    return Place(direction, xi, omega, gamma)
-
-
-def touched(shape: Shape, chunk_shape: Shape, where: Iterable[Index]) -> Iterator[Place]:
-    """The chunks that hold the cells at these indices; the shapes are an array's own."""
-    spans = []
-    for index, size, length in zip(where, chunk_shape, shape, strict=False):
-        cells = range(length)[index]
-        ends = (cells, cells) if isinstance(cells, int) else (cells[0], cells[-1])
-        spans.append(range(min(ends) // size, max(ends) // size + 1))
-    return starmap(Place, product(*spans))
 
 
 def checksum(url: str, names: Iterable[str], place: Place) -> str:
@@ -104,7 +97,7 @@ def harden(url: str, keys: Sequence[str]) -> None:
     files = [root / key for key in keys]
     folders = {above for file in files for above in file.parents if above.is_relative_to(root)}
     for group in (files, [*folders, root.parent]):
-        list(_threads().map(_fsync, group))
+        list(threads().map(_fsync, group))
 
 
 def _fsync(path: Path) -> None:
@@ -116,5 +109,6 @@ def _fsync(path: Path) -> None:
 
 
 @cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_SYNC_THREADS, thread_name_prefix="harden")
+def threads() -> ThreadPoolExecutor:
+    """For what is waited for rather than computed."""
+    return ThreadPoolExecutor(_THREADS, thread_name_prefix="store")

@@ -91,7 +91,7 @@ def _run_line(
     two runs differ.
     """
     gamma, omega, xi = (cells[axis][place] for axis in ("gamma", "omega", "xi"))
-    step = _whole_lanes(int(CANCEL_SECONDS / cell_seconds(spec)))
+    step = max(1, int(CANCEL_SECONDS / cell_seconds(spec)))
     for low in range(0, len(gamma), step):
         if store.is_cancelled(store_url):
             raise ChunkCancelled(f"cancelled: {store_url}")
@@ -113,11 +113,6 @@ def _naming(**axes: NDArray[np.float64]) -> Iterator[None]:
         spans = [f"{name} {values[0]:g} to {values[-1]:g}" for name, values in axes.items()]
         error.add_note(f"in the cells {', '.join(spans)}")
         raise
-
-
-def _whole_lanes(cells: int) -> int:
-    """So many cells, rounded so that kernels which run eight side by side leave none idle."""
-    return max(1, cells - cells % 8 if cells > 8 else cells)
 
 
 def run_cells(

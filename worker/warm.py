@@ -29,6 +29,7 @@ from typing import Final
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _LOCK: Final = "held"
 _READY: Final = "ready"
+_COMPILED: Final = "*.nbc"
 _OLD_SECONDS: Final = 14 * 24 * 3600
 
 #: The slot this process holds, until it ends: its lock is never closed on purpose.
@@ -46,6 +47,8 @@ def warm(root: str | Path | None = None) -> None:
     from kernel import ramp  # noqa: PLC0415
 
     if slot is None or (slot.parent / _READY).exists():
+        if slot is not None:
+            _seed(slot)  # it may have been claimed before there was anything to copy
         ramp.warm()
         return
     with (slot.parent / "compiling").open("a") as turn:
@@ -106,9 +109,10 @@ def _first_free_slot(folder: Path) -> Path:
 
 
 def _seed(slot: Path) -> None:
-    """Give an empty cache what the first process left, if it has finished."""
+    """Give a cache without anything compiled what the first process left, if it has finished."""
     ready = slot.parent / _READY
-    if ready.is_dir() and [path.name for path in slot.iterdir()] == [_LOCK]:
+    # Not "an empty cache": numba makes its folders in it when kernels are declared.
+    if ready.is_dir() and not any(slot.rglob(_COMPILED)):
         shutil.copytree(ready, slot, dirs_exist_ok=True)
 
 

@@ -6,6 +6,7 @@ from math import inf
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
+from service.client.display import Parts
 from service.client.errors import NotFound, Problem, UnexpectedAnswer
 from service.client.job import Job
 from service.client.specification import Specification, body
@@ -121,18 +122,22 @@ class Client:
 
         return motion_dataset(document(self._transport.post("/v1/trajectories", body(cell), repeat=True)))
 
-    def tradeoff(self, *, patience: float = 900.0) -> dict[str, Any]:
+    def tradeoff(self, *, patience: float = 900.0, progress: bool | Parts = True) -> dict[str, Any]:
         """What every contact model costs and how far off it is: `rows`, and `advice` in a sentence.
 
         Measured by the service's workers when first asked for, a minute or so; waits up to `patience`
-        seconds. Raises Busy.
+        seconds. `progress`: True tells on standard error how far they are; a function is called with the
+        number of parts done and of all. Raises NotComputedYet, Busy.
         """
-        return document(self._transport.get_when_computed("/v1/tradeoff", patience=patience))
+        path = "/v1/tradeoff"
+        return document(self._transport.get_when_computed(path, patience=patience, progress=progress))
 
-    def tradeoff_picture(self, format: str = "png", *, patience: float = 900.0) -> bytes:
-        """The same as a picture, png or svg. Raises BadRequest, Busy."""
-        query = {"format": format}
-        return self._transport.get_when_computed("/v1/tradeoff", query, patience=patience).content
+    def tradeoff_picture(
+        self, format: str = "png", *, patience: float = 900.0, progress: bool | Parts = True
+    ) -> bytes:
+        """The same as a picture, png or svg. Raises BadRequest, NotComputedYet, Busy."""
+        path, query = "/v1/tradeoff", {"format": format}
+        return self._transport.get_when_computed(path, query, patience=patience, progress=progress).content
 
     def metrics(self) -> str:
         """The service's figures, in Prometheus's text form."""

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 Show: TypeAlias = Callable[["Job"], None]
 
+#: Is told how many parts of an answer are computed, and of how many.
+Parts: TypeAlias = Callable[[int, int], None]
+
 #: A plain line is written every so many percent, and every so many seconds in between.
 LINE_PERCENT: Final = 10.0
 LINE_SECONDS: Final = 10.0
@@ -31,6 +34,27 @@ def display(progress: bool | Show) -> Iterator[Show]:
             yield show
     else:
         yield Lines(sys.stderr)
+
+
+def counting(progress: bool | Parts) -> Parts:
+    """The same for an answer that workers compute: `progress` itself if callable, else lines or nothing."""
+    if callable(progress):
+        return progress
+    return Count(sys.stderr) if progress else lambda done, total: None
+
+
+class Count:
+    """A line at first and every `LINE_PERCENT` of the parts."""
+
+    def __init__(self, out: TextIO) -> None:
+        self._out = out
+        self._last: int | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        """Write a line for so many parts of all if one is due."""
+        if self._last is None or (done - self._last) * 100.0 >= LINE_PERCENT * total:
+            self._last = done
+            print(f"computed {done} of {total} parts", file=self._out, flush=True)
 
 
 class Lines:

@@ -15,6 +15,7 @@
     ├── JobFailed                   the job ended as failed; `job` is the job
     ├── JobCancelled                the job ended as cancelled
     ├── WaitTimeout                 the wait ended, the job did not (also a TimeoutError)
+    ├── NotComputedYet              the wait ended, the workers' computing did not (also a TimeoutError)
     └── StoreUnreachable            the job's zarr store cannot be opened from here
 
 `Refused` and its children carry the problem document (RFC 9457) as `problem`.
@@ -164,6 +165,13 @@ class WaitTimeout(BounceError, TimeoutError):
             f"job {job.id} is {job.state} at {job.progress.whole_percent}% after {seconds:g} s; it goes on"
         )
         self.job = job
+
+
+class NotComputedYet(BounceError, TimeoutError):
+    """The wait ended before the workers had the answer; they go on, so that asking again costs nothing."""
+
+    def __init__(self, done: int, total: int, seconds: float) -> None:
+        super().__init__(f"{done} of {total} parts computed after {seconds:g} s; it goes on: ask again")
 
 
 class StoreUnreachable(BounceError):

@@ -4,6 +4,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from service.client.display import Parts
 from service.client.errors import BounceError
 from service.client.transport import Transport, document
 
@@ -71,18 +72,26 @@ class Results:
         return self._transport.get(self._path("diagram"), query).content
 
     def threshold(
-        self, xi: float | None = None, *, tolerance: float | None = None, patience: float = 300.0
+        self,
+        xi: float | None = None,
+        *,
+        tolerance: float | None = None,
+        patience: float = 300.0,
+        progress: bool | Parts = True,
     ) -> "xarray.Dataset":
         """Where bouncing begins, per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
 
         To the sweep's grid in Γ; with a `tolerance` (in Γ) workers refine them from its stored states, for
-        which this waits up to `patience` seconds. NaN where the sweep does not hold the answer. Raises
-        BadRequest, as for a ξ outside the grid; TooLarge, Busy.
+        which this waits up to `patience` seconds; `progress` as in `Client.tradeoff`. NaN where the sweep
+        does not hold the answer. Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet,
+        Busy.
         """
         from service.client.datasets import threshold_dataset
 
         query = {"xi": xi, "tolerance": tolerance}
-        answer = self._transport.get_when_computed(self._path("threshold"), query, patience=patience)
+        answer = self._transport.get_when_computed(
+            self._path("threshold"), query, patience=patience, progress=progress
+        )
         return threshold_dataset(document(answer), self.id)
 
     def modes(self, xi: float | None = None, direction: str | None = None) -> "xarray.Dataset":

@@ -11,9 +11,11 @@ from typing import Any, Final, TypeAlias
 
 import httpx2
 
+from service.client.display import Parts, counting
 from service.client.errors import (
     Busy,
     InvalidSpecification,
+    NotComputedYet,
     Problem,
     Refused,
     ServiceUnreachable,
@@ -58,16 +60,29 @@ class Transport:
         """GET `path`; None in `query` is left out. Raises the errors of `service.client.errors`."""
         return self._exchange("GET", path, query=query, headers=headers, repeat=True)
 
-    def get_when_computed(self, path: str, query: Query | None = None, *, patience: float) -> httpx2.Response:
-        """GET what workers have to compute first, asking again for `patience` seconds while they do."""
+    def get_when_computed(
+        self, path: str, query: Query | None = None, *, patience: float, progress: bool | Parts
+    ) -> httpx2.Response:
+        """GET what workers have to compute first, asking again for `patience` seconds while they do.
+
+        Raises NotComputedYet after that, or Busy where the service could not take the question.
+        """
         give_up = time.monotonic() + patience
+        show = counting(progress)
         while True:
             try:
-                return self.get(path, query)
+                answer = self.get(path, query)
+                if answer.status_code != 202:
+                    return answer
+                pause, (done, total) = seconds_to_wait(answer), _parts(answer)
+                show(done, total)
+                if time.monotonic() > give_up:
+                    raise NotComputedYet(done, total, patience)
             except Busy as busy:
                 if time.monotonic() > give_up:
                     raise
-                time.sleep(busy.retry_after or 1.0)
+                pause = busy.retry_after
+            time.sleep(pause or 1.0)
 
     def post(
         self,
@@ -194,6 +209,15 @@ def document(response: httpx2.Response) -> dict[str, Any]:
             f"{response.request.url} did not answer with a JSON object: not a bounce service"
         )
     return content
+
+
+def _parts(response: httpx2.Response) -> tuple[int, int]:
+    """How many parts of an answer are computed, and of how many."""
+    try:
+        progress = document(response)["progress"]
+        return int(progress["parts_done"]), int(progress["parts_total"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnexpectedAnswer(f"{response.request.url} did not say how far it is: {error!r}") from error
 
 
 def seconds_to_wait(response: httpx2.Response) -> float | None:

@@ -26,6 +26,7 @@ DPI: Final = 216
 COLOURS: Final = 96
 CAPTION_SIZE: Final = 7.5  # points
 LINE: Final = 1.32 * CAPTION_SIZE / 72  # inches
+ASCENT: Final = 0.76  # of a line's height
 SPACE: Final = 0.33 * CAPTION_SIZE / 72  # inches between words, a little more than there is
 MARGIN: Final = 0.06  # inches, on all sides
 
@@ -54,6 +55,7 @@ STYLE: Final[Any] = {
 }
 
 _RAISED: Final = re.compile("[⁺⁻³⁴⁶]+")
+_TOGETHER: Final = re.compile(r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%])|(?<=[⁻³⁶]) (?=A)|(?<=\d) (?=rad)")
 _LOWERED: Final = str.maketrans("⁺⁻³⁴⁶", "+-346")
 
 P = ParamSpec("P")
@@ -104,9 +106,11 @@ def page(height: float, caption: Caption) -> tuple[Drawing, SubFigure]:
     below = LINE * len(lines) + 2 * MARGIN
     figure = Figure(figsize=(WIDTH, height + below), dpi=DPI, layout="constrained")
     above, under = split(figure, height, below)
-    for i, line in enumerate(lines):
-        top = 1 - (MARGIN + i * LINE) / below
-        under.text(MARGIN / WIDTH, top, line, fontsize=CAPTION_SIZE, va="top", in_layout=False)
+    for i, (heading, line) in enumerate(lines):
+        baseline = 1 - (MARGIN + (i + ASCENT) * LINE) / below
+        place: Any = {"y": baseline, "fontsize": CAPTION_SIZE, "va": "baseline", "in_layout": False}
+        under.text(MARGIN / WIDTH, s=heading, fontweight="bold", **place)
+        under.text((MARGIN + _indent(heading)) / WIDTH, s=line, **place)
     return Drawing(figure, caption), above
 
 
@@ -116,16 +120,29 @@ def split(figure: Figure | SubFigure, above: float, below: float) -> tuple[SubFi
     return parts[0], parts[1]
 
 
-def _lines(heading: str, text: str) -> list[str]:
-    """The words as lines that fit the page, the heading in bold."""
-    lines, line, wide = [], "", 0.0
-    for word in [rf"$\bf{{{heading}}}$".replace(" ", r"\ "), *map(_typeset, text.split())]:
+def _lines(heading: str, text: str) -> list[tuple[str, str]]:
+    """The words as lines that fit the page; the heading stands before the first of them."""
+    lines, line, wide = [], "", _indent(heading)
+    for word in map(_typeset, _units(text)):
         wider = wide + _inches(word) + SPACE
         if line and wider > WIDTH - 3 * MARGIN:
             lines.append(line)
             line, wider = "", _inches(word) + SPACE
         line, wide = f"{line} {word}".strip(), wider
-    return [*lines, line]
+    return [(heading if not i else "", one) for i, one in enumerate([*lines, line])]
+
+
+def _units(text: str) -> list[str]:
+    """Words; what belongs together, `Γ = 2` or `10⁻³ A`, is one."""
+    return [
+        unit.replace("\N{NO-BREAK SPACE}", " ")
+        for unit in _TOGETHER.sub("\N{NO-BREAK SPACE}", text).split(" ")
+    ]
+
+
+def _indent(heading: str) -> float:
+    """Inches that a heading takes before the words after it."""
+    return _inches(heading, "bold") + 1.5 * SPACE if heading else 0.0
 
 
 def _typeset(word: str) -> str:
@@ -135,8 +152,8 @@ def _typeset(word: str) -> str:
 
 
 @lru_cache
-def _inches(word: str) -> float:
-    path = TextPath((0, 0), word, prop=FontProperties(family="STIXGeneral", size=CAPTION_SIZE))
+def _inches(word: str, weight: str = "normal") -> float:
+    path = TextPath((0, 0), word, prop=FontProperties(family="STIXGeneral", size=CAPTION_SIZE, weight=weight))
     return float(path.vertices[:, 0].max()) / 72
 
 

@@ -11,7 +11,7 @@ from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, Drawing, minor_ticks, page, styled
 from service.figures.caption import Caption, Claim
-from service.figures.onset import FINE, apart
+from service.figures.onset import FINE, apart, extremum
 from service.figures.sweeps import XI
 
 #: Higher than where the curves part, Γ.
@@ -30,7 +30,7 @@ def draw(job: Job, lower: Job) -> Drawing:
     loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)
     gamma = job.spec["gamma"]
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
-    drawing, room = page(3.1, _caption(loop, from_lower, step))
+    drawing, room = page(3.1, _caption(loop, from_lower, step, job.spec["settle"] + job.spec["observe"]))
     axes = room.subplots()
     omega = loop.omega.values
     axes.plot(omega, loop.up.values, color="0.7", linewidth=3, label=r"$\Gamma$ increased")
@@ -63,11 +63,12 @@ def _rise(values: NDArray[np.float64]) -> float:
     return float(np.max(values[: below[0]] if len(below) else values) - values[0])
 
 
-def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Caption:
+def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, periods: int) -> Caption:
+    at, highest = extremum(XI, upper=True)
     shows = (
         f"Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
-        f"that bounces) in steps of {step:.2g}, 120 plate periods each, on an ideal plate; dashed, Eq. 25. "
-        "Its maximum, 7.3 at Ω = 1.435, lies outside the frame."
+        f"that bounces) in steps of {step:.2g}, {periods} plate periods each, on an ideal plate; dashed, "
+        f"Eq. 25. Its maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
     )
     return Caption(9, shows, (_on_eq_25(loop), _lower(loop), _several(loop), _coexist(loop, lower, step)))
 
@@ -105,8 +106,8 @@ def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
         int((~slow).sum()),
     )
     return Claim(
-        False,
-        "the amplitude that the ramp down begins with is not stated, and matters where modes coexist: from "
+        False,  # left open, whatever comes of it
+        "the amplitude that the ramp down begins with is not stated; where modes coexist it may matter: from "
         f"Γ = 1.2 instead of 3, {told[0]} of {told[1]} thresholds below Ω = 0.5 and {told[2]} of {told[3]} "
         "from 0.5 to 0.8 are others",
     )

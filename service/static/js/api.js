@@ -23,7 +23,7 @@ const TOKEN = "bounce-token";
 export const setToken = (token) => sessionStorage.setItem(TOKEN, token);
 
 /** The answer to one request; throws Problem, Lost, or an AbortError where `signal` says so. */
-export async function ask(path, { method = "GET", body, signal, patience = PATIENCE } = {}) {
+export async function ask(path, { method = "GET", body, signal, patience = PATIENCE, priority = "auto" } = {}) {
   const headers = {};
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const token = sessionStorage.getItem(TOKEN);
@@ -33,6 +33,7 @@ export async function ask(path, { method = "GET", body, signal, patience = PATIE
   try {
     answer = await fetch(path, {
       method,
+      priority,
       headers,
       body: body === undefined ? undefined : JSON.stringify(body),
       signal: signal ? AbortSignal.any([signal, timeout]) : timeout,

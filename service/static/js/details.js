@@ -4,7 +4,8 @@ import { link } from "./address.js";
 import { h } from "./dom.js";
 import { downloads, fileName, netcdf } from "./downloads.js";
 import { blobOf } from "./api.js";
-import { number } from "./format.js";
+import { number, plural } from "./format.js";
+import { axisValues } from "./physics.js";
 
 export class Details {
   constructor(root, { job }) {
@@ -19,15 +20,31 @@ export class Details {
       h("h2", {}, "The sweep as it was submitted"),
       h("pre", { tabindex: "0" }, JSON.stringify(job.spec, null, 2)),
       h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "Start another sweep from this one")),
+      job.failures?.length > 0 && failures(job.failures),
       job.choice && choice(job.choice),
       h("h2", {}, "Elsewhere"),
-      h("p", {}, "In Python: ", h("code", {}, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`)),
+      h("p", {}, "All of it in Python, loaded as it is used; the diagram from the shell:"),
+      h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")\n${command(job)}`),
       downloads([
         ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
         ["Parquet", () => fileName(job, "sweep", "parquet"), () => blobOf(`/v1/jobs/${job.id}/export?format=parquet`)],
       ]),
     ));
   }
+}
+
+function command({ id, spec }) {
+  const middles = ["omega", "xi"].map((axis) => [axis, axisValues(spec[axis])]).filter(([, values]) => values.length > 1)
+    .map(([axis, values]) => ` --${axis} ${Number(values[values.length >> 1].toPrecision(6))}`);
+  return `bounce diagram ${id}${middles.join("")} -o diagram.svg`;
+}
+
+function failures(all) {
+  return h("section", {},
+    h("h2", {}, "What could not be computed"),
+    all.map(({ place, error, traceback, tries }) => h("details", {},
+      h("summary", {}, `${place}: ${error} (${plural(tries, "try", "tries")})`),
+      h("pre", { tabindex: "0" }, traceback ?? "A worker process died of it."))));
 }
 
 function choice({ model, reason, tolerance, table }) {

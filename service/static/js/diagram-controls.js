@@ -5,7 +5,7 @@ import { SYMBOL } from "./physics.js";
 import { sliders } from "./sliders.js";
 
 /**
- * The controls for a view of the grid. `state`: {axes (longer than one), along, grid, fixed, directions, shown, least};
+ * The controls for a view of the grid. `state`: {axes (longer than one), along, grid, fixed, directions, chosenRamps, least};
  * `on`: {turn(axis), move(axis, value), show(directions), least(rad)}.
  */
 export function controls(state, on) {
@@ -23,8 +23,8 @@ function axisChoice({ axes, along }, turn) {
       axes.map((axis) => h("option", { value: axis, selected: axis === along }, `${SYMBOL[axis]}–φ`))));
 }
 
-function ramps({ directions, shown }, show) {
-  const boxes = directions.map((one) => h("input", { type: "checkbox", checked: shown.includes(one), onchange: () => show(directions.filter((_, i) => boxes[i].checked)) }));
+function ramps({ directions, chosenRamps }, show) {
+  const boxes = directions.map((one) => h("input", { type: "checkbox", checked: chosenRamps.includes(one), onchange: () => show(directions.filter((_, i) => boxes[i].checked)) }));
   return h("fieldset", { className: "directions" }, h("legend", {}, "Ramp"),
     directions.map((one, i) => h("label", { className: `key ${one}` }, boxes[i], ` ${one}`)));
 }

@@ -1,85 +1,70 @@
 // The explorer: flight times along one axis, the others moved by sliders, up and down over each other.
 
-import { note, noted } from "./address.js";
+import { note } from "./address.js";
 import { blobOf, query } from "./api.js";
 import { controls } from "./diagram-controls.js";
-import { drawCell, drawChosen, drawOnset, head } from "./diagram-drawing.js";
-import { h, newest, say } from "./dom.js";
-import { csv, downloads, fileName, netcdf } from "./downloads.js";
+import { drawCell, drawChosen, drawOnset, emptiness, head } from "./diagram-drawing.js";
+import { tableOf, wordsOn } from "./diagram-words.js";
+import { debounced, h } from "./dom.js";
 import { drawFlights, flightsOf } from "./flights.js";
-import { number, plural } from "./format.js";
-import { gestures, zoomed } from "./gestures.js";
 import { lineOf } from "./lines.js";
-import { SYMBOL, TURN, isLog, modeText, nearest, same } from "./physics.js";
-import { Plot } from "./plot.js";
+import { SYMBOL, TURN, isLog, nearest, same } from "./physics.js";
+import { PlotView, within } from "./plot-view.js";
+import { dots } from "./plot.js";
 import { spread } from "./scale.js";
 import { colourOf } from "./theme.js";
-import { askWindow, noteWindow } from "./zoom.js";
 
 const MOST = 250_000; // flights that come as points; more come as density
+const AHEAD = [1, 2, 3, -1]; // steps of the slider that are fetched before it gets there
 const HINT = "Point at a cell to read it, click to see it move, drag to zoom, double-click to see all.";
 
-export class Diagram {
-  constructor(root, { job, grid, directions, choose, chosen, fail }) {
-    Object.assign(this, { job, grid, directions, fail, chosen, shows: choose });
-    const asked = noted();
+export class Diagram extends PlotView {
+  lines = null; // one for each ramp shown; null before the first are there
+  whither = null; // the slider that moved last: {axis, sign}
+
+  constructor(root, view) {
+    super(view);
+    const { grid, directions, asked } = this;
     const axes = Object.keys(SYMBOL);
     this.axes = axes.filter((axis) => grid[axis].length > 1);
-    this.along = this.axes.includes(asked.along) ? asked.along : (this.axes[0] ?? "gamma");
+    this.along = this.axes.includes(asked.along) ? asked.along : longest(grid);
     this.fixed = Object.fromEntries(axes.map((axis) => [axis, startOf(grid[axis], asked[axis])]));
     this.least = Number(asked.min) || 0;
-    this.shown = directions.filter((one) => !asked.show || asked.show.split(",").includes(one));
-    this.window = askWindow(asked);
-    this.lines = [];
-    this.at = null; // {line, cell} under the cursor
-    this.load = newest(() => this.#load());
+    this.chosenRamps = directions.filter((one) => !asked.show || asked.show.split(",").includes(one));
+    this.fetchAhead = debounced(40, () => this.#fetchAhead());
     this.controls = h("div", {});
-    this.readout = h("p", { className: "readout" }, HINT);
-    const figure = h("figure", {});
-    root.replaceChildren(this.controls, figure, this.readout, this.#downloads());
-    this.plot = new Plot(figure, {
-      label: "Bifurcation diagram. Arrow keys step from cell to cell, Enter shows the cell in motion, plus and minus zoom, 0 shows all.",
-      content: () => this.#content(),
-    });
-    gestures(this.plot, {
-      hover: (x, y) => this.#point(this.#nearest(x, y)),
-      leave: () => this.#point(null),
-      pick: (x, y) => this.#choose(this.#nearest(x, y)),
-      choose: () => this.#choose(this.at),
-      step: (right, up) => this.#step(right, up),
-      zoom: (window) => this.#zoom(window),
-      closer: (factor) => this.#zoom(zoomed(this.#window(), this.#whole(), factor, this.at?.line.arrays.values[this.at.cell])),
-    });
     this.#control();
-    this.load();
+    this.build(root, { controls: this.controls, label: "Bifurcation diagram", hint: HINT });
+  }
+
+  get name() {
+    return `${this.along}-phi`;
   }
 
   close() {
-    this.plot.close();
-  }
-
-  update(job) {
-    this.job = job;
-    this.load();
+    super.close();
+    this.fetchAhead.cancel();
+    this.ahead?.abort();
   }
 
   #control() {
     this.controls.replaceChildren(controls(this, {
       turn: (along) => {
-        Object.assign(this, { along, lines: [], at: null });
+        Object.assign(this, { along, lines: null, at: null, whither: null });
         note({ along });
         this.#control();
-        this.#zoom(null);
+        this.zoom(null);
         this.load();
       },
       move: (axis, value) => {
+        this.whither = { axis, sign: Math.sign(value - this.fixed[axis]) || 1 };
         this.fixed[axis] = value;
         note({ [axis]: Number(value.toPrecision(10)) });
         this.load();
       },
-      show: (directions) => {
-        this.shown = directions;
-        note({ show: directions.length === this.directions.length ? null : directions.join() || "none" });
+      show: (ramps) => {
+        this.chosenRamps = ramps;
+        note({ show: ramps.length === this.directions.length ? null : ramps.join() || "none" });
         this.load();
       },
       least: (least) => {
@@ -91,70 +76,94 @@ export class Diagram {
   }
 
   /** What the service is asked for, but for the direction. */
-  #asked() {
-    const still = Object.fromEntries(Object.entries(this.fixed).filter(([axis]) => axis !== this.along));
+  #asked(fixed = this.fixed) {
+    const still = Object.fromEntries(Object.entries(fixed).filter(([axis]) => axis !== this.along));
     return { along: this.along, ...still, min_flight: this.least || null };
   }
 
-  async #load() {
-    const dense = this.window !== null && this.#isDense();
-    const { x0: left, x1: right, y0: bottom, y1: top } = dense ? this.window : {};
+  /** The lines of all ramps shown, of `fixed`; counted within `window` if they are so dense. */
+  #fetch(fixed, window, options) {
+    const { x0: left, x1: right, y0: bottom, y1: top } = window ?? {};
+    const room = this.plot.element;
     const asked = {
-      ...this.#asked(), most: MOST, log: isLog(this.job.spec[this.along]) || null, left, right, bottom, top,
-      width: Math.min(2000, Math.max(200, this.plot.element.clientWidth - 92)), height: 420,
+      ...this.#asked(fixed), most: MOST, log: isLog(this.job.spec[this.along]) || null, left, right, bottom, top,
+      width: Math.min(2000, Math.max(200, Math.round((room.clientWidth - 92) * dots()))),
+      height: Math.min(1000, Math.max(200, Math.round((room.clientHeight - 80) * dots()))),
     };
+    return Promise.all(this.chosenRamps.map((direction) => lineOf(this.job, { ...asked, direction }, window, options)));
+  }
+
+  async ask(signal) {
+    this.fetchAhead.cancel();
+    this.ahead?.abort();
+    const { along } = this;
+    const window = this.#isDense() ? this.window : null;
+    const lines = await this.#fetch(this.fixed, window, { signal });
+    if (along !== this.along) throw new DOMException("the axis was changed", "AbortError");
+    this.lines = lines;
+    this.at = this.at && lines.length ? this.#cell(lines[0], this.at.cell) : null;
+    if (this.window && !window && this.#isDense()) return this.ask(signal); // only now is it known that there are so many
+    if (this.whither && this.job.state === "done") this.fetchAhead();
+    return { along, ...lines[0]?.fixed };
+  }
+
+  /** What the slider will want next, while nobody waits for anything. */
+  async #fetchAhead() {
+    const { axis, sign } = this.whither;
+    const values = this.grid[axis];
+    const here = nearest(values, this.fixed[axis]);
+    const window = this.#isDense() ? this.window : null;
+    this.ahead = new AbortController();
     try {
-      this.lines = await Promise.all(this.shown.map((direction) => lineOf(this.job, { ...asked, direction }, dense ? this.window : null)));
-    } catch (error) {
-      this.fail(error);
-      return;
+      for (const step of AHEAD) {
+        const value = values[within(here + sign * step, values.length)];
+        await this.#fetch({ ...this.fixed, [axis]: value }, window, { signal: this.ahead.signal, priority: "low" });
+      }
+    } catch {
+      // It will be asked for again, and told of, when somebody wants it.
     }
-    this.at = this.at && this.lines.length ? this.#cell(this.lines[0], this.at.cell) : null;
-    this.plot.draw();
-    this.plot.element.dataset.shows = JSON.stringify({ along: this.along, ...this.lines[0]?.fixed });
-    if (this.window && !dense && this.#isDense()) await this.#load(); // only now is it known that there are so many
   }
 
   #isDense() {
-    return this.lines.some((line) => line.arrays.density);
+    return Boolean(this.lines?.some((line) => line.arrays.density));
   }
 
-  #whole() {
+  whole() {
     const values = this.grid[this.along];
     const highest = Math.max(...this.lines.map((line) => line.highest), 0) || TURN;
     const [x0, x1] = spread(values[0], values[values.length - 1]);
     return { x0, x1, y0: 0, y1: 1.06 * highest };
   }
 
-  #window() {
-    return this.window ?? this.#whole();
-  }
-
-  #zoom(window) {
-    this.window = window;
-    noteWindow(window);
-    this.plot.redraw();
+  zoom(window) {
+    super.zoom(window);
     if (this.#isDense()) this.load();
   }
 
-  #content() {
-    if (!this.lines.length) return null;
-    const { x0, x1, y0, y1 } = this.#window();
+  content() {
+    if (!this.lines) return null;
+    const { x0, x1, y0, y1 } = this.shown();
+    const { lines } = this;
     return {
-      ...head(this.lines),
+      ...(lines.length ? head(lines, (direction, theme) => this.#colour(direction, theme)) : {}),
       x: { label: SYMBOL[this.along], low: x0, high: x1, log: isLog(this.job.spec[this.along]) },
       y: { label: "flight time φ (rad)", low: y0, high: y1, turns: true },
+      message: emptiness(lines),
       layers: [
-        (pen, box) => this.along === "gamma" && drawOnset(pen, box, this.lines[0].fixed),
-        (pen, box) => drawFlights(pen, box, this.lines, ({ direction }) => colourOf(direction, box.theme)),
+        (pen, box) => this.along === "gamma" && lines.length && drawOnset(pen, box, lines[0].fixed),
+        (pen, box) => drawFlights(pen, box, lines, ({ direction }) => this.#colour(direction, box.theme)),
       ],
       cursor: (pen, box) => {
         const cell = this.#chosenHere();
-        if (cell) drawChosen(pen, box, cell[this.along], colourOf(cell.direction, box.theme));
-        pen.strokeStyle = box.theme.cursor;
+        if (cell) drawChosen(pen, box, cell[this.along], this.#colour(cell.direction, box.theme));
         if (this.at) drawCell(pen, box, this.at);
       },
     };
+  }
+
+  /** A sweep of one ramp is drawn in black, as in the paper. */
+  #colour(direction, theme) {
+    return colourOf(this.directions.length > 1 ? direction : "rest", theme);
   }
 
   /** The cell in motion, if it lies on a line that is shown. */
@@ -165,78 +174,44 @@ export class Diagram {
   }
 
   #cell(line, cell) {
-    return { line, cell: Math.min(Math.max(cell, 0), line.arrays.values.length - 1) };
+    return { line, cell: within(cell, line.arrays.values.length) };
   }
 
   /** The cell at x; of several directions the one with a flight nearest to y. */
-  #nearest(x, y) {
+  nearest(x, y) {
     const off = ({ line, cell }) => Math.min(...(flightsOf(line, cell) ?? []).map((time) => Math.abs(time - y)), 1e9);
-    const cells = this.lines.map((line) => this.#cell(line, nearest(line.arrays.values, x)));
+    const cells = (this.lines ?? []).map((line) => this.#cell(line, nearest(line.arrays.values, x)));
     return cells.sort((one, two) => off(one) - off(two))[0] ?? null;
   }
 
-  #point(at) {
-    if (at?.cell === this.at?.cell && at?.line === this.at?.line) return;
-    this.at = at;
-    this.readout.textContent = at ? this.#describe(at) : HINT;
-    this.plot.drawCursor();
+  step(at, right, up) {
+    if (!this.lines?.length) return null;
+    if (!at) return this.#cell(this.lines[0], this.lines[0].arrays.values.length >> 1);
+    return this.#cell(up ? (this.lines.find((one) => one !== at.line) ?? at.line) : at.line, at.cell + right);
   }
 
-  #step(right, up) {
-    if (!this.lines.length) return;
-    if (!this.at) this.#point(this.#cell(this.lines[0], this.grid[this.along].length >> 1));
-    else {
-      const { line, cell } = this.at;
-      this.#point(this.#cell(up ? (this.lines.find((one) => one !== line) ?? line) : line, cell + right));
-    }
-    say(this.readout.textContent);
+  middle() {
+    return this.at?.line.arrays.values[this.at.cell];
   }
 
-  #choose(at) {
-    if (!at) return;
-    this.#point(at);
-    const { line, cell } = at;
-    this.shows({ ...line.fixed, [this.along]: line.arrays.values[cell], direction: line.direction });
+  cellOf({ line, cell }) {
+    return { ...line.fixed, [this.along]: line.arrays.values[cell], direction: line.direction };
   }
 
-  #describe({ line, cell }) {
-    const { values, outcome, bounces, periods, shown } = line.arrays;
-    const parts = [`${SYMBOL[this.along]} = ${number(values[cell])}`];
-    if (this.lines.length > 1) parts.push(`ramp ${line.direction}`);
-    parts.push(modeText(outcome[cell], bounces[cell], periods[cell]));
-    if (outcome[cell] === 1) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
-    const times = flightsOf(line, cell);
-    if (times?.length && times.length <= 6) parts.push(`flights of ${times.map((one) => number(one, 4)).join(", ")} rad`);
-    else if (shown[cell]) parts.push(`${plural(shown[cell], "flight")} stored`);
-    return parts.join(" · ");
-  }
-
-  #downloads() {
-    const name = (kind) => () => fileName(this.job, `${this.along}-phi`, kind);
-    return downloads([
-      ["PNG", name("png"), () => this.plot.png()],
-      ["SVG", name("svg"), () => this.plot.svg()],
-      ["CSV", name("csv"), () => this.#table()],
-      ["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)],
-    ]);
+  describe(at) {
+    return wordsOn(at, this.along, this.lines.length > 1);
   }
 
   /** The flights that are shown; those that came as density, from the service. */
-  #table() {
+  table() {
     if (this.#isDense()) return blobOf(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#asked(), format: "csv" })}`);
-    const { x0, x1, y0, y1 } = this.#window();
-    const rows = [];
-    for (const { arrays, starts, direction, fixed } of this.lines) {
-      arrays.values.forEach((value, i) => {
-        if (value < x0 || value > x1) return;
-        const { gamma, omega, xi } = { ...fixed, [this.along]: value };
-        for (const time of arrays.flight_time.subarray(starts[i], starts[i + 1])) {
-          if (time >= y0 && time <= y1) rows.push([direction, gamma, omega, xi, time, arrays.bounces[i], arrays.periods[i]]);
-        }
-      });
-    }
-    return csv(["direction", "gamma", "omega", "xi", "flight_time_rad", "bounces", "periods"], rows);
+    return tableOf(this.lines, this.along, this.shown());
   }
+}
+
+/** The axis with most values makes the best picture; of equals Γ. */
+function longest(grid) {
+  return Object.keys(SYMBOL).reduce((best, axis) => (grid[axis].length > grid[best].length ? axis : best));
 }
 
 /** The value of an axis nearest to the one asked for, or the middle one. */

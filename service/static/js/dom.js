@@ -26,20 +26,28 @@ export function debounced(milliseconds, work) {
   return call;
 }
 
-/** One run at a time; asked again meanwhile, it runs once more with the last of what it was given. */
+const PATIENCE = 150; // ms
+
+/**
+ * One run at a time; asked again meanwhile, it runs once more with the last of what it was given. What takes long is
+ * given up for the next: the signal, which `work` is given first, says so.
+ */
 export function newest(work) {
-  let running = false;
+  let controller = null; // of the run under way
+  let since;
   let next = null;
   return async function run(...given) {
-    if (running) {
+    if (controller) {
+      if (!next) setTimeout((stale) => stale.abort(), Math.max(0, since + PATIENCE - performance.now()), controller);
       next = given;
       return;
     }
-    running = true;
+    controller = new AbortController();
+    since = performance.now();
     try {
-      await work(...given);
+      await work(controller.signal, ...given);
     } finally {
-      running = false;
+      controller = null;
       const waiting = next;
       next = null;
       if (waiting) run(...waiting);

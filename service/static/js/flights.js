@@ -1,10 +1,10 @@
 // A line's flights on a plot: dots while they are few, density when they are many.
 
-import { h } from "./dom.js";
-import { rgb } from "./theme.js";
+import { disc, packed, picture } from "./pen.js";
 
 const FEW = 4000;
-const FAINTEST = 0.5; // of a part of the plot on which one flight falls
+const FAINTEST = [0.42, 0.9]; // opacity of a single flight: where many fall together, where nearly all are single
+const MOST = 24; // flights on one spot that are as dark as it gets
 
 /** Where each cell's flights begin in `flight_time`: one more entry than there are cells. */
 export function starts(shown) {
@@ -17,7 +17,7 @@ export function starts(shown) {
 export function drawFlights(pen, box, lines, colourOf) {
   const few = lines.every((line) => line.arrays.flight_time) && lines.reduce((n, line) => n + visible(box, line).flights, 0) <= FEW;
   lines.forEach((line, i) => {
-    const wider = i < lines.length - 1 ? 1 : 0;
+    const wider = i < lines.length - 1;
     const colour = colourOf(line);
     if (line.arrays.density) drawDensity(pen, box, line.arrays.density, line.window, colour);
     else if (few) drawDots(pen, box, line, colour, wider);
@@ -37,11 +37,9 @@ function visible(box, { arrays: { values, shown } }) {
 }
 
 function drawDots(pen, box, line, colour, wider) {
-  const { arrays, starts } = line;
-  const { values, flight_time: times } = arrays;
-  const radius = Math.min(2.6, Math.max(1, box.width / 3 / visible(box, line).cells)) * (wider ? 1.6 : 1);
-  pen.fillStyle = colour;
-  pen.globalAlpha = 0.85;
+  const { arrays: { values, flight_time: times }, starts } = line;
+  const radius = Math.min(2.4, Math.max(1, box.width / 3 / visible(box, line).cells)) * (wider ? 1.5 : 1);
+  pen.globalAlpha = wider ? 0.75 : 0.9;
   // The flights of a cycle lie on each other: one dot for all on the same half pixel.
   for (let i = 0; i < values.length; i++) {
     if (values[i] < box.x.low || values[i] > box.x.high) continue;
@@ -51,17 +49,15 @@ function drawDots(pen, box, line, colour, wider) {
       const y = Math.round(2 * box.y.place(times[j])) / 2;
       if (drawn.has(y)) continue;
       drawn.add(y);
-      pen.beginPath();
-      pen.arc(x, y, radius, 0, 2 * Math.PI);
-      pen.fill();
+      disc(pen, colour, x, y, radius);
     }
   }
   pen.globalAlpha = 1;
 }
 
-/** How many flights fall on each part of the box, as the service counts them for lines that are longer. */
+/** How many flights fall on each dot of the box, as the service counts them for lines that are longer. */
 function counted(box, line, wider) {
-  const [width, height] = [Math.round(box.width), Math.round(box.height)];
+  const [width, height] = [Math.round(box.width * box.dots), Math.round(box.height * box.dots)];
   const counts = new Uint16Array(width * height);
   const { arrays: { values, flight_time: times }, starts } = line;
   const rows = height / (box.y.high - box.y.low);
@@ -73,12 +69,12 @@ function counted(box, line, wider) {
       if (row >= 0 && row < height) counts[row * width + column]++;
     }
   }
-  // Where cells lie further apart than pixels, a pixel is too small a dot.
-  const size = Math.min(3, Math.max(1, Math.round(width / visible(box, line).cells / 2))) + wider;
+  // Where cells lie further apart than dots, a dot is too small a mark.
+  const size = Math.round(Math.min(2.5 * box.dots, Math.max(1, (1.6 * width) / visible(box, line).cells))) + (wider ? 1 : 0);
   return { counts: size > 1 ? thickened(counts, width, height, size) : counts, width, height };
 }
 
-/** Every count spread over a square of `size` pixels; the higher one wins. */
+/** Every count spread over a square of `size` dots; the higher one wins. */
 function thickened(counts, width, height, size) {
   const found = new Uint16Array(counts.length);
   const back = (size - 1) >> 1;
@@ -98,36 +94,32 @@ function thickened(counts, width, height, size) {
 
 /** Counts, low flights first, as a picture over the window they were counted in (or the whole box). */
 function drawDensity(pen, box, { counts, width, height }, window, colour) {
-  const canvas = h("canvas", { width, height });
-  const sheet = canvas.getContext("2d");
-  const image = sheet.createImageData(width, height);
-  const shades = shadesOf(counts, rgb(colour));
-  const pixels = new Uint32Array(image.data.buffer);
-  for (let row = 0; row < height; row++) {
-    const to = (height - 1 - row) * width;
-    for (let column = 0; column < width; column++) {
-      const n = counts[row * width + column];
-      if (n) pixels[to + column] = shades[Math.min(n, 255)];
+  const shades = shadesOf(counts, colour);
+  const fill = (pixels) => {
+    for (let row = 0; row < height; row++) {
+      const to = (height - 1 - row) * width;
+      for (let column = 0; column < width; column++) {
+        const n = counts[row * width + column];
+        if (n) pixels[to + column] = shades[Math.min(n, MOST)];
+      }
     }
-  }
-  sheet.putImageData(image, 0, 0);
-  const x0 = window ? box.x.place(window.x0) : box.left;
-  const x1 = window ? box.x.place(window.x1) : box.left + box.width;
-  const y1 = window ? box.y.place(window.y1) : box.top;
-  const y0 = window ? box.y.place(window.y0) : box.top + box.height;
-  pen.imageSmoothingEnabled = false;
-  pen.drawImage(canvas, x0, y1, x1 - x0, y0 - y1);
+  };
+  const { x0, x1, y0, y1 } = window ?? { x0: box.x.low, x1: box.x.high, y0: box.y.low, y1: box.y.high };
+  picture(pen, width, height, fill, box.x.place(x0), box.y.place(y1), box.x.place(x1), box.y.place(y0));
 }
 
-/** Count → colour: the more flights, the more opaque; as 32 bits in the machine's order (little-endian). */
-function shadesOf(counts, [r, g, b]) {
-  let most = 2;
-  for (let i = 0; i < counts.length; i++) if (counts[i] > most) most = counts[i];
-  const full = Math.log(Math.min(most, 24));
-  return Uint32Array.from({ length: 256 }, (_, n) => {
-    const alpha = Math.min(1, FAINTEST + (1 - FAINTEST) * (Math.log(Math.max(n, 1)) / full));
-    return ((Math.round(255 * alpha) << 24) | (b << 16) | (g << 8) | r) >>> 0;
-  });
+/** Count → colour: the more flights, the more opaque. */
+function shadesOf(counts, colour) {
+  let [some, single, most] = [0, 0, 2];
+  for (let i = 0; i < counts.length; i++) {
+    if (counts[i]) some++;
+    if (counts[i] === 1) single++;
+    if (counts[i] > most) most = counts[i];
+  }
+  const faintest = FAINTEST[0] + (FAINTEST[1] - FAINTEST[0]) * (single / Math.max(some, 1));
+  const full = Math.log(Math.min(most, MOST));
+  const opacity = (n) => Math.min(1, faintest + (1 - faintest) * (Math.log(Math.max(n, 1)) / full));
+  return Uint32Array.from({ length: MOST + 1 }, (_, n) => packed(colour, opacity(n)));
 }
 
 /** The different flights of one cell, rounded to what can be told apart, shortest first; null if not known. */

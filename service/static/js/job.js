@@ -73,6 +73,7 @@ export class JobView {
     this.#describe();
     if (first) this.go();
     else if (moved || redraw) this.view?.update(job);
+    if (redraw && !first) this.#showCell(); // it may have been lost on its way
     if (UNFINISHED.has(job.state)) this.timer = setTimeout(() => this.#look(false), this.#pause());
   }
 
@@ -123,7 +124,6 @@ export class JobView {
       directions: directionsOf(spec),
       choose: (cell) => this.#choose(cell),
       chosen: () => this.cell,
-      fail: (error) => this.#fail(error),
     });
   }
 
@@ -157,10 +157,6 @@ export class JobView {
 
   #fail(error) {
     if (error && toldElsewhere(error)) return;
-    if (error?.status === 503) { // damaged results are computed again
-      clearTimeout(this.timer);
-      this.timer = setTimeout(() => this.#look(true), LATER);
-    }
     this.problem.hidden = !error;
     this.problem.textContent = error?.message ?? "";
   }

@@ -1,6 +1,7 @@
 // The masses, the spring and the plate at one instant, at the heights of the trace beside them.
 
-import { stroke } from "./plot.js";
+import { disc, stroke } from "./pen.js";
+import { fit } from "./plot.js";
 import { scale } from "./scale.js";
 import { theme } from "./theme.js";
 
@@ -9,15 +10,8 @@ const COILS = 9;
 
 /** Draw `trace` at `phase` on a canvas as high as the plot beside it. */
 export function drawStage(canvas, trace, phase, height) {
-  const dots = Math.min(devicePixelRatio || 1, 2);
   const width = canvas.clientWidth;
-  if (canvas.width !== width * dots || canvas.height !== height * dots) {
-    [canvas.width, canvas.height] = [width * dots, height * dots];
-    canvas.style.height = `${height}px`;
-  }
-  const pen = canvas.getContext("2d");
-  pen.setTransform(dots, 0, 0, dots, 0, 0);
-  pen.clearRect(0, 0, width, height);
+  const pen = fit(canvas, width, height);
   const colours = theme();
   const y = scale(trace.low, trace.high, height - 46, 12).place;
   const { plate, lower, upper, flying } = trace.at(phase);
@@ -29,11 +23,11 @@ export function drawStage(canvas, trace, phase, height) {
   const high = trace.ball ? low : Math.min(y(upper) - RADIUS, low - 2 * RADIUS - 4);
   if (!trace.ball) {
     drawSpring(pen, middle, low - RADIUS, high + RADIUS, colours);
-    drawMass(pen, middle, high, colours.up);
+    disc(pen, colours.up, middle, high, RADIUS);
   }
-  drawMass(pen, middle, low, colours.mass);
+  disc(pen, colours.mass, middle, low, RADIUS);
   pen.fillStyle = colours.soft;
-  pen.font = `italic 13px ${colours.serif}`;
+  pen.font = `italic ${Math.min(13, width / 6.5)}px ${colours.serif}`;
   pen.textAlign = "center";
   pen.fillText(flying ? "in flight" : "on the plate", middle, height - 8);
 }
@@ -42,7 +36,7 @@ function drawPlate(pen, middle, y, width, colours) {
   const half = Math.min(width / 2 - 8, 60);
   pen.fillStyle = colours.ink;
   pen.fillRect(middle - half, y, 2 * half, 5);
-  stroke(pen, colours.soft, 1, [[middle, y + 5], [middle, y + 22]]);
+  pen.fillRect(middle - 2, y, 4, 26);
 }
 
 function drawSpring(pen, x, from, to, colours) {
@@ -54,11 +48,4 @@ function drawSpring(pen, x, from, to, colours) {
   }
   points.push([x, to]);
   stroke(pen, colours.soft, 1.6, points);
-}
-
-function drawMass(pen, x, y, colour) {
-  pen.fillStyle = colour;
-  pen.beginPath();
-  pen.arc(x, y, RADIUS, 0, 2 * Math.PI);
-  pen.fill();
 }

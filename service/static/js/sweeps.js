@@ -4,6 +4,7 @@ import { link } from "./address.js";
 import { askJson, query, toldElsewhere } from "./api.js";
 import { h } from "./dom.js";
 import { ago } from "./format.js";
+import { Glimpse } from "./glimpse.js";
 import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
 import { presets } from "./presets.js";
 
@@ -21,14 +22,16 @@ export class Sweeps {
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
     this.figures = h("ul", {});
     this.none = h("p", { className: "note", hidden: true }, "None yet. A figure of the paper is a good first one.");
+    this.glimpse = new Glimpse();
     root.replaceChildren(
       h("div", { className: "start" }, h("section", { className: "intro" },
         h("h1", { tabindex: "-1" }, "A spring bouncing on a vibrating plate"),
         h("p", {}, "Two masses, a spring and a dashpot on a plate that shakes. How long they fly, and in what rhythm, depends on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), ". Sweep them and look."),
         h("p", { className: "starts" }, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
+      this.glimpse.element),
       h("section", { className: "figures", "aria-labelledby": "figures" },
         h("h2", { id: "figures" }, "From the paper"),
-        this.figures)),
+        this.figures),
       h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps" }, "Sweeps"), this.problem, this.none, this.list, this.more));
     this.refresh();
   }
@@ -41,11 +44,13 @@ export class Sweeps {
 
   close() {
     this.closed = true;
+    this.glimpse.close();
     clearTimeout(this.timer);
   }
 
   async refresh() {
     clearTimeout(this.timer);
+    this.glimpse.refresh();
     if (!this.figures.hasChildNodes()) this.#showFigures();
     try {
       const { jobs, next } = await askJson(`/v1/jobs?${query({ limit: Math.min(this.limit, 1000) })}`);

@@ -26,8 +26,5 @@ function read(forPaper) {
   return { ...found, serif: "'STIX Two Text', 'Iowan Old Style', Palatino, Georgia, 'DejaVu Serif', serif" };
 }
 
-/** "#rrggbb" → [r, g, b]. */
-export const rgb = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-
 /** The colour of one direction of a sweep. */
 export const colourOf = (direction, theme) => theme[direction === "rest" ? "alone" : direction];

@@ -1,103 +1,63 @@
 // Where bouncing begins on the way up and ends on the way down, per Ω, beside Eq. 25.
 
-import { note, noted } from "./address.js";
+import { note } from "./address.js";
 import { askJson, query } from "./api.js";
-import { h, newest, say } from "./dom.js";
-import { csv, downloads, fileName, netcdf } from "./downloads.js";
+import { h } from "./dom.js";
+import { csv } from "./downloads.js";
 import { number } from "./format.js";
-import { gestures, zoomed } from "./gestures.js";
+import { disc, stroke, upright } from "./pen.js";
 import { SYMBOL, isLog, nearest, threshold } from "./physics.js";
-import { Plot, stroke } from "./plot.js";
+import { PlotView, within } from "./plot-view.js";
 import { spread } from "./scale.js";
 import { sliders } from "./sliders.js";
 import { colourOf } from "./theme.js";
-import { askWindow, noteWindow } from "./zoom.js";
 
-export class Thresholds {
+const DASH = [7, 4];
+const HINT = "Point at a frequency to read it, click to see a cell move, drag to zoom, double-click to see all.";
+
+export class Thresholds extends PlotView {
+  name = "thresholds";
+
   constructor(root, view) {
-    Object.assign(this, view);
-    const asked = noted();
-    this.xi = this.grid.xi[nearest(this.grid.xi, Number(asked.xi ?? this.grid.xi[0]))];
-    this.window = askWindow(asked);
-    this.at = null;
-    this.load = newest(() => this.#load());
-    this.readout = h("p", { className: "readout" }, HINT);
-    const figure = h("figure", {});
+    super(view);
+    this.xi = this.grid.xi[nearest(this.grid.xi, Number(this.asked.xi ?? this.grid.xi[0]))];
     const moved = (_, value) => {
       this.xi = value;
       note({ xi: Number(value.toPrecision(10)) });
       this.load();
     };
-    root.replaceChildren(h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, moved)),
-      figure, this.readout, this.#downloads());
-    this.plot = new Plot(figure, {
-      label: "Thresholds against the plate's frequency. Arrow keys step, Enter shows the cell in motion, plus and minus zoom, 0 shows all.",
-      content: () => this.#content(),
-    });
-    gestures(this.plot, {
-      hover: (x) => this.#point(this.found ? nearest(this.found.omega, x) : null),
-      leave: () => this.#point(null),
-      pick: (x, y) => this.#choose(nearest(this.found.omega, x), y),
-      choose: () => this.at !== null && this.#choose(this.at, this.found.up[this.at] ?? this.found.down[this.at]),
-      step: (right) => this.#step(right),
-      zoom: (window) => this.#zoom(window),
-      closer: (factor) => this.#zoom(zoomed(this.#window(), this.#whole(), factor, this.at === null ? undefined : this.found.omega[this.at])),
-    });
-    this.load();
+    const controls = h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, moved));
+    this.build(root, { controls, label: "Thresholds against the plate's frequency", hint: HINT });
   }
 
-  close() {
-    this.plot.close();
+  async ask(signal) {
+    this.found = await askJson(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
+    return { xi: this.found.xi };
   }
 
-  update(job) {
-    this.job = job;
-    this.load();
-  }
-
-  async #load() {
-    try {
-      this.found = await askJson(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`);
-    } catch (error) {
-      this.fail(error);
-      return;
-    }
-    this.plot.draw();
-    this.plot.element.dataset.shows = JSON.stringify({ xi: this.found.xi });
-  }
-
-  #whole() {
-    const { omega, up, down } = this.found;
+  whole() {
+    const { omega } = this.found;
     const [x0, x1] = spread(omega[0], omega[omega.length - 1]);
-    const simulated = [...up, ...down].filter((value) => value !== null);
+    const simulated = this.#simulated();
     const highest = Math.max(...(simulated.length ? simulated : [threshold(x0, this.found.xi), 1]));
     return { x0, x1, y0: 0, y1: 1.12 * highest };
   }
 
-  #window() {
-    return this.window ?? this.#whole();
+  #simulated() {
+    return [...this.found.up, ...this.found.down].filter((value) => value !== null);
   }
 
-  #zoom(window) {
-    this.window = window;
-    noteWindow(window);
-    this.plot.redraw();
-  }
-
-  #content() {
+  content() {
     if (!this.found) return null;
-    const { x0, x1, y0, y1 } = this.#window();
+    const { x0, x1, y0, y1 } = this.shown();
     return {
       x: { label: SYMBOL.omega, low: x0, high: x1, log: isLog(this.job.spec.omega) },
       y: { label: "threshold Γ", low: y0, high: y1 },
       title: `ξ = ${number(this.found.xi)}`,
       key: this.#key(),
+      message: this.#simulated().length ? null : this.found.complete ? "Nothing bounces here" : "No cell that bounces yet",
       layers: [(pen, box) => this.#draw(pen, box)],
-      cursor: (pen, box) => {
-        if (this.at === null) return;
-        const x = box.x.place(this.found.omega[this.at]);
-        stroke(pen, box.theme.cursor, 1, [[x, box.top], [x, box.top + box.height]]);
-      },
+      cursor: (pen, box) => this.at && upright(pen, box, box.x.place(this.found.omega[this.at.place]), box.theme.cursor),
     };
   }
 
@@ -107,7 +67,7 @@ export class Thresholds {
       const x = box.left + (i * box.width) / n;
       return [x, box.y.place(threshold(box.x.value(x), this.found.xi))];
     });
-    stroke(pen, box.theme.onset, 1.6, curve, [7, 4]);
+    stroke(pen, box.theme.onset, 1.6, curve, DASH);
     for (const [way, , direction] of this.#ways()) {
       drawMarks(pen, box, this.found.omega, this.found[way], colourOf(direction, box.theme), way);
     }
@@ -120,56 +80,52 @@ export class Thresholds {
   }
 
   #key() {
-    const line = (pen, x, y, colour, dash, width) => stroke(pen, colour, width, [[x, y], [x + 24, y]], dash);
+    const line = (pen, x, y, colour, width, dash) => stroke(pen, colour, width, [[x, y], [x + 24, y]], dash);
     return [
-      ["Eq. 25", (pen, x, y, theme) => line(pen, x, y, theme.onset, [7, 4], 1.6)],
+      ["Eq. 25", (pen, x, y, theme) => line(pen, x, y, theme.onset, 1.6, DASH)],
       ...this.#ways().map(([way, name, direction]) => [name, (pen, x, y, theme) => {
         const colour = colourOf(direction, theme);
-        line(pen, x, y, colour, [], 1.2);
+        line(pen, x, y, colour, 1.2);
         mark(pen, [x + 12, y], 3.4, colour, way, theme.paper);
       }]),
     ];
   }
 
-  #point(at) {
-    this.at = at;
-    this.readout.textContent = at === null ? HINT : this.#describe(at);
-    this.plot.drawCursor();
+  nearest(x, y) {
+    return this.found ? { place: nearest(this.found.omega, x), y } : null;
   }
 
-  #step(right) {
-    if (!this.found) return;
+  step(at, right) {
+    if (!this.found) return null;
     const n = this.found.omega.length;
-    this.#point(this.at === null ? n >> 1 : Math.min(Math.max(this.at + right, 0), n - 1));
-    say(this.readout.textContent);
+    return { place: at ? within(at.place + right, n) : n >> 1 };
   }
 
-  #describe(at) {
+  middle() {
+    return this.at ? this.found.omega[this.at.place] : undefined;
+  }
+
+  describe({ place }) {
     const { omega, analytic, up, down } = this.found;
-    const parts = [`Ω = ${number(omega[at])}`, `Eq. 25: Γ = ${number(analytic[at], 4)}`];
-    if (up[at] !== null) parts.push(`${this.directions[0] === "rest" ? "from rest" : "up"}: ${number(up[at], 4)}`);
-    if (down[at] !== null) parts.push(`down: ${number(down[at], 4)}`);
+    const parts = [`Ω = ${number(omega[place])}`, `Eq. 25: Γ = ${number(analytic[place], 4)}`];
+    if (up[place] !== null) parts.push(`${this.directions[0] === "rest" ? "from rest" : "up"}: ${number(up[place], 4)}`);
+    if (down[place] !== null) parts.push(`down: ${number(down[place], 4)}`);
     return parts.join(" · ");
   }
 
-  #choose(at, y) {
-    if (y === null || y === undefined) return;
-    const { omega, xi, down } = this.found;
-    const falling = down[at] !== null && Math.abs(down[at] - y) < Math.abs((this.found.up[at] ?? 1e9) - y);
+  /** The cell at the height pointed at; from the keyboard, the first that bounces. */
+  cellOf({ place, y }) {
+    const { omega, xi, up, down } = this.found;
+    const height = y ?? up[place] ?? down[place];
+    if (height === null) return null;
+    const falling = down[place] !== null && Math.abs(down[place] - height) < Math.abs((up[place] ?? Infinity) - height);
     const direction = falling ? "down" : this.directions[0];
-    const gamma = this.grid.gamma[nearest(this.grid.gamma, y)];
-    this.choose({ gamma, omega: omega[at], xi, direction });
+    return { gamma: this.grid.gamma[nearest(this.grid.gamma, height)], omega: omega[place], xi, direction };
   }
 
-  #downloads() {
-    const name = (kind) => () => fileName(this.job, "thresholds", kind);
-    const rows = () => this.found.omega.map((omega, i) => [omega, this.found.xi, this.found.analytic[i], this.found.up[i], this.found.down[i]]);
-    return downloads([
-      ["PNG", name("png"), () => this.plot.png()],
-      ["SVG", name("svg"), () => this.plot.svg()],
-      ["CSV", name("csv"), () => csv(["omega", "xi", "eq_25", "up", "down"], rows())],
-      ["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)],
-    ]);
+  table() {
+    const { omega, xi, analytic, up, down } = this.found;
+    return csv(["omega", "xi", "eq_25", "up", "down"], omega.map((value, i) => [value, xi, analytic[i], up[i], down[i]]));
   }
 }
 
@@ -190,15 +146,10 @@ function drawMarks(pen, box, omega, values, colour, way) {
 
 function mark(pen, [x, y], size, colour, way, paper) {
   if (way === "up") {
-    pen.fillStyle = colour;
-    pen.beginPath();
-    pen.arc(x, y, size, 0, 2 * Math.PI);
-    pen.fill();
+    disc(pen, colour, x, y, size);
     return;
   }
   pen.fillStyle = paper;
   pen.fillRect(x - size, y - size, 2 * size, 2 * size);
   stroke(pen, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
 }
-
-const HINT = "Point at a frequency to read it, click to see a cell move, drag to zoom, double-click to see all.";

@@ -1,7 +1,7 @@
 // The spatio-temporal diagram of the paper's Fig. 2 (a–d): the spring in grey above the plate.
 
 import { TURN } from "./physics.js";
-import { stroke } from "./plot.js";
+import { area, stroke, upright } from "./pen.js";
 
 const ROOM = 0.06; // of the height, above and below
 
@@ -39,30 +39,17 @@ function content(trace, now) {
     layers: [
       (pen, box) => {
         const below = path(box, plate);
-        area(pen, box.theme.ink, [...below, [box.left + box.width, box.top + box.height], [box.left, box.top + box.height]], box.theme.dark ? 0.35 : 0.85);
+        area(pen, box.theme.ink, [...below, [box.left + box.width, box.top + box.height], [box.left, box.top + box.height]], box.theme.dark ? 0.62 : 0.85);
         stroke(pen, box.theme.ink, 1.5, below);
       },
       (pen, box) => {
-        if (!trace.ball) area(pen, box.theme.soft, [...path(box, upper), ...path(box, lower).reverse()], 0.4);
+        if (!trace.ball) area(pen, box.theme.soft, [...path(box, upper), ...path(box, lower).reverse()], box.theme.dark ? 0.25 : 0.35);
         stroke(pen, box.theme.up, 1.6, path(box, upper));
         stroke(pen, box.theme.mass, 1.6, path(box, lower));
       },
     ],
-    cursor: (pen, box) => {
-      const x = box.x.place(now() / TURN);
-      stroke(pen, box.theme.cursor, 1, [[x, box.top], [x, box.top + box.height]]);
-    },
+    cursor: (pen, box) => upright(pen, box, box.x.place(now() / TURN), box.theme.cursor),
   };
-}
-
-function area(pen, colour, points, opacity) {
-  pen.fillStyle = colour;
-  pen.globalAlpha = opacity;
-  pen.beginPath();
-  points.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
-  pen.closePath();
-  pen.fill();
-  pen.globalAlpha = 1;
 }
 
 /** Heights at a phase, between two samples; null beyond where the motion could be followed. */

@@ -1,0 +1,144 @@
+"""What a cell costs, against Gamma, Omega, xi, the penetration, the settling and the size of the grid.
+
+    python -m benchmarks.cost [--repeat 5] [-o docs/cost.png]
+
+The kernel alone, one core, CPU microseconds per cell and plate period: one quantity runs, the others stay at
+Gamma = 2, Omega = 0.5, xi = 0.26, d = 1e-3, 200 + 100 periods; 64 cells within 1 % of Gamma, medians. The
+grid's size goes through REST to the embedded cluster of two workers, from submission to done. "linear?" is
+the exponent of the whole time against the quantity, between its ends (1: proportional); on Gamma, Omega, xi
+and d the cost should not depend, and for them the largest over the smallest says whether it does.
+"""
+
+import argparse
+import itertools
+import math
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.atlas import atlas, warm
+from benchmarks.kernel import NEIGHBOURS, cost_of, line
+from benchmarks.machine import describe
+from benchmarks.tables import short, table
+from kernel.params import Model
+from service import embedded
+from service.client import Client
+
+USUAL: dict[str, Any] = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "settle": 200, "observe": 100, "d": 1e-3}
+KINDS = {"rigid": Model.RIGID, "soft": Model.SOFT}
+AXES: dict[str, Sequence[float]] = {
+    "gamma": (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 30.0, 100.0),
+    "omega": (0.01, 0.03, 0.1, 0.3, 0.5, 1.0, 2.0, 5.0, 20.0, 100.0),
+    "xi": (0.001, 0.01, 0.05, 0.1, 0.26, 0.5, 1.0, 2.0, 5.0, 20.0),
+    "d": (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1),
+    "settle": (100, 200, 500, 1000, 2000, 5000),
+}
+LABELS = {"gamma": "Γ", "omega": "Ω", "xi": "ξ", "d": "d", "settle": "settle, periods", "cells": "cells"}
+#: Values of Omega with 1000 of Gamma and 1 of xi.
+SIZES = (1, 3, 10, 30, 100)
+
+Curve = list[tuple[float, float]]
+
+
+def kernel_curve(kind: str, axis: str, repeat: int) -> Curve:
+    """(value, microseconds per cell and plate period) along an axis."""
+    curve = []
+    for value in AXES[axis]:
+        at = USUAL | {axis: value}
+        gamma = at["gamma"] * np.linspace(0.99, 1.01, NEIGHBOURS)
+
+        def run(g: np.ndarray = gamma, a: dict[str, Any] = at) -> object:
+            return line(
+                g, a["omega"], a["xi"], KINDS[kind], e=0.01 if kind == "soft" else 0.0, d=a["d"],
+                settle=int(a["settle"]), observe=int(a["observe"]),
+            )  # fmt: skip
+
+        periods = at["settle"] + at["observe"]
+        curve.append((float(value), cost_of(run, NEIGHBOURS * periods, repeat)))
+    return curve
+
+
+def size_curve(repeat: int) -> Curve:
+    """(cells, microseconds of wall time per cell and plate period) of whole sweeps on two workers."""
+    curve = []
+    shifts = itertools.count()
+    with tempfile.TemporaryDirectory() as folder:
+        settings = embedded.settings(data=Path(folder), workers=2, host="127.0.0.1", port=0)
+        with embedded.running(settings) as url, Client(url) as client:
+            warm(client)
+            for omegas in SIZES:
+                times = []
+                for _ in range(repeat):
+                    spec = atlas(1000, max(2, omegas), 2)
+                    gamma = spec["gamma"] | {"start": spec["gamma"]["start"] + 1e-9 * next(shifts)}
+                    spec |= {"gamma": gamma, "xi": 0.26} | ({"omega": 0.5} if omegas == 1 else {})
+                    start = time.perf_counter()
+                    client.submit(spec).wait(progress=False)
+                    times.append(time.perf_counter() - start)
+                cells = 1000 * omegas
+                curve.append((float(cells), float(np.median(times)) / cells / 300 * 1e6))
+    return curve
+
+
+def exponent(curve: Curve) -> float:
+    """Of the whole time against the quantity, between the ends."""
+    (first, least), (last, most) = curve[0], curve[-1]
+    return math.log(most * last / (least * first)) / math.log(last / first)
+
+
+def row(name: str, axis: str, curve: Curve) -> tuple[str, ...]:
+    """One line of the table."""
+    costs = [cost for _, cost in curve]
+    span = f"{curve[0][0]:g} to {curve[-1][0]:g}"
+    linear = f"{exponent(curve):.2f}" if axis in ("settle", "cells") else ""
+    return (
+        name,
+        LABELS[axis],
+        span,
+        short(min(costs)),
+        short(max(costs)),
+        short(max(costs) / min(costs)),
+        linear,
+    )
+
+
+def draw(curves: dict[str, dict[str, Curve]], file: str) -> None:
+    """A panel for each quantity."""
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    for panel, (axis, lines) in zip(figure.subplots(2, 3).flat, curves.items(), strict=True):
+        for kind, curve in lines.items():
+            panel.loglog(*zip(*curve, strict=True), "o-", label=kind, markersize=3.5, linewidth=1.2)
+        panel.set_xlabel(LABELS[axis])
+        panel.set_ylim(bottom=0.03)
+        panel.grid(alpha=0.3)
+        panel.legend(frameon=False, fontsize=8)
+    figure.supylabel("µs per cell and plate period")
+    figure.savefig(file, dpi=110)
+
+
+def main() -> None:
+    """Print the table and draw the picture."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("-o", "--output", default="docs/cost.png")
+    given = parser.parse_args()
+    print(describe("dask", "zarr"), flush=True)
+    curves: dict[str, dict[str, Curve]] = {}
+    for axis in AXES:
+        kinds = ("soft",) if axis == "d" else KINDS
+        curves[axis] = {kind: kernel_curve(kind, axis, given.repeat) for kind in kinds}
+    curves["cells"] = {"rigid, two workers, wall time": size_curve(min(given.repeat, 3))}
+    rows = [row(kind, axis, curve) for axis, lines in curves.items() for kind, curve in lines.items()]
+    head = ["", "against", "from … to", "least, µs", "most, µs", "most/least", "linear?"]
+    print("\n" + table(head, rows))
+    draw(curves, given.output)
+    print(f"\n{given.output}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Where the atlas's time goes: stacks of both workers and the service, sampled while it runs.
+
+    python -m benchmarks.profile [--omega 50] [--rate 100] [-o docs/atlas-profile.svg]
+
+1000 x --omega x 10 cells of `rigid`, 300 plate periods, through REST to the embedded cluster, as in
+benchmarks.atlas. py-spy (extra `bench`) looks at the processes from outside; compiled kernels show as the
+Python function that calls them, threads that wait do not count. Writes a flame graph, wide is long, and
+prints the largest costs by what the code is for.
+"""
+
+import argparse
+import html
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from contextlib import closing
+from pathlib import Path
+
+import psutil
+
+from benchmarks.atlas import atlas, warm
+from benchmarks.machine import describe
+from benchmarks.tables import table
+from service import embedded
+from service.client import Client
+from worker.executors import Dask
+
+Stack = tuple[str, ...]
+
+#: What a sample is for: the first of these that is in its stack, looked for in this order.
+PURPOSES = (
+    ("kernel: the compiled physics", ("run_line (kernel",)),
+    ("store: compressing and writing chunks", ("write_chunk (worker", "harden (worker", "checksum (worker")),
+    ("store: zarr's threads", ("(zarr/",)),
+    ("task: everything else around the kernel", ("run_chunk (worker", "run_watched (worker")),
+    ("ledger and supervisor", ("(service/supervisor", "(service/ledger")),
+    ("HTTP", ("(uvicorn/", "(service/", "(starlette/")),
+    ("Dask: scheduler, workers, client", ("(distributed/", "(tornado/", "(dask/")),
+)
+ROW, WIDTH = 17, 1200
+LEAST = 0.002
+
+
+def sampled(pids: Iterable[int], seconds: float, rate: int, folder: Path) -> list[subprocess.Popen[bytes]]:
+    """Start looking at processes; each leaves folder/PID.txt of folded stacks."""
+    spy = Path(sys.executable).with_name("py-spy")
+    return [
+        subprocess.Popen([
+            spy, "record", "--pid", str(pid), "--format", "raw", "--rate", str(rate), "--nonblocking",
+            "--duration", str(int(seconds)), "--output", folder / f"{pid}.txt",
+        ], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for pid in pids
+    ]  # fmt: skip
+
+
+def stacks(file: Path, root: str) -> Counter[Stack]:
+    """Folded stacks, below a common root; without line numbers, files by their package."""
+    found: Counter[Stack] = Counter()
+    for line in file.read_text().splitlines():
+        frames, _, count = line.rpartition(" ")
+        found[(root, *(_named(frame) for frame in frames.split(";")))] += int(count)
+    return found
+
+
+def _named(frame: str) -> str:
+    """`function (package/file.py)` of `function (some/long/path/file.py:12)`."""
+    name, _, place = frame.rpartition(" (")
+    path = place.rstrip(")").rpartition(":")[0] or place.rstrip(")")
+    parts = path.split("/")
+    short = parts[parts.index("site-packages") + 1 :] if "site-packages" in parts else parts[-2:]
+    return f"{name} ({'/'.join(short)})"
+
+
+def purpose(stack: Stack) -> str:
+    """What a sample was for."""
+    for name, signs in PURPOSES:
+        if any(sign in frame for frame in stack for sign in signs):
+            return name
+    return "Python and the rest"
+
+
+def flame(found: Counter[Stack], title: str) -> str:
+    """The stacks as an SVG: one bar a frame, its width its share, what it calls above it."""
+    total = sum(found.values())
+    deepest = max(map(len, found))
+    bars: list[str] = []
+
+    def draw(level: int, left: float, below: list[tuple[Stack, int]]) -> None:
+        groups: dict[str, list[tuple[Stack, int]]] = {}
+        for stack, count in sorted(below):
+            if len(stack) > level:
+                groups.setdefault(stack[level], []).append((stack, count))
+        for frame, group in groups.items():
+            share = sum(count for _, count in group) / total
+            if share >= LEAST:
+                bars.append(_bar(frame, left * WIDTH, (deepest - level) * ROW + 24, share))
+                draw(level + 1, left, group)
+            left += share
+
+    draw(0, 0.0, list(found.items()))
+    height = (deepest + 1) * ROW + 30
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="monospace">'
+    text = f'<rect width="100%" height="100%" fill="#fff"/><text x="8" y="16" font-size="13">{title}</text>'
+    return "\n".join([head, text, *bars, "</svg>\n"])
+
+
+def _bar(frame: str, left: float, top: float, share: float) -> str:
+    name, width = html.escape(frame), share * WIDTH
+    colour = next(
+        (c for sign, c in (("kernel", "#e4632d"), ("worker/", "#e9a13b"), ("zarr", "#5fa8a0"),
+                           ("distributed", "#7f9ec7"), ("service", "#b58bc0")) if sign in frame), "#cfcabd",
+    )  # fmt: skip
+    label = html.escape(frame[: int(width / 6.2)]) if width > 25 else ""
+    box = f'x="{left:.1f}" y="{top}" width="{max(width - 0.5, 0.3):.1f}" height="{ROW - 1}"'
+    words = f'<text x="{left + 3:.1f}" y="{top + 12}" font-size="10">{label}</text>' if label else ""
+    return f'<g><title>{name}: {share:.1%}</title><rect {box} fill="{colour}"/>{words}</g>'
+
+
+def main() -> None:
+    """Run, sample, draw and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--omega", type=int, default=50)
+    parser.add_argument("--rate", type=int, default=100, help="samples a second of each process")
+    parser.add_argument("-o", "--output", default="docs/atlas-profile.svg")
+    given = parser.parse_args()
+    print(describe("dask", "zarr", "py-spy"), flush=True)
+    found: Counter[Stack] = Counter()
+    with tempfile.TemporaryDirectory() as folder, closing(Dask(workers=2)) as executor:
+        workers = [
+            p.pid for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
+        ]
+        names = dict.fromkeys(workers, "worker") | {psutil.Process().pid: "service"}
+        settings = embedded.settings(data=Path(folder) / "data", host="127.0.0.1", port=0)
+        with embedded.running(settings, executor) as url, Client(url) as client:
+            warm(client)
+            spies = sampled(names, 600, given.rate, Path(folder))
+            client.submit(atlas(1000, given.omega, 10)).wait(progress=False)
+            for spy in spies:
+                spy.send_signal(2)  # it writes what it has seen
+                spy.wait(60)
+        for pid, name in names.items():
+            found += stacks(Path(folder) / f"{pid}.txt", name)
+    total, of = sum(found.values()), Counter[str]()
+    for stack, count in found.items():
+        of[purpose(stack)] += count
+    title = f"{1000 * given.omega * 10:,} cells of the atlas, both workers and the service, {total:,} samples"
+    Path(given.output).write_text(flame(found, title))
+    head = ["what for", "share of all processes' busy time"]
+    print("\n" + table(head, [(name, f"{count / total:.1%}") for name, count in of.most_common()]))
+    print(f"\n{given.output}")
+
+
+if __name__ == "__main__":
+    main()

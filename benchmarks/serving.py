@@ -1,0 +1,153 @@
+"""A real `bounce serve` in a process of its own, jobs for it, and connections that poll it without end."""
+
+import asyncio
+import hashlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import psutil
+
+MB = 1 << 20
+#: Seconds for an answer, on a machine that may be busy with other things.
+PATIENCE = 60.0
+
+
+def sweep(number: int, gammas: int = 400, settle: int = 4_000) -> dict[str, Any]:
+    """Another one for each number, each of the same amount of work: a second or so of one core."""
+    return {
+        "name": f"benchmark {number}",
+        "gamma": {"start": 1.0, "stop": 5.0, "num": gammas},
+        "omega": 0.4 + 0.001 * number,
+        "xi": [0.1, 0.26],
+        "model": {"kind": "rigid"},
+        "settle": settle,
+        "observe": 50,
+        "keep": 16,
+    }
+
+
+class Serving:
+    """The service, on a free port and a folder of its own; answers when this returns."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.url, self.data = f"http://127.0.0.1:{self.port}", folder / "data"
+        options = ["--port", str(self.port), "--data", str(self.data)]
+        with (folder / "service.log").open("wb") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "service.cli", "serve", *options], stdout=log, stderr=log
+            )
+        self.me = psutil.Process(self.process.pid)
+        while not self._answers():
+            time.sleep(0.2)
+
+    def _answers(self) -> bool:
+        if self.process.poll() is not None:
+            raise SystemExit("the service ended")
+        try:
+            return httpx2.get(f"{self.url}/readyz", timeout=10).status_code == 200
+        except httpx2.TransportError:
+            return False
+
+    def worker_pids(self) -> list[int]:
+        """The processes that compute: those with kernels loaded."""
+        family = self.me.children(recursive=True)
+        return [child.pid for child in family if child.memory_info().rss > 100 * MB]
+
+    def used(self) -> tuple[float, int]:
+        """Megabytes and file handles of the service's own process."""
+        return self.me.memory_info().rss / MB, self.me.num_fds()
+
+    def submit(self, spec: dict[str, Any]) -> str:
+        """The path of the job."""
+        return str(httpx2.post(f"{self.url}/v1/jobs", json=spec, timeout=PATIENCE).headers["Location"])
+
+    def wait(self, path: str) -> dict[str, Any]:
+        """The job when it is done; ends the program if it ends otherwise."""
+        while (job := self._job(path))["state"] in ("queued", "running"):
+            time.sleep(0.05)
+        if job["state"] != "done":
+            raise SystemExit(f"a job is {job['state']}: {json.dumps(job)[:2000]}")
+        return job
+
+    def _job(self, path: str) -> dict[str, Any]:
+        job: dict[str, Any] = httpx2.get(self.url + path, timeout=PATIENCE).json()
+        return job
+
+    def delete(self, path: str) -> None:
+        """Forget a job."""
+        httpx2.delete(self.url + path, timeout=PATIENCE).raise_for_status()
+
+    def digest(self, job: dict[str, Any]) -> str:
+        """Of everything in a job's store."""
+        store = self.data / "stores" / f"{job['id']}.zarr"
+        found = hashlib.sha256()
+        for path in sorted(path for path in store.rglob("*") if path.is_file()):
+            found.update(str(path.relative_to(store)).encode() + path.read_bytes())
+        return found.hexdigest()
+
+    def end(self) -> float:
+        """Stop it as its operator would; seconds that took."""
+        began = time.monotonic()
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(60)
+        return time.monotonic() - began
+
+
+class Polls:
+    """Connections that ask for one path again and again, `pause` seconds after each answer.
+
+    Bytes on a socket and no more: a client library would take more of the machine than the service does.
+    """
+
+    def __init__(self, port: int, path: str, connections: int, pause: float) -> None:
+        self.seconds: list[float] = []
+        self.wrong: list[str] = []
+        self._port, self._pause, self._connections = port, pause, connections
+        self._question = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._work()))
+
+    def __enter__(self) -> "Polls":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    async def _work(self) -> None:
+        await asyncio.gather(*(self._poll(number) for number in range(self._connections)))
+
+    async def _poll(self, number: int) -> None:
+        await asyncio.sleep(self._pause * number / self._connections)
+        reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
+        while not self._over.is_set():
+            began = time.perf_counter()
+            try:
+                status = await self._ask(reader, writer)
+            except (OSError, asyncio.IncompleteReadError) as error:
+                self.wrong.append(repr(error))
+                reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
+                continue
+            self.seconds.append(time.perf_counter() - began)
+            if status >= 500:
+                self.wrong.append(str(status))
+            await asyncio.sleep(self._pause)
+        writer.close()
+
+    async def _ask(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> int:
+        writer.write(self._question)
+        head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
+        await reader.readexactly(int(head.split("content-length: ")[1].split("\r\n")[0]))
+        return int(head.split()[1])

@@ -1,0 +1,83 @@
+"""A small job: from handing in 1,000 cells to their first whole diagram, on warm workers.
+
+    python -m benchmarks.small [--repeat 9] [--workers 2] [--alone]
+
+Over HTTP, with the embedded cluster: with nothing else to do, and while a sweep of ten million cells is
+running, whose chunks hold every worker (not with --alone). Every repetition is a new job, whose grid
+differs by a hair.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.atlas import atlas
+from benchmarks.machine import describe
+from service import embedded
+from service.client import Client
+
+MODELS: dict[str, dict[str, Any]] = {
+    "rigid": {"kind": "rigid"},
+    "soft, e = 0.01, d = 1e-3": {"kind": "soft", "restitution": 0.01, "penetration": 1e-3},
+}
+
+
+def small(model: dict[str, Any], shift: int) -> dict[str, Any]:
+    """The specification; 300 plate periods a cell."""
+    return {
+        "name": f"small {shift}",
+        "gamma": {"start": 1.0 + shift * 1e-6, "stop": 6.0, "num": 1000},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": model,
+        "settle": 200,
+        "observe": 100,
+    }
+
+
+def seconds(client: Client, spec: dict[str, Any]) -> float:
+    """Wall time from submission to a whole diagram."""
+    start = time.perf_counter()
+    found = client.submit(spec).wait(progress=False).diagram(along="gamma")
+    assert found.attrs["complete"]
+    return time.perf_counter() - start
+
+
+def table(client: Client, repeat: int, first: int) -> None:
+    """Time every model `repeat` times and print."""
+    for name, model in MODELS.items():
+        times = sorted(seconds(client, small(model, first + shift)) for shift in range(repeat))
+        low, high = statistics.median(times), times[-1]
+        print(f"{name:28}{low:10.2f}{high:10.2f}{repeat:10d}")
+
+
+def main() -> None:
+    """Run it and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeat", type=int, default=9)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--alone", action="store_true", help="not beside a large sweep")
+    given = parser.parse_args()
+    print(describe("dask", "zarr"))
+    with tempfile.TemporaryDirectory() as folder:
+        settings = embedded.settings(data=Path(folder), workers=given.workers, host="127.0.0.1", port=0)
+        with embedded.running(settings) as url, Client(url) as client:
+            for shift in range(1, 1 + 2 * given.workers):
+                seconds(client, small(MODELS["rigid"], -shift))
+            print(f"{'1,000 cells':28}{'median s':>10}{'most s':>10}{'times':>10}")
+            table(client, given.repeat, 0)
+            if given.alone:
+                return
+            large = client.submit(atlas(1000, 1000, 10))
+            while not large.refresh().progress.chunks_done:
+                time.sleep(0.1)
+            print("beside ten million cells")
+            table(client, given.repeat, given.repeat)
+            large.cancel()
+
+
+if __name__ == "__main__":
+    main()

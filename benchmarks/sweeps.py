@@ -1,0 +1,156 @@
+"""A whole sweep by the service beside what one would write instead, on two processes, in one run.
+
+    python -m benchmarks.sweeps [--gamma 1000 --omega 20 --xi 5] [--cells 16] [--repeat 3]
+
+`rigid`, 300 plate periods a cell from rest, over the atlas's range, each row from its start to all results
+stored. joblib and dask.bag map scipy's solve_ivp (DOP853, benchmarks/scipy_rival.py) over --cells cells drawn
+from the grid; their time for the whole grid is extrapolated per cell. xsweep and joblib over this project's
+kernel do the whole grid, a line along Gamma at a time, and keep flights and outcomes as the service does:
+xsweep in its own zarr store, joblib in memory. Both have the kernel compiled and their workers started.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dask.bag
+import joblib
+import numpy as np
+import xarray as xr
+import xsweep
+
+from benchmarks import scipy_rival
+from benchmarks.atlas import atlas, warm
+from benchmarks.machine import describe
+from benchmarks.tables import short, table
+from kernel.params import Line, Model
+from kernel.ramp import run_line
+from service import embedded
+from service.client import Client
+from worker.spec import SweepSpec
+
+PERIODS = 300
+KEEP = 16
+PROCESSES = 2
+
+
+def kernel_line(gamma: np.ndarray, omega: float, xi: float) -> Line:
+    """All Gamma at one Omega and xi, as the service's task runs them."""
+    full = np.full_like
+    return run_line(
+        gamma, full(gamma, omega), full(gamma, xi), model=Model.RIGID, restitution=full(gamma, 0.0),
+        penetration=full(gamma, 1e-3), adhesive=True, carry=False, settle=200, observe=100, keep=KEEP,
+    )  # fmt: skip
+
+
+def scipy_cell(cell: tuple[float, float, float]) -> list[float]:
+    """What a script keeps of one cell."""
+    return scipy_rival.run(*cell, PERIODS)[-KEEP:]
+
+
+@xsweep.sweep(
+    "loop(omega, xi) vec(gamma) -> flight_time(gamma, flight), takeoff_phase(gamma, flight), outcome(gamma)",
+    version="1",
+)
+def swept_line(gamma: Any, omega: float, xi: float) -> Any:
+    """The same line as xsweep calls it."""
+    done = kernel_line(np.ascontiguousarray(gamma, float), float(omega), float(xi))
+    return xr.Dataset(
+        {
+            "flight_time": (("gamma", "flight"), done.flight_time),
+            "takeoff_phase": (("gamma", "flight"), done.takeoff_phase),
+            "outcome": (("gamma",), done.outcome.astype(float)),
+        }
+    )
+
+
+def by_xsweep(axes: dict[str, np.ndarray], folder: Path) -> None:
+    """xsweep on two threads, which the kernel lets run side by side, and its zarr store."""
+    space = xr.Dataset({name: (name, values) for name, values in axes.items()})
+    space = space.assign_coords(flight=np.arange(KEEP))  # or it would not know how many
+    policy = xsweep.SweepPolicy(store=folder / "xsweep.zarr", executor="thread", max_workers=PROCESSES)
+    swept_line(space, policy=policy)
+
+
+def by_joblib_kernel(axes: dict[str, np.ndarray]) -> None:
+    """joblib over the same kernel, results in memory."""
+    lines = ((axes["gamma"], omega, xi) for omega in axes["omega"] for xi in axes["xi"])
+    joblib.Parallel(n_jobs=PROCESSES)(joblib.delayed(kernel_line)(*line) for line in lines)
+
+
+def by_joblib_scipy(cells: list[tuple[float, float, float]]) -> None:
+    """The loop of a script, shared out."""
+    joblib.Parallel(n_jobs=PROCESSES)(joblib.delayed(scipy_cell)(cell) for cell in cells)
+
+
+def by_bag_scipy(cells: list[tuple[float, float, float]]) -> None:
+    """The same as a bag on Dask's processes."""
+    bag = dask.bag.from_sequence(cells, partition_size=2)
+    bag.map(scipy_cell).compute(scheduler="processes", num_workers=PROCESSES)
+
+
+def seconds(run: Callable[[], Any], repeat: int, first: bool = True) -> float:
+    """Median wall time; the first run, which starts processes that stay, does not count."""
+    if first:
+        run()
+    times = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def by_service(spec: dict[str, Any], repeat: int) -> float:
+    """Submission to done through REST, on warm workers; every repetition another sweep by a hair."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = embedded.settings(data=Path(folder), workers=PROCESSES, host="127.0.0.1", port=0)
+        with embedded.running(settings) as url, Client(url) as client:
+            warm(client)
+            shifts = iter(range(repeat))
+
+            def run() -> None:
+                gamma = spec["gamma"] | {"start": spec["gamma"]["start"] + 1e-9 * next(shifts)}
+                client.submit(spec | {"gamma": gamma}).wait(progress=False)
+
+            return seconds(run, repeat, first=False)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name, default in (("gamma", 1000), ("omega", 20), ("xi", 5), ("cells", 16), ("repeat", 3)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    given = parser.parse_args()
+    print(describe("scipy", "joblib", "dask", "xsweep"), flush=True)
+    spec = atlas(given.gamma, given.omega, given.xi)
+    axes = {name: SweepSpec.model_validate(spec).axis_values(name) for name in ("gamma", "omega", "xi")}
+    rng = np.random.default_rng(1)
+    cells = [tuple(float(rng.choice(axes[name])) for name in axes) for _ in range(given.cells)]
+    kernel_line(axes["gamma"][:8], 1.0, 0.1)  # compiled before anything forks
+    whole = given.gamma * given.omega * given.xi
+    rows: list[tuple[str, int, float]] = []
+    times = []
+    for _ in range(given.repeat):
+        with tempfile.TemporaryDirectory() as folder:
+            times.append(seconds(lambda f=folder: by_xsweep(axes, Path(f)), 1, first=False))
+    rows.append(("xsweep, the same kernel", whole, statistics.median(times)))
+    rows.append(("joblib, the same kernel", whole, seconds(lambda: by_joblib_kernel(axes), given.repeat)))
+    rows.append(("joblib over scipy DOP853", len(cells), seconds(lambda: by_joblib_scipy(cells), 1)))
+    rows.append(("dask.bag over scipy DOP853", len(cells), seconds(lambda: by_bag_scipy(cells), 1, False)))
+    own = by_service(spec, given.repeat)
+    rows.insert(0, ("this service, through REST", whole, own))
+    head = ["", "cells run", "s", f"s for {whole:,} cells", "of the service"]
+    shown = [
+        (name, f"{cells:,}", short(took), short(took / cells * whole), short(took / cells * whole / own))
+        for name, cells, took in rows
+    ]
+    print("\n" + table(head, shown))
+
+
+if __name__ == "__main__":
+    main()

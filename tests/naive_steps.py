@@ -1,0 +1,82 @@
+"""A slow, obvious twin of `stepped`: one time step after another, each the scheme as it is written down.
+
+    v' = v + (1 - m) h a(x, v, phi)      x+ = x + h v'      v+ = v' + m h a(x+, v+, phi + h)
+
+with m = 1/2 (velocity Verlet, its last line solved for v+) or 0 (semi-implicit Euler). The step in which a
+contact or flight ends is shortened to end there, and another one leads back to the grid of phases; what
+ends within that one ends with it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from naive import Setting, damping_for
+
+#: Parts of a step that bisection tells apart.
+FINEST = 1e-15
+
+TWO_PI = 2.0 * math.pi
+
+
+class Flown(NamedTuple):
+    takeoff: float  # phase since the start, rad
+    time: float
+
+
+class Stepper:
+    """One setting, stepped `number` times in every plate period."""
+
+    def __init__(self, s: Setting, number: int, m: float) -> None:
+        self.s, self.number, self.m, self.h = s, number, m, TWO_PI / number
+        self.zeta = damping_for(s.restitution, s.adhesive)
+
+    def step(self, x: np.ndarray, v: np.ndarray, phi: float, h: float, pressed: bool) -> tuple:
+        """(gap, q) and their velocities after a step of h rad from phi."""
+        d = self.s.penetration
+        kappa, beta = (1.0 / d**2, 2.0 * self.zeta / d) if pressed else (0.0, 0.0)
+        stiff = np.array([[kappa, -self.s.w], [-kappa, 2.0 * self.s.w]])
+        drag = np.array([[beta, -self.s.b], [-beta, 2.0 * self.s.b]])
+
+        def push(x: np.ndarray, phi: float) -> np.ndarray:
+            return np.array([math.cos(phi) - 1.0 / self.s.gamma, 0.0]) - stiff @ x
+
+        half = v + (1.0 - self.m) * h * (push(x, phi) - drag @ v)
+        x = x + h * half
+        right = half + self.m * h * push(x, phi + h)
+        return x, np.linalg.solve(np.eye(2) + self.m * h * drag, right)
+
+    def lasts(self, x: np.ndarray, v: np.ndarray, flying: bool) -> bool:
+        """Whether the contact or flight goes on."""
+        lead = 0.0 if self.s.adhesive else 2.0 * self.zeta * self.s.penetration
+        force = x[0] + lead * v[0]
+        return bool(x[0] >= 0.0 or force >= 0.0) if flying else bool(force <= 0.0)
+
+    def flights(self, periods: int) -> list[Flown]:
+        """Every flight from rest that takes off and lands within some plate periods."""
+        gap, _, q, _ = self.s.at_rest()
+        x, v, phi, flying, took_off = np.array([gap, q]), np.zeros(2), 0.0, False, 0.0
+        found, n, first = [], 1, True
+        while n <= self.number * periods:
+            h = n * self.h - phi
+            after = self.step(x, v, phi, h, not flying)
+            if self.lasts(*after, flying):
+                (x, v), phi, n, first = after, n * self.h, n + 1, False
+                continue
+            low, high = h if first else 0.0, h
+            while high - low > FINEST * self.h:
+                middle = 0.5 * (low + high)
+                if middle in (low, high):
+                    break
+                goes_on = self.lasts(*self.step(x, v, phi, middle, not flying), flying)
+                low, high = (middle, high) if goes_on else (low, middle)
+            (x, v), phi = self.step(x, v, phi, high, not flying), phi + high
+            if flying:
+                found.append(Flown(took_off, phi - took_off))
+                x[0], v[0] = min(x[0], 0.0), min(v[0], 0.0)
+            else:
+                took_off = phi
+                if self.s.adhesive:
+                    x[0], v[0] = max(x[0], 0.0), max(v[0], 0.0)
+            flying, n, first = not flying, math.floor(phi / self.h + 1e-9) + 1, True
+        return found

@@ -1,0 +1,98 @@
+"""What rests on the plate is not followed: its end is in closed form, and the search agrees with it."""
+
+import math
+
+import numpy as np
+import pytest
+from kernel_runs import TWO_PI, run
+
+from kernel import model
+from kernel.ball import BallPlate
+from kernel.events import HORIZON, first_root
+from kernel.params import Line, Model, Outcome
+from kernel.pressed import pressed, split
+from kernel.rigid import RigidPlate, Stuck
+from kernel.soft import SoftPlate
+from kernel.threshold import threshold
+
+#: (Omega, xi): below and above resonance, hardly damped, slow, fast, and locked.
+RINGING = [(0.5, 0.26), (0.6, 0.05), (3.0, 0.01), (0.05, 0.1), (20.0, 0.1)]
+PLACES = [*RINGING, (5.0, 100.0)]
+KINDS = [Model.BALL, Model.RIGID, Model.SOFT]
+
+#: Up to a hundredth below the threshold, in steps of a hundredth.
+BELOW = np.arange(0.02, 0.985, 0.01)
+
+
+def onset(which: Model, omega: float, xi: float) -> float:
+    return 1.0 if which == Model.BALL else float(threshold(omega, xi))
+
+
+def cell(which: Model, gamma: float, omega: float, xi: float):
+    """The kernel's constants of one cell, e = 0.01 and d = 1e-3."""
+    e, d = np.array([0.01]), np.array([1e-3])
+    plate = {Model.BALL: BallPlate(e), Model.RIGID: RigidPlate(e), Model.SOFT: SoftPlate(e, d, True)}[which]
+    return model.prepare(plate, 0, gamma, omega, xi)
+
+
+def up(which: Model, omega: float, xi: float) -> tuple[np.ndarray, Line]:
+    gamma = onset(which, omega, xi) * BELOW
+    return gamma, run(gamma, omega, xi, which, restitution=0.01, carry=True, settle=200, observe=100)
+
+
+def arrivals(which: Model, omega: float, xi: float):
+    """Gamma, phase and state as each cell but an up ramp's first is entered: A went up (MODEL section 4)."""
+    gamma, line = up(which, omega, xi)
+    for before, after, end in zip(gamma, gamma[1:], line.end_state, strict=False):
+        yield after, end[0], tuple(end[2:] * before / after)
+
+
+@pytest.mark.parametrize(("omega", "xi"), PLACES)
+@pytest.mark.parametrize("which", KINDS)
+def test_an_up_ramp_at_rest_stays_at_rest_up_to_eq_25(which, omega, xi):
+    _, line = up(which, omega, xi)
+    assert np.all(line.outcome == Outcome.AT_REST)
+    assert not line.flights.any()
+
+
+@pytest.mark.parametrize("which", [Model.RIGID, Model.SOFT])
+@pytest.mark.parametrize("carry", [False, True])
+def test_at_the_threshold_to_the_last_digit_there_is_an_answer(which, carry):
+    """Eq. 25 and the numbers next to it, where the force that holds the mass touches zero."""
+    omega, xi = (a.ravel() for a in np.meshgrid([1e-3, 0.3, 0.6, 1.0, 1.5, 3.0, 1e3], [0.01, 0.05, 0.2, 1.0]))
+    at = threshold(omega, xi)
+    for gamma in (np.nextafter(at, 0.0), at, np.nextafter(at, np.inf)):
+        for i in range(len(gamma)):
+            line = run(gamma[i], omega[i], xi[i], which, settle=40, observe=20, carry=carry)
+            assert line.outcome[0] in (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+
+
+@pytest.mark.parametrize(("omega", "xi"), RINGING)
+@pytest.mark.parametrize("which", KINDS)
+def test_a_cell_that_rests_costs_one_look_however_long_its_window(which, omega, xi):
+    """Three plate periods or 300,000, from cell to cell of a ramp."""
+    for gamma, phi, state in arrivals(which, omega, xi):
+        if which == Model.SOFT and gamma < 0.05 * onset(which, omega, xi):
+            continue  # the first steps of such a ramp double the amplitude
+        for periods in (3, 300_000):
+            end = model.contact(cell(which, gamma, omega, xi), phi, *state, TWO_PI * periods, 100_000)
+            assert (end.ending, end.used) == (HORIZON, 1)
+            assert end.tau == TWO_PI * periods
+
+
+@pytest.mark.parametrize(("omega", "xi"), PLACES)
+def test_where_the_closed_form_says_that_nothing_lifts_it_the_search_finds_nothing(omega, xi):
+    for gamma, phi, (_, _, q, q1) in list(arrivals(Model.RIGID, omega, xi))[::6]:
+        s = cell(Model.RIGID, gamma, omega, xi)
+        h = q - s.sag - (s.q_re * math.cos(phi) - s.q_im * math.sin(phi))
+        h1 = q1 + (s.q_re * math.sin(phi) + s.q_im * math.cos(phi))
+        h2 = -s.dashpot * h1 - s.stiffness * h
+        h3 = -s.dashpot * h2 - s.stiffness * h1
+        tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, 30.0 * TWO_PI, 1_000_000)
+        assert (tau, ending) == (30.0 * TWO_PI, HORIZON)
+        assert used > 30  # it really looked
+    for gamma, phi, state in list(arrivals(Model.SOFT, omega, xi))[::6]:
+        s = cell(Model.SOFT, gamma, omega, xi)
+        tau, ending, used = first_root(pressed(s, split(s, phi, *state), phi), 0.0, 30.0 * TWO_PI, 1_000_000)
+        assert (tau, ending) == (30.0 * TWO_PI, HORIZON)
+        assert used > 30
