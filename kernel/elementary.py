@@ -85,4 +85,4 @@ def exp(x: float) -> float:
     )  # fmt: skip
     top = fma(s, 2.09147553258932e-09, fma(r, 2.5105312729622103e-08, 2.755727347871858e-07))
     p = fma(t, fma(t, top, high), low)
-    return (1.0 + fma(s, p, r)) * power_of_two(np.int64(k))
+    return (1.0 + fma(s, p, r)) * power_of_two(int(k))

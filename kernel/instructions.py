@@ -27,16 +27,14 @@ def power_of_two(k: int) -> float:
     return math.ldexp(1.0, int(k))
 
 
-@intrinsic
-def _fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@intrinsic
-def _power_of_two(typing: Any, k: Any) -> Any:
+def _declare_power_of_two(typing: Any, k: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         exponent = builder.add(arguments[0], ir.Constant(ir.IntType(64), _BIAS))
         return builder.bitcast(builder.shl(exponent, ir.Constant(ir.IntType(64), _FRACTION)), ir.DoubleType())
@@ -44,6 +42,8 @@ def _power_of_two(typing: Any, k: Any) -> Any:
     return types.float64(types.int64), generate
 
 
+_fma: Final[Any] = intrinsic(_declare_fma)
+_power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
 _INLINED: Final[Any] = {"forceinline": True}
 overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
 overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from kernel.elementary import turned
 from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import Flight, flight_terms, landing, state_after, take_off
+from kernel.impact import lets_go
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
 from kernel.oscillator import derivatives, envelope, motion, quiet_after
@@ -61,9 +62,7 @@ def _rest(s: SoftSpring) -> tuple[float, float, float, float]:
 @flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
-    if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
-        return True
-    return not s.adhesive and s.kappa * gap + s.beta * gap1 >= 0.0
+    return lets_go(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
 @contact.register(SoftSpring)
