@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from kernel.instructions import fma, power_of_two
 from kernel.jit import jit
 
 _TWO_OVER_PI: Final = 2.0 / math.pi
@@ -21,31 +22,39 @@ _ONE_OVER_LN2: Final = 1.4426950408889634
 _LN2_1: Final = 0.6931471803691238
 _LN2_2: Final = 1.9082149292705877e-10
 
-#: The most negative exponent whose exponential is not zero.
-_LEAST: Final = -745.0
+#: Beyond this many rad the reduction of `sincos` loses digits.
+_FAR: Final = 1e5
 
-#: 2**-k, by index k.
-_POWERS: Final = np.array([math.ldexp(1.0, -k) for k in range(1080)])
+#: Exponents below this are taken as it: theirs is the least power of two with all its digits.
+_LEAST: Final = -708.0
 
 
 @jit
 def sincos(x: float) -> tuple[float, float]:
-    """sin x and cos x for |x| < 1e5 rad."""
-    turns = math.floor(x * _TWO_OVER_PI + 0.5)
-    r = ((x - turns * _HALF_PI_1) - turns * _HALF_PI_2) - turns * _HALF_PI_3
+    """sin x and cos x for |x| < _FAR rad."""
+    turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
+    r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
     u = r * r
     v = u * u
-    odd = (
-        (-0.16666666666666666 + u * 0.008333333333330925)
-        + v * (-0.00019841269836722437 + u * 2.755731608382574e-06)
-        + v * v * (-2.505112794596564e-08 + u * 1.591784866512194e-10)
+    odd = fma(
+        v,
+        fma(
+            v,
+            fma(u, 1.591784866512194e-10, -2.505112794596564e-08),
+            fma(u, 2.755731608382574e-06, -0.00019841269836722437),
+        ),
+        fma(u, 0.008333333333330925, -0.16666666666666666),
     )
-    even = (
-        (0.041666666666666664 - u * 0.0013888888888887382)
-        + v * (2.480158729874308e-05 - u * 2.755731726001471e-07)
-        + v * v * (2.0876143829213935e-09 - u * 1.1382456865840483e-11)
+    even = fma(
+        v,
+        fma(
+            v,
+            fma(u, -1.1382456865840483e-11, 2.0876143829213935e-09),
+            fma(u, -2.755731726001471e-07, 2.480158729874308e-05),
+        ),
+        fma(u, -0.0013888888888887382, 0.041666666666666664),
     )
-    sine, cosine = r + r * (u * odd), 1.0 - (0.5 * u - v * even)
+    sine, cosine = fma(r * u, odd, r), 1.0 - fma(-v, even, 0.5 * u)
     quadrant = np.int64(turns)
     swapped = (quadrant & 1) != 0
     first, second = (cosine, sine) if swapped else (sine, cosine)
@@ -56,18 +65,24 @@ def sincos(x: float) -> tuple[float, float]:
 
 
 @jit
+def turned(x: float) -> tuple[float, float]:
+    """sin x and cos x for any x."""
+    return sincos(x) if abs(x) < _FAR else (math.sin(x), math.cos(x))
+
+
+@jit
 def exp(x: float) -> float:
-    """The exponential of x <= 0."""
+    """The exponential of x <= 0; below e**-708 it is that."""
     x = max(x, _LEAST)
-    k = math.floor(x * _ONE_OVER_LN2 + 0.5)
-    r = (x - k * _LN2_1) - k * _LN2_2
+    k = math.floor(fma(x, _ONE_OVER_LN2, 0.5))
+    r = fma(k, -_LN2_2, fma(k, -_LN2_1, x))
     s = r * r
     t = s * s
-    p = (
-        (0.5 + r * 0.1666666666666667)
-        + s * (0.04166666666666667 + r * 0.008333333333326084)
-        + t * (0.0013888888888883711 + r * 0.0001984126987500228)
-        + t * s * (2.480158732567746e-05 + r * 2.755725517000089e-06)
-        + t * t * ((2.755727347871858e-07 + r * 2.5105312729622103e-08) + s * 2.09147553258932e-09)
-    )
-    return float((1.0 + (r + s * p)) * _POWERS[-np.int64(k)])
+    low = fma(s, fma(r, 0.008333333333326084, 0.04166666666666667), fma(r, 0.1666666666666667, 0.5))
+    high = fma(
+        s, fma(r, 2.755725517000089e-06, 2.480158732567746e-05),
+        fma(r, 0.0001984126987500228, 0.0013888888888883711),
+    )  # fmt: skip
+    top = fma(s, 2.09147553258932e-09, fma(r, 2.5105312729622103e-08, 2.755727347871858e-07))
+    p = fma(t, fma(t, top, high), low)
+    return (1.0 + fma(s, p, r)) * power_of_two(int(k))

@@ -3,7 +3,7 @@
 Conservative advancement: from where F > 0 is known with its first three derivatives
 and a bound on the fourth, step no further than the first zero of a lower bound of F.
 No zero can lie inside a step, however short a graze is, and near a zero the bound
-touches F to third order, so that the steps converge like Halley's method.
+touches F to third order. Where F surely falls through zero, Householder's method closes in on it.
 
 A phase function is given as a smooth part (a parabola and the plate's sinusoid) plus
 a ringing part (a damped oscillation). Where the ringing is fast but small against the
@@ -23,6 +23,10 @@ BROKEN: Final = 3  # a number stopped being finite
 
 #: Rounding of one operation.
 EPS: Final = 2.3e-16
+
+#: A last step is shorter than this, in rad and in times over which F changes its shape: what the
+#: step's formula leaves out is then below rounding.
+NEAR: Final = 3e-4
 
 #: No step is wider than this, rad.
 WIDEST: Final = 1e3
@@ -75,15 +79,16 @@ def departure_step(f2: float, f3: float, f4: float) -> float:
 def safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, guess: float) -> float:
     """How far f0 + f1 s + f2 s^2/2 + f3 s^3/6 - f4 s^4/24 surely stays positive, f0 >= 0, f4 >= 0.
 
-    On [0, h] the second derivative is at least f2 + min(f3, 0) h - f4 h^2/2, which leaves a
-    parabola to solve. h is widened or narrowed until it is about the step it allows.
+    That is f0 + f1 s + (f2 + f3 s/3 - f4 s^2/12) s^2/2, where the bracket is concave: on [0, h]
+    it is at least what it is at the ends, which leaves a parabola to solve. h is widened or
+    narrowed until it is about the step it allows.
     """
     if f0 == 0.0 and f1 == 0.0:
         return departure_step(f2, f3, f4)
     h = guess
     best = 0.0
     for _ in range(8):
-        curve = -f2 - min(f3, 0.0) * h + 0.5 * f4 * h * h
+        curve = max((f4 * h / 12.0 - f3 / 3.0) * h, 0.0) - f2
         if curve > 0.0:
             root = math.sqrt(f1 * f1 + 2.0 * curve * f0)
             step = (f1 + root) / curve if f1 > 0.0 else 2.0 * f0 / (root - f1)
@@ -115,12 +120,18 @@ def monotone_width(f0: float, f1: float, f2: float, f3: float, f4: float) -> flo
 
 
 @jit
-def halley(f0: float, f1: float, f2: float, f3: float) -> tuple[float, float]:
-    """Halley's step from F, F', F'' towards its zero, and the size of what that leaves."""
-    newton = -f0 / f1
-    bend = 0.5 * f2 / f1
-    left = abs(newton) ** 3 * (bend * bend + abs(f3 / (6.0 * f1)))
-    return newton / (1.0 + newton * bend), left
+def householder(f0: float, f1: float, f2: float, f3: float, f4: float) -> tuple[float, float]:
+    """Householder's third-order step from F and its derivatives to its zero, and about what that leaves.
+
+    f4 bounds the fourth derivative.
+    """
+    inverse = 1.0 / f1
+    newton, bend, twist = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse / 6.0
+    step = newton * (1.0 + bend * newton) / (1.0 + (2.0 * bend + twist * newton) * newton)
+    astray = 5.0 * abs(bend) * (bend * bend + abs(twist)) + f4 * abs(inverse) / 24.0
+    cube = abs(newton * newton * newton)
+    near = abs(newton) < NEAR and cube * f4 * abs(inverse) < NEAR * NEAR * NEAR
+    return step, abs(newton) * cube * astray if near else math.inf
 
 
 @jit
@@ -129,7 +140,9 @@ def close_in(phase: Any, low: float, high: float, tau: float, budget: int) -> tu
     for used in range(budget):
         t = terms(phase, tau)
         f0 = t.smooth + t.ring
-        step, left = halley(f0, t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3)
+        step, left = householder(
+            f0, t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+        )
         tau = min(max(tau + step, low), high)
         if left <= EPS * tau or abs(f0) <= t.noise:
             return tau, ROOT, used + 1
@@ -159,7 +172,7 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         f0 = max(f0, t.noise)  # or where F is all rounding, steps would vanish
         width = monotone_width(f0, f1, f2, f3, f4)
         if width > 0.0:
-            step, _ = halley(f0, f1, f2, f3)
+            step, _ = householder(f0, f1, f2, f3, f4)
             tau, ending, more = close_in(phase, tau, tau + width, tau + step, budget - used)
             beyond = tau >= horizon
             return (horizon if beyond else tau), (HORIZON if beyond else ending), used + more

@@ -8,7 +8,8 @@ concave, and a first zero is bracketed or excluded for certain, however short a 
 import math
 from typing import Final, NamedTuple
 
-from kernel.events import EPS, HORIZON, ROOT, SPENT, halley
+from kernel.elementary import turned
+from kernel.events import EPS, HORIZON, ROOT, SPENT, householder
 from kernel.jit import jit
 from kernel.modes import TWO_PI
 
@@ -80,7 +81,7 @@ def drop(gravity: float, lift: float, slope: float, phi: float, gap: float, gap1
     bend = TWO_PI - lift - phi
     if convex:
         bend = lift - phi if phi < lift else TWO_PI + lift - phi
-    sin, cos = math.sin(phi), math.cos(phi)
+    sin, cos = turned(phi)
     return Drop(gravity, lift, slope, convex, bend, sin, cos, cos - gravity, gap, gap1)
 
 
@@ -103,7 +104,7 @@ def state_after(p: Drop, tau: float) -> tuple[float, float, float, float]:
         gap = p.gap + tau * p.gap1 + half * p.pull - p.sin * odd - p.cos * even
         gap1 = p.gap1 + tau * p.pull - p.sin * less - p.cos * odd
         return gap, gap1, p.pull - p.sin * sin - p.cos * less, p.sin * less - p.cos * sin - p.sin
-    sin, cos = math.sin(tau), math.cos(tau)
+    sin, cos = turned(tau)
     drift = p.gap1 - p.sin
     gap = p.gap + tau * (drift - 0.5 * p.gravity * tau) + p.sin * sin + p.cos * (1.0 - cos)
     gap1 = drift - p.gravity * tau + p.sin * cos + p.cos * sin
@@ -205,14 +206,14 @@ def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
 
 @jit
 def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
-    """The zero in a bracket to rounding, by Halley's method; by halving where that leads astray."""
+    """The zero in a bracket to rounding, by Householder's method; by halving where that leads astray."""
     low, high, tau = bracket
     if not low < tau < high:
         tau = 0.5 * (low + high)
     start, here = 0.0, p
     for used in range(1, budget + 1):
         f0, f1, f2, f3 = state_after(here, tau - start)
-        step, left = halley(f0, f1, f2, f3)
+        step, left = householder(f0, f1, f2, f3, 1.0)
         done = f1 < 0.0 and (left <= EPS * tau or abs(f0) <= _noise(p, tau))
         if f0 > 0.0:
             low = tau
@@ -222,8 +223,10 @@ def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
             step = 0.5 * (low + high) - tau
             done = not low < tau + step < high
         if done:
-            f1 += step * (f2 + 0.5 * step * f3)
-            f2, f3 = f2 + step * f3, f3 - step * (f2 + p.gravity)
+            cos, half, sixth = f2 + p.gravity, 0.5 * step, step * step / 6.0
+            f1 += step * (f2 + half * f3 - sixth * cos)
+            f2 += step * (f3 - half * cos - sixth * f3)
+            f3 -= step * (cos + half * f3 - sixth * cos)
             return Landing(min(max(tau + step, low), high), ROOT, f1, f2, f3, used)
         if abs(step) < NEARBY * tau and start == 0.0:  # no more sines
             here = Drop(p.gravity, p.lift, p.slope, p.convex, p.bend, -f3, f2 + p.gravity, f2, f0, f1)

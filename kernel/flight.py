@@ -4,11 +4,15 @@ The same for every model of the plate, with or without a lower mass that starts 
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+from kernel.elementary import turned
 from kernel.events import EPS, Terms, departure_step, first_root, terms
 from kernel.jit import jit
 from kernel.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
+
+#: Terms of a power series smaller than this part of their sum are left out.
+NEGLIGIBLE: Final = 1e-19
 
 
 class Flight(NamedTuple):
@@ -17,6 +21,8 @@ class Flight(NamedTuple):
     osc: Oscillator  # the elongation's
     gravity: float  # 1/Gamma
     phi: float
+    sin: float  # of phi
+    cos: float
     gap: float
     gap1: float
     gap2: float
@@ -30,10 +36,11 @@ def take_off(
     osc: Oscillator, gravity: float, phi: float, gap: float, gap1: float, q: float, q1: float
 ) -> Flight:
     """A flight from this state."""
-    gap2 = math.cos(phi) - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
+    sin, cos = turned(phi)
+    gap2 = cos - gravity + osc.damping * q1 + 0.5 * osc.stiffness * q
     if gap == 0.0 and gap1 == 0.0 and gap2 < 0.0:
         gap2 = 0.0  # n = 0 where a stuck mass takes off; what is left is rounding
-    return Flight(osc, gravity, phi, gap, gap1, gap2, gap1 - math.sin(phi) + 0.5 * q1, q, q1)
+    return Flight(osc, gravity, phi, sin, cos, gap, gap1, gap2, gap1 - sin + 0.5 * q1, q, q1)
 
 
 @jit
@@ -41,12 +48,12 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
     """When the gap first falls to zero after `start`: see events.first_root."""
     if start == 0.0 and p.gap == 0.0 and p.gap1 == 0.0:
         q2, q3, bound4 = derivatives(p.osc, p.q, p.q1)
-        gap3 = -math.sin(p.phi) - 0.5 * q3
+        gap3 = -p.sin - 0.5 * q3
         start = departure_step(p.gap2, gap3, 1.0 + 0.5 * bound4)
         if start == 0.0:  # n' was zero as well: gap' stays positive as long as its own bound says
             q4, _, _ = derivatives(p.osc, q2, q3)
             _, _, bound5 = derivatives(p.osc, p.q1, q2)
-            start = departure_step(gap3, -math.cos(p.phi) - 0.5 * q4, 1.0 + 0.5 * bound5)
+            start = departure_step(gap3, -p.cos - 0.5 * q4, 1.0 + 0.5 * bound5)
     return first_root(p, start, horizon, budget)
 
 
@@ -57,8 +64,9 @@ def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
     if tau * max(p.osc.rate, 1.0) < SHORT:
         gap, gap1, _ = _short(p, tau)
         return gap, gap1, q, q1
-    gap = p.gap + (math.cos(p.phi) - math.cos(p.phi + tau)) + p.drift * tau - 0.5 * p.gravity * tau * tau
-    gap1 = math.sin(p.phi + tau) + p.drift - p.gravity * tau - 0.5 * q1
+    sin, cos = turned(p.phi + tau)
+    gap = p.gap + (p.cos - cos) + p.drift * tau - 0.5 * p.gravity * tau * tau
+    gap1 = sin + p.drift - p.gravity * tau - 0.5 * q1
     return gap - 0.5 * (q - p.q), gap1, q, q1
 
 
@@ -66,19 +74,17 @@ def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
 @jit
 def flight_terms(p: Flight, tau: float) -> Terms:
     """The gap, written so that a short flight keeps its digits."""
-    sin, cos = math.sin(p.phi + tau), math.cos(p.phi + tau)
+    sin, cos = turned(p.phi + tau)
     q, q1 = motion(p.osc, p.q, p.q1, tau)
     q2, q3, q4 = derivatives(p.osc, q, q1)
     if tau * max(p.osc.rate, 1.0) < SHORT:
         gap, gap1, noise = _short(p, tau)
         # from gap2, as the series is: what take_off called rounding must not come back here
-        gap2 = (
-            p.gap2 + (cos - math.cos(p.phi)) - 0.5 * (q2 + 2.0 * p.osc.damping * p.q1 + p.osc.stiffness * p.q)
-        )
+        gap2 = p.gap2 + (cos - p.cos) - 0.5 * (q2 + 2.0 * p.osc.damping * p.q1 + p.osc.stiffness * p.q)
         gap3, bound = -sin - 0.5 * q3, 1.0 + 0.5 * q4
         return Terms(gap, gap1, gap2, gap3, bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, noise)
     fall = 0.5 * p.gravity * tau * tau
-    smooth = p.gap + (math.cos(p.phi) - cos) + p.drift * tau - fall
+    smooth = p.gap + (p.cos - cos) + p.drift * tau - fall
     if tau * p.osc.rate < SHORT:
         stretch = displacement(p.osc, p.q, p.q1, tau)
         ring, amplitude, size = -0.5 * stretch, math.inf, abs(stretch)
@@ -106,14 +112,21 @@ def _short(p: Flight, tau: float) -> tuple[float, float, float]:
     """Gap, gap' and the gap's rounding by the power series, whose first terms vanish at a take-off."""
     before = -2.0 * p.osc.damping * p.q1 - p.osc.stiffness * p.q
     last = -2.0 * p.osc.damping * before - p.osc.stiffness * p.q1
-    turn, turn_next = -math.sin(p.phi), -math.cos(p.phi)  # third and fourth derivative of -cos(phi)
+    turn, turn_next = -p.sin, -p.cos  # third and fourth derivative of -cos(phi)
     power = 0.5 * tau * tau
     gap = p.gap + p.gap1 * tau + p.gap2 * power
     gap1 = p.gap1 + p.gap2 * tau
     size = abs(p.gap) + abs(p.gap1) * tau + abs(p.gap2) * power
+    size1 = abs(p.gap1) + abs(p.gap2) * tau
+    previous = math.inf
     for order in range(3, 17):
         derivative = turn - 0.5 * last
         gap1 += derivative * power
+        size1 += abs(derivative) * power
+        largest = abs(turn) + 0.5 * abs(last)
+        if (largest + previous) * power <= NEGLIGIBLE * size1:
+            break  # and so is the rest, for what follows is made of these two
+        previous = largest
         power *= tau / order
         gap += derivative * power
         size += abs(derivative) * power

@@ -1,4 +1,4 @@
-"""Restitution of an isolated impact on the spring-dashpot contact, both laws (MODEL section 2).
+"""The spring-dashpot contact's two laws: where it ends, what an isolated impact gives back (MODEL section 2).
 
 gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1: `adhesive` leaves where the gap is zero
 again, `nonadhesive` where the force is.
@@ -7,10 +7,18 @@ again, `nonadhesive` where the force is.
 import math
 from typing import Final
 
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 
 #: Restitutions below this ask for a damping without meaning; they get its damping.
 SMALLEST: Final = 1e-12
+
+
+@inlined
+def lets_go(gap: float, gap1: float, kappa: float, beta: float) -> bool:
+    """Whether the plate does not bear a mass in this state; beta is 0 where the contact may pull."""
+    if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
+        return True
+    return beta > 0.0 and kappa * gap + beta * gap1 >= 0.0
 
 
 @jit

@@ -16,8 +16,9 @@ from numba.extending import overload
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-# No "contract": fusing products with sums would gain a tenth, but which ones are fused hangs on
-# how LLVM inlines, and code read from the cache then differs in the last digit from code just compiled.
+# No "contract": which products are fused with sums would hang on how LLVM inlines, and code read from the
+# cache then differs in the last digit from code just compiled. What gains by it writes it out: see
+# `kernel.instructions`.
 _OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
 
 

@@ -14,7 +14,8 @@ import math
 from typing import Any, Final
 
 from kernel.elementary import exp, sincos
-from kernel.events import EPS
+from kernel.events import EPS, NEAR
+from kernel.instructions import fma
 from kernel.jit import inlined, jit
 from kernel.oscillator import NEAR_CRITICAL, Oscillator
 
@@ -63,7 +64,7 @@ def load(
     table[V0 * LANES + k] = v
     table[HORIZON * LANES + k] = horizon
     table[TAU * LANES + k] = min(start, horizon)
-    table[GUESS * LANES + k] = min(0.5, 4.0 / osc.rate)
+    table[GUESS * LANES + k] = min(1.5, 3.0 / osc.rate)
     table[CLOSING * LANES + k] = 0.0
     table[COUNT * LANES + k] = 0.0
 
@@ -87,8 +88,8 @@ def coefficients(
 @jit
 def _parabola(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
     """One round of events.safe_step: a step of at most h on which F stays positive."""
-    curve = max(-f2 - min(f3, 0.0) * h + 0.5 * f4 * h * h, 1e-300)
-    root = math.sqrt(f1 * f1 + 2.0 * curve * f0)
+    curve = max(max(fma(f4 * (1.0 / 12.0), h, f3 * (-1.0 / 3.0)) * h, 0.0) - f2, 1e-300)
+    root = math.sqrt(fma(f1, f1, 2.0 * curve * f0))
     rising = f1 > 0.0
     return min((f1 + root if rising else 2.0 * f0) / (curve if rising else root - f1), h)
 
@@ -100,6 +101,7 @@ def advance(table: Any) -> None:
         tau = table[TAU * LANES + k]
         sin, cos = sincos(table[PHI * LANES + k] + tau)
         damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
+        drag = -2.0 * damping
         root, slow, under = table[ROOT * LANES + k], table[SLOW * LANES + k], table[UNDER * LANES + k] > 0.0
         # the free oscillator, under- and overdamped alike (oscillator.response)
         decay = exp((-damping if under else slow) * tau)
@@ -108,38 +110,42 @@ def advance(table: Any) -> None:
         fast = -(damping + root)
         scale = 0.5 * decay * table[INVERSE * LANES + k]
         sine = 2.0 * scale * turn if under else scale * (1.0 - lost)
-        cosine = decay * turn1 + damping * sine if under else scale * (slow * lost - fast)
-        sine1 = decay * turn1 - damping * sine if under else scale * (slow - fast * lost)
+        cosine = fma(decay, turn1, damping * sine) if under else scale * fma(slow, lost, -fast)
+        sine1 = fma(decay, turn1, -damping * sine) if under else scale * fma(-fast, lost, slow)
         y0, v0 = table[Y0 * LANES + k], table[V0 * LANES + k]
-        y = y0 * cosine + v0 * sine
-        y1 = v0 * sine1 - stiffness * sine * y0
-        y2 = -2.0 * damping * y1 - stiffness * y
-        y3 = -2.0 * damping * y2 - stiffness * y1
-        y4 = -2.0 * damping * y3 - stiffness * y2
-        y5 = -2.0 * damping * y4 - stiffness * y3
+        y = fma(y0, cosine, v0 * sine)
+        y1 = fma(v0, sine1, -stiffness * sine * y0)
+        y2 = fma(drag, y1, -stiffness * y)
+        y3 = fma(drag, y2, -stiffness * y1)
+        y4 = fma(drag, y3, -stiffness * y2)
+        y5 = fma(drag, y4, -stiffness * y3)
         # F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
         p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
         k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
         rate, period = table[RATE * LANES + k], table[PERIOD * LANES + k]
-        wave, wave1 = a * cos + b * sin, b * cos - a * sin
-        smooth, smooth1 = k0 + (k1 - k2 * tau) * tau + wave, k1 - 2.0 * k2 * tau + wave1
-        smooth2, smooth3, smooth4 = -2.0 * k2 - wave, -wave1, abs(a) + abs(b)
-        f0, f1 = smooth + (p * y + r * y1), smooth1 + (p * y1 + r * y2)
-        f2, f3 = smooth2 + (p * y2 + r * y3), smooth3 + (p * y3 + r * y4)
+        wave, wave1 = fma(a, cos, b * sin), fma(b, cos, -a * sin)
+        smooth, smooth1 = fma(fma(-k2, tau, k1), tau, k0) + wave, fma(-2.0 * k2, tau, k1) + wave1
+        smooth2, smooth3, smooth4 = fma(-2.0, k2, -wave), -wave1, abs(a) + abs(b)
+        f0, f1 = smooth + fma(p, y, r * y1), smooth1 + fma(p, y1, r * y2)
+        f2, f3 = smooth2 + fma(p, y2, r * y3), smooth3 + fma(p, y3, r * y4)
         half = 0.5 * table[INVERSE * LANES + k]
-        swing, swing1 = abs(y4) + rate * abs(y3), abs(y5) + rate * abs(y4)
-        fade = half * (abs(slow * (y4 - fast * y3)) + abs(fast * (slow * y3 - y4)))
-        fade1 = half * (abs(slow * (y5 - fast * y4)) + abs(fast * (slow * y4 - y5)))
-        f4 = smooth4 + abs(p) * (swing if under else fade) + abs(r) * (swing1 if under else fade1)
-        clear = smooth - abs(p) * (abs(y) + period * abs(y1)) - abs(r) * (abs(y1) + period * abs(y2))
-        # where F surely falls through zero at once, Halley's step, else one that cannot miss a zero
+        swing, swing1 = fma(rate, abs(y3), abs(y4)), fma(rate, abs(y4), abs(y5))
+        fade = half * fma(-slow, abs(fma(-fast, y3, y4)), -fast * abs(fma(slow, y3, -y4)))
+        fade1 = half * fma(-slow, abs(fma(-fast, y4, y5)), -fast * abs(fma(slow, y4, -y5)))
+        f4 = fma(abs(p), swing if under else fade, fma(abs(r), swing1 if under else fade1, smooth4))
+        ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
+        clear = smooth - ringing
+        # where F surely falls through zero at once, Householder's step, else one that cannot miss a zero
         inverse = 1.0 / f1
-        newton, bend = -f0 * inverse, 0.5 * f2 * inverse
-        move = newton / (1.0 + newton * bend)
-        left = abs(newton * newton * newton) * (bend * bend + abs(f3 * inverse) * (1.0 / 6.0))
+        newton, bend, twist = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
+        move = newton * fma(bend, newton, 1.0) / fma(fma(twist, newton, 2.0 * bend), newton, 1.0)
+        square = newton * newton
+        astray = fma(5.0 * abs(bend), fma(bend, bend, abs(twist)), -f4 * inverse * (1.0 / 24.0))
+        left = square * square * abs(astray)
+        near = square * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
         width = 2.0 * newton
-        steepest = f1 + width * (max(f2, 0.0) + width * (0.5 * max(f3, 0.0) + width * f4 * (1.0 / 6.0)))
-        falls = (f1 < 0.0) & (f0 > 0.0) & (f0 + steepest * width < 0.0)
+        steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
+        falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
         closing = 1.0 if falls else table[CLOSING * LANES + k]
         positive, guess = max(f0, 0.0), table[GUESS * LANES + k]
         step = _parabola(positive, f1, f2, f3, f4, guess)
@@ -147,9 +153,10 @@ def advance(table: Any) -> None:
         step = max(step, over if clear > 0.0 else 0.0)
         # how this evaluation ends
         horizon = table[HORIZON * LANES + k]
-        noise = table[NOISE * LANES + k] + 2.0 * EPS * (abs(k1) + k2 * tau) * tau
-        exact = (abs(f0) <= noise) | (left <= EPS * tau)
-        found = (f1 < 0.0) & (tau + move <= horizon) & (((closing > 0.0) & exact) | (f0 <= noise))
+        noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
+        exact = (abs(f0) <= noise) | (near & (left <= EPS * tau))
+        there = exact if closing > 0.0 else f0 <= noise
+        found = (f1 < 0.0) & (tau + move <= horizon) & there
         status = AT_ROOT if found else SEARCHING
         status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not found) else status
         count = table[COUNT * LANES + k] + 1.0
@@ -157,7 +164,7 @@ def advance(table: Any) -> None:
         status = STRAYED if lost_way else status
         onward = min(tau + (move if closing > 0.0 else step), horizon)
         table[TAU * LANES + k] = onward if status == SEARCHING else tau
-        table[GUESS * LANES + k] = (4.0 if step >= guess else 1.5) * step
+        table[GUESS * LANES + k] = (2.0 if step >= guess else 1.5) * step
         table[CLOSING * LANES + k] = closing
         table[COUNT * LANES + k] = count
         table[STATUS * LANES + k] = status

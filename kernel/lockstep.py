@@ -36,7 +36,7 @@ from kernel.lanes import (
     load,
 )
 from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import derivatives, envelope
+from kernel.oscillator import derivatives, quiet_after
 from kernel.params import STATE_FIELDS, Line
 from kernel.rigid import RigidPlate, Spring, land
 from kernel.trajectory import (
@@ -63,9 +63,10 @@ def _load_stuck(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: f
     h = run.q - s.sag - (s.q_re * cos - s.q_im * sin)
     h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    if 2.0 * s.gravity - math.hypot(s.n_re, s.n_im) > envelope(s.stuck, h2, h3):
+    quiet = quiet_after(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    if quiet == 0.0:
         return False  # it never takes off again: `contact` says so at once
-    load(table, k, s.stuck, run.phase, h, h1, 0.0, horizon)
+    load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, quiet))
     coefficients(table, k, -s.stiffness, -s.dashpot, 2.0 * s.gravity, 0.0, 0.0, -s.n_re, s.n_im)
     return True
 
@@ -87,8 +88,11 @@ def _load_flight(
 
 
 @inlined
-def _brief(table: Any, k: int, run: Progress) -> bool:
-    return run.in_flight and table[STATUS * LANES + k] == AT_ROOT and table[TAU * LANES + k] < BRIEF
+def _left_alone(table: Any, k: int, run: Progress) -> bool:
+    """Whether lane k's phase is to be done again by itself: a brief flight, or a contact without an end."""
+    if table[STATUS * LANES + k] == AT_ROOT:
+        return run.in_flight and table[TAU * LANES + k] < BRIEF
+    return table[STATUS * LANES + k] == STRAYED or not run.in_flight
 
 
 @inlined
@@ -100,9 +104,12 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
     y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
     osc = s.flight if run.in_flight else s.stuck
     y2, y3, _ = derivatives(osc, y, y1)
-    y += move * (y1 + 0.5 * move * y2)
-    y1 += move * (y2 + 0.5 * move * y3)
-    sin, cos = sin + move * (cos - 0.5 * move * sin), cos - move * (sin + 0.5 * move * cos)
+    y4 = -2.0 * osc.damping * y3 - osc.stiffness * y2
+    y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
+    y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
+    square = move * move
+    bent, less = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
+    sin, cos = sin + cos * bent - sin * less, cos - sin * bent - cos * less
     ending = ROOT if table[STATUS * LANES + k] == AT_ROOT else HORIZON
     used = int(table[COUNT * LANES + k])
     if not run.in_flight:
@@ -172,7 +179,7 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                 else:
                     first = k * flights.size
                     before = runs[k]
-                    alone = table[STATUS * LANES + k] == STRAYED or _brief(table, k, before)
+                    alone = _left_alone(table, k, before)
                     if alone:
                         p = _by_itself(springs[k], before, window)
                     else:

@@ -7,7 +7,10 @@ obeys the same equation, which gives n'', gap''' and so on without differencing.
 import math
 from typing import Final, NamedTuple
 
+from kernel.elementary import exp, turned
 from kernel.jit import inlined, jit
+
+TWO_PI: Final = 2.0 * math.pi
 
 #: Below this ratio of sqrt(D) to a the overdamped formulas give way to ones continuous through D = 0.
 NEAR_CRITICAL: Final = 0.1
@@ -44,15 +47,18 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
 
     C(0) = 1, C'(0) = 0, S(0) = 0, S'(0) = 1 and C' = -w S.
     """
+    if tau == 0.0:
+        return 1.0, 0.0, 1.0
     if osc.discriminant < 0.0:
-        decay = math.exp(-osc.damping * tau)
-        cosine = decay * math.cos(osc.root * tau)
-        sine = decay * math.sin(osc.root * tau) / osc.root
+        decay = exp(-osc.damping * tau)
+        turn, turn1 = turned(osc.root * tau)
+        cosine = decay * turn1
+        sine = decay * turn / osc.root
         return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
-    slow = math.exp(osc.slow * tau)
+    slow = exp(osc.slow * tau)
     spread = 2.0 * osc.root * tau
     if osc.root > NEAR_CRITICAL * osc.damping:
-        lost = math.exp(-spread)
+        lost = exp(-spread)
         scale = slow / (2.0 * osc.root)
         sine = -scale * math.expm1(-spread)
         return scale * (osc.slow * lost - osc.fast), sine, scale * (osc.slow - osc.fast * lost)
@@ -88,6 +94,35 @@ def derivatives(osc: Oscillator, x: float, v: float) -> tuple[float, float, floa
 def envelope(osc: Oscillator, x: float, v: float) -> float:
     """A bound on |x| from now on: the energy v**2 + w x**2 never grows."""
     return math.sqrt(x * x + v * v / osc.stiffness)
+
+
+@jit
+def quiet_after(osc: Oscillator, x: float, v: float, level: float) -> float:
+    """A time after which |x| surely stays below `level`; infinite where that is never sure."""
+    if level <= 0.0:
+        return math.inf
+    if envelope(osc, x, v) < level:
+        return 0.0
+    if osc.discriminant < 0.0:
+        size, rate = math.hypot(x, (v + osc.damping * x) / osc.root), osc.damping
+    else:
+        size, rate = (abs(v - osc.fast * x) + abs(v - osc.slow * x)) / (2.0 * osc.root), -osc.slow
+    return max(math.log(size / level), 0.0) / rate if size < math.inf and rate > 0.0 else math.inf
+
+
+@jit
+def falling_zero(osc: Oscillator, x: float, v: float) -> float:
+    """When a motion from x >= 0, or from below and rising, first falls to zero; infinite if never."""
+    push = v + osc.damping * x
+    if osc.discriminant < 0.0:
+        turn = math.atan2(x, -push / osc.root)
+        return (turn if x >= 0.0 else turn + TWO_PI) / osc.root
+    if x < 0.0 or push >= 0.0:
+        return math.inf
+    if osc.root == 0.0:
+        return -x / push
+    lean = -x * osc.root / push
+    return math.atanh(lean) / osc.root if lean < 1.0 else math.inf
 
 
 @jit

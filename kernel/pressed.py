@@ -12,6 +12,7 @@ it follows, never as what is left of the gap when the contact's ringing is taken
 import math
 from typing import Final, NamedTuple
 
+from kernel.elementary import turned
 from kernel.events import EPS, Terms, terms
 from kernel.impact import damping_ratio
 from kernel.jit import jit
@@ -192,7 +193,7 @@ def split(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: floa
     the little by which the spring's slow motion dents the plate is never a difference of
     large numbers.
     """
-    sin, cos = math.sin(phi), math.cos(phi)
+    sin, cos = turned(phi)
     q -= s.sag + s.q_re * cos - s.q_im * sin
     q1 += s.q_re * sin + s.q_im * cos
     gap -= s.dent + s.g_re * cos - s.g_im * sin
@@ -208,7 +209,7 @@ def split(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: floa
 @jit
 def join(s: SoftSpring, m: Split, phi: float, tau: float) -> tuple[float, float, float, float]:
     """Gap, gap', q, q' tau rad after a split at phase phi."""
-    sin, cos = math.sin(phi + tau), math.cos(phi + tau)
+    sin, cos = turned(phi + tau)
     led, led1 = motion(s.led_by_gap, m.gap, m.gap1, tau)
     q, q1 = motion(s.led_by_q, m.q, m.q1, tau)
     gap, gap1 = _follow(s.gap, s.led_by_q, q, q1)
@@ -254,7 +255,7 @@ def pressed(s: SoftSpring, m: Split, phi: float) -> Pressed:
 @terms.register(Pressed)
 @jit
 def _pressed_terms(p: Pressed, tau: float) -> Terms:
-    sin, cos = math.sin(p.phi + tau), math.cos(p.phi + tau)
+    sin, cos = turned(p.phi + tau)
     wave, wave1 = p.w_re * cos - p.w_im * sin, -(p.w_re * sin + p.w_im * cos)
     slow, slow1 = motion(p.slow_osc, p.slow, p.slow1, tau)
     slow2, slow3, slow4 = derivatives(p.slow_osc, slow, slow1)

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cascade import collapses
+from kernel.elementary import turned
 from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import landing, state_after, take_off
 from kernel.jit import inlined, jit
 from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
+from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator, quiet_after
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
 #: computed as one 5e-9 beside it, where the closed form still has eight digits.
@@ -109,7 +110,7 @@ def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) 
 def _stuck_terms(p: Stuck, tau: float) -> Terms:
     """The normal force while stuck."""
     s = p.spring
-    sin, cos = math.sin(p.phi + tau), math.cos(p.phi + tau)
+    sin, cos = turned(p.phi + tau)
     wave, wave1 = s.n_re * cos - s.n_im * sin, s.n_re * sin + s.n_im * cos
     ring, ring1 = motion(s.stuck, p.ring, p.ring1, tau)
     ring2, ring3, ring4 = derivatives(s.stuck, ring, ring1)
@@ -136,17 +137,17 @@ def _contact(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
     """Stuck until take-off, or to the horizon (rad from now)."""
-    sin, cos = math.sin(phi), math.cos(phi)
+    sin, cos = turned(phi)
     h = q - s.sag - (s.q_re * cos - s.q_im * sin)
     h1 = q1 + (s.q_re * sin + s.q_im * cos)
     h2 = -s.dashpot * h1 - s.stiffness * h
     h3 = -s.dashpot * h2 - s.stiffness * h1
-    if 2.0 * s.gravity - math.hypot(s.n_re, s.n_im) > envelope(s.stuck, h2, h3):
-        tau, ending, used = horizon, HORIZON, 1  # n cannot reach zero any more
-    else:
-        tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, horizon, budget)
+    quiet = quiet_after(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, min(horizon, quiet), budget)
+    if ending == HORIZON:  # or n cannot reach zero any more
+        tau = horizon
     h, h1 = motion(s.stuck, h, h1, tau)
-    sin, cos = math.sin(phi + tau), math.cos(phi + tau)
+    sin, cos = turned(phi + tau)
     q = s.sag + (s.q_re * cos - s.q_im * sin) + h
     q1 = h1 - (s.q_re * sin + s.q_im * cos)
     return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used)
@@ -163,7 +164,8 @@ def _flight(
     gap, gap1, q, q1 = state_after(p, tau)
     if ending != ROOT:
         return Phase(tau, ending, True, gap, gap1, q, q1, used)
-    return land(s, math.sin(phi + tau), math.cos(phi + tau), tau, gap1, q, q1, used)
+    sin, cos = turned(phi + tau)
+    return land(s, sin, cos, tau, gap1, q, q1, used)
 
 
 @inlined

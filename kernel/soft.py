@@ -14,12 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.elementary import turned
 from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.flight import Flight, flight_terms, landing, state_after, take_off
+from kernel.impact import lets_go
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import derivatives, envelope, motion
+from kernel.oscillator import derivatives, envelope, motion, quiet_after
 from kernel.pressed import SoftSpring, join, pressed, soft_spring, split
+from kernel.ringing import pressed_until
 
 
 class SoftPlate(NamedTuple):
@@ -59,9 +62,7 @@ def _rest(s: SoftSpring) -> tuple[float, float, float, float]:
 @flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
-    if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
-        return True
-    return not s.adhesive and s.kappa * gap + s.beta * gap1 >= 0.0
+    return lets_go(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
 @contact.register(SoftSpring)
@@ -71,11 +72,17 @@ def _contact(
 ) -> Phase:
     m = split(s, phi, gap, gap1, q, q1)
     p = pressed(s, m, phi)
+    lull = p.still - math.hypot(p.w_re, p.w_im)
     ringing = envelope(p.slow_osc, p.slow, p.slow1) + envelope(p.fast_osc, p.fast, p.fast1)
-    if p.still - math.hypot(p.w_re, p.w_im) > ringing:
-        tau, ending, used = horizon, HORIZON, 1  # nothing can lift it any more
-    else:
-        tau, ending, used = first_root(p, 0.0, horizon, budget)
+    quiet = 0.0
+    if ringing >= lull:
+        quiet = max(
+            quiet_after(p.slow_osc, p.slow, p.slow1, 0.5 * lull),
+            quiet_after(p.fast_osc, p.fast, p.fast1, 0.5 * lull),
+        )
+    tau, ending, used = first_root(p, pressed_until(p, terms(p, 0.0)), min(horizon, quiet), budget)
+    if ending == HORIZON:  # or nothing can lift it any more
+        tau = horizon
     gap, gap1, q, q1 = join(s, m, phi, tau)
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
@@ -101,7 +108,8 @@ def _recoil_terms(p: Recoil, tau: float) -> Terms:
     q2, q3, _ = derivatives(f.osc, q, q1)
     q4, _, _ = derivatives(f.osc, q2, q3)
     _, _, q5 = derivatives(f.osc, q1, q2)
-    gap4 = -math.cos(f.phi + tau) - 0.5 * q4
+    _, cos = turned(f.phi + tau)
+    gap4 = -cos - 0.5 * q4
     k, c = p.kappa, p.beta
     return Terms(
         smooth=k * (t.smooth + t.ring) + c * (t.smooth1 + t.ring1),
@@ -120,12 +128,27 @@ def _recoil_terms(p: Recoil, tau: float) -> Terms:
 
 
 @jit
-def _springs_clear(s: SoftSpring, p: Flight, clear: float) -> bool:
-    """Whether kappa gap + beta gap', zero at take-off, surely only grows for `clear` rad."""
+def _least_pull(p: Flight, time: float) -> float:
+    """A bound <= 0 below gap'' for the first `time` rad of a flight."""
     _, q3, q4 = derivatives(p.osc, p.q, p.q1)
-    gap3 = -math.sin(p.phi) - 0.5 * q3
-    least = min(p.gap2 + clear * (min(gap3, 0.0) - 0.5 * clear * (1.0 + 0.5 * q4)), 0.0)  # gap'' is above it
-    return s.kappa * (p.gap1 + clear * least) + s.beta * least > 0.0
+    gap3 = -p.sin - 0.5 * q3
+    return min(p.gap2 + time * (min(gap3, 0.0) - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
+
+
+@jit
+def _springs_clear(s: SoftSpring, p: Flight, least: float, time: float) -> bool:
+    """Whether kappa gap + beta gap', zero at take-off, surely only grows for `time` rad."""
+    return s.kappa * (p.gap1 + time * least) + s.beta * least > 0.0
+
+
+@jit
+def _clear_by(s: SoftSpring, p: Flight) -> float:
+    """When a mass that takes off below the plate is surely clear of it, never pressed meanwhile; or 0."""
+    if p.gap1 <= 0.0:
+        return 0.0
+    time = -2.0 * p.gap / p.gap1
+    least = _least_pull(p, time)
+    return time if 0.5 * least * time * time > p.gap and _springs_clear(s, p, least, time) else 0.0
 
 
 @flight.register(SoftSpring)
@@ -136,9 +159,11 @@ def _flight(
     p = take_off(s.flight, s.gravity, phi, gap, gap1, q, q1)
     clear, used = 0.0, 0
     if gap < 0.0:
+        clear = _clear_by(s, p)
+    if gap < 0.0 and clear == 0.0:
         clear, ending, used = first_root(Dip(p), 0.0, horizon, budget)
         tau, pressed = clear, HORIZON
-        if not _springs_clear(s, p, clear):
+        if not _springs_clear(s, p, _least_pull(p, clear), clear):
             tau, pressed, more = first_root(Recoil(p, s.kappa, s.beta), 0.0, clear, budget - used)
             used += more
         if pressed != HORIZON or ending != ROOT:

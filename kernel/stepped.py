@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.events import BROKEN, EPS, HORIZON, ROOT, SPENT, Phase
+from kernel.impact import lets_go
 from kernel.isolated import damping_ratio
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, rest
@@ -110,9 +111,7 @@ def _rest(s: SteppedSpring) -> tuple[float, float, float, float]:
 @flies.register(SteppedSpring)
 @jit
 def _flies(s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
-    if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
-        return True
-    return s.flight.lead > 0.0 and gap + s.flight.lead * gap1 >= 0.0
+    return lets_go(gap, gap1, 1.0, s.flight.lead)
 
 
 @jit

@@ -143,7 +143,7 @@ def test_the_cost_hardly_grows_with_stiffness():
     for d in (1e-3, 1e-8):
         s = Setting(1.5, 0.5, 0.26, True, 0.0, d, True)
         used.append(sum(step.used for step in phases(s, 20, 200)))
-    assert used[1] < 2.0 * used[0]
+    assert used[1] < 2.5 * used[0]
 
 
 @pytest.mark.parametrize("beside", [0.0, 1e-12, 1e-9, 1e-6, 1e-3])

@@ -1,0 +1,49 @@
+"""Two machine instructions that Python has no name for, for straight-line arithmetic in lanes.
+
+Written out, a fused multiply-add is the same wherever the code is compiled and inlined; left to
+the compiler's choice it is not (see `kernel.jit`). Without compilation (NUMBA_DISABLE_JIT=1) its
+product is rounded, so that the last digits may differ there.
+"""
+
+import math
+from typing import Any, Final
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload
+
+#: The bits of a double below its exponent, and what its exponent is counted from.
+_FRACTION: Final = 52
+_BIAS: Final = 1023
+
+
+def fma(a: float, b: float, c: float) -> float:
+    """a * b + c, rounded once."""
+    return a * b + c
+
+
+def power_of_two(k: int) -> float:
+    """2**k for -1022 <= k <= 1023."""
+    return math.ldexp(1.0, int(k))
+
+
+def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
+def _declare_power_of_two(typing: Any, k: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        exponent = builder.add(arguments[0], ir.Constant(ir.IntType(64), _BIAS))
+        return builder.bitcast(builder.shl(exponent, ir.Constant(ir.IntType(64), _FRACTION)), ir.DoubleType())
+
+    return types.float64(types.int64), generate
+
+
+_fma: Final[Any] = intrinsic(_declare_fma)
+_power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
+_INLINED: Final[Any] = {"forceinline": True}
+overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
+overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108
