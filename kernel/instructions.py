@@ -8,7 +8,6 @@ product is rounded, so that the last digits may differ there.
 import math
 from typing import Any, Final
 
-from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
@@ -36,8 +35,9 @@ def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
 def _declare_power_of_two(typing: Any, k: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        exponent = builder.add(arguments[0], ir.Constant(ir.IntType(64), _BIAS))
-        return builder.bitcast(builder.shl(exponent, ir.Constant(ir.IntType(64), _FRACTION)), ir.DoubleType())
+        bias, fraction = (context.get_constant(types.int64, bits) for bits in (_BIAS, _FRACTION))
+        exponent = builder.add(arguments[0], bias)
+        return builder.bitcast(builder.shl(exponent, fraction), context.get_value_type(types.float64))
 
     return types.float64(types.int64), generate
 
