@@ -114,7 +114,7 @@ def draw(curves: dict[str, dict[str, Curve]], file: str) -> None:
         for kind, curve in lines.items():
             panel.loglog(*zip(*curve, strict=True), "o-", label=kind, markersize=3.5, linewidth=1.2)
         panel.set_xlabel(LABELS[axis])
-        panel.set_ylim(bottom=0.03)
+        panel.set_ylim(bottom=0.004)
         panel.grid(alpha=0.3)
         panel.legend(frameon=False, fontsize=8)
     figure.supylabel("µs per cell and plate period")
