@@ -14,11 +14,13 @@ from mpmath import mp, mpf
 from naive import Setting, bounce, damping_for, restitution_of, trajectory
 from naive_exact import pressed
 
-from kernel.events import ROOT
+from kernel.events import ROOT, terms
 from kernel.impact import damping_ratio, restitution
 from kernel.params import Model
-from kernel.pressed import join, split
+from kernel.pressed import join, soft_spring, split
+from kernel.pressed import pressed as in_contact
 from kernel.quartic import Factors, paired, roots
+from kernel.ringing import pressed_until
 
 FACTS = json.loads((Path(__file__).parent / "golden" / "facts.json").read_text())["restitution"]
 
@@ -236,3 +238,22 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
     scales = (s.penetration * size, size, min(1.0, s.omega) * size + s.omega**2, size)
     for mine, exact, scale in zip(got, true, scales, strict=True):
         assert abs(mine - exact) <= 1e-13 * turns * scale
+
+
+def test_no_contact_ends_while_its_ringing_is_stepped_over():
+    """Impacts all over the range: what is stepped over is positive at 400 instants, and most is stepped over."""
+    rng = np.random.default_rng(7)
+    jumps = 0
+    for _ in range(300):
+        gamma, omega, xi, d = 10.0 ** rng.uniform([-0.3, -1.5, -3, -7], [2, 1.5, 1, -1])
+        adhesive = bool(rng.integers(2))
+        e = rng.uniform(0.001, 1.0) ** 2
+        s = soft_spring(gamma, omega, xi, e, d, adhesive)
+        state = (rng.uniform(0, TWO_PI), 0.0, -(10.0 ** rng.uniform(-6, 1)), *rng.normal(0, 2, 2))
+        contact = in_contact(s, split(s, *state), state[0])
+        end = pressed_until(contact, terms(contact, 0.0))
+        jumps += end > 0.0
+        for tau in np.linspace(0.0, end, 400):
+            t = terms(contact, tau)
+            assert t.smooth + t.ring >= -4.0 * t.noise
+    assert jumps > 150
