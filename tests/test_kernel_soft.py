@@ -241,7 +241,7 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
 
 
 def test_no_contact_ends_while_its_ringing_is_stepped_over():
-    """Impacts all over the range: what is stepped over is positive at 400 instants, and most is stepped over."""
+    """Impacts all over the range: what is stepped over is positive at 400 instants; most are."""
     rng = np.random.default_rng(7)
     jumps = 0
     for _ in range(300):
