@@ -227,10 +227,10 @@ def test_resume_goes_on_and_is_refused_when_done(tmp_path: Path):
 def test_a_deleted_job_is_gone_with_all_it_had(tmp_path: Path):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
-        assert list(tmp_path.rglob("*.zarr"))
+        assert list((tmp_path / "stores").glob("*.zarr"))
         answer = client.delete(here)
         assert (answer.status_code, answer.content) == (204, b"")
-        assert not list(tmp_path.rglob("*.zarr"))
+        assert not list((tmp_path / "stores").glob("*.zarr"))
         for path in (here, f"{here}/diagram", f"{here}/zarr/zarr.json", f"{here}/events"):
             assert client.get(path).status_code == 404
         assert client.delete(here).status_code == 404
