@@ -85,6 +85,10 @@ def sweep(name: str = "", chunks: int = 8, seconds: float = 0.06, **given: Any) 
     return SweepSpec(**(fields | given))
 
 
+#: Cells of a huge job: none of them rests, which costs next to nothing.
+BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
+
+
 def pids(executor: Dask) -> list[int]:
     return list(executor._link.client.run(os.getpid).values())
 
@@ -194,10 +198,10 @@ def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile
 
 
 def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: Path, fragile: Dask):
-    """While it is computed hardly a chunk of the huge one is, though eighty wait."""
+    """While it is computed hardly a chunk of the huge one is, though dozens wait."""
     whole(fragile)
     with running(tmp_path, fragile) as service:
-        huge = service.submit(sweep("huge", chunks=80, seconds=0.2))
+        huge = service.submit(sweep("huge", gamma=BOUNCING))
         wait_for(lambda: service.job(huge).chunks_done >= 2)
         for run in range(RUNS // 2):
             small = service.submit(sweep("small", chunks=10, seconds=0.03, omega=0.8 + run / 100))
@@ -220,7 +224,7 @@ def test_a_small_job_beside_a_huge_one_is_hardly_delayed(
     whole(fragile)
     with running(tmp_path, fragile, window_seconds=0.5) as service:
         alone = [timed(service, small(0.6 + run / 100)) for run in range(3)]
-        huge = service.submit(sweep("huge", chunks=200, seconds=1.0))
+        huge = service.submit(sweep("huge", gamma=BOUNCING))
         wait_for(lambda: service.job(huge).chunks_done >= 2)
         beside = []
         for run in range(max(RUNS, 5)):
