@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import describe
+from benchmarks.small import small
 from service import embedded
 from service.client import Client
 
@@ -25,16 +26,8 @@ MODELS: list[dict[str, Any]] = [
 
 def seconds(client: Client, model: dict[str, Any], shift: int) -> float:
     """Wall time of one job."""
-    spec = {
-        "gamma": {"start": 1.0 + shift * 1e-6, "stop": 6.0, "num": 1000},
-        "omega": 0.5,
-        "xi": 0.26,
-        "model": model,
-        "settle": 200,
-        "observe": 100,
-    }
     start = time.perf_counter()
-    client.submit(spec).wait(progress=False)
+    client.submit(small(model, shift)).wait(progress=False)
     return time.perf_counter() - start
 
 

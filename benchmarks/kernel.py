@@ -18,6 +18,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -185,8 +186,7 @@ def diffrax(repeat: int) -> list[Row]:
     costs = []
     for gamma, omega, xi in CELLS[::4]:
         spread = gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
-        run = lambda g=spread, o=omega, x=xi: spring.run_batch(g, o, x, 20)  # noqa: E731
-        costs.append(cost_of(run, NEIGHBOURS * 20, 1))
+        costs.append(cost_of(partial(spring.run_batch, spread, omega, xi, 20), NEIGHBOURS * 20, 1))
     return [alone, Row("the same under vmap, 64 neighbours", statistics.median(costs), alone.golden)]
 
 

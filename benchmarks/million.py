@@ -42,7 +42,7 @@ class Pretending:
 
     def __init__(self, workers: int, seconds: float) -> None:
         self._workers, self._seconds = workers, seconds
-        self._due: list[tuple[float, int, Future[ChunkReport]]] = []
+        self._due: list[tuple[float, int, int, Future[ChunkReport]]] = []
         self._wake = threading.Condition()
         self._open = True
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -51,9 +51,8 @@ class Pretending:
     def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **given: float) -> "Future[ChunkReport]":
         """The report comes when it is due."""
         future: Future[ChunkReport] = Future()
-        future.cells = chunk.cells  # type: ignore[attr-defined]
         with self._wake:
-            heapq.heappush(self._due, (time.monotonic() + self._seconds, chunk.index, future))
+            heapq.heappush(self._due, (time.monotonic() + self._seconds, chunk.index, chunk.cells, future))
             self._wake.notify()
         return future
 
@@ -85,8 +84,7 @@ class Pretending:
                 due = [heapq.heappop(self._due)] if self._due else []
                 while self._due and self._due[0][0] <= time.monotonic():
                     due.append(heapq.heappop(self._due))
-            for _, index, future in due:
-                cells = future.cells  # type: ignore[attr-defined]
+            for _, index, cells, future in due:
                 if future.set_running_or_notify_cancel():
                     future.set_result(ChunkReport(index, cells, 1.0, 0.95, f"{index:064x}", (0, cells, 0, 0)))
 

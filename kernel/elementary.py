@@ -25,7 +25,7 @@ _LN2_2: Final = 1.9082149292705877e-10
 #: Beyond this many rad the reduction of `sincos` loses digits.
 _FAR: Final = 1e5
 
-#: Exponents below this are taken as it: theirs is the least power of two with all its digits.
+#: Exponents below this are taken as it: 2**k with less would no longer have all its digits.
 _LEAST: Final = -708.0
 
 
@@ -72,7 +72,7 @@ def turned(x: float) -> tuple[float, float]:
 
 @jit
 def exp(x: float) -> float:
-    """The exponential of x <= 0; below e**-708 it is that."""
+    """The exponential of x <= 0; of x < -708 that of -708."""
     x = max(x, _LEAST)
     k = math.floor(fma(x, _ONE_OVER_LN2, 0.5))
     r = fma(k, -_LN2_2, fma(k, -_LN2_1, x))

@@ -9,6 +9,7 @@ from service.client.errors import BounceError
 from service.client.transport import Transport, document
 
 if TYPE_CHECKING:
+    import httpx2
     import xarray
 
 
@@ -44,18 +45,11 @@ class Results:
         """
         from service.client.datasets import diagram_dataset
 
-        query = _line(
-            along=along,
-            gamma=gamma,
-            omega=omega,
-            xi=xi,
-            direction=direction,
-            min_flight=min_flight,
-            every=every,
-        )
-        return diagram_dataset(
-            document(self._transport.get(self._path("diagram"), query)), self.id, self.name
-        )
+        answer = self._diagram(
+            along=along, gamma=gamma, omega=omega, xi=xi,
+            direction=direction, min_flight=min_flight, every=every,
+        )  # fmt: skip
+        return diagram_dataset(document(answer), self.id, self.name)
 
     def picture(
         self,
@@ -73,19 +67,10 @@ class Results:
 
         A ramp both ways shows both directions unless one is named. Raises as `diagram`.
         """
-        query = {
-            **_line(
-                along=along,
-                gamma=gamma,
-                omega=omega,
-                xi=xi,
-                direction=direction,
-                min_flight=min_flight,
-                every=every,
-            ),
-            "format": format,
-        }
-        return self._transport.get(self._path("diagram"), query).content
+        return self._diagram(
+            along=along, gamma=gamma, omega=omega, xi=xi,
+            direction=direction, min_flight=min_flight, every=every, format=format,
+        ).content  # fmt: skip
 
     def threshold(
         self,
@@ -141,27 +126,8 @@ class Results:
 
         return open_remote(self._transport, self._path("zarr"), self.id)
 
+    def _diagram(self, **query: str | float | None) -> "httpx2.Response":
+        return self._transport.get(self._path("diagram"), query)
+
     def _path(self, *parts: str) -> str:
         return "/".join(("/v1/jobs", self.id, *parts))
-
-
-def _line(
-    *,
-    along: str,
-    gamma: float | None,
-    omega: float | None,
-    xi: float | None,
-    direction: str | None,
-    min_flight: float | None,
-    every: int | None,
-) -> dict[str, str | float | None]:
-    """The query that chooses one line of the grid."""
-    return {
-        "along": along,
-        "gamma": gamma,
-        "omega": omega,
-        "xi": xi,
-        "direction": direction,
-        "min_flight": min_flight,
-        "every": every,
-    }
