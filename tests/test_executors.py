@@ -10,9 +10,11 @@ import time
 from concurrent.futures import CancelledError
 from pathlib import Path
 
+import dask
 import psutil
 import pytest
-from distributed import system
+from conftest import CACHE
+from distributed import get_worker, system
 from harm import Stuck
 from scripted import DEADLINE, wait_for
 
@@ -197,6 +199,32 @@ def test_a_worker_that_is_still_starting_does_not_hold_up_the_end(tmp_path):
         began = time.monotonic()
         executor.close()
     assert time.monotonic() - began < DEADLINE  # and not an hour
+
+
+def leave() -> None:
+    """A worker that closes its nanny too, as one does that its scheduler has forgotten."""
+    worker = get_worker()
+    worker.loop.add_callback(worker.close)
+
+
+def test_workers_that_are_gone_for_good_are_replaced():
+    """Dask itself gives up a worker that is not back 15 s after any of its deaths."""
+    executor = Dask(workers=2, kernel_cache=CACHE)
+    client, nannies = executor._link.client, executor._workers.cluster.workers
+    try:
+        assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1000 days"
+        before = set(nannies.values())
+        executor.call(leave)
+        wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
+        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+        before = set(nannies.values())
+        with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
+            [pid, _] = client.run(os.getpid).values()
+            os.kill(pid, signal.SIGKILL)
+            wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
+        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+    finally:
+        executor.close()
 
 
 @pytest.fixture

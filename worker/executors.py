@@ -6,11 +6,7 @@ of a report is in worker.faults.
 """
 
 import asyncio
-import contextlib
 import math
-import os
-import signal
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
@@ -18,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
-import dask
-from distributed import KilledWorker, LocalCluster, system
+from distributed import KilledWorker
 
 from worker.faults import ClusterLost, ExecutorError, WorkerDied, WorkerLost
-from worker.link import SCHEDULER, Link, address_in
+from worker.link import Link, address_in
+from worker.local import LocalWorkers
 from worker.plan import Chunk
 from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
@@ -33,8 +29,6 @@ __all__ = ["ClusterLost", "Dask", "Executor", "ExecutorError", "Inline", "Worker
 
 #: How long the number of workers is believed.
 COUNT_SECONDS: Final = 1.0
-#: For workers to end by themselves.
-CLOSE_SECONDS: Final = 2.0
 #: Above that of any chunk: somebody waits for the answer.
 CALL_PRIORITY: Final = 1_000_000.0
 
@@ -124,7 +118,7 @@ class Dask:
         kernel_cache: str | Path | None = None,
         timeout: float = 30.0,
     ) -> None:
-        self._cluster: Any = None
+        self._workers: LocalWorkers | None = None
         self._counted = (0.0, 0)
         self._flights: dict[str, _Flight] = {}
         plugin = WarmKernels(str(kernel_cache) if kernel_cache else None)
@@ -140,15 +134,15 @@ class Dask:
             def target() -> Any:
                 return address
         else:
-            self._cluster = _local_cluster(workers, memory)
+            own = self._workers = LocalWorkers(workers, memory)
 
             def target() -> Any:
-                return self._cluster
+                return own.cluster
 
         try:
             self._link = Link(target, plugin, self._hear, security=security, timeout=timeout)
         except BaseException:
-            self._close_cluster()
+            self._close_workers()
             raise
 
     def submit(
@@ -176,14 +170,11 @@ class Dask:
 
     def close(self) -> None:
         self._link.close()
-        self._close_cluster()
+        self._close_workers()
 
-    def _close_cluster(self) -> None:
-        if self._cluster is not None:
-            late = threading.Timer(CLOSE_SECONDS, _kill, [list(self._cluster.workers.values())])
-            late.start()
-            self._cluster.close()
-            late.cancel()
+    def _close_workers(self) -> None:
+        if self._workers is not None:
+            self._workers.close()
 
     def _hear(self, said: dict[str, Any]) -> None:
         """A worker began a chunk, or ends itself over one."""
@@ -225,25 +216,3 @@ def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
     if not flight.watched or flight.worker == error.last_worker.address:
         return WorkerDied("the worker process that computed it died")
     return WorkerLost("the worker process at which it waited died")
-
-
-def _kill(nannies: list[Any]) -> None:
-    """End worker processes without a word: one that starts, and may compile for a minute, hears none."""
-    for nanny in nannies:
-        if nanny.pid:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(nanny.pid, signal.SIGKILL)
-
-
-def _local_cluster(workers: int, memory: int | None) -> Any:
-    loopback = "127.0.0.1"
-    dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()})
-    return LocalCluster(  # type: ignore[no-untyped-call]
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        host=loopback,
-        dashboard_address=f"{loopback}:0",
-        # Not by the number of cores, which has nothing to do with how many processes there are.
-        memory_limit=memory or system.MEMORY_LIMIT // workers,
-    )
