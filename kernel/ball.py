@@ -2,7 +2,8 @@
 
 It falls freely (`kernel.fall`), leaves the plate again at -epsilon times the relative velocity
 it landed with (Eq. 4, its sign mended), and rests on it while n = 1/Gamma - cos(phi) > 0. The
-take-off from rest is at cos(phi) = 1/Gamma, in closed form. A cascade of ever smaller hops is
+take-off from rest is at cos(phi) = 1/Gamma, in closed form, and what follows it is the same every
+time: an orbit that comes to rest again is known from then on (`_repeat`). A cascade of ever smaller hops is
 followed hop by hop, each of them a flight, until the plate presses steadily over all that is
 left of it (`kernel.cascade`); its end is then in closed form, and its hops are no more recorded:
 they are shorter than about 1e-3 (1 - epsilon) rad.
@@ -16,16 +17,20 @@ from numpy.typing import NDArray
 
 from kernel.cascade import collapse_time, collapses
 from kernel.events import HORIZON, ROOT, SPENT, Phase
-from kernel.fall import SNAP, Landing, drop, landing, lifted, state_after
+from kernel.fall import Landing, drop, landing, lifted, state_after, takes_off
 from kernel.jit import jit
-from kernel.model import contact, flies, flight, prepare, rest
+from kernel.model import contact, flies, flight, prepare, repeat, rest
 from kernel.modes import TWO_PI
+from kernel.trajectory import Flights, Progress, Window, horizon_of, record
 
-#: Flights after a take-off from rest that a cell knows in advance.
-KNOWN: Final = 16
+#: Phases after a take-off from rest that a cell remembers, the next take-off among them if it comes so soon.
+KNOWN: Final = 18
 
-#: Evaluations that each of them may use; a flight crosses about 2 Gamma inflections.
-MANY: Final = 10_000
+#: Where its memory holds how many, and the plate period of the take-off before; then of each phase its
+#: duration, gap' after it, and 1 if a flight follows.
+COUNT, BEFORE, FIRST = range(3)
+TAU, HOP, FLIES = range(3)
+WIDTH: Final = 3
 
 
 class BallPlate(NamedTuple):
@@ -41,7 +46,6 @@ class Ball(NamedTuple):
     restitution: float
     lift: float  # arccos(1/Gamma): the plate falls away while |phi| < lift; 0 for Gamma <= 1
     slope: float  # sin(lift)
-    known: Any  # (KNOWN, 5) what follows a take-off from rest, see `_rehearse`
 
 
 class Bounce(NamedTuple):
@@ -57,28 +61,7 @@ class Bounce(NamedTuple):
 def _prepare(plate: BallPlate, i: int, gamma: float, omega: float, xi: float) -> Ball:
     gravity = 1.0 / gamma
     slope = math.sqrt((1.0 - gravity) * (1.0 + gravity)) if gamma > 1.0 else 0.0
-    ball = Ball(gravity, plate.restitution[i], math.atan2(slope, gravity), slope, np.full((KNOWN, 5), np.nan))
-    _rehearse(ball)
-    return ball
-
-
-@jit
-def _rehearse(b: Ball) -> None:
-    """Work out what every take-off from rest leads to, for it is always the same.
-
-    A row of `known` is a flight: its phase and velocity at take-off, its duration, the velocity
-    after its landing, and 1 if a flight follows that; NaN where the ball rests before.
-    """
-    at = Bounce(TWO_PI - b.lift, 0.0, b.lift > 0.0)
-    for row in b.known:
-        if not at.flies:
-            break
-        end = landing(drop(b.gravity, b.lift, b.slope, at.phi, 0.0, at.hop), math.inf, MANY)
-        if end.ending != ROOT:
-            break
-        row[0], row[1], row[2] = at.phi, at.hop, end.tau
-        at = _bounce(b, at.phi, end)
-        row[3], row[4] = at.hop, 1.0 if at.flies else 0.0
+    return Ball(gravity, plate.restitution[i], math.atan2(slope, gravity), slope)
 
 
 @rest.register(Ball)
@@ -129,13 +112,6 @@ def _flight(
 ) -> Phase:
     if budget <= 0:
         return Phase(0.0, SPENT, True, gap, gap1, 0.0, 0.0, 0)
-    if gap == 0.0:
-        for k in range(KNOWN):
-            if b.known[k, 1] == gap1 and abs(b.known[k, 0] - phi) <= SNAP and b.known[k, 2] < horizon:
-                follows = b.known[k, 4] == 1.0
-                return Phase(b.known[k, 2], ROOT, follows, 0.0, b.known[k, 3], 0.0, 0.0, 1)
-            if math.isnan(b.known[k, 1]):
-                break
     p = drop(b.gravity, b.lift, b.slope, phi, gap, gap1)
     end = landing(p, horizon, budget)
     if end.ending != ROOT:
@@ -152,3 +128,59 @@ def _bounce(b: Ball, phi: float, end: Landing) -> Bounce:
     phi += end.tau
     phi -= TWO_PI * math.floor(phi / TWO_PI)
     return Bounce(phi, hop, not _settles(b, phi, hop, -end.gap2, -end.gap3))
+
+
+@jit
+def _rehearse(b: Ball, phi: float, budget: int, memory: Any) -> None:
+    """Note the phases from the take-off from rest at phi to the next, or the first of them."""
+    flying, hop = True, 0.0
+    for k in range(KNOWN):
+        if flying:
+            p = _flight(b, phi, 0.0, hop, 0.0, 0.0, math.inf, budget)
+        else:
+            p = _contact(b, phi, 0.0, hop, 0.0, 0.0, math.inf, budget)
+        if p.ending != ROOT:
+            return
+        at = FIRST + WIDTH * k
+        memory[at + TAU], memory[at + HOP], memory[at + FLIES] = p.tau, p.gap1, 1.0 if p.in_flight else 0.0
+        memory[COUNT] = k + 1
+        if not flying and p.in_flight:
+            return
+        phi += p.tau
+        phi -= TWO_PI * math.floor(phi * (1.0 / TWO_PI))
+        flying, hop = p.in_flight, p.gap1
+
+
+@jit
+def _skipped(run: Progress, window: Window, memory: Any) -> Progress:
+    """The run at a take-off from rest, as many whole rounds later as the settling leaves room for."""
+    length = max(run.period - int(memory[BEFORE]), 1)
+    rounds = (window.settle - 1 - run.period) // length if memory[BEFORE] >= 0.0 else 0
+    period = run.period + max(rounds, 0) * length
+    memory[BEFORE] = period
+    return Progress(
+        run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
+        run.phase, period, run.recorded, run.flew, run.budget, run.ending,
+    )  # fmt: skip
+
+
+@repeat.register(Ball)
+@jit
+def _repeat(b: Ball, run: Progress, window: Window, flights: Flights, memory: Any) -> Progress:
+    """From one take-off from rest to the next, and so on: what follows is the same every time."""
+    while run.in_flight and takes_off(b.lift, run.phase, run.gap, run.gap1) and run.budget > KNOWN:
+        if memory[COUNT] == 0.0:
+            memory[BEFORE] = -1.0
+            _rehearse(b, run.phase, run.budget, memory)
+            if memory[COUNT] == 0.0:
+                break
+        run = _skipped(run, window, memory)
+        for k in range(int(memory[COUNT])):
+            at = FIRST + WIDTH * k
+            tau, hop, flying = memory[at + TAU], memory[at + HOP], memory[at + FLIES] == 1.0
+            if tau >= horizon_of(run, window):
+                return run
+            run = record(run, Phase(tau, ROOT, flying, 0.0, hop, 0.0, 0.0, 1), window, flights, 0)
+            if run.ending != ROOT:
+                return run
+    return run

@@ -46,13 +46,14 @@ class by_type:  # noqa: N801 - a decorator
     def __init__(self, declaration: Callable[..., Any]) -> None:
         functools.update_wrapper(self, declaration)
         self._implementations: dict[type, Callable[..., Any]] = {}
+        self._otherwise: Callable[..., Any] | None = None
         overload(self, jit_options=_OPTIONS)(lambda first, *rest: self._resolve(first))
 
     def __call__(self, first: Any, *rest: Any) -> Any:
-        return self._implementations[type(first)](first, *rest)
+        return self._implementations.get(type(first), self._otherwise)(first, *rest)  # type: ignore[misc]
 
     def _resolve(self, first: Any) -> Callable[..., Any] | None:
-        chosen = self._implementations.get(getattr(first, "instance_class", type(None)))
+        chosen = self._implementations.get(getattr(first, "instance_class", type(None)), self._otherwise)
         return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
 
     def register(self, kind: type) -> Callable[[_Function], _Function]:
@@ -63,3 +64,8 @@ class by_type:  # noqa: N801 - a decorator
             return function
 
         return remember
+
+    def otherwise(self, function: _Function) -> _Function:
+        """Decorator: this function answers for first arguments of all other types."""
+        self._otherwise = function
+        return function

@@ -8,7 +8,7 @@ with their velocities; phi is the plate's phase. Times are rad from the start of
 from typing import Any
 
 from kernel.events import Phase
-from kernel.jit import by_type
+from kernel.jit import by_type, jit
 
 
 @by_type
@@ -38,3 +38,17 @@ def flight(  # type: ignore[empty-body]
     cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
     """In flight until landing, or to the horizon."""
+
+
+@by_type
+def repeat(cell: Any, run: Any, window: Any, flights: Any, memory: Any) -> Any:
+    """A run (trajectory.Progress) at a take-off from rest, moved on over all that always follows one.
+
+    `memory` (MEMORY,) is the cell's own, zeros when it begins.
+    """
+
+
+@repeat.otherwise
+@jit
+def _nothing_repeats(cell: Any, run: Any, window: Any, flights: Any, memory: Any) -> Any:
+    return run

@@ -11,7 +11,7 @@ import numpy as np
 
 from kernel.events import BROKEN, HORIZON, ROOT, Phase
 from kernel.jit import inlined, jit
-from kernel.model import contact, flight
+from kernel.model import contact, flight, repeat
 from kernel.modes import REPEATS, TWO_PI, find_cycle
 from kernel.params import Line, Outcome
 
@@ -23,6 +23,9 @@ REMEMBERED: Final = 256
 
 #: Flights after which settling is looked at again, where it may end early.
 REHEARSAL: Final = 24
+
+#: Numbers that a model may note of a cell in work.
+MEMORY: Final = 64
 
 #: Evaluations of a phase function a cell may use, for each plate period.
 BUDGET: Final = 20_000
@@ -154,7 +157,12 @@ def settled(before: Progress, run: Progress, window: Window, flights: Flights, f
 def run_cell(cell: Any, state: Any, window: Window, flights: Flights, carried: bool) -> Progress:
     """Run one cell from `state` (6,) to the end of its window; `carried`: see `begin`."""
     run = begin(state, window, carried)
+    memory = np.zeros(MEMORY)
     while run.ending == ROOT:
+        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+            run = repeat(cell, run, window, flights, memory)
+            if run.ending != ROOT:
+                break
         horizon = horizon_of(run, window)
         if run.in_flight:
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
