@@ -172,7 +172,9 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         f0 = max(f0, t.noise)  # or where F is all rounding, steps would vanish
         width = monotone_width(f0, f1, f2, f3, f4)
         if width > 0.0:
-            step, _ = householder(f0, f1, f2, f3, f4)
+            step, left = householder(f0, f1, f2, f3, f4)
+            if left <= EPS * tau and tau + step < horizon:
+                return tau + step, ROOT, used
             tau, ending, more = close_in(phase, tau, tau + width, tau + step, budget - used)
             beyond = tau >= horizon
             return (horizon if beyond else tau), (HORIZON if beyond else ending), used + more

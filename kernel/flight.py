@@ -7,12 +7,15 @@ import math
 from typing import Final, NamedTuple
 
 from kernel.elementary import turned
-from kernel.events import EPS, Terms, departure_step, first_root, terms
+from kernel.events import EPS, ROOT, Terms, close_in, departure_step, first_root, terms
 from kernel.jit import jit
 from kernel.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 #: Terms of a power series smaller than this part of their sum are left out.
 NEGLIGIBLE: Final = 1e-19
+
+#: Evaluations for the end of a hop; two are the rule, and any other way to find it is as safe.
+HOP_LOOKS: Final = 20
 
 
 class Flight(NamedTuple):
@@ -54,7 +57,29 @@ def landing(p: Flight, start: float, horizon: float, budget: int) -> tuple[float
             q4, _, _ = derivatives(p.osc, q2, q3)
             _, _, bound5 = derivatives(p.osc, p.q1, q2)
             start = departure_step(gap3, -p.cos - 0.5 * q4, 1.0 + 0.5 * bound5)
+    if p.gap <= 0.0 < p.gap1 and p.gap2 < 0.0:
+        width, guess = _hop(p)
+        if width < horizon and start < guess < width:
+            tau, ending, used = close_in(p, start, width, guess, min(budget, HOP_LOOKS))
+            if ending == ROOT:
+                return tau, ending, used
     return first_root(p, start, horizon, budget)
+
+
+@jit
+def _hop(p: Flight) -> tuple[float, float]:
+    """How long the gap, zero or below, surely rises and falls but once, being below zero at the end; and
+    about when it falls to zero. 0 where that is not sure.
+    """
+    _, q3, bound4 = derivatives(p.osc, p.q, p.q1)
+    press, gap3, gap4 = -p.gap2, -p.sin - 0.5 * q3, 1.0 + 0.5 * bound4
+    width = 2.5 * p.gap1 / press
+    slower = math.sqrt(max(p.gap1 * p.gap1 + 2.0 * press * p.gap, 0.0))
+    if width * (abs(gap3) / 3.0 + width * gap4 / 12.0) > 0.15 * press or 2.0 * slower < p.gap1:
+        return 0.0, 0.0
+    guess = (p.gap1 + slower) / press
+    bend = 0.5 * gap3 * guess * guess
+    return width, guess + guess * bend / (3.0 * (slower - bend))
 
 
 @jit

@@ -29,6 +29,8 @@ def pressed_until(p: Pressed, t: Terms) -> float:
         abs(t.smooth2) / 2.0 + end * (abs(t.smooth3) / 6.0 + end * t.smooth4 / 24.0)
     )
     least = t.smooth - end * drift - t.noise
+    if least > 0.0 and (t.ring >= 0.0 or -t.ring > end * drift):
+        return end  # the smooth part alone presses, as soon as the ringing has outrun it
     if t.ring1 > 0.0:  # rising, and concave up to its top
         top = falling_zero(p.fast_osc, t.ring1, t.ring2)
         height, _ = motion(p.fast_osc, t.ring, t.ring1, top)

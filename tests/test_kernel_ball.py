@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from kernel import cascade, fall, impact, isolated
+from kernel import cascade, fall, impact, isolated, model
+from kernel.ball import BallPlate
 from kernel.events import ROOT
 from kernel.params import Cell, Line, Model, Outcome, Start
 from kernel.ramp import run_line
@@ -256,6 +257,38 @@ def test_flights_are_the_hops_one_by_one():
         phi, hop = (phi + end.tau) % TWO_PI, -epsilon * end.gap1
     assert np.sort(found[-per_cycle:]) == pytest.approx(np.sort(expected), abs=1e-12)
     assert 2.0 * hop / (1.0 / gamma - math.cos(phi)) < 2e-3
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.5])
+def test_a_round_that_is_known_is_the_one_that_would_be_computed(epsilon: float):
+    """Phase by phase through the model's own functions, without memory, beside what a run records."""
+    gammas, orbits = np.linspace(1.05, 5.5, 40), 0
+    line = run(gammas, epsilon, settle=40, observe=60, keep=2000)
+    for i, gamma in enumerate(gammas):
+        ball = model.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
+        phi, period, hop, flying, found = 0.0, 0, 0.0, True, []
+        while period < 100:
+            end = (model.flight if flying else model.contact)(ball, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000)
+            landed = period + math.floor((phi + end.tau) / TWO_PI)
+            if flying and period >= 40 and landed < 100:
+                found.append((end.tau, phi))
+            period, phi = landed, (phi + end.tau) % TWO_PI
+            flying, hop = end.in_flight, end.gap1
+        if line.outcome[i] == Outcome.PERIODIC:  # others depart from each other by what rounding does
+            orbits += 1
+            assert line.flights[i] == len(found)
+            np.testing.assert_allclose(line.flight_time[i, : len(found)], [f[0] for f in found], atol=1e-10)
+            np.testing.assert_allclose(line.takeoff_phase[i, : len(found)], [f[1] for f in found], atol=1e-10)
+    assert orbits > 10
+
+
+def test_settling_skips_whole_rounds():
+    """A billion periods of a ball that comes to rest take no longer than a few."""
+    for gamma, epsilon in ((1.5, 0.0), (1.5, 0.5), (2.0, 0.15)):
+        short, long = (run(gamma, epsilon, settle=settle, keep=64) for settle in (120, 120 + 10**9))
+        assert mode(short)[0] > 0
+        for name in Line._fields:
+            np.testing.assert_allclose(getattr(short, name), getattr(long, name), atol=1e-12)
 
 
 def test_elastic_ball_ends_and_says_so():

@@ -159,6 +159,24 @@ def test_a_recoil_ends_where_the_plate_bears_again(
     assert bearing.max(initial=-1.0) <= unsure
 
 
+@given(**CELLS, gap1=powers(-9.0, 0.0), q=signed(1.0), q1=signed(2.0), below=st.sampled_from([0.0, 0.3]))
+@examples(60)
+def test_the_end_of_a_hop_keeps_its_digits(gamma, omega, xi, phi, gap1, q, q1, below):
+    """Thrown up against a pressing plate, from it or from below: a short flight, to the last digits."""
+    s = Setting(gamma, omega, xi, below > 0.0, 0.1, 1e-3, True)
+    q *= min(1.0, omega**2)
+    press = 1.0 / gamma - math.cos(phi) - 0.5 * s.b * q1 - 0.5 * s.w * q
+    assume(press > 0.0 and abs(complex(s.w - 1.0, s.b)) > 1e-4)  # as in `check`
+    state = (-below * gap1**2 / (2.0 * press), gap1, q, q1)
+    motion = exact(s, True, phi, state)
+    step = one_phase(s, True, phi, state, HORIZON_RAD, BUDGET)
+    assume(step.ending == ROOT and step.tau < 3.0 * gap1 / press)
+    with mp.workdps(40):
+        expected = mp.findroot(lambda tau: motion.state(tau)[0], mpf(step.tau))
+    lost = 1e-14 * (1.0 + abs(q) + abs(q1)) * (1.0 + s.w + s.b) / press  # press is a difference
+    assert abs(step.tau - float(expected)) <= (1e-14 + lost) * step.tau
+
+
 # --- close calls ----------------------------------------------------------------------------
 
 
