@@ -38,7 +38,7 @@ TITLES: Final = {
 }
 MOST_STEPS: Final = 100  # the one of a row that says more
 ERRORS: Final = (3e-8, 30.0)
-COSTS: Final = (0.03, 2e3)
+COSTS: Final = (0.02, 2e3)
 
 
 def draw(rows: Sequence[Measured], format: str) -> bytes:
@@ -106,7 +106,7 @@ def _point(axes: Axes, series: Series, row: Measured, error: float, cost: float)
 def _words(row: Measured) -> tuple[str, tuple[int, int]]:
     """What stands beside a point, and where in points from it."""
     if row.model == "ball":
-        return "where the dashpot locks" if row.locked_only else "everywhere", (0, -15)
+        return "where the dashpot locks" if row.locked_only else "everywhere", (0, 8)
     depth = f"$d = 10^{{{math.log10(row.penetration or 1.0):.0f}}}$"
     if row.model == "soft":
         return depth, (0, -13)

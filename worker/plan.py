@@ -29,15 +29,15 @@ from worker.spec import AXES, SweepSpec
 
 #: Core-microseconds of one cell for one plate period, measured over cells of all kinds from rest; for
 #: `stepped` of one time step. `auto` costs at most what the exact contact does.
-COST_US: Final = {"ball": 0.15, "rigid": 0.25, "soft": 3.5, "auto": 3.5, "stepped": 0.0042}
+COST_US: Final = {"ball": 0.06, "rigid": 0.16, "soft": 2.0, "auto": 2.0, "stepped": 0.0042}
 #: The same of `rigid` where cells cannot be computed side by side: on a ramp, and where it bounces back.
-ALONE_US: Final = 1.0
-ELASTIC_US: Final = 3.5
+ALONE_US: Final = 0.75
+ELASTIC_US: Final = 2.0
 
 #: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small enough to show
 #: progress, to lose little, and to let a small job that comes in between have its turn soon.
-TARGET_SECONDS: Final = 1.2
-SMALLEST_SECONDS: Final = 0.02
+TARGET_SECONDS: Final = 0.75
+SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
 #: Before compression: who reads one cell reads its chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20

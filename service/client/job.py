@@ -152,7 +152,7 @@ class Job(Results):
             pause = FIRST_PAUSE
             while not self.finished and (left := deadline - time.monotonic()) > 0:
                 time.sleep(min(pause if self._retry_after is None else self._retry_after, left))
-                pause = min(pause * 1.5, LONGEST_PAUSE)
+                pause = min(pause * 1.25, LONGEST_PAUSE)
                 self._refresh_patiently()
                 show(self)
         return self._outcome(timeout)
