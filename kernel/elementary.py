@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from kernel.instructions import fma, power_of_two
-from kernel.jit import jit
+from kernel.jit import inlined, jit
 
 _TWO_OVER_PI: Final = 2.0 / math.pi
 _HALF_PI_1: Final = 1.5707963267341256
@@ -25,6 +25,9 @@ _LN2_2: Final = 1.9082149292705877e-10
 #: Beyond this many rad the reduction of `sincos` loses digits.
 _FAR: Final = 1e5
 
+#: How far `bent` follows sinh and cosh to rounding.
+GENTLE: Final = 0.25
+
 #: Exponents below this are taken as it: 2**k with less would no longer have all its digits.
 _LEAST: Final = -708.0
 
@@ -32,9 +35,18 @@ _LEAST: Final = -708.0
 @jit
 def sincos(x: float) -> tuple[float, float]:
     """sin x and cos x for |x| < _FAR rad."""
+    return bent(x, 1.0)
+
+
+@inlined
+def bent(x: float, sign: float) -> tuple[float, float]:
+    """sin x and cos x for |x| < _FAR rad; with sign = -1, sinh x and cosh x for |x| <= GENTLE.
+
+    Their power series are the same but for the sign of x squared.
+    """
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
-    u = r * r
+    u = sign * r * r
     v = u * u
     odd = fma(
         v,

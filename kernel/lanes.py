@@ -13,7 +13,7 @@ on its neighbours.
 import math
 from typing import Any, Final
 
-from kernel.elementary import exp, sincos
+from kernel.elementary import GENTLE, bent, exp, sincos
 from kernel.events import EPS, NEAR
 from kernel.instructions import fma
 from kernel.jit import inlined, jit
@@ -32,18 +32,17 @@ AT_HORIZON: Final = 2.0
 STRAYED: Final = 3.0  # patience ran out, or a number stopped being finite
 
 # Rows of the table of lanes, each LANES wide: what a phase is, ...
-(PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, STIFFNESS, Y0, V0) = range(11)
-(P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(11, 20)
+(PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0) = range(12)
+(P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(12, 21)
 # ... where the search for its root stands, and what F's last evaluation gave.
-(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(20, 30)
-ROWS: Final = 30
+(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(21, 31)
+ROWS: Final = 31
 
 
 @inlined
 def fits(osc: Oscillator) -> bool:
-    """Whether lanes can compute this oscillator: all but nearly critical and very slow ones."""
-    near = osc.discriminant >= 0.0 and osc.root <= NEAR_CRITICAL * osc.damping
-    return not near and osc.rate > 0.03
+    """Whether lanes can compute this oscillator: all but very slow ones."""
+    return osc.rate > 0.03
 
 
 @inlined
@@ -59,6 +58,7 @@ def load(
     table[RATE * LANES + k] = math.sqrt(osc.stiffness)
     table[PERIOD * LANES + k] = 1.0 / math.sqrt(osc.stiffness)
     table[UNDER * LANES + k] = 1.0 if osc.discriminant < 0.0 else 0.0
+    table[NEARLY * LANES + k] = 1.0 if osc.root <= NEAR_CRITICAL * osc.damping else 0.0
     table[STIFFNESS * LANES + k] = osc.stiffness
     table[Y0 * LANES + k] = y
     table[V0 * LANES + k] = v
@@ -103,15 +103,20 @@ def advance(table: Any) -> None:
         damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
         drag = -2.0 * damping
         root, slow, under = table[ROOT * LANES + k], table[SLOW * LANES + k], table[UNDER * LANES + k] > 0.0
-        # the free oscillator, under- and overdamped alike (oscillator.response)
-        decay = exp((-damping if under else slow) * tau)
-        lost = exp(-2.0 * root * tau)
-        turn, turn1 = sincos(root * tau)
+        # the free oscillator, under- and overdamped alike (oscillator.response); from where it is overdamped
+        # and has not turned far yet, by sinh and cosh, which need not know that root may be zero
+        turned = root * tau
+        gentle = (turned <= GENTLE) & (not under)
+        about = under | gentle
+        decay = exp((-damping if about else slow) * tau)
+        lost = exp(-2.0 * turned)
+        turn, turn1 = bent(turned, -1.0 if gentle else 1.0)
         fast = -(damping + root)
         scale = 0.5 * decay * table[INVERSE * LANES + k]
-        sine = 2.0 * scale * turn if under else scale * (1.0 - lost)
-        cosine = fma(decay, turn1, damping * sine) if under else scale * fma(slow, lost, -fast)
-        sine1 = fma(decay, turn1, -damping * sine) if under else scale * fma(-fast, lost, slow)
+        sine = 2.0 * scale * turn if about else scale * (1.0 - lost)
+        sine = decay * tau if turned == 0.0 else sine
+        cosine = fma(decay, turn1, damping * sine) if about else scale * fma(slow, lost, -fast)
+        sine1 = fma(decay, turn1, -damping * sine) if about else scale * fma(-fast, lost, slow)
         y0, v0 = table[Y0 * LANES + k], table[V0 * LANES + k]
         y = fma(y0, cosine, v0 * sine)
         y1 = fma(v0, sine1, -stiffness * sine * y0)
@@ -132,7 +137,9 @@ def advance(table: Any) -> None:
         swing, swing1 = fma(rate, abs(y3), abs(y4)), fma(rate, abs(y4), abs(y5))
         fade = half * fma(-slow, abs(fma(-fast, y3, y4)), -fast * abs(fma(slow, y3, -y4)))
         fade1 = half * fma(-slow, abs(fma(-fast, y4, y5)), -fast * abs(fma(slow, y4, -y5)))
-        f4 = fma(abs(p), swing if under else fade, fma(abs(r), swing1 if under else fade1, smooth4))
+        # for F's bound the roots apart are of use where they are apart
+        whole = under | (table[NEARLY * LANES + k] > 0.0)
+        f4 = fma(abs(p), swing if whole else fade, fma(abs(r), swing1 if whole else fade1, smooth4))
         ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
         clear = smooth - ringing
         # where F surely falls through zero at once, Householder's step, else one that cannot miss a zero

@@ -1,5 +1,7 @@
 """Lanes against the scalar functions they stand in for, and their arithmetic against 50 digits."""
 
+import math
+
 import mpmath
 import numpy as np
 import pytest
@@ -38,6 +40,15 @@ def test_sincos_against_50_digits(scale):
             assert abs(cos - exact_cos) <= 2 * np.spacing(abs(float(exact_cos))) + 1e-21 * scale
 
 
+def test_hyperbolic_functions_against_50_digits():
+    for x in np.append(10 ** np.random.default_rng(4).uniform(-9, math.log10(elementary.GENTLE), 1000), 0.0):
+        sinh, cosh = elementary.bent(float(x), -1.0)
+        with mpmath.workdps(50):
+            exact_sinh, exact_cosh = mpmath.sinh(mpmath.mpf(x)), mpmath.cosh(mpmath.mpf(x))
+            assert abs(sinh - exact_sinh) <= 2 * np.spacing(float(exact_sinh))
+            assert abs(cosh - exact_cosh) <= 2 * np.spacing(float(exact_cosh))
+
+
 def test_exp_against_50_digits():
     for x in -(10 ** np.random.default_rng(2).uniform(-9, 2.8, 1000)):
         with mpmath.workdps(50):
@@ -58,6 +69,13 @@ def test_exp_against_50_digits():
         (0.0154, 10.0),
         (0.9, 0.02),
         (0.3, 0.7071),
+        # critical in contact, in flight, and next to that
+        (0.5, 1.0),
+        (2.0, math.sqrt(2.0)),
+        (0.5, 1.0 + 1e-12),
+        (2.0, 1.0 - 1e-9),
+        (1.3, math.sqrt(2.0) + 1e-6),
+        (0.7, 1.003),
     ],
 )
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
@@ -93,6 +111,7 @@ def test_a_cell_does_not_depend_on_its_neighbours():
     rng = np.random.default_rng(3)
     n = 3 * LANES + 1
     gamma, omega, xi = rng.uniform(0.5, 6, n), 10 ** rng.uniform(-1.5, 1.3, n), 10 ** rng.uniform(-2, 1, n)
+    xi[::5] = 1.0
     together = rigid(gamma, omega, xi, settle=20, observe=20)
     order = rng.permutation(n)
     shuffled = rigid(gamma[order], omega[order], xi[order], settle=20, observe=20)
