@@ -22,7 +22,7 @@ from worker.local import LocalWorkers
 from worker.plan import Chunk
 from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
-from worker.tasks import ChunkReport, run_chunk
+from worker.tasks import ChunkCancelled, ChunkReport, run_chunk
 from worker.watch import run_watched
 
 __all__ = ["ClusterLost", "Dask", "Executor", "ExecutorError", "Inline", "WorkerDied", "WorkerLost"]
@@ -195,7 +195,10 @@ class Dask:
             if not result.done():
                 await task.cancel()  # or the scheduler would try it on the next worker
                 raise WorkerDied(flight.ended.result())
-            return result.result()
+            answer = result.result()
+            if isinstance(answer, ChunkCancelled):
+                raise answer
+            return answer
         except KilledWorker as error:
             raise _blame(flight, error) from None
         except CancelledError as error:

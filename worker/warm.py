@@ -78,10 +78,17 @@ def default_root() -> Path:
     """Where caches go unless told otherwise."""
     given = os.environ.get(_VARIABLE)
     if not given:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "bouncing-spring"
+        return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "bouncing-spring"
     # A process that claimed a slot hands its environment down to those it starts.
     inherited = (Path(given) / _LOCK).exists()
     return Path(given).parent.parent if inherited else Path(given)
+
+
+def _home() -> Path:
+    try:
+        return Path.home()
+    except RuntimeError:  # a user unknown to the system, as in containers: a folder that is nobody else's
+        return Path(tempfile.mkdtemp(prefix="bouncing-spring-"))
 
 
 def _claim(root: Path) -> Path:

@@ -19,7 +19,7 @@ from distributed import get_worker
 from worker import store
 from worker.plan import Chunk
 from worker.spec import SweepSpec
-from worker.tasks import ChunkReport, run_chunk
+from worker.tasks import ChunkCancelled, ChunkReport, run_chunk
 
 #: Under this name a cluster's workers say what becomes of chunks.
 TOPIC: Final = "bouncing-spring"
@@ -38,9 +38,12 @@ LAST_RESORT: Final = 5.0
 LONGEST: Final = 1e6
 
 
-def run_watched(spec: SweepSpec, chunk: Chunk, store_url: str, seconds: float) -> ChunkReport:
+def run_watched(
+    spec: SweepSpec, chunk: Chunk, store_url: str, seconds: float
+) -> ChunkReport | ChunkCancelled:
     """As `run_chunk`, but the process ends if that takes longer than `seconds`, grows beyond the worker's
-    memory limit, or does not heed the cancel mark.
+    memory limit, or does not heed the cancel mark. That a chunk was cancelled is returned: what is raised,
+    the worker logs as an error.
     """
     worker = get_worker()
     said = {"key": worker.get_current_task(), "worker": worker.address}
@@ -52,7 +55,10 @@ def run_watched(spec: SweepSpec, chunk: Chunk, store_url: str, seconds: float) -
         os._exit(1)
 
     with _last_resort(seconds + LAST_RESORT), _Watch(worker, store_url, seconds, end):
-        return run_chunk(spec, chunk, store_url)
+        try:
+            return run_chunk(spec, chunk, store_url)
+        except ChunkCancelled as cancelled:
+            return cancelled
 
 
 class _Watch:
