@@ -24,7 +24,7 @@ from browser import (
     wait_shown,
     watch_tasks,
 )
-from scripted import DEADLINE, Held, free_port, wait_for
+from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 
 from service import embedded
 from service.settings import Settings
@@ -163,6 +163,7 @@ def test_what_the_service_refuses_is_said_where_it_is(browser: Any, address: str
         assert wrong.get_attribute("data-field") == "gamma.start"
         assert "must not be above stop" in page.locator(".rule").inner_text()
         assert page.get_by_role("button", name="Compute").is_disabled()
+        assert "marked above" in page.locator(".cost").inner_text()
         shoot(page, "form-refused")
         page.get_by_label("restitution").fill("two")
         page.locator("[data-field='model.restitution'][aria-invalid=true]").wait_for()
@@ -189,6 +190,102 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         row.get_by_role("button", name="Delete").click()
         page.get_by_role("dialog").get_by_role("button", name="Delete").click()
         row.wait_for(state="detached")
+        page.wait_for_function("() => document.activeElement.id === 'sweeps'")  # not the top of the page
+
+
+def test_what_is_typed_before_the_presets_are_there_is_kept(browser: Any, address: str):
+    with opened(browser, "about:blank") as page:
+        held: list[Any] = []
+        page.route("**/v1/figures", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks it
+        page.goto(f"{address}/#/new?figure=2")
+        page.get_by_label("Name").fill("typed")
+        page.get_by_label("Observe").fill("77")
+        page.locator(".cost", has_text="cells in").wait_for()  # of what a form is filled with before
+        held[0].continue_()
+        page.locator(".cost", has_text="1,001 cells").wait_for()  # as in Fig. 2
+        assert page.get_by_label("Name").input_value() == "typed"
+        assert page.get_by_label("Observe").input_value() == "77"
+        page.get_by_label("Start from").select_option("7")  # asked for: all of it
+        page.wait_for_function("() => document.querySelector('[data-field=name]').value === 'figure 7'")
+        assert page.get_by_label("Observe").input_value() != "77"
+
+
+def test_who_goes_back_finds_what_was_submitted(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2") as page:
+        page.locator(".cost", has_text="1,001 cells").wait_for()
+        page.get_by_label("Name").fill("and back")
+        page.get_by_label("values", exact=True).first.fill("3")
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile("#/job/"))
+        page.go_back()
+        page.locator(".cost", has_text="3 cells").wait_for()
+        assert page.get_by_label("Name").input_value() == "and back"
+
+
+def test_the_button_covers_no_field_that_has_the_focus(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2", viewport={"width": 1280, "height": 600}) as page:
+        page.locator(".cost", has_text="1,001 cells").wait_for()
+        page.get_by_label("Name").focus()
+        bottom = "document.activeElement.getBoundingClientRect().bottom"
+        while page.evaluate("document.activeElement.closest('.send') === null"):
+            assert page.evaluate(f"{bottom} <= document.querySelector('.send').getBoundingClientRect().top")
+            page.keyboard.press("Tab")
+
+
+def test_a_sweep_that_failed_says_why_on_every_tab(browser: Any, tmp_path: Path):
+    executor = Scripted({0: [ValueError("no such spring")] * 3})
+    with (
+        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
+        opened(browser, address) as page,
+    ):
+        job = submitted(address, {**LOOP, "name": "Failing"})
+        page.locator(".jobs li .problem", has_text="no such spring").wait_for()
+        page.goto(view(address, job))
+        said = page.locator("header.job + .problem", has_text="The sweep failed: chunk 0")
+        wait_shown(page, along="gamma")
+        assert said.is_visible()
+        shoot(page, "failed")
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        assert said.is_visible()
+        page.get_by_role("button", name="Resume").click()
+        said.wait_for(state="hidden")
+        page.locator("header.job [data-state=done]").wait_for()
+    executor.close()
+
+
+def test_a_sweep_that_is_not_there_is_no_accident(browser: Any, address: str):
+    with opened(browser, view(address, "nothing"), expected=("404",)) as page:
+        page.get_by_role("heading", name="No such sweep").wait_for()
+        page.goto(view(address, "nothing", "modes"))
+        page.get_by_role("link", name="All sweeps").click()
+        page.get_by_role("heading", name="A spring").wait_for()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_long_name_stays_in_its_place(browser: Any, address: str, width: int):
+    job = submitted(address, {**LOOP, "name": "x" * 200, "settle": 1, "xi": 0.3})
+    with opened(browser, address, viewport={"width": width, "height": 800}) as page:
+        page.locator(".jobs li", has_text="x" * 200).wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.goto(view(address, job))
+        page.locator("h1", has_text="x" * 200).wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_what_goes_wrong_for_once_is_asked_again(browser: Any, address: str, loop: str):
+    def fails(route: Any) -> None:
+        route.fulfill(status=503, json={"detail": "not now"})
+
+    with opened(browser, "about:blank", expected=("503",)) as page:
+        page.route("**/v1/jobs?*", fails, times=1)
+        page.goto(address)
+        page.locator(".problem", has_text="not now").wait_for()
+        page.locator(".jobs li").first.wait_for()
+        page.route(f"**/v1/jobs/{loop}", fails, times=1)
+        page.goto(view(address, loop))
+        page.locator(".problem", has_text="not now").wait_for()
+        wait_shown(page, along="gamma")
 
 
 # Looking
@@ -265,6 +362,25 @@ def _phase_after(page: Any, before: str | None) -> str:
         arg=before,
     )
     return str(page.locator(".player").get_attribute("data-phase"))
+
+
+def test_tabs_are_about_the_same_damping_and_the_same_cell(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop), reduced_motion="reduce") as page:
+        wait_shown(page, along="gamma", xi=0.1)
+        for tab in ("Mode map", "Thresholds"):
+            page.get_by_role("link", name=tab).click()
+            wait_shown(page, xi=0.1)
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        page.locator(".panel .plot").focus()
+        for key in ("ArrowRight", "ArrowUp", "ArrowUp", "Enter"):
+            page.keyboard.press(key)
+        page.wait_for_url(re.compile("cell=0.86,0.8,0.1,up"))
+        page.get_by_role("link", name="Diagram").click()
+        wait_shown(page, along="gamma", omega=0.8, xi=0.1)
+        page.get_by_label("Axis of the diagram").select_option("omega")
+        wait_shown(page, along="omega", xi=0.1)
+        page.locator("[aria-valuetext='Γ = 0.86']").wait_for()
 
 
 def test_a_motion_that_takes_long_is_waited_for(browser: Any, address: str, loop: str):
@@ -346,6 +462,39 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         assert said.startswith(f"Ω = {found['omega'][4]:g} · Eq. 25: Γ = {found['analytic'][4]:.4g}")
         assert f"down: {found['down'][4]:.4g}" in said
         shoot(page, "thresholds")
+
+
+def test_a_threshold_below_the_sweep_is_not_made_up(browser: Any, address: str):
+    spec = {**LOOP, "name": "Γ–φ", "gamma": [2.3, 2.4], "omega": [0.5, 0.525], "xi": 0.26, "settle": 20}
+    job = done(address, submitted(address, spec))
+    with opened(browser, view(address, job, "thresholds")) as page:
+        wait_shown(page, xi=0.26)
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        assert "up: 2.3 or less, where the sweep begins" in page.locator(".panel .readout").inner_text()
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download SVG").click()
+        assert download.value.suggested_filename == "γ-φ-modes.svg"
+        svg = Path(download.value.path()).read_text()
+    ticks = re.findall(r'<text x="([\d.]+)"[^>]*text-anchor="end"[^>]*>(0\.\d+)<', svg)
+    assert len(ticks) > 3
+    # The axis's own label stands within 24 of the left edge; 13 pixels a letter's height.
+    assert all(float(x) - 0.55 * 13 * len(text) >= 24 for x, text in ticks)
+
+
+def test_nothing_is_offered_where_nothing_is_shown(browser: Any, address: str):
+    along = {"kind": "ramp", "axis": "omega", "direction": "down"}
+    job = done(address, submitted(address, {**LOOP, "name": "Along Ω", "protocol": along, "settle": 10}))
+    with opened(browser, view(address, job, "thresholds"), expected=("422",)) as page:
+        page.locator(".panel .problem", has_text="thresholds in gamma").wait_for()
+        assert page.locator(".panel .plot").is_hidden()
+        page.get_by_role("button", name="Download CSV").click()
+        page.locator(".downloads", has_text="Nothing is shown here").wait_for()
+        page.get_by_role("link", name="Diagram").click()
+        wait_shown(page, xi=0.1)
+        assert page.locator(".panel .plot").is_visible()
 
 
 @pytest.mark.parametrize("tab", ["diagram", "modes", "thresholds"])

@@ -29,6 +29,12 @@ export function note(changes) {
   write(link(pending.path, pending.query));
 }
 
+/** Change the whole address at once, without a new entry in the history. */
+export function replace(path, query = {}) {
+  settle();
+  history.replaceState(null, "", link(path, query));
+}
+
 /** What the address says or is about to say. */
 export const noted = () => (pending ?? here()).query;
 

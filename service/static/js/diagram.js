@@ -8,7 +8,7 @@ import { tableOf, wordsOn } from "./diagram-words.js";
 import { debounced, h } from "./dom.js";
 import { drawFlights, flightsOf } from "./flights.js";
 import { lineOf } from "./lines.js";
-import { SYMBOL, TURN, isLog, nearest, same } from "./physics.js";
+import { SYMBOL, TURN, isLog, nearest, same, startOf } from "./physics.js";
 import { PlotView, within } from "./plot-view.js";
 import { dots } from "./plot.js";
 import { spread } from "./scale.js";
@@ -50,6 +50,8 @@ export class Diagram extends PlotView {
   #control() {
     this.controls.replaceChildren(controls(this, {
       turn: (along) => {
+        const cell = this.lines && this.#chosenHere();
+        if (cell) this.fixed[this.along] = cell[this.along]; // the other diagram through the same cell
         Object.assign(this, { along, lines: null, at: null, whither: null });
         note({ along });
         this.#control();
@@ -212,10 +214,4 @@ export class Diagram extends PlotView {
 /** The axis with most values makes the best picture; of equals Γ. */
 function longest(grid) {
   return Object.keys(SYMBOL).reduce((best, axis) => (grid[axis].length > grid[best].length ? axis : best));
-}
-
-/** The value of an axis nearest to the one asked for, or the middle one. */
-function startOf(values, asked) {
-  const wanted = asked === undefined ? NaN : Number(asked);
-  return values[Number.isFinite(wanted) ? nearest(values, wanted) : values.length >> 1];
 }

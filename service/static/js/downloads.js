@@ -36,8 +36,10 @@ export function csv(names, rows) {
 export const netcdf = (job) => () => blobOf(`/v1/jobs/${job.id}/export?format=nc`);
 
 /** "figure 2" → "figure-2". */
-export const fileName = (job, what, kind) =>
-  `${(job.name || job.id.slice(0, 8)).toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "")}-${what}.${kind}`;
+export function fileName(job, what, kind) {
+  const name = job.name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").slice(0, 80).replace(/^-|-$/g, "");
+  return `${name || job.id.slice(0, 8)}-${what}.${kind}`;
+}
 
 function save(blob, name) {
   const address = URL.createObjectURL(blob);

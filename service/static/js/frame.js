@@ -7,17 +7,26 @@ export const FONT = 13;
 const TURN = 2 * Math.PI;
 
 /** Where between the margins the plot lies, and the scales of its axes. */
-export function boxOf(content, width, height, theme, dots) {
+export function boxOf(pen, content, width, height, theme, dots) {
   const narrow = width < 520;
-  const [left, right] = [narrow ? 46 : 58, content.y.turns ? 34 : 22];
   const heads = [content.title, content.key?.length].filter(Boolean).length;
   const [top, bottom] = [12 + (narrow ? 22 * heads : heads && 20), 46];
+  const [left, right] = [marginOf(pen, content.y, height - top - bottom, theme, narrow), content.y.turns ? 34 : 22];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow, dots,
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
     y: scale(content.y.low, content.y.high, height - bottom, top, content.y.log),
   };
 }
+
+/** Room on the left for the label and the widest number. */
+function marginOf(pen, { low, high, log }, height, theme, narrow) {
+  pen.font = `${FONT}px ${theme.serif}`;
+  const widest = Math.max(0, ...ticksOf(low, high, height, log).map(({ text }) => pen.measureText(text).width));
+  return Math.max(narrow ? 46 : 58, Math.ceil(widest) + (narrow ? 26 : 31));
+}
+
+const ticksOf = (low, high, height, log) => ticks(low, high, height / 44, log);
 
 /** Whole plate periods as faint lines, counted on the right. */
 export function drawTurns(pen, box) {
@@ -71,7 +80,7 @@ function drawTicksBelow(pen, { x, left, top, width, height, narrow, theme }) {
 function drawTicksLeft(pen, { y, left, top, width, height, theme }, turns) {
   pen.textBaseline = "middle";
   pen.textAlign = "right";
-  for (const { value, text } of ticks(y.low, y.high, height / 44, y.log)) {
+  for (const { value, text } of ticksOf(y.low, y.high, height, y.log)) {
     const at = within(Math.round(y.place(value)) + 0.5, top, top + height);
     stroke(pen, theme.ink, 1, [[left, at], [left + 6, at]]);
     if (!turns) stroke(pen, theme.ink, 1, [[left + width - 6, at], [left + width, at]]);

@@ -41,6 +41,7 @@ export class JobView {
   }
 
   go() {
+    if (!this.job) return; // #look shows it when it is there
     this.#showTab();
     this.#showCell();
   }
@@ -62,8 +63,8 @@ export class JobView {
     try {
       job = await askJson(`/v1/jobs/${this.id}`);
     } catch (error) {
-      this.#fail(error);
-      return; // "refresh" comes when the service is back
+      this.#missed(error, redraw);
+      return;
     }
     if (this.closed) return;
     const first = !this.job;
@@ -75,6 +76,17 @@ export class JobView {
     else if (moved || redraw) this.view?.update(job);
     if (redraw && !first) this.#showCell(); // it may have been lost on its way
     if (UNFINISHED.has(job.state)) this.timer = setTimeout(() => this.#look(false), this.#pause());
+  }
+
+  /** "refresh" comes when the service is back; what only went wrong for once is asked again. */
+  #missed(error, redraw) {
+    if (this.closed) return;
+    this.#fail(error);
+    if (error.status >= 500) this.timer = setTimeout(() => this.#look(redraw), LATER);
+    if (error.status !== 404 || this.job) return;
+    this.name.textContent = "No such sweep";
+    document.title = "No such sweep · Bouncing spring";
+    this.bar.element.hidden = true;
   }
 
   /** A long job is looked at more seldom. */
@@ -89,7 +101,7 @@ export class JobView {
     document.title = `${name} · Bouncing spring`;
     this.about.replaceChildren(...summary(job));
     this.bar.show(job);
-    this.#fail(job.error ? new Error(`The sweep failed: ${job.error}`) : null);
+    this.#fail(this.#ended());
     actions(this.actions, job, {
       changed: (now) => {
         this.job = now;
@@ -115,7 +127,7 @@ export class JobView {
         },
       }, title)));
     this.view?.close();
-    this.#fail(null);
+    this.#fail(this.#ended());
     const [, View] = TABS[tab];
     const { spec } = this.job;
     this.view = new View(this.panel, {
@@ -133,8 +145,10 @@ export class JobView {
     return keep < 4 && axisValues(omega).length > 2 ? "thresholds" : "diagram";
   }
 
-  #choose({ gamma, omega, xi, direction }) {
-    note({ cell: [gamma, omega, xi].map((value) => Number(value.toPrecision(10))).join(",") + `,${direction}` });
+  /** The other views open at this cell. */
+  #choose({ direction, ...cell }) {
+    const [gamma, omega, xi] = ["gamma", "omega", "xi"].map((axis) => Number(cell[axis].toPrecision(10)));
+    note({ gamma, omega, xi, cell: [gamma, omega, xi, direction].join(",") });
     this.#showCell();
     // On a phone the motion is below what was touched.
     if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });
@@ -153,6 +167,11 @@ export class JobView {
     note({ cell: null });
     this.#showCell();
     this.panel.querySelector(".plot")?.focus();
+  }
+
+  /** Why the sweep failed, if it did. */
+  #ended() {
+    return this.job.error ? new Error(`The sweep failed: ${this.job.error}`) : null;
   }
 
   #fail(error) {

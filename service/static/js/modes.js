@@ -7,7 +7,7 @@ import { csv } from "./downloads.js";
 import { number, ordinal, plural } from "./format.js";
 import { classes, colour } from "./palette.js";
 import { circle, packed, picture, stroke } from "./pen.js";
-import { OUTCOME, SYMBOL, isLog, modeText, nearest, same, threshold } from "./physics.js";
+import { OUTCOME, SYMBOL, isLog, modeText, nearest, same, startOf, threshold } from "./physics.js";
 import { PlotView, within } from "./plot-view.js";
 import { edges } from "./scale.js";
 import { sliders } from "./sliders.js";
@@ -21,7 +21,7 @@ export class Modes extends PlotView {
 
   constructor(root, view) {
     super(view);
-    this.xi = this.grid.xi[nearest(this.grid.xi, Number(this.asked.xi ?? this.grid.xi[0]))];
+    this.xi = startOf(this.grid.xi, this.asked.xi);
     this.direction = this.directions.includes(this.asked.dir) ? this.asked.dir : this.directions[0];
     this.legend = h("ul", { className: "legend", "aria-label": "Modes: bounces, plate periods" });
     this.left = h("p", { className: "note", hidden: true }); // what is left out

@@ -47,6 +47,12 @@ export function nearest(values, wanted) {
   return wanted - values[low] <= values[high] - wanted ? low : high;
 }
 
+/** The value of an axis nearest to the one that an address asks for, or the middle one. */
+export function startOf(values, asked) {
+  const wanted = asked === undefined ? NaN : Number(asked);
+  return values[Number.isFinite(wanted) ? nearest(values, wanted) : values.length >> 1];
+}
+
 /** Whether two values are the same but for how they were written. */
 export const same = (one, two) => Math.abs(one - two) <= 1e-8 * Math.max(Math.abs(one), Math.abs(two));
 

@@ -84,6 +84,7 @@ export class PlotView {
     if (this.closed || (error && toldElsewhere(error))) return;
     this.problem.hidden = !error;
     this.problem.textContent = error?.message ?? "";
+    this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.content(); // nothing to point at
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), AGAIN);
     else if (error && !error.status) throw error;
   }
@@ -124,10 +125,14 @@ export class PlotView {
 
   #downloads() {
     const name = (kind) => () => fileName(this.job, this.name, kind);
+    const shown = (make) => () => {
+      if (!this.content()) throw new Error("Nothing is shown here.");
+      return make();
+    };
     return downloads([
-      ["PNG", name("png"), () => pngOf(this.plot)],
-      ["SVG", name("svg"), () => svgOf(this.plot)],
-      ["CSV", name("csv"), () => this.table()],
+      ["PNG", name("png"), shown(() => pngOf(this.plot))],
+      ["SVG", name("svg"), shown(() => svgOf(this.plot))],
+      ["CSV", name("csv"), shown(() => this.table())],
       ["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)],
     ]);
   }

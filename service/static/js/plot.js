@@ -64,7 +64,7 @@ export class Plot {
     pen.fillRect(0, 0, width, height);
     const content = this.content();
     if (!content) return null;
-    const box = boxOf(content, width, height, theme, dots);
+    const box = boxOf(pen, content, width, height, theme, dots);
     if (content.y.turns) drawTurns(pen, box);
     clipped(pen, box, () => content.layers.forEach((layer) => layer(pen, box)));
     if (content.message) drawMessage(pen, box, content.message);

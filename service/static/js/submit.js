@@ -1,6 +1,6 @@
 // The form: a sweep, what it will cost, and what the service thinks of it, field by field.
 
-import { go, link, note, noted } from "./address.js";
+import { go, link, note, noted, replace } from "./address.js";
 import { askJson, toldElsewhere } from "./api.js";
 import { axisField } from "./axis-field.js";
 import { debounced, h, say } from "./dom.js";
@@ -15,6 +15,8 @@ const DEFAULTS = {
 };
 
 export class Submit {
+  touched = new Set(); // names of fields that somebody typed into since the form was last filled
+
   constructor(root) {
     document.title = "New sweep · Bouncing spring";
     this.fields = {
@@ -35,7 +37,7 @@ export class Submit {
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
     this.json = h("pre", { tabindex: "0", "aria-label": "The sweep as JSON" });
     const { name, gamma, omega, xi, protocol, model, ...window } = this.fields;
-    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: () => this.#changed(), onchange: () => this.#changed() },
+    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#typed(event), onchange: (event) => this.#typed(event) },
       name.element, gamma.element, omega.element, xi.element, protocol.element, model.element,
       h("fieldset", { className: "plain" }, h("legend", {}, "Window"), Object.values(window).map((field) => field.element)),
       this.problem,
@@ -46,6 +48,7 @@ export class Submit {
       this.#presets(), this.form,
       h("details", {}, h("summary", {}, "As JSON, for the command line"), this.json));
     this.estimate = debounced(220, () => this.#estimate());
+    this.#write({});
     this.#start();
   }
 
@@ -54,6 +57,7 @@ export class Submit {
   }
 
   go() {
+    this.touched.clear();
     this.#start();
   }
 
@@ -63,24 +67,27 @@ export class Submit {
   }
 
   close() {
+    this.closed = true;
     this.estimate.cancel();
     this.asking?.abort();
   }
 
   #presets() {
-    this.preset = h("select", { id: "preset", onchange: (event) => { note({ figure: event.target.value || null, from: null }); this.#start(); } });
+    this.preset = h("select", { id: "preset", onchange: (event) => { note({ figure: event.target.value || null, from: null }); this.go(); } });
     return h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset);
   }
 
-  /** Fill the form: from the figure or the sweep that the address names. */
+  /** Fill the form, but for what was typed meanwhile: from the figure or the sweep that the address names. */
   async #start() {
     const { figure, from } = noted();
+    const elsewhere = () => this.closed || noted().figure !== figure || noted().from !== from;
     try {
       const groups = await presets();
+      const job = from && (await askJson(`/v1/jobs/${from}`));
+      if (elsewhere()) return;
       this.preset.replaceChildren(h("option", { value: "" }, "nothing in particular"), ...groups.map(({ label, title, sweeps }) =>
         h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, spec }) => h("option", { value: key, selected: key === figure }, spec.name)))));
-      if (from) this.#write((await askJson(`/v1/jobs/${from}`)).spec);
-      else this.#write(groups.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure)?.spec ?? {});
+      this.#write((job || groups.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? {});
       this.started = true;
     } catch (error) {
       this.#tell(error);
@@ -88,7 +95,15 @@ export class Submit {
   }
 
   #write(spec) {
-    for (const [name, field] of Object.entries(this.fields)) field.write(spec[name] ?? DEFAULTS[name]);
+    for (const [name, field] of Object.entries(this.fields)) {
+      if (!this.touched.has(name)) field.write(spec[name] ?? DEFAULTS[name]);
+    }
+    this.#changed();
+  }
+
+  #typed({ target }) {
+    const [name] = Object.entries(this.fields).find(([, field]) => field.element.contains(target));
+    this.touched.add(name);
     this.#changed();
   }
 
@@ -117,7 +132,7 @@ export class Submit {
 
   #tell(error) {
     if (error.name === "AbortError") return;
-    this.cost.textContent = error.name === "Lost" ? "The cost is told when the service answers again." : "";
+    this.cost.textContent = error.name === "Lost" ? "The cost is told when the service answers again." : error.errors?.length ? "Not like this: see what is marked above." : "";
     if (toldElsewhere(error)) return;
     showProblems(this.form, this.problem, error);
     this.button.disabled = error.status === 422 || error.status === 413;
@@ -129,6 +144,8 @@ export class Submit {
     try {
       const job = await askJson("/v1/jobs", { method: "POST", body: this.#read() });
       say("The sweep is accepted.");
+      if (this.closed) return;
+      replace(["new"], { from: job.id }); // who comes back finds what was submitted
       go(["job", job.id]);
     } catch (error) {
       this.#tell(error);

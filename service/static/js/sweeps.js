@@ -32,7 +32,7 @@ export class Sweeps {
       h("section", { className: "figures", "aria-labelledby": "figures" },
         h("h2", { id: "figures" }, "From the paper"),
         this.figures),
-      h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps" }, "Sweeps"), this.problem, this.none, this.list, this.more));
+      h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.problem, this.none, this.list, this.more));
     this.refresh();
   }
 
@@ -62,7 +62,9 @@ export class Sweeps {
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.refresh(), busy ? SOON : LATER);
     } catch (error) {
+      if (this.closed) return;
       this.#fail(error);
+      if (error.status >= 500) this.timer = setTimeout(() => this.refresh(), LATER); // it may go wrong for once only
     }
   }
 
@@ -114,7 +116,7 @@ export class Sweeps {
 
   #deleted() {
     this.refresh();
-    document.getElementById("sweeps")?.scrollIntoView({ block: "nearest" });
+    document.getElementById("sweeps")?.focus(); // the button that was pressed goes
   }
 
   #fail(error) {

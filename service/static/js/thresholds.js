@@ -6,7 +6,7 @@ import { h } from "./dom.js";
 import { csv } from "./downloads.js";
 import { number } from "./format.js";
 import { disc, stroke, upright } from "./pen.js";
-import { SYMBOL, isLog, nearest, threshold } from "./physics.js";
+import { SYMBOL, isLog, nearest, startOf, threshold } from "./physics.js";
 import { PlotView, within } from "./plot-view.js";
 import { spread } from "./scale.js";
 import { sliders } from "./sliders.js";
@@ -20,7 +20,7 @@ export class Thresholds extends PlotView {
 
   constructor(root, view) {
     super(view);
-    this.xi = this.grid.xi[nearest(this.grid.xi, Number(this.asked.xi ?? this.grid.xi[0]))];
+    this.xi = startOf(this.grid.xi, this.asked.xi);
     const moved = (_, value) => {
       this.xi = value;
       note({ xi: Number(value.toPrecision(10)) });
@@ -108,9 +108,14 @@ export class Thresholds extends PlotView {
   describe({ place }) {
     const { omega, analytic, up, down } = this.found;
     const parts = [`Ω = ${number(omega[place])}`, `Eq. 25: Γ = ${number(analytic[place], 4)}`];
-    if (up[place] !== null) parts.push(`${this.directions[0] === "rest" ? "from rest" : "up"}: ${number(up[place], 4)}`);
-    if (down[place] !== null) parts.push(`down: ${number(down[place], 4)}`);
+    if (up[place] !== null) parts.push(`${this.directions[0] === "rest" ? "from rest" : "up"}: ${this.#value(up[place])}`);
+    if (down[place] !== null) parts.push(`down: ${this.#value(down[place])}`);
     return parts.join(" · ");
+  }
+
+  /** A threshold; below the lowest Γ that was computed nobody knows. */
+  #value(gamma) {
+    return gamma > this.grid.gamma[0] ? number(gamma, 4) : `${number(gamma, 4)} or less, where the sweep begins`;
   }
 
   /** The cell at the height pointed at; from the keyboard, the first that bounces. */
