@@ -262,6 +262,18 @@ def test_a_sweep_that_is_not_there_is_no_accident(browser: Any, address: str):
         page.get_by_role("heading", name="A spring").wait_for()
 
 
+def test_what_another_tab_did_is_seen_on_coming_back(browser: Any, tmp_path: Path):
+    with embedded.running(Settings(data=tmp_path, port=0), Held()) as address:
+        job = submitted(address, LOOP)
+        assert httpx2.post(f"{address}/v1/jobs/{job}/cancel", timeout=DEADLINE).is_success
+        with opened(browser, view(address, job)) as page:
+            page.locator("header.job [data-state=cancelled]").wait_for()
+            wait_shown(page, along="gamma")
+            assert httpx2.post(f"{address}/v1/jobs/{job}/resume", timeout=DEADLINE).is_success
+            page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+            page.locator("header.job [data-state=running]").wait_for()
+
+
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_long_name_stays_in_its_place(browser: Any, address: str, width: int):
     job = submitted(address, {**LOOP, "name": "x" * 200, "settle": 1, "xi": 0.3})

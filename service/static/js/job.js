@@ -46,9 +46,9 @@ export class JobView {
     this.#showCell();
   }
 
-  refresh() {
+  refresh(redraw = true) {
     clearTimeout(this.timer);
-    this.#look(true);
+    this.#look(redraw);
   }
 
   close() {
@@ -75,14 +75,20 @@ export class JobView {
     if (first) this.go();
     else if (moved || redraw) this.view?.update(job);
     if (redraw && !first) this.#showCell(); // it may have been lost on its way
-    if (UNFINISHED.has(job.state)) this.timer = setTimeout(() => this.#look(false), this.#pause());
+    if (UNFINISHED.has(job.state)) this.#lookIn(this.#pause());
+  }
+
+  /** One look at a time is waited for, however many reasons there are for it. */
+  #lookIn(pause, redraw = false) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.#look(redraw), pause);
   }
 
   /** "refresh" comes when the service is back; what only went wrong for once is asked again. */
   #missed(error, redraw) {
     if (this.closed) return;
     this.#fail(error);
-    if (error.status >= 500) this.timer = setTimeout(() => this.#look(redraw), LATER);
+    if (error.status >= 500) this.#lookIn(LATER, redraw);
     if (error.status !== 404 || this.job) return;
     this.name.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
@@ -106,8 +112,7 @@ export class JobView {
       changed: (now) => {
         this.job = now;
         this.#describe();
-        clearTimeout(this.timer);
-        this.timer = setTimeout(() => this.#look(false), SOON / 2);
+        this.#lookIn(SOON / 2);
       },
       deleted: () => go([]),
       fail: (error) => this.#fail(error),

@@ -43,5 +43,6 @@ document.querySelector(".skip").addEventListener("click", (event) => {
   root.focus();
 });
 addEventListener("hashchange", () => show(false));
+document.addEventListener("visibilitychange", () => document.hidden || view.refresh(false)); // another tab may have changed it
 watch(() => view.refresh());
 show(true);

@@ -64,7 +64,9 @@ export class Sweeps {
     } catch (error) {
       if (this.closed) return;
       this.#fail(error);
-      if (error.status >= 500) this.timer = setTimeout(() => this.refresh(), LATER); // it may go wrong for once only
+      if (!(error.status >= 500)) return;
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.refresh(), LATER); // it may have gone wrong for once
     }
   }
 
