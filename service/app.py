@@ -5,13 +5,13 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service import docs, errors, exports, page, probes, results, routes, tradeoff, trajectories
 from service.answers import Answers, Underway, underway
 from service.bodies import BodyLimit
-from service.calls import Service
+from service.calls import Service, asked_once
 from service.damage import damaged
 from service.events import Watch
 from service.health import Health
@@ -44,6 +44,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
         version="0.1.0",
         docs_url=None,  # /docs is our own: the usual ones fetch their scripts from elsewhere
         redoc_url=None,
+        dependencies=[Depends(asked_once)],
         lifespan=partial(_lifespan, settings=settings, executor=executor, metrics=metrics),
     )
     app.include_router(routes.router)

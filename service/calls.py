@@ -1,6 +1,7 @@
 """What every call works with: the service's parts, the job that a path names, and how a job is answered."""
 
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -10,7 +11,7 @@ from fastapi import Depends, Request, Response
 from service import schemas
 from service.answers import Answers
 from service.choosing import computed_spec
-from service.errors import UnknownJob, WrongMediaType
+from service.errors import InvalidRequest, UnknownJob, WrongMediaType
 from service.events import Watch
 from service.health import Health
 from service.jobs import UNFINISHED, Failure, JobRecord, JobState
@@ -53,8 +54,19 @@ def job_of(job_id: str, service: TheService) -> JobRecord:
     return job
 
 
+async def asked_once(request: Request) -> None:
+    """Refuse a parameter given twice, of which only the last would count. Raises InvalidRequest."""
+    times = Counter(name for name, _ in request.query_params.multi_items())
+    for name in times:
+        if times[name] > 1:
+            raise InvalidRequest.of(name, f"is given {times[name]} times")
+
+
 async def _json_body(request: Request) -> bytes:
     """The body, if it says that it is JSON: a form on some other web page cannot say so."""
+    coding = request.headers.get("content-encoding", "identity")
+    if coding.lower() != "identity":
+        raise WrongMediaType(f"the body is compressed (Content-Encoding: {coding[:40]}): send it as it is")
     declared = request.headers.get("content-type", "")
     if declared.partition(";")[0].strip().lower() != "application/json":
         raise WrongMediaType("send the specification as JSON, with the header Content-Type: application/json")

@@ -86,8 +86,13 @@ def format_of(output: str, formats: tuple[str, ...]) -> str:
 
 
 def write_file(output: str, content: bytes) -> None:
-    """Write a file whole or not at all: what was there stays until the new content is complete."""
-    with click.open_file(output, "wb", atomic=output != "-") as file:
+    """Write a file whole or not at all: what was there stays until the new content is complete.
+
+    What is no file, like a pipe or /dev/null, is written to and not replaced.
+    """
+    path = Path(output)
+    whole = output != "-" and (path.is_file() or not path.exists())
+    with click.open_file(output, "wb", atomic=whole) as file:
         file.write(content)
 
 

@@ -34,6 +34,7 @@ from typing import Any, Final, cast
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Mount
 
 from worker import places
 from worker.problems import Problem as Broken
@@ -152,6 +153,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
     **dict.fromkeys(places.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
     sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
+    OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is gone, or not ours to use
 }
 
 #: Seconds a client is asked to wait before it tries again.
@@ -201,6 +203,10 @@ def problem_of(error: Exception) -> Problem:
     if isinstance(error, places.UNREACHABLE):
         log.error("the bucket of the results does not answer: %s", error)
         return Problem(status, "the place of the results does not answer")
+    if isinstance(error, OSError):
+        log.error("the disk does not do what is asked of it", exc_info=error)
+        reason = error.strerror or type(error).__name__
+        return Problem(status, f"the data folder cannot be used now: {reason}; the service's log says more")
     return Problem(status, str(error), getattr(error, "problems", ()))
 
 
@@ -237,7 +243,20 @@ def _http(request: Request, error: Exception) -> Response:
         detail = f"there is nothing at {request.url.path}; the calls are listed at /docs"
     if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
         detail = f"{request.url.path} does not answer {request.method}"
+        allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
+        return Problem(refusal.status_code, detail, headers={"Allow": ", ".join(allowed)})
     return Problem(refusal.status_code, detail, headers=refusal.headers)
+
+
+def _allowed(request: Request, named: str) -> list[str]:
+    """The methods of all calls at an address: the one that refused names only its own."""
+    calls = [route for route in request.app.routes if not isinstance(route, Mount)]
+    found = {
+        method
+        for method in ("DELETE", "GET", "HEAD", "POST")
+        if any(call.matches({**request.scope, "method": method})[0] is Match.FULL for call in calls)
+    }
+    return sorted(found | set(named.split(", ")))
 
 
 def _defect(request: Request, error: Exception) -> Response:

@@ -10,7 +10,7 @@ import json
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import IO, Final, NamedTuple, Self
@@ -186,21 +186,21 @@ class Writing(Reading, ChunkWriting):
 class Ledger:
     """The ledger of one data folder; used by one process at a time.
 
-    Raises DataFolderBusy if another one has it, LedgerUnusable if a newer version wrote it.
+    Raises DataFolderBusy if another one has it, LedgerUnusable if a newer version wrote it, and SQLite's
+    own error where the file is no ledger at all; the folder is let go of then.
     """
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._hold = _hold(path.with_suffix(".lock"))
-        self._reserve = path.with_suffix(".reserve")
-        self.keep_reserve()
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
-        self._writer, self._reader = _connect(path), _connect(path)
-        try:
+        self._reserve = path.with_suffix(".reserve")
+        with ExitStack() as opened:
+            opened.enter_context(_hold(path.with_suffix(".lock")))
+            self.keep_reserve()
+            self._writer = opened.enter_context(_connected(path))
+            self._reader = opened.enter_context(_connected(path))
             _migrate(self._writer)
-        except BaseException:
-            self.close()
-            raise
+            self._opened = opened.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -211,9 +211,7 @@ class Ledger:
     def close(self) -> None:
         """Close the file and let go of the data folder."""
         with self._write_lock, self._read_lock:
-            self._reader.close()
-            self._writer.close()
-            self._hold.close()
+            self._opened.close()
 
     @contextmanager
     def reading(self) -> Iterator[Reading]:
@@ -267,12 +265,13 @@ def _record(row: sqlite3.Row) -> JobRecord:
     return JobRecord(**columns)
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-    connection.row_factory = sqlite3.Row
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=10000", "foreign_keys=ON"):
-        connection.execute(f"PRAGMA {pragma}")
-    return connection
+@contextmanager
+def _connected(path: Path) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False)) as connection:
+        connection.row_factory = sqlite3.Row
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=10000", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+        yield connection
 
 
 def _migrate(connection: sqlite3.Connection) -> None:

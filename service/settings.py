@@ -6,9 +6,6 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
     Field,
-    NonNegativeFloat,
-    PositiveFloat,
-    PositiveInt,
     SecretStr,
     field_validator,
     model_validator,
@@ -18,6 +15,9 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from worker import places
 
 Port = Annotated[int, Field(ge=0, le=65535)]
+#: As much as the system's clocks and SQLite can count.
+Seconds = Annotated[float, Field(gt=0, le=1e9)]
+Count = Annotated[int, Field(ge=1, le=2**62)]
 
 #: Names under which this machine reaches itself.
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -40,7 +40,7 @@ class Settings(BaseSettings):
     data: Path = Path("bounce-data")
     stores: str | None = None  # folder, or s3://BUCKET/PREFIX, of the stores; data/stores if left out
 
-    workers: PositiveInt = 2  # processes of the embedded cluster; unused with a scheduler
+    workers: Count = 2  # processes of the embedded cluster; unused with a scheduler
     scheduler: str | None = None  # address of a Dask scheduler
     scheduler_file: Path | None = None  # written by `dask scheduler --scheduler-file`
     cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = None  # module:function that makes one
@@ -48,31 +48,29 @@ class Settings(BaseSettings):
     scheduler_cert: Path | None = None  # and what we show it
     scheduler_key: Path | None = None
 
-    max_body_bytes: PositiveInt = 1_000_000
-    body_seconds: PositiveFloat = 10.0  # for a request's head to arrive, and for its body
-    max_cells: PositiveInt = 20_000_000  # of one sweep
-    max_bytes: PositiveInt = 32 * 2**30  # of one sweep's stored arrays before compression
-    max_queue: PositiveInt = 1_000  # jobs queued or running
-    max_points: PositiveInt = 1_000_000  # flights, or cells of a map, in one answer
-    max_export_bytes: PositiveInt = 2 * 2**30  # of the sweep behind one file
-    max_exports: PositiveInt = 2  # files being written at a time
-    max_trajectories: PositiveInt = 2  # being computed at a time
-    trajectory_seconds: PositiveFloat = 5.0  # of computing for one of them
-    max_listeners: PositiveInt = 1_000  # to events
-    key_seconds: PositiveFloat = 24 * 3600.0  # for which an Idempotency-Key is remembered
+    max_body_bytes: Count = 1_000_000
+    body_seconds: Seconds = 10.0  # for a request's head to arrive, and for its body
+    max_cells: Count = 20_000_000  # of one sweep
+    max_bytes: Count = 32 * 2**30  # of one sweep's stored arrays before compression
+    max_queue: Count = 1_000  # jobs queued or running
+    max_points: Count = 1_000_000  # flights, or cells of a map, in one answer
+    max_export_bytes: Count = 2 * 2**30  # of the sweep behind one file
+    max_exports: Count = 2  # files being written at a time
+    max_trajectories: Count = 2  # being computed at a time
+    trajectory_seconds: Seconds = 5.0  # of computing for one of them
+    max_listeners: Count = 1_000  # to events
+    key_seconds: Seconds = 24 * 3600.0  # for which an Idempotency-Key is remembered
 
-    active_jobs: PositiveInt = 32  # jobs whose plans are held in memory; the rest stay queued
-    window: PositiveInt = 2  # chunks in flight per worker and job, or more if they are small:
-    window_seconds: NonNegativeFloat = 0.5  # of work in flight per worker and job
-    chunk_tries: PositiveInt = 3  # for a chunk that fails, or whose worker dies of it
-    chunk_seconds: PositiveFloat = 60.0  # that any chunk may take before its worker is replaced
-    chunk_slack: PositiveFloat = 30.0  # times what the plan says, that a long one may take
-    worker_memory: PositiveInt | None = (
-        None  # bytes, of an embedded worker; its share of the machine's if unset
-    )
-    failed_chunks: PositiveInt = 8  # after so many a job submits no more
-    heartbeat_seconds: PositiveFloat = 2.0  # how often the supervisor looks round with nothing to wake it
-    shutdown_seconds: PositiveFloat = 2.0  # for requests under way to finish
+    active_jobs: Count = 32  # jobs whose plans are held in memory; the rest stay queued
+    window: Count = 2  # chunks in flight per worker and job, or more if they are small:
+    window_seconds: Annotated[float, Field(ge=0, le=1e9)] = 0.5  # of work in flight per worker and job
+    chunk_tries: Count = 3  # for a chunk that fails, or whose worker dies of it
+    chunk_seconds: Seconds = 60.0  # that any chunk may take before its worker is replaced
+    chunk_slack: Seconds = 30.0  # times what the plan says, that a long one may take
+    worker_memory: Count | None = None  # bytes, of an embedded worker; its share of the machine's if unset
+    failed_chunks: Count = 8  # after so many a job submits no more
+    heartbeat_seconds: Seconds = 2.0  # how often the supervisor looks round with nothing to wake it
+    shutdown_seconds: Seconds = 2.0  # for requests under way to finish
 
     @field_validator("allowed_hosts", mode="before")
     @classmethod

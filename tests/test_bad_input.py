@@ -2,11 +2,13 @@
 
 import asyncio
 import contextlib
+import gzip
 import json
 import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import httpx2
@@ -227,6 +229,45 @@ def test_an_answer_too_large_says_what_fits(tmp_path: Any):
         for format in ("png", "svg"):
             assert client.get(f"{here}/diagram?omega=0.5&format={format}").status_code == 200
         assert client.get(f"{here}/threshold").status_code == 200
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs?state=done&state=failed", "/v1/threshold?omega=1&xi=0&xi=0.1"])
+def test_a_parameter_given_twice_is_refused(client: TestClient, path: str):
+    check_refusal(client.get(path), 422, "is given 2 times")
+
+
+def test_a_sweep_is_not_accepted_by_a_request_that_also_says_validate_only(client: TestClient, job: str):
+    before = client.get("/v1/jobs").json()["total"]
+    answer = client.post("/v1/jobs?validate_only=true&validate_only=false", json={**GOOD, "xi": 0.77})
+    check_refusal(answer, 422, "validate_only: is given 2 times")
+    assert client.get("/v1/jobs").json()["total"] == before
+
+
+def test_a_compressed_body_is_refused_as_such(client: TestClient):
+    headers = {"Content-Type": "application/json", "Content-Encoding": "gzip"}
+    answer = client.post("/v1/jobs", content=gzip.compress(json.dumps(GOOD).encode()), headers=headers)
+    check_refusal(answer, 415, "the body is compressed (Content-Encoding: gzip)")
+
+
+def test_a_refused_method_is_told_all_that_there_are(client: TestClient, job: str):
+    assert client.put("/v1/jobs").headers["Allow"] == "GET, POST"
+    assert client.put(job).headers["Allow"] == "DELETE, GET"
+    assert client.put("/v1/trajectories").headers["Allow"] == "POST"
+
+
+@pytest.mark.parametrize("path", ["diagram?omega=0.5", "modes", "export?format=nc"])
+def test_a_data_folder_out_of_order_is_no_defect_of_the_service(tmp_path: Path, path: str):
+    with computing(tmp_path) as client:
+        here = finished(client, GOOD)
+        stores, away = tmp_path / "stores", tmp_path / "away"
+        stores.rename(away)
+        stores.touch()
+        check_refusal(
+            client.get(f"{here}/{path}"), 503, "the data folder cannot be used now: Not a directory"
+        )
+        stores.unlink()
+        away.rename(stores)
+        assert client.get(f"{here}/{path}").status_code == 200
 
 
 def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):

@@ -246,6 +246,28 @@ def test_a_line_outside_the_grid_leaves_the_file_as_it_was(url: str, job: str, t
     assert bounce("diagram", job, "--omega", 0.5, "-o", tmp_path / "no" / "a.png", url=url).exit_code == 2
 
 
+@pytest.mark.parametrize("content", [b"not a database, and not one line of it " * 99, None])
+def test_a_ledger_that_is_none_is_said(tmp_path: Path, content: bytes | None):
+    ledger = tmp_path / "ledger.sqlite"
+    ledger.mkdir() if content is None else ledger.write_bytes(content)
+    result = bounce("serve", "--port", "0", "--data", tmp_path)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "ledger.sqlite cannot be used" in result.stderr
+
+
+def test_what_is_no_file_is_written_to_and_not_replaced(url: str, job: str, tmp_path: Path):
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        line = ("diagram", job, "--omega", 0.5, "--every", 40)
+        assert bounce(*line, "-o", pipe, url=url).exit_code == 0
+        assert pipe.is_fifo()
+        assert os.read(reader, 10) == b"direction,"
+    finally:
+        os.close(reader)
+
+
 def test_settings_from_the_environment_are_checked_like_options(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("BOUNCE_WORKERS", "many")
     result = bounce("serve", "--port", "0")

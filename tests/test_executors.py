@@ -141,6 +141,14 @@ def test_no_scheduler_at_an_address_is_said():
         Dask("tcp://127.0.0.1:9", timeout=0.5)
 
 
+@pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:8786"])
+def test_what_is_no_address_is_said_and_leaves_nothing_behind(address):
+    before = set(threading.enumerate())
+    with pytest.raises(ClusterLost, match=re.escape(f"no scheduler answers at {address}")):
+        Dask(address)
+    assert set(threading.enumerate()) <= before
+
+
 def test_no_scheduler_file_is_said(tmp_path):
     with pytest.raises(ClusterLost, match=r"nothing\.json"):
         Dask(scheduler_file=tmp_path / "nothing.json", timeout=0.5)

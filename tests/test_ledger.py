@@ -235,6 +235,15 @@ def test_a_newer_ledger_is_left_alone(tmp_path: Path):
             Ledger(path)
 
 
+def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    path.write_bytes(b"not a database, and not one line of it " * 99)
+    for _ in range(2):  # the folder is let go of, too
+        with pytest.raises(sqlite3.DatabaseError, match="not a database"):
+            Ledger(path)
+    assert path.read_bytes().startswith(b"not a database")
+
+
 def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
     job = accept(ledger, chunks=100_000)
     began = time.process_time()

@@ -147,6 +147,9 @@ def test_the_token_is_not_shown():
         ({"scheduler_ca": "ca.pem"}, "needs scheduler_ca, scheduler_cert and scheduler_key"),
         ({"port": 70000}, "port"),
         ({"max_body_bytes": 0}, "max_body_bytes"),
+        ({"shutdown_seconds": float("inf")}, "shutdown_seconds"),
+        ({"heartbeat_seconds": 1e18}, "heartbeat_seconds"),
+        ({"max_queue": 10**27}, "max_queue"),
         ({"log_level": "loud"}, "log_level"),
     ],
 )

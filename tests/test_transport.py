@@ -15,6 +15,7 @@ import pytest
 from scripted import DEADLINE
 
 from service.client import (
+    BounceError,
     Busy,
     Client,
     NotComputedYet,
@@ -161,6 +162,21 @@ def test_the_token_goes_with_every_call():
         known.job(ID)
         assert server.asked[0][2]["Authorization"] == "Bearer s3cret"
         assert "s3cret" not in repr(known)
+
+
+@pytest.mark.parametrize("word", ["schlüssel", "two words", "two\nlines"])
+def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
+    with pytest.raises(BounceError, match="the token must be made of ASCII") as caught:
+        Client("http://127.0.0.1:1", token=word)
+    assert word not in str(caught.value)
+    with Client("http://127.0.0.1:1") as client, pytest.raises(BounceError, match="an idempotency key must"):
+        client.submit({"gamma": 1.5, "omega": 0.5, "xi": 0.26}, key=word)
+
+
+def test_an_empty_token_is_none():
+    with scripted(Answer(body=view())) as (server, client), Client(client.url, token="") as unknown:
+        unknown.job(ID)
+        assert "Authorization" not in server.asked[0][2]
 
 
 # What comes back

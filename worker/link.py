@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import dask
 from distributed import Client, WorkerPlugin
+from distributed.comm.addressing import get_address_host_port
 
 from worker.faults import ClusterLost
 from worker.watch import TOPIC
@@ -96,6 +97,8 @@ class Link:
         place: Any = "an address to come"
         try:
             place = self._target()
+            if isinstance(place, str):
+                get_address_host_port(place)  # a client of what is no address would take a minute to close
             return Client(place, timeout=timeout, set_as_default=False, security=self._security)  # type: ignore[no-untyped-call]
         except _NOBODY as error:
             raise ClusterLost(f"no scheduler answers at {place}: {error}") from error

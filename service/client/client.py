@@ -10,7 +10,7 @@ from service.client.display import Parts
 from service.client.errors import NotFound, Problem, UnexpectedAnswer
 from service.client.job import Job
 from service.client.specification import Specification, body
-from service.client.transport import Transport, document
+from service.client.transport import Transport, document, word
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -70,7 +70,7 @@ class Client:
         whatever became of the job since. Raises InvalidSpecification naming field and rule, TooLarge, Busy,
         or Conflict for a key that was used for something else.
         """
-        headers = {"Idempotency-Key": key} if key is not None else None
+        headers = {"Idempotency-Key": word("an idempotency key", key)} if key is not None else None
         return Job(
             self._transport, self._transport.post("/v1/jobs", body(spec), headers=headers, repeat=True)
         )

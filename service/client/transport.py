@@ -1,6 +1,7 @@
 """One HTTP exchange with the service: sends, repeats what is safe to repeat, turns refusals into errors."""
 
 import json
+import re
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -13,6 +14,7 @@ import httpx2
 
 from service.client.display import Parts, counting
 from service.client.errors import (
+    BounceError,
     Busy,
     InvalidSpecification,
     NotComputedYet,
@@ -46,8 +48,8 @@ class Transport:
             trust_env=not _is_loopback(self.url),  # a proxy cannot reach this machine's own loopback
         )
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
-        if token is not None:
-            self._headers["Authorization"] = f"Bearer {token}"
+        if token:  # as for the service, an empty variable is none
+            self._headers["Authorization"] = f"Bearer {word('the token', token)}"
 
     def close(self) -> None:
         """Close the connections, unless they were lent."""
@@ -235,6 +237,13 @@ def _problem_document(response: httpx2.Response) -> dict[str, Any]:
         return document(response)
     except UnexpectedAnswer:
         return {"detail": f"{response.request.url} answered {response.status_code} {response.reason_phrase}"}
+
+
+def word(name: str, given: str) -> str:
+    """What a header can carry; not repeated if it cannot, it may be secret. Raises BounceError."""
+    if not re.fullmatch("[!-~]+", given):
+        raise BounceError(f"{name} must be made of ASCII characters, without spaces")
+    return given
 
 
 def _checked(url: str) -> str:
