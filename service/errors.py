@@ -226,13 +226,22 @@ def _name(location: Sequence[str | int]) -> str:
     return ".".join(str(part) for part in location[1:]) or str(location[0])
 
 
+#: Rules that a pattern does not tell in words.
+_WORDS: Final = {
+    "cursor": "should be `next` of the page before",
+    "idempotency-key": "should be made of ASCII characters, without spaces",
+}
+
+
 def _rule(entry: Mapping[str, Any]) -> str:
     if entry["type"] == "extra_forbidden":
         return "there is no such parameter"
     if entry["type"] == "missing":
         return "is required"
+    if entry["type"] == "string_pattern_mismatch":
+        return _WORDS.get(str(entry["loc"][-1]), str(entry["msg"])).removeprefix("String ")
     message = str(entry["msg"])
-    return message.removeprefix("Value error, ").removeprefix("Input ")
+    return message.removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
 
 
 def _http(request: Request, error: Exception) -> Response:

@@ -141,6 +141,7 @@ REQUESTS = {
     "no limit": ("GET", "/v1/jobs?limit=0", 422, "limit: should be greater than or equal to 1"),
     "a limit in words": ("GET", "/v1/jobs?limit=all", 422, "limit: should be a valid integer"),
     "a limit without end": ("GET", "/v1/jobs?limit=" + "9" * 5000, 422, "limit"),
+    "a cursor of one's own": ("GET", "/v1/jobs?cursor=two", 422, "cursor: should be `next` of the page"),
     "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: there is no such parameter"),
     "along nothing": ("GET", "{job}/diagram?along=time&omega=0.5", 422, "along: should be 'gamma', 'omega'"),
     "a missing parameter": ("GET", "{job}/diagram", 422, "omega: is required: the sweep has 2 values"),

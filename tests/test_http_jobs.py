@@ -79,6 +79,7 @@ def test_a_key_must_be_a_word(tmp_path: Path, key: str):
         answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": key})
         assert answer.status_code == 422
         assert answer.json()["errors"][0]["field"] == "idempotency-key"
+        assert "pattern" not in answer.json()["detail"]
 
 
 # Costs
