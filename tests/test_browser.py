@@ -233,11 +233,11 @@ def test_the_button_covers_no_field_that_has_the_focus(browser: Any, address: st
 
 
 def test_a_sweep_that_failed_says_why_on_every_tab(browser: Any, tmp_path: Path):
-    executor = Scripted({0: [ValueError("no such spring")] * 3})
-    with (
-        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
-        opened(browser, address) as page,
-    ):
+    with ExitStack() as stack:
+        executor = Scripted({0: [ValueError("no such spring")] * 3})
+        stack.callback(executor.close)
+        address = stack.enter_context(embedded.running(Settings(data=tmp_path, port=0), executor))
+        page = stack.enter_context(opened(browser, address))
         job = submitted(address, {**LOOP, "name": "Failing"})
         page.locator(".jobs li .problem", has_text="no such spring").wait_for()
         page.goto(view(address, job))
@@ -251,7 +251,6 @@ def test_a_sweep_that_failed_says_why_on_every_tab(browser: Any, tmp_path: Path)
         page.get_by_role("button", name="Resume").click()
         said.wait_for(state="hidden")
         page.locator("header.job [data-state=done]").wait_for()
-    executor.close()
 
 
 def test_a_sweep_that_is_not_there_is_no_accident(browser: Any, address: str):
@@ -263,15 +262,19 @@ def test_a_sweep_that_is_not_there_is_no_accident(browser: Any, address: str):
 
 
 def test_what_another_tab_did_is_seen_on_coming_back(browser: Any, tmp_path: Path):
-    with embedded.running(Settings(data=tmp_path, port=0), Held()) as address:
-        job = submitted(address, LOOP)
-        assert httpx2.post(f"{address}/v1/jobs/{job}/cancel", timeout=DEADLINE).is_success
-        with opened(browser, view(address, job)) as page:
-            page.locator("header.job [data-state=cancelled]").wait_for()
-            wait_shown(page, along="gamma")
-            assert httpx2.post(f"{address}/v1/jobs/{job}/resume", timeout=DEADLINE).is_success
-            page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-            page.locator("header.job [data-state=running]").wait_for()
+    with ExitStack() as stack:
+        executor = Scripted({0: [ValueError("no such spring")] * 3})
+        stack.callback(executor.close)
+        address = stack.enter_context(embedded.running(Settings(data=tmp_path, port=0), executor))
+        page = stack.enter_context(opened(browser, address))
+        job = submitted(address, {**LOOP, "settle": 10})
+        page.locator(".jobs [data-state=failed]").wait_for()
+        page.goto(view(address, job))
+        page.locator("header.job [data-state=failed]").wait_for()
+        wait_shown(page, along="gamma")
+        httpx2.post(f"{address}/v1/jobs/{job}/resume", timeout=DEADLINE).raise_for_status()
+        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+        page.locator("header.job [data-state=done]").wait_for()
 
 
 @pytest.mark.parametrize("width", [1280, 390])
