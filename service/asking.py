@@ -70,7 +70,7 @@ def modes(
     token: str | None,
 ) -> None:
     """Write job ID's mode map over Γ and Ω, as csv or json."""
-    chosen = format or format_of(output, TABLES)
+    chosen = format_of(output, TABLES, format)
     with connected(url, token) as client:
         found = client.job(job_id).modes(xi, direction, every=every)
     write_file(output, _map_as_json(found) if chosen == "json" else _map_as_csv(found))
@@ -123,7 +123,7 @@ def trajectory(
 
       bounce trajectory --gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv
     """
-    chosen = format or format_of(output, TABLES)
+    chosen = format_of(output, TABLES, format)
     contact = {"kind": model, "restitution": restitution, "penetration": penetration}
     given = {name: value for name, value in cell.items() if value is not None}
     given["model"] = {name: value for name, value in contact.items() if value is not None}

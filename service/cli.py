@@ -153,7 +153,7 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
 
       bounce diagram ID --along gamma --omega 0.5 --xi 0.26 -o fig.png
     """
-    chosen = format or format_of(output, FORMATS)
+    chosen = format_of(output, FORMATS, format)
     with connected(url, token) as client:
         job = client.job(job_id)
         write_file(output, job.picture(format=chosen, **line))

@@ -73,9 +73,9 @@ def connected(url: str, token: str | None) -> "Client":
     return Client(url, token)
 
 
-def format_of(output: str, formats: tuple[str, ...]) -> str:
-    """The format that a file's ending asks for; checked, like its folder, before any work is done."""
-    ending = Path(output).suffix.lower().removeprefix(".")
+def format_of(output: str, formats: tuple[str, ...], chosen: str | None = None) -> str:
+    """The format chosen, or the one a file's ending asks for; checked, like its folder, before any work."""
+    ending = chosen or Path(output).suffix.lower().removeprefix(".")
     if ending not in formats:
         raise click.BadParameter(
             f"{output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"

@@ -212,6 +212,7 @@ def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
         (["figure", "2", "-o", "figure.pdf"], 2, ".png, .svg"),
         (["figure", "2", "-o", "/nowhere/figure.png"], 2, "no folder"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
+        (["diagram", "0" * 32, "--format", "png", "-o", "/nowhere/diagram"], 2, "no folder /nowhere"),
         (["diagram", "0" * 32], 2, "Missing option '-o'"),
         (["list", "--state", "asleep"], 2, "asleep"),
         (["wait", "0" * 32, "--timeout", "-1"], 2, "timeout"),
