@@ -16,7 +16,7 @@ from worker import places
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: As much as the system's clocks and SQLite can count.
-Seconds = Annotated[float, Field(gt=0, le=1e9)]
+Seconds = Times = Annotated[float, Field(gt=0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=2**62)]
 
 #: Names under which this machine reaches itself.
@@ -66,7 +66,7 @@ class Settings(BaseSettings):
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = 0.5  # of work in flight per worker and job
     chunk_tries: Count = 3  # for a chunk that fails, or whose worker dies of it
     chunk_seconds: Seconds = 60.0  # that any chunk may take before its worker is replaced
-    chunk_slack: Seconds = 30.0  # times what the plan says, that a long one may take
+    chunk_slack: Times = 300.0  # what the plan says, that a long one may take: some cells cost 150 times as much
     worker_memory: Count | None = None  # bytes, of an embedded worker; its share of the machine's if unset
     failed_chunks: Count = 8  # after so many a job submits no more
     heartbeat_seconds: Seconds = 2.0  # how often the supervisor looks round with nothing to wake it
