@@ -16,7 +16,7 @@ from worker import places
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: As much as the system's clocks and SQLite can count.
-Seconds = Times = Annotated[float, Field(gt=0, le=1e9)]
+Positive = Annotated[float, Field(gt=0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=2**62)]
 
 #: Names under which this machine reaches itself.
@@ -49,7 +49,7 @@ class Settings(BaseSettings):
     scheduler_key: Path | None = None
 
     max_body_bytes: Count = 1_000_000
-    body_seconds: Seconds = 10.0  # for a request's head to arrive, and for its body
+    body_seconds: Positive = 10.0  # for a request's head to arrive, and for its body
     max_cells: Count = 20_000_000  # of one sweep
     max_bytes: Count = 32 * 2**30  # of one sweep's stored arrays before compression
     max_queue: Count = 1_000  # jobs queued or running
@@ -57,20 +57,20 @@ class Settings(BaseSettings):
     max_export_bytes: Count = 2 * 2**30  # of the sweep behind one file
     max_exports: Count = 2  # files being written at a time
     max_trajectories: Count = 2  # being computed at a time
-    trajectory_seconds: Seconds = 5.0  # of computing for one of them
+    trajectory_seconds: Positive = 5.0  # of computing for one of them
     max_listeners: Count = 1_000  # to events
-    key_seconds: Seconds = 24 * 3600.0  # for which an Idempotency-Key is remembered
+    key_seconds: Positive = 24 * 3600.0  # for which an Idempotency-Key is remembered
 
     active_jobs: Count = 32  # jobs whose plans are held in memory; the rest stay queued
     window: Count = 2  # chunks in flight per worker and job, or more if they are small:
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = 0.5  # of work in flight per worker and job
     chunk_tries: Count = 3  # for a chunk that fails, or whose worker dies of it
-    chunk_seconds: Seconds = 60.0  # that any chunk may take before its worker is replaced
-    chunk_slack: Times = 300.0  # what the plan says, that a long one may take: some cells cost 150 times as much
+    chunk_seconds: Positive = 60.0  # that any chunk may take before its worker is replaced
+    chunk_slack: Positive = 300.0  # times what the plan says: a cell may cost 150 times the usual
     worker_memory: Count | None = None  # bytes, of an embedded worker; its share of the machine's if unset
     failed_chunks: Count = 8  # after so many a job submits no more
-    heartbeat_seconds: Seconds = 2.0  # how often the supervisor looks round with nothing to wake it
-    shutdown_seconds: Seconds = 2.0  # for requests under way to finish
+    heartbeat_seconds: Positive = 2.0  # how often the supervisor looks round with nothing to wake it
+    shutdown_seconds: Positive = 2.0  # for requests under way to finish
 
     @field_validator("allowed_hosts", mode="before")
     @classmethod
