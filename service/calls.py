@@ -86,9 +86,9 @@ def view(
 
 
 def seconds_to_wait(job: JobRecord) -> int | None:
-    """When to look again: the longer a job takes, the more seldom; None for at once or never."""
+    """When to look again: the longer a job takes, the more seldom; None for soon, or never again."""
     left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
-    return None if left is None or left < 2 else int(min(max(left / 20, 1), 10))
+    return None if left is None or left < 20 else int(min(left / 20, 10))
 
 
 def sweep(service: Service, job: JobRecord) -> Sweep:

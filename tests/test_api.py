@@ -109,7 +109,7 @@ def test_progress_changes_the_tag(tmp_path: Path):
 def test_a_job_that_takes_long_asks_for_patience(tmp_path: Path):
     held = Held()
     with service(tmp_path, held) as client:
-        long = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 10_000}).as_submitted()
+        long = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 100_000}, omega=[*range(1, 31)]).as_submitted()
         here = client.post("/v1/jobs", json=long).headers["Location"]
         wait_for(lambda: held.held() == 4)
         time.sleep(0.3)

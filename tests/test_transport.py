@@ -273,10 +273,10 @@ def test_a_wait_without_a_pace_looks_often_at_first_and_then_seldom(monkeypatch:
     pauses: list[float] = []
     clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
     monkeypatch.setattr(module, "time", clock)
-    looks = [Answer(200, view("running")) for _ in range(19)]
+    looks = [Answer(200, view("running")) for _ in range(39)]
     with scripted(Answer(202, view("queued")), *looks, Answer(200, view("done", 10))) as (_, client):
         client.submit({}).wait(progress=False)
-    assert (pauses[0], pauses[-1]) == (0.1, 2.0)
+    assert (pauses[0], pauses[-1]) == (0.05, 2.0)
     assert pauses == sorted(pauses)
 
 

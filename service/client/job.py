@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FINISHED: Final = ("done", "failed", "cancelled")
 
 #: Seconds between two looks at a job when the service names none: the first, and the longest.
-FIRST_PAUSE: Final = 0.1
+FIRST_PAUSE: Final = 0.05
 LONGEST_PAUSE: Final = 2.0
 
 #: Seconds for which a wait bears with a service that does not answer: it picks its jobs up when restarted.
@@ -152,7 +152,7 @@ class Job(Results):
             pause = FIRST_PAUSE
             while not self.finished and (left := deadline - time.monotonic()) > 0:
                 time.sleep(min(pause if self._retry_after is None else self._retry_after, left))
-                pause = min(pause * 1.25, LONGEST_PAUSE)
+                pause = min(pause * 1.15, LONGEST_PAUSE)
                 self._refresh_patiently()
                 show(self)
         return self._outcome(timeout)
