@@ -1,6 +1,6 @@
 """CPU time of `ball` per cell and plate period over the sweeps of Figs. 3 and 4, beside `rigid`.
 
-    python -m benchmarks.ball [--repeat 9]
+    python -m benchmarks.ball [--repeat 9] [--settle 200]
 
 1,000 values of Gamma from 1 to 6, 300 plate periods each from rest; `rigid` is the spring of
 rigidity 650 that the ball stands for. Medians over the repetitions, which take turns.
@@ -31,13 +31,13 @@ ROWS = [
 ]
 
 
-def run(model: Model, xi: float, restitution: float) -> Line:
+def run(settle: int, model: Model, xi: float, restitution: float) -> Line:
     """The sweep at rigidity 650; the ball takes no notice of it."""
     full = np.full_like
     return run_line(
         GAMMAS, full(GAMMAS, max(xi, 1e-3) / 650.0), full(GAMMAS, xi), model=model,
         restitution=full(GAMMAS, restitution), penetration=full(GAMMAS, 1e-3), adhesive=True, carry=False,
-        settle=200, observe=PERIODS - 200, keep=64,
+        settle=settle, observe=PERIODS - settle, keep=64,
     )  # fmt: skip
 
 
@@ -45,15 +45,17 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=9)
+    parser.add_argument("--settle", type=int, default=200, help="plate periods of the 300")
     arguments = parser.parse_args()
+    settle = arguments.settle
     print(describe())
     print(f"\n{'':28}{'us per plate period':>20}{'flights per period':>20}")
-    flights = [run(*row[1:]).flights.mean() / (PERIODS - 200) for row in ROWS]
+    flights = [run(settle, *row[1:]).flights.mean() / (PERIODS - settle) for row in ROWS]
     times: list[list[float]] = [[] for _ in ROWS]
     for _ in range(arguments.repeat):
         for row, each in zip(ROWS, times, strict=True):
             start = time.process_time()
-            run(*row[1:])
+            run(settle, *row[1:])
             each.append((time.process_time() - start) / (len(GAMMAS) * PERIODS) * 1e6)
     for row, each, count in zip(ROWS, times, flights, strict=True):
         print(f"{row[0]:28}{statistics.median(each):20.3f}{count:20.2f}")

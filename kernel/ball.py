@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from kernel.cascade import collapse_time, collapses
 from kernel.events import HORIZON, ROOT, SPENT, Phase
-from kernel.fall import Landing, drop, landing, lifted, state_after, takes_off
+from kernel.fall import drop, landing, lifted, state_after, takes_off
 from kernel.jit import jit
 from kernel.model import contact, flies, flight, prepare, repeat, rest
 from kernel.modes import TWO_PI
@@ -46,14 +46,6 @@ class Ball(NamedTuple):
     restitution: float
     lift: float  # arccos(1/Gamma): the plate falls away while |phi| < lift; 0 for Gamma <= 1
     slope: float  # sin(lift)
-
-
-class Bounce(NamedTuple):
-    """A landing and what follows it."""
-
-    phi: float  # rad modulo 2 pi
-    hop: float  # relative velocity after it
-    flies: bool
 
 
 @prepare.register(BallPlate)
@@ -117,17 +109,11 @@ def _flight(
     if end.ending != ROOT:
         gap, gap1, _, _ = state_after(p, end.tau)
         return Phase(end.tau, end.ending, True, max(gap, 0.0), gap1, 0.0, 0.0, end.used)
-    at = _bounce(b, phi, end)
-    return Phase(end.tau, ROOT, at.flies, 0.0, at.hop, 0.0, 0.0, end.used)
-
-
-@jit
-def _bounce(b: Ball, phi: float, end: Landing) -> Bounce:
-    """The landing `end` of a flight that took off at phi."""
     hop = max(-b.restitution * end.gap1, 0.0)
     phi += end.tau
     phi -= TWO_PI * math.floor(phi / TWO_PI)
-    return Bounce(phi, hop, not _settles(b, phi, hop, -end.gap2, -end.gap3))
+    bounces = not _settles(b, phi, hop, -end.gap2, -end.gap3)
+    return Phase(end.tau, ROOT, bounces, 0.0, hop, 0.0, 0.0, end.used)
 
 
 @jit

@@ -50,10 +50,16 @@ class by_type:  # noqa: N801 - a decorator
         overload(self, jit_options=_OPTIONS)(lambda first, *rest: self._resolve(first))
 
     def __call__(self, first: Any, *rest: Any) -> Any:
-        return self._implementations.get(type(first), self._otherwise)(first, *rest)  # type: ignore[misc]
+        chosen = self._chosen(type(first))
+        if chosen is None:
+            raise TypeError(f"no model answers this for a {type(first).__name__}")
+        return chosen(first, *rest)
+
+    def _chosen(self, kind: type) -> Callable[..., Any] | None:
+        return self._implementations.get(kind, self._otherwise)
 
     def _resolve(self, first: Any) -> Callable[..., Any] | None:
-        chosen = self._implementations.get(getattr(first, "instance_class", type(None)), self._otherwise)
+        chosen = self._chosen(getattr(first, "instance_class", type(None)))
         return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
 
     def register(self, kind: type) -> Callable[[_Function], _Function]:

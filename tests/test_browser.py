@@ -5,7 +5,7 @@ import os
 import re
 import statistics
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -193,9 +193,13 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
 
 
 def test_what_is_typed_before_the_presets_are_there_is_kept(browser: Any, address: str):
+    held: list[Any] = []
+
+    def hold(route: Any) -> None:
+        held.append(route)
+
     with opened(browser, "about:blank") as page:
-        held: list[Any] = []
-        page.route("**/v1/figures", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks it
+        page.route("**/v1/figures", hold)
         page.goto(f"{address}/#/new?figure=2")
         page.get_by_label("Name").fill("typed")
         page.get_by_label("Observe").fill("77")
@@ -231,12 +235,18 @@ def test_the_button_covers_no_field_that_has_the_focus(browser: Any, address: st
             page.keyboard.press("Tab")
 
 
+@contextmanager
+def failing(folder: Path) -> Iterator[str]:
+    """The address of a service on which every sweep fails at first, in its first chunk."""
+    with (
+        closing(Scripted({0: [ValueError("no such spring")] * 3})) as executor,
+        embedded.running(Settings(data=folder, port=0), executor) as address,
+    ):
+        yield address
+
+
 def test_a_sweep_that_failed_says_why_on_every_tab(browser: Any, tmp_path: Path):
-    with ExitStack() as stack:
-        executor = Scripted({0: [ValueError("no such spring")] * 3})
-        stack.callback(executor.close)
-        address = stack.enter_context(embedded.running(Settings(data=tmp_path, port=0), executor))
-        page = stack.enter_context(opened(browser, address))
+    with failing(tmp_path) as address, opened(browser, address) as page:
         job = submitted(address, {**LOOP, "name": "Failing"})
         page.locator(".jobs li .problem", has_text="no such spring").wait_for()
         page.goto(view(address, job))
@@ -261,11 +271,7 @@ def test_a_sweep_that_is_not_there_is_no_accident(browser: Any, address: str):
 
 
 def test_what_another_tab_did_is_seen_on_coming_back(browser: Any, tmp_path: Path):
-    with ExitStack() as stack:
-        executor = Scripted({0: [ValueError("no such spring")] * 3})
-        stack.callback(executor.close)
-        address = stack.enter_context(embedded.running(Settings(data=tmp_path, port=0), executor))
-        page = stack.enter_context(opened(browser, address))
+    with failing(tmp_path) as address, opened(browser, address) as page:
         job = submitted(address, {**LOOP, "settle": 10})
         page.locator(".jobs [data-state=failed]").wait_for()
         page.goto(view(address, job))

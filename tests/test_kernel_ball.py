@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from kernel import cascade, fall, impact, isolated, model
+from kernel import ball, cascade, fall, impact, isolated, model
 from kernel.ball import BallPlate
 from kernel.events import ROOT
 from kernel.params import Cell, Line, Model, Outcome, Start
 from kernel.ramp import run_line
+from kernel.trajectory import MEMORY
 
 TWO_PI = 2.0 * math.pi
 
@@ -259,16 +260,21 @@ def test_flights_are_the_hops_one_by_one():
     assert 2.0 * hop / (1.0 / gamma - math.cos(phi)) < 2e-3
 
 
+def test_what_is_known_of_a_round_has_room():
+    """Compiled code would write beyond its memory without a word."""
+    assert ball.FIRST + ball.WIDTH * ball.KNOWN <= MEMORY
+
+
 @pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.5])
 def test_a_round_that_is_known_is_the_one_that_would_be_computed(epsilon: float):
     """Phase by phase through the model's own functions, without memory, beside what a run records."""
     gammas, orbits = np.linspace(1.05, 5.5, 40), 0
     line = run(gammas, epsilon, settle=40, observe=60, keep=2000)
     for i, gamma in enumerate(gammas):
-        ball = model.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
+        cell = model.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
         phi, period, hop, flying, found = 0.0, 0, 0.0, True, []
         while period < 100:
-            end = (model.flight if flying else model.contact)(ball, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000)
+            end = (model.flight if flying else model.contact)(cell, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000)
             landed = period + math.floor((phi + end.tau) / TWO_PI)
             if flying and period >= 40 and landed < 100:
                 found.append((end.tau, phi))

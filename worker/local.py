@@ -59,16 +59,11 @@ class LocalWorkers:
         """In the cluster's event loop, for as long as it runs: what has no nanny any more gets one."""
         while self.cluster.status == Status.running:
             nannies = self.cluster.workers
-            for name in [
-                name for name, nanny in nannies.items() if nanny.status in (Status.closed, Status.failed)
-            ]:
-                del nannies[name]
-            if len(nannies) < self._number:
-                log.warning(
-                    "%d of %d worker processes are gone for good; starting others",
-                    self._number - len(nannies),
-                    self._number,
-                )
+            for name, nanny in list(nannies.items()):
+                if nanny.status in (Status.closed, Status.failed):
+                    del nannies[name]
+            if gone := self._number - len(nannies):
+                log.warning("%d of %d worker processes are gone; starting others", gone, self._number)
                 with contextlib.suppress(Exception):  # it is tried again, and distributed says why
                     await self.cluster._correct_state()
             await asyncio.sleep(KEEP_SECONDS)
