@@ -13,9 +13,9 @@ import time
 import numpy as np
 
 from benchmarks.machine import describe
-from kernel.isolated import restitution_of
+from kernel.line import run_line
 from kernel.params import Line, Model
-from kernel.ramp import run_line
+from kernel.restitution import restitution_of
 
 PERIODS = 300
 GAMMAS = np.linspace(1.0, 6.0, 1000)

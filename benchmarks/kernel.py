@@ -27,8 +27,8 @@ import numpy as np
 
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
+from kernel.line import run_line
 from kernel.params import Line, Model
-from kernel.ramp import run_line
 
 PERIODS = 300
 NEIGHBOURS = 64

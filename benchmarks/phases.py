@@ -2,7 +2,7 @@
 
 On the plate, q (the spring's length from its natural one, in plate amplitudes) moves alone; in flight the gap
 under the lower mass comes with it. What solves a phase is the rival's; which phase comes next is not.
-Equations and units are those of `kernel.rigid`.
+Equations and units are those of `kernel.models.rigid`.
 """
 
 import math

@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 from benchmarks.machine import describe
+from kernel.line import run_line
 from kernel.params import Line, Model, Outcome
-from kernel.ramp import run_line
 from kernel.threshold import threshold
 
 OMEGA, XI = 0.6, 0.05

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import describe
-from kernel.isolated import damping_ratio
+from kernel.line import run_line
 from kernel.params import Model
-from kernel.ramp import run_line
-from kernel.steps import Scheme, steps_per_period
+from kernel.restitution import damping_ratio
+from kernel.step_limits import Scheme, steps_per_period
 
 CELL = (1.5, 0.5, 0.26)
 RESTITUTION = 0.1

@@ -27,8 +27,8 @@ from benchmarks import scipy_rival
 from benchmarks.atlas import atlas, warm
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
+from kernel.line import run_line
 from kernel.params import Line, Model
-from kernel.ramp import run_line
 from service import embedded
 from service.client import Client
 from worker.spec import SweepSpec

@@ -3,7 +3,7 @@
 import math
 from typing import Any, Final
 
-from kernel.jit import jit
+from kernel.numerics.jit import jit
 
 TWO_PI: Final = 2.0 * math.pi
 

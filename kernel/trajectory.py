@@ -1,236 +1,199 @@
-"""One cell from a state to the end of its window: phase after phase, whatever the contact model.
+"""A trajectory at evenly spaced phases, exact: each sample is a phase run from its start to there.
 
-Phase is kept modulo 2 pi beside a count of plate periods, so that no digit is lost however
-long a cell runs.
+For pictures of one cell: the masses above the plate, and the force between. Lengths are in plate
+amplitudes, which is the paper's z omega**2/g divided by Gamma (Fig. 2). Plain Python that calls the
+compiled phases, fast enough for thousands of samples.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kernel.events import BROKEN, HORIZON, ROOT, Phase
-from kernel.jit import inlined, jit
-from kernel.model import contact, flight, repeat
-from kernel.modes import REPEATS, TWO_PI, find_cycle
-from kernel.params import Line, Outcome
+from kernel.cell import BUDGET, SHORTEST_FLIGHT
+from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.models.ball import Ball, BallPlate
+from kernel.models.rigid import RigidPlate, Spring, normal_force
+from kernel.models.soft import SoftPlate
+from kernel.models.soft_contact import SoftSpring
+from kernel.models.stepped import SteppedSpring, stepped_plate
+from kernel.modes import TWO_PI
+from kernel.numerics.first_root import HORIZON, ROOT, Phase
+from kernel.params import Cell, Contact, Model
+from kernel.validation import check_arrays
 
-#: A flight shorter than this (rad) cannot be told from none; it is not recorded.
-SHORTEST_FLIGHT: Final = 1e-9
-
-#: Flights remembered for finding the mode, when fewer are to be kept.
-REMEMBERED: Final = 256
-
-#: Flights after which settling is looked at again, where it may end early.
-REHEARSAL: Final = 24
-
-#: Numbers that a model may note of a cell in work.
-MEMORY: Final = 64
-
-#: Evaluations of a phase function a cell may use, for each plate period.
-BUDGET: Final = 20_000
-
-PERIODIC: Final = int(Outcome.PERIODIC)
-APERIODIC: Final = int(Outcome.APERIODIC)
-AT_REST: Final = int(Outcome.AT_REST)
-UNRESOLVED: Final = int(Outcome.UNRESOLVED)
-DIVERGED: Final = int(Outcome.DIVERGED)
+#: Contacts and flights that are followed, so that a caller who waits has an answer in seconds.
+MOST_PHASES: Final = 50_000
 
 
-class Window(NamedTuple):
-    """How a cell is observed."""
+class Trajectory(NamedTuple):
+    """n samples, and the m flights that took off and landed within them."""
 
-    settle: int  # plate periods discarded
-    observe: int  # plate periods recorded
-    micro_flight: float  # rad; shorter flights do not count for outcome and mode
-    settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
-
-
-class Flights(NamedTuple):
-    """The last flights of some lanes of cells, a ring of `size` for each.
-
-    A lane's newest is at first + (recorded - 1) % size, `first` being size times the lane's number.
-    All arrays (lanes * size,).
-    """
-
-    time: Any  # float64, rad
-    phase: Any  # float64, rad modulo 2 pi, at take-off
-    period: Any  # int64, plate periods since the cell began, at take-off
-    size: int
+    phase: NDArray[np.float64]  # (n,) rad since the start
+    plate: NDArray[np.float64]  # (n,) cos(phase), plate amplitudes
+    gap: NDArray[np.float64]  # (n,) lower mass above the plate
+    elongation: NDArray[np.float64]  # (n,) spring length less its rest length
+    force: NDArray[np.float64]  # (n,) of the plate on the lower mass, in m A omega**2
+    in_flight: NDArray[np.bool_]  # (n,)
+    takeoff: NDArray[np.float64]  # (m,) rad since the start
+    flight_time: NDArray[np.float64]  # (m,) rad
+    complete: bool  # whether it reached the end; samples beyond are NaN
 
 
-class Progress(NamedTuple):
-    """Where a cell's run stands."""
+class _Point(NamedTuple):
+    """A state at the beginning of a phase."""
 
-    phase: float  # of the plate, rad modulo 2 pi
-    period: int  # plate periods since the cell began
+    phase: float  # of the plate, rad modulo 2 pi, reckoned as `trajectory.record` does
+    period: int  # plate periods since the start
     in_flight: bool
     gap: float
     gap1: float
     q: float
     q1: float
-    takeoff_phase: float
-    takeoff_period: int  # -1 for a flight that came in with the state: it is not this cell's
-    recorded: int  # flights that took off and landed inside the window (or so far, while settling)
-    flew: bool  # whether a flight that counts was under way in the window
-    budget: int  # evaluations left
-    ending: int  # events.ROOT while running, HORIZON once the window's end is reached
+
+    @property
+    def at(self) -> float:
+        """Rad since the start."""
+        return TWO_PI * self.period + self.phase
 
 
-@jit
-def begin(state: Any, window: Window, carried: bool = False) -> Progress:
-    """A run from `state` (6,), see params.STATE_FIELDS; a flight `carried` in with it is not the cell's."""
-    budget = BUDGET * (window.settle + window.observe)
-    return Progress(
-        state[0],
-        0,
-        state[1] != 0.0,
-        state[2],
-        state[3],
-        state[4],
-        state[5],
-        state[0],
-        -1,
-        0,
-        False,
-        budget,
-        ROOT,
-    )
+def sample(
+    cell: Cell,
+    law: Contact,
+    state: NDArray[np.float64] | None,
+    *,
+    model: Model,
+    periods: int,
+    samples: int,
+    steps_per_contact: int = 20,
+    scheme: str = "verlet",
+) -> Trajectory:
+    """`samples` per plate period, over `periods` of them, from phase 0.
 
+    `state`: where it starts (see params.STATE_FIELDS), such as a cell's end state; None for rest.
 
-@inlined
-def horizon_of(run: Progress, window: Window) -> float:
-    """Rad from now to the window's end."""
-    return TWO_PI * (window.settle + window.observe - run.period) - run.phase
-
-
-@inlined
-def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int) -> Progress:
-    """The run after phase `p`; a flight that took off and landed inside the window goes to `flights`.
-
-    `first`: where the lane's part of `flights` begins.
+    `stepped` is sampled at the nearest of its own steps. Raises KernelInputError as `ramp.run_line`.
     """
-    turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
-    phase = run.phase + p.tau - TWO_PI * turns
-    period = run.period + turns
-    settling = period < window.settle
-    recorded, flew = run.recorded, run.flew
-    if run.period < window.settle and not settling:
-        recorded = 0
-    if run.in_flight and p.tau > SHORTEST_FLIGHT:
-        flew = flew or (not settling and p.tau > window.micro_flight)
-        inside = run.takeoff_period >= window.settle or (settling and window.settle_tolerance > 0.0)
-        if p.ending == ROOT and inside and run.takeoff_period >= 0:
-            slot = first + recorded % flights.size
-            flights.time[slot] = p.tau
-            flights.phase[slot] = run.takeoff_phase
-            flights.period[slot] = run.takeoff_period
-            recorded += 1
-    ending = p.ending
-    if ending == HORIZON or (ending == ROOT and period >= window.settle + window.observe):
-        phase, ending = 0.0, HORIZON
-    return Progress(
-        phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
-        phase, period, recorded, flew, run.budget - p.used, ending,
-    )  # fmt: skip
+    plate = _plate(cell, law, model, steps_per_contact, scheme)
+    spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
+    times = np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
+    return _Walk(spring, times, periods).run(_begin(spring, state))
 
 
-@jit
-def settled(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
-    """`run`, done with settling if its last flights repeat within the tolerance the specification allows.
-
-    Apart from `record`, which would be too big to be inlined where no cell asks for this.
-    """
-    if run.recorded == before.recorded or run.period >= window.settle or run.recorded % REHEARSAL:
-        return run
-    tolerance = window.settle_tolerance
-    bounces, _ = _cycle(flights, first, run.recorded, REHEARSAL, window.micro_flight, tolerance)
-    if bounces == 0:
-        return run
-    return Progress(
-        run.phase, window.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, window.settle, 0, run.flew, run.budget, run.ending,
-    )  # fmt: skip
+def _plate(cell: Cell, law: Contact, model: Model, steps_per_contact: int, scheme: str) -> Any:
+    """The plate under this one cell."""
+    given = {**cell._asdict(), "restitution": law.restitution, "penetration": law.penetration}
+    arrays = {name: np.array([value], np.float64) for name, value in given.items()}
+    check_arrays(arrays)
+    restitution, penetration = arrays["restitution"], arrays["penetration"]
+    if model == Model.RIGID:
+        return RigidPlate(restitution)
+    if model == Model.BALL:
+        return BallPlate(restitution)
+    if model == Model.SOFT:
+        return SoftPlate(restitution, penetration, law.adhesive)
+    return stepped_plate(restitution, penetration, law.adhesive, steps_per_contact, scheme)
 
 
-@jit
-def run_cell(cell: Any, state: Any, window: Window, flights: Flights, carried: bool) -> Progress:
-    """Run one cell from `state` (6,) to the end of its window; `carried`: see `begin`."""
-    run = begin(state, window, carried)
-    memory = np.zeros(MEMORY)
-    while run.ending == ROOT:
-        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-            run = repeat(cell, run, window, flights, memory)
-            if run.ending != ROOT:
+def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
+    gap, gap1, q, q1 = rest(spring) if state is None else (float(value) for value in state[2:])
+    return _Point(0.0, 0, bool(flies(spring, 0.0, gap, gap1, q, q1)), gap, gap1, q, q1)
+
+
+def _after(here: _Point, p: Phase) -> _Point:
+    turns = math.floor((here.phase + p.tau) / TWO_PI)
+    phase = here.phase + p.tau - TWO_PI * turns
+    return _Point(phase, here.period + turns, p.in_flight, p.gap, p.gap1, p.q, p.q1)
+
+
+class _Walk:
+    """Goes through a trajectory phase by phase and fills in the samples of each."""
+
+    def __init__(self, spring: Any, times: NDArray[np.float64], periods: int) -> None:
+        self._spring, self._times, self._periods = spring, times, periods
+        self._force = _FORCES[type(spring)]
+        self._budget = BUDGET * periods
+        self._phases = MOST_PHASES
+        self._gap, self._q, self._n = (np.full(len(times), np.nan) for _ in range(3))
+        self._flies = np.zeros(len(times), np.bool_)
+        self._flights: list[tuple[float, float]] = []
+        self._next = 0  # the first sample not filled in yet
+
+    def run(self, here: _Point) -> Trajectory:
+        """From `here` to the last sample."""
+        end = float(self._times[-1])
+        flew_in = here.in_flight  # its take-off was not seen
+        while self._next < len(self._times):
+            p = self._phase(here, end - here.at)
+            self._fill(here, p.tau, reached_end=p.ending == HORIZON)
+            if here.in_flight and not flew_in and p.ending == ROOT and p.tau > SHORTEST_FLIGHT:
+                self._flights.append((here.at, p.tau))
+            flew_in = flew_in and p.ending != ROOT
+            self._budget -= p.used
+            self._phases -= 1
+            if p.ending != ROOT or min(self._budget, self._phases) <= 0:
                 break
-        horizon = horizon_of(run, window)
-        if run.in_flight:
-            p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        else:
-            p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        before, run = run, record(run, p, window, flights, 0)
-        if window.settle_tolerance > 0.0:
-            run = settled(before, run, window, flights, 0)
-    return run
+            here = _after(here, p)
+        return self._trajectory()
+
+    def _phase(self, here: _Point, horizon: float) -> Phase:
+        follow = flight if here.in_flight else contact
+        found: Phase = follow(
+            self._spring, here.phase, here.gap, here.gap1, here.q, here.q1, max(horizon, 0.0), self._budget
+        )
+        return found
+
+    def _fill(self, here: _Point, tau: float, *, reached_end: bool) -> None:
+        """The samples within a phase that begins `here` and lasts `tau`."""
+        last = len(self._times) if reached_end else int(np.searchsorted(self._times, here.at + tau, "left"))
+        for i in range(self._next, last):
+            x: Any = here
+            if self._times[i] > here.at:
+                x = self._phase(here, float(self._times[i]) - here.at)
+            self._gap[i], self._q[i], self._flies[i] = x.gap, x.q, here.in_flight
+            if here.in_flight:
+                self._n[i] = 0.0
+            else:
+                self._n[i] = self._force(self._spring, math.cos(self._times[i]), x.gap, x.gap1, x.q, x.q1)
+        self._next = max(self._next, last)
+
+    def _trajectory(self) -> Trajectory:
+        flights = np.array(self._flights, np.float64).reshape(-1, 2)
+        return Trajectory(
+            self._times,
+            np.cos(self._times),
+            self._gap,
+            self._q,
+            self._n,
+            self._flies,
+            flights[:, 0],
+            flights[:, 1],
+            self._next == len(self._times),
+        )
 
 
-@jit
-def leave(run: Progress, state: Any) -> None:
-    """Write the state a run ended in to `state` (6,)."""
-    state[0], state[1] = run.phase, 1.0 if run.in_flight else 0.0
-    state[2], state[3], state[4], state[5] = run.gap, run.gap1, run.q, run.q1
+def _rigid_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return float(normal_force(s, cos, q, q1))
 
 
-@jit
-def classify(run: Progress, flights: Flights, first: int, micro_flight: float) -> tuple[int, int, int]:
-    """Outcome, bounces and plate periods of a cell that has been run."""
-    if run.ending != HORIZON:
-        return DIVERGED if run.ending == BROKEN else UNRESOLVED, 0, 0
-    if not run.flew:
-        return AT_REST, 0, 0
-    bounces, periods = _cycle(flights, first, run.recorded, flights.size, micro_flight, REPEATS)
-    return PERIODIC if bounces else APERIODIC, bounces, periods
+def _soft_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return -(s.kappa * gap + s.beta * gap1)
 
 
-@jit
-def _cycle(
-    flights: Flights, first: int, recorded: int, most: int, micro_flight: float, tolerance: float
-) -> tuple[int, int]:
-    """The cycle of the last `most` flights of at least `micro_flight`: see modes.find_cycle."""
-    kept = min(recorded, most)
-    time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
-    count = 0
-    for i in range(recorded - kept, recorded):
-        slot = first + i % flights.size
-        if flights.time[slot] > micro_flight:
-            time[count] = flights.time[slot]
-            phase[count] = flights.phase[slot]
-            period[count] = flights.period[slot]
-            count += 1
-    return find_cycle(time[:count], phase[:count], period[:count], tolerance)
+def _stepped_force(s: SteppedSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return -(s.contact.kappa * gap + s.contact.beta * gap1)
 
 
-@jit
-def room_for_flights(keep: int, lanes: int) -> Flights:
-    """Rings for the flights of as many cells as there are lanes."""
-    size = max(keep, REMEMBERED)
-    n = lanes * size
-    return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size)
+def _ball_force(b: Ball, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return max(b.gravity - cos, 0.0)
 
 
-@jit
-def write(
-    line: Line, i: int, run: Progress, flights: Flights, first: int, state: Any, window: Window
-) -> None:
-    """The record of a cell that has been run, as the i-th of its line."""
-    outcome, bounces, periods = classify(run, flights, first, window.micro_flight)
-    line.flights[i], line.outcome[i] = run.recorded, outcome
-    line.bounces[i], line.periods[i] = bounces, periods
-    keep = line.flight_time.shape[1]
-    kept = min(run.recorded, keep)
-    for k in range(kept):
-        slot = first + (run.recorded - kept + k) % flights.size
-        line.flight_time[i, k] = flights.time[slot]
-        line.takeoff_phase[i, k] = flights.phase[slot]
-    for field in range(len(state)):
-        line.end_state[i, field] = state[field]
+#: The plate's force in contact, by what a model prepares for a cell.
+_FORCES: Final[dict[type, Callable[..., float]]] = {
+    Spring: _rigid_force,
+    SoftSpring: _soft_force,
+    SteppedSpring: _stepped_force,
+    Ball: _ball_force,
+}

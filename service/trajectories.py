@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from kernel.modes import TWO_PI
 from kernel.params import Cell, Contact, Outcome
-from kernel.sampling import Trajectory, sample
+from kernel.trajectory import Trajectory, sample
 from service import schemas
 from service.calls import JsonBody, TheService
 from service.errors import InvalidRequest, TooLarge

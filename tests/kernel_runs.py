@@ -9,12 +9,12 @@ import numpy as np
 from hypothesis import settings
 from naive import Setting, State
 
-from kernel import model
-from kernel.events import ROOT
+from kernel import interface
+from kernel.line import run_line
+from kernel.models.rigid import RigidPlate
+from kernel.models.soft import SoftPlate
+from kernel.numerics.first_root import ROOT
 from kernel.params import Line, Model
-from kernel.ramp import run_line
-from kernel.rigid import RigidPlate
-from kernel.soft import SoftPlate
 
 TWO_PI = 2.0 * math.pi
 
@@ -90,12 +90,12 @@ def constants(s: Setting) -> Any:
     """The kernel's constants of a setting."""
     restitution = np.array([s.restitution])
     soft = SoftPlate(restitution, np.array([s.penetration]), s.adhesive)
-    return model.prepare(soft if s.soft else RigidPlate(restitution), 0, s.gamma, s.omega, s.xi)
+    return interface.prepare(soft if s.soft else RigidPlate(restitution), 0, s.gamma, s.omega, s.xi)
 
 
 def one_phase(s: Setting, flying: bool, phi: float, state: State, horizon: float, budget: int) -> Step:
     """The contact or flight that begins in this state."""
-    answer = (model.flight if flying else model.contact)(constants(s), phi, *state, horizon, budget)
+    answer = (interface.flight if flying else interface.contact)(constants(s), phi, *state, horizon, budget)
     after = (answer.gap, answer.gap1, answer.q, answer.q1)
     return Step(flying, phi, state, answer.tau, answer.ending, after, answer.in_flight, answer.used)
 
@@ -103,8 +103,8 @@ def one_phase(s: Setting, flying: bool, phi: float, state: State, horizon: float
 def phases(s: Setting, periods: int, most: int, budget: int = 100_000) -> Iterator[Step]:
     """The first phases from rest, until the window ends, `most` have passed, or one fails."""
     cell = constants(s)
-    phi, passed, state = 0.0, 0.0, model.rest(cell)
-    flying = model.flies(cell, phi, *state)
+    phi, passed, state = 0.0, 0.0, interface.rest(cell)
+    flying = interface.flies(cell, phi, *state)
     for _ in range(most):
         step = one_phase(s, flying, phi, state, TWO_PI * periods - passed, budget)
         yield step

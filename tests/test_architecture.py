@@ -39,8 +39,8 @@ SPECIFICATION = {
     "worker.stepping",
     "worker.problems",
     "kernel.params",
-    "kernel.isolated",
-    "kernel.steps",
+    "kernel.restitution",
+    "kernel.step_limits",
 }
 
 #: Of the project's own rooms, all that these may reach.

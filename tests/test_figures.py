@@ -17,8 +17,8 @@ from click.testing import CliRunner
 from PIL import Image
 from scripted import DEADLINE
 
-from kernel.isolated import restitution_of
 from kernel.params import Outcome
+from kernel.restitution import restitution_of
 from service import embedded
 from service.cli import main
 from service.client import Client

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from kernel import ball, cascade, fall, impact, isolated, model
-from kernel.ball import BallPlate
-from kernel.events import ROOT
+from kernel import interface, restitution
+from kernel.cell import MEMORY
+from kernel.line import run_line
+from kernel.models import ball, chatter, contact_law, free_fall
+from kernel.models.ball import BallPlate
+from kernel.numerics.first_root import ROOT
 from kernel.params import Cell, Line, Model, Outcome, Start
-from kernel.ramp import run_line
-from kernel.trajectory import MEMORY
 
 TWO_PI = 2.0 * math.pi
 
@@ -134,9 +135,9 @@ def test_saddle_node(epsilon: float, n: int):
 # --- landings -------------------------------------------------------------------------------
 
 
-def make_drop(gamma: float, phi: float, gap: float, gap1: float) -> fall.Drop:
+def make_drop(gamma: float, phi: float, gap: float, gap1: float) -> free_fall.Drop:
     slope = math.sqrt((1.0 - 1.0 / gamma) * (1.0 + 1.0 / gamma)) if gamma > 1.0 else 0.0
-    return fall.drop(1.0 / gamma, math.atan2(slope, 1.0 / gamma), slope, phi, gap, gap1)
+    return free_fall.drop(1.0 / gamma, math.atan2(slope, 1.0 / gamma), slope, phi, gap, gap1)
 
 
 def gap_after(gamma: float, phi: float, gap: float, gap1: float, tau):
@@ -160,7 +161,7 @@ def random_drops(count: int) -> list[tuple[float, float, float, float]]:
 
 def test_no_landing_is_missed():
     for gamma, phi, gap, gap1 in random_drops(600):
-        end = fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
+        end = free_fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
         assert end.ending == ROOT
         taus = np.linspace(0.0, end.tau, 20_001)[1:-1]
         scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
@@ -173,7 +174,7 @@ def test_no_landing_is_missed():
 
 def test_landings_take_few_evaluations():
     for gamma, phi, gap, gap1 in random_drops(6000):
-        end = fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
+        end = free_fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
         scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
         assert end.ending == ROOT
         assert end.used < 30 + end.tau
@@ -197,7 +198,7 @@ def test_grazes_are_told_from_misses():
     bottom = taus[lowest.argmin()]
     touch = -min(gap_after(gamma, phi, 0.0, gap1, bottom + np.linspace(-1e-3, 1e-3, 20_001)))
     for above, lands in ((-1e-9, True), (-1e-12, True), (1e-12, False), (1e-9, False)):
-        end = fall.landing(make_drop(gamma, phi, touch + above, gap1), 1e4, 10_000)
+        end = free_fall.landing(make_drop(gamma, phi, touch + above, gap1), 1e4, 10_000)
         assert (abs(end.tau - bottom) < 0.1) == lands
 
 
@@ -205,7 +206,7 @@ def test_small_hops_keep_their_digits():
     for hop in (1e-3, 1e-6, 1e-9, 1e-12):
         for phi in (1.6, 3.0, 4.6):
             press, press1 = 1.0 / 2.0 - math.cos(phi), math.sin(phi)
-            end = fall.landing(make_drop(2.0, phi, 0.0, hop), 1e4, 10_000)
+            end = free_fall.landing(make_drop(2.0, phi, 0.0, hop), 1e4, 10_000)
             time = 2.0 * hop / press
             assert end.tau == pytest.approx(
                 time - press1 * time**2 / (3.0 * press), rel=4.0 * time**2 + 1e-14
@@ -222,7 +223,7 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
     """Time until hops fade, each of them searched for."""
     phases = [phi]
     while hop > 1e-14:
-        end = fall.landing(make_drop(gamma, phases[-1] % TWO_PI, 0.0, hop), 1e4, 10_000)
+        end = free_fall.landing(make_drop(gamma, phases[-1] % TWO_PI, 0.0, hop), 1e4, 10_000)
         phases.append(phases[-1] + end.tau)
         hop = -epsilon * end.gap1
     return phases[-1] - phi
@@ -233,16 +234,16 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
 def test_collapse_is_that_of_the_hops(epsilon: float, phi: float):
     gamma = 2.0
     press, press1 = 1.0 / gamma - math.cos(phi), math.sin(phi)
-    hop = bisect(lambda v: cascade.collapses(v, press, press1, 1.0, epsilon), 0.0, 0.1)
-    closed = cascade.collapse_time(hop, press, press1, epsilon)
-    assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=cascade.STEADY**2)
+    hop = bisect(lambda v: chatter.collapses(v, press, press1, 1.0, epsilon), 0.0, 0.1)
+    closed = chatter.collapse_time(hop, press, press1, epsilon)
+    assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=chatter.STEADY**2)
     assert closed < 2e-3 * math.sqrt(press)
 
 
 def test_cascade_closes_only_on_a_plate_that_presses():
-    assert not cascade.collapses(1e-9, -1.0, 0.0, 1.0, 0.5)
-    assert not cascade.collapses(1e-9, 1e-9, -1.0, 1.0, 0.5)
-    assert not cascade.collapses(1e-9, 1.0, 0.0, 1.0, 1.0)
+    assert not chatter.collapses(1e-9, -1.0, 0.0, 1.0, 0.5)
+    assert not chatter.collapses(1e-9, 1e-9, -1.0, 1.0, 0.5)
+    assert not chatter.collapses(1e-9, 1.0, 0.0, 1.0, 1.0)
 
 
 def test_flights_are_the_hops_one_by_one():
@@ -253,7 +254,7 @@ def test_flights_are_the_hops_one_by_one():
     found = flights(line)
     per_cycle = int(line.bounces[0])
     for _ in range(per_cycle):
-        end = fall.landing(make_drop(gamma, phi, 0.0, hop), 1e4, 10_000)
+        end = free_fall.landing(make_drop(gamma, phi, 0.0, hop), 1e4, 10_000)
         expected.append(end.tau)
         phi, hop = (phi + end.tau) % TWO_PI, -epsilon * end.gap1
     assert np.sort(found[-per_cycle:]) == pytest.approx(np.sort(expected), abs=1e-12)
@@ -271,10 +272,12 @@ def test_a_round_that_is_known_is_the_one_that_would_be_computed(epsilon: float)
     gammas, orbits = np.linspace(1.05, 5.5, 40), 0
     line = run(gammas, epsilon, settle=40, observe=60, keep=2000)
     for i, gamma in enumerate(gammas):
-        cell = model.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
+        cell = interface.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
         phi, period, hop, flying, found = 0.0, 0, 0.0, True, []
         while period < 100:
-            end = (model.flight if flying else model.contact)(cell, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000)
+            end = (interface.flight if flying else interface.contact)(
+                cell, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000
+            )
             landed = period + math.floor((phi + end.tau) / TWO_PI)
             if flying and period >= 40 and landed < 100:
                 found.append((end.tau, phi))
@@ -348,21 +351,23 @@ def test_a_million_periods_keep_their_phase():
 
 
 def test_restitution_of_a_rigid_spring():
-    assert isolated.restitution_of(0.5) == pytest.approx(0.1492, abs=5e-5)
-    assert isolated.restitution_of(10.0) == pytest.approx(0.0012, abs=5e-5)
-    assert isolated.restitution_of(0.0) == 0.5
+    assert restitution.restitution_of(0.5) == pytest.approx(0.1492, abs=5e-5)
+    assert restitution.restitution_of(10.0) == pytest.approx(0.0012, abs=5e-5)
+    assert restitution.restitution_of(0.0) == 0.5
     zetas = np.concatenate([np.linspace(0.0, 3.0, 61), [1.0 - 1e-12, 1.0 + 1e-12, 1e3]])
     np.testing.assert_allclose(
-        isolated.restitution_of(zetas), [0.5 * impact.restitution(z, False) for z in zetas], rtol=1e-7
+        restitution.restitution_of(zetas), [0.5 * contact_law.restitution(z, False) for z in zetas], rtol=1e-7
     )
 
 
 @pytest.mark.parametrize("adhesive", [True, False])
 def test_isolated_impacts_are_those_of_the_compiled_kernel(adhesive: bool):
     e = np.concatenate([np.logspace(-11, 0, 40), [0.0, 0.5]])
-    zeta = isolated.damping_ratio(e, adhesive)
-    np.testing.assert_allclose(zeta, [impact.damping_ratio(x, adhesive) for x in e], rtol=1e-12, atol=1e-15)
-    reached = isolated.restitution(zeta, adhesive)
+    zeta = restitution.damping_ratio(e, adhesive)
+    np.testing.assert_allclose(
+        zeta, [contact_law.damping_ratio(x, adhesive) for x in e], rtol=1e-12, atol=1e-15
+    )
+    reached = restitution.restitution(zeta, adhesive)
     np.testing.assert_allclose(reached, np.where(e > 0.0, e, 0.0 if adhesive else 1e-12), rtol=1e-8)
 
 
@@ -371,7 +376,7 @@ def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
     """Figs. 3 and 4 (rigidity xi/Omega = 650), where both repeat and nothing changes nearby."""
     gammas = np.linspace(1.05, 6.0, 100)
     omega = np.full_like(gammas, xi / 650.0)
-    epsilon = float(isolated.restitution_of(xi)) if epsilon is None else epsilon
+    epsilon = float(restitution.restitution_of(xi)) if epsilon is None else epsilon
     window = {"carry": False, "settle": 150, "observe": 50, "keep": 64, "micro_flight": 0.1}
     one = np.ones_like(gammas)
     spring, ball = (
@@ -407,7 +412,7 @@ INTERPRETED = """
 import json
 import numpy as np
 from kernel.params import Model
-from kernel.ramp import run_line
+from kernel.line import run_line
 for model, e in ((Model.BALL, 0.3), (Model.STEPPED, 0.5)):
     g = np.array([1.7, 2.9])
     line = run_line(g, 0.5 + 0 * g, 0.3 + 0 * g, model=model, restitution=e + 0 * g, penetration=0.05 + 0 * g,

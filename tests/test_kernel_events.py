@@ -11,8 +11,8 @@ from mpmath import mp, mpf
 from naive import Setting, State
 from naive_exact import Exact, exact, instants, lowest, response
 
-from kernel import oscillator
-from kernel.events import HORIZON, ROOT, safe_step
+from kernel.numerics import oscillator
+from kernel.numerics.first_root import HORIZON, ROOT, safe_step
 
 HORIZON_RAD = 4.0 * math.pi
 BUDGET = 20_000

@@ -12,9 +12,9 @@ from kernel_runs import TWO_PI, Step, examples, phases, recorded, run, run_setti
 from naive import Setting
 from naive_exact import Exact, energy, exact, instants, work
 
-from kernel.events import HORIZON, ROOT
+from kernel.line import warm
+from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Line, Model, Outcome
-from kernel.ramp import warm
 from kernel.threshold import threshold
 
 #: (Gamma, Omega, xi)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from kernel_runs import assert_same_bytes
 
+from kernel.line import run_line
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Start
-from kernel.ramp import run_line
 
 ONE = np.ones(3)
 

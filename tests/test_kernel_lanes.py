@@ -6,10 +6,10 @@ import mpmath
 import numpy as np
 import pytest
 
-from kernel import elementary
-from kernel.lanes import LANES
+from kernel.line import run_line
+from kernel.models.lanes import LANES
+from kernel.numerics import elementary
 from kernel.params import Line, Model, Outcome
-from kernel.ramp import run_line
 
 
 def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, one_by_one=False) -> Line:

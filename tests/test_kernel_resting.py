@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from kernel_runs import TWO_PI, run
 
-from kernel import model
-from kernel.ball import BallPlate
-from kernel.events import HORIZON, first_root
+from kernel import interface
+from kernel.models.ball import BallPlate
+from kernel.models.rigid import RigidPlate, Stuck
+from kernel.models.soft import SoftPlate
+from kernel.models.soft_contact import pressed, split
+from kernel.numerics.first_root import HORIZON, first_root
 from kernel.params import Line, Model, Outcome
-from kernel.pressed import pressed, split
-from kernel.rigid import RigidPlate, Stuck
-from kernel.soft import SoftPlate
 from kernel.threshold import threshold
 
 #: (Omega, xi): below and above resonance, hardly damped, slow, fast, and locked.
@@ -32,7 +32,7 @@ def cell(which: Model, gamma: float, omega: float, xi: float):
     """The kernel's constants of one cell, e = 0.01 and d = 1e-3."""
     e, d = np.array([0.01]), np.array([1e-3])
     plate = {Model.BALL: BallPlate(e), Model.RIGID: RigidPlate(e), Model.SOFT: SoftPlate(e, d, True)}[which]
-    return model.prepare(plate, 0, gamma, omega, xi)
+    return interface.prepare(plate, 0, gamma, omega, xi)
 
 
 def up(which: Model, omega: float, xi: float) -> tuple[np.ndarray, Line]:
@@ -75,7 +75,7 @@ def test_a_cell_that_rests_costs_one_look_however_long_its_window(which, omega, 
         if which == Model.SOFT and gamma < 0.05 * onset(which, omega, xi):
             continue  # the first steps of such a ramp double the amplitude
         for periods in (3, 300_000):
-            end = model.contact(cell(which, gamma, omega, xi), phi, *state, TWO_PI * periods, 100_000)
+            end = interface.contact(cell(which, gamma, omega, xi), phi, *state, TWO_PI * periods, 100_000)
             assert (end.ending, end.used) == (HORIZON, 1)
             assert end.tau == TWO_PI * periods
 
@@ -105,7 +105,7 @@ def test_from_rest_too_a_cell_is_searched_only_while_its_first_shaking_lasts(whi
     for part in (0.3, 0.6, 0.9, 0.97):
         s = cell(which, part * onset(which, omega, xi), omega, xi)
         short, long = (
-            model.contact(s, 0.0, *model.rest(s), TWO_PI * periods, 10_000_000)
+            interface.contact(s, 0.0, *interface.rest(s), TWO_PI * periods, 10_000_000)
             for periods in (1_000, 1_000_000)
         )
         if short.ending == HORIZON:  # the first shaking did not lift it

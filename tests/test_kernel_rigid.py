@@ -6,7 +6,7 @@ from kernel_runs import TWO_PI, last_cycle, phases, recorded, run, run_setting
 from naive import Setting, trajectory
 from naive_exact import flight
 
-from kernel.events import ROOT
+from kernel.numerics.first_root import ROOT
 from kernel.params import Model, Outcome
 from kernel.threshold import threshold
 

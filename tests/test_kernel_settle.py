@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from kernel.events import ROOT, Phase
+from kernel.cell import Flights, Progress, Window, begin, record, settled
+from kernel.line import run_line
+from kernel.numerics.first_root import ROOT, Phase
 from kernel.params import Line, Model, Outcome
-from kernel.ramp import run_line
-from kernel.trajectory import Flights, Progress, Window, begin, record, settled
 
 
 def run(gamma, settle_tolerance, *, settle=400, carry=False, model=Model.RIGID) -> Line:

@@ -14,13 +14,13 @@ from mpmath import mp, mpf
 from naive import Setting, bounce, damping_for, restitution_of, trajectory
 from naive_exact import pressed
 
-from kernel.events import ROOT, terms
-from kernel.impact import damping_ratio, restitution
+from kernel.models.contact_law import damping_ratio, restitution
+from kernel.models.soft_contact import join, soft_spring, split
+from kernel.models.soft_contact import pressed as in_contact
+from kernel.models.soft_liftoff import pressed_until
+from kernel.numerics.first_root import ROOT, terms
+from kernel.numerics.quartic import Factors, paired, roots
 from kernel.params import Model
-from kernel.pressed import join, soft_spring, split
-from kernel.pressed import pressed as in_contact
-from kernel.quartic import Factors, paired, roots
-from kernel.ringing import pressed_until
 
 FACTS = json.loads((Path(__file__).parent / "golden" / "facts.json").read_text())["restitution"]
 

@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from kernel import isolated, scheme, steps
-from kernel.events import EPS
+from kernel import restitution, step_limits
+from kernel.line import run_line
+from kernel.models import time_stepping
 from kernel.modes import TWO_PI
+from kernel.numerics.first_root import EPS
 from kernel.params import Cell, KernelInputError, Line, Model, Outcome, Start
-from kernel.ramp import run_line
-from kernel.steps import Scheme, largest_stable_step, stable_steps_per_contact, steps_per_period
+from kernel.step_limits import Scheme, largest_stable_step, stable_steps_per_contact, steps_per_period
 
 SCHEMES = [s.name.lower() for s in Scheme]
 ORDER = {"verlet": 2.0, "euler": 1.0}
@@ -111,12 +112,12 @@ def random_contacts(count: int) -> list[dict]:
     ]
 
 
-def step_law(h: float, m: float, contact: dict, pressed: bool) -> scheme.Law:
+def step_law(h: float, m: float, contact: dict, pressed: bool) -> time_stepping.Law:
     omega, d = contact["omega"], contact["penetration"]
-    zeta = float(isolated.damping_ratio(contact["restitution"], contact["adhesive"]))
+    zeta = float(restitution.damping_ratio(contact["restitution"], contact["adhesive"]))
     kappa, beta = (1.0 / d**2, 2.0 * zeta / d) if pressed else (0.0, 0.0)
-    grid = scheme.Grid(1, h, math.cos(h), math.sin(h), m)
-    return scheme.law(grid, 2.0 * contact["xi"] / omega, 1.0 / omega**2, kappa, beta, 0.0, not pressed)
+    grid = time_stepping.Grid(1, h, math.cos(h), math.sin(h), m)
+    return time_stepping.law(grid, 2.0 * contact["xi"] / omega, 1.0 / omega**2, kappa, beta, 0.0, not pressed)
 
 
 def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
@@ -124,7 +125,7 @@ def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
     law = step_law(h, m, contact, pressed)
     columns = []
     for gap, gap1, q, q1 in np.diag([1.0, 1.0 / h, 1.0, 1.0 / h]):
-        end = scheme.step(law, m, 0.0, 0.0, scheme.Point(gap, gap1, q, q1), h)
+        end = time_stepping.step(law, m, 0.0, 0.0, time_stepping.Point(gap, gap1, q, q1), h)
         columns.append((end.gap, h * end.gap1, end.q, h * end.q1))
     return np.array(columns).T
 
@@ -145,23 +146,23 @@ def test_limit_of_stability_is_where_an_eigenvalue_leaves_the_circle(kind: Schem
 @pytest.mark.parametrize("m", [0.5, 0.0])
 def test_marching_is_stepping(m: float):
     h = TWO_PI / 1000
-    grid = scheme.Grid(1000, h, math.cos(h), math.sin(h), m)
-    law = scheme.law(grid, 0.5, 2.0, 400.0, 10.0, 0.0, False)
-    point, gravity = scheme.Point(-1e-2, -0.3, -0.4, 0.2), 5.0
-    start = scheme.outset(grid, law, 1.0 - gravity, point)
-    row = scheme.march(grid, law, gravity, 1.0, 0.0, start, 30)
+    grid = time_stepping.Grid(1000, h, math.cos(h), math.sin(h), m)
+    law = time_stepping.law(grid, 0.5, 2.0, 400.0, 10.0, 0.0, False)
+    point, gravity = time_stepping.Point(-1e-2, -0.3, -0.4, 0.2), 5.0
+    start = time_stepping.outset(grid, law, 1.0 - gravity, point)
+    row = time_stepping.march(grid, law, gravity, 1.0, 0.0, start, 30)
     for i in range(30):
         f0, f1 = (math.cos(j * h) - gravity for j in (i, i + 1))
-        before, point = point, scheme.step(law, m, f0, f1, point, h)
+        before, point = point, time_stepping.step(law, m, f0, f1, point, h)
     assert (row.taken, row.over) == (30, False)
     assert row.now == pytest.approx(point, abs=1e-13)
-    assert scheme.before(grid, row) == pytest.approx(before, abs=1e-13)
+    assert time_stepping.before(grid, row) == pytest.approx(before, abs=1e-13)
 
 
 def test_steps_fill_the_period_and_obey_the_rule():
     for contact in random_contacts(50):
         e, d, adhesive = contact["restitution"], contact["penetration"], contact["adhesive"]
-        time = float(isolated.contact_time(e, d, adhesive))
+        time = float(restitution.contact_time(e, d, adhesive))
         number = int(steps_per_period(e, d, 20, adhesive=adhesive))
         assert TWO_PI / number <= time / 20 * (1.0 + 4.0 * EPS)
         assert number == 1 or TWO_PI / (number - 1) > time / 20 * (1.0 - 4.0 * EPS)
@@ -171,15 +172,15 @@ def test_steps_fill_the_period_and_obey_the_rule():
 def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
     """Let a light, free mass fall on the plate: march until it leaves."""
     for e in (0.9, 0.3, 0.02):
-        zeta = float(isolated.damping_ratio(e, adhesive))
-        grid = scheme.Grid(100_000, 1e-4, math.cos(1e-4), math.sin(1e-4), 0.5)
-        law = scheme.law(grid, 0.0, 1e-9, 1.0, 2.0 * zeta, 0.0 if adhesive else 2.0 * zeta, False)
-        first = scheme.step(law, 0.5, 0.0, 0.0, scheme.Point(0.0, -1.0, 0.0, 0.0), 1e-4)
-        start = scheme.outset(grid, law, 0.0, first)
-        row = scheme.march(grid._replace(cos=1.0, sin=0.0), law, 0.0, 0.0, 0.0, start, 200_000)
+        zeta = float(restitution.damping_ratio(e, adhesive))
+        grid = time_stepping.Grid(100_000, 1e-4, math.cos(1e-4), math.sin(1e-4), 0.5)
+        law = time_stepping.law(grid, 0.0, 1e-9, 1.0, 2.0 * zeta, 0.0 if adhesive else 2.0 * zeta, False)
+        first = time_stepping.step(law, 0.5, 0.0, 0.0, time_stepping.Point(0.0, -1.0, 0.0, 0.0), 1e-4)
+        start = time_stepping.outset(grid, law, 0.0, first)
+        row = time_stepping.march(grid._replace(cos=1.0, sin=0.0), law, 0.0, 0.0, 0.0, start, 200_000)
         assert row.over
         assert (row.taken + 1) * 1e-4 == pytest.approx(
-            float(isolated.contact_time(e, 1.0, adhesive)), abs=3e-4
+            float(restitution.contact_time(e, 1.0, adhesive)), abs=3e-4
         )
         assert row.now.gap1 == pytest.approx(e, abs=3e-4)
 
@@ -190,10 +191,12 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
 def swings(h: float, m: float, contact: dict, count: int) -> float:
     """How far `count` steps take a heavily pressed spring from balance that began 1e-6 of it away."""
     law = step_law(h, m, contact, True)
-    grid = scheme.Grid(1, h, 1.0, 0.0, m)
+    grid = time_stepping.Grid(1, h, 1.0, 0.0, m)
     dent, sag = -2.0 / law.kappa, -1.0 / law.stiffness  # under unit weight, the plate at rest at zero
-    start = scheme.outset(grid, law, -1.0, scheme.Point((1.0 + 1e-6) * dent, 0.0, (1.0 - 1e-6) * sag, 0.0))
-    end = scheme.march(grid, law, 1.0, 0.0, 0.0, start, count)
+    start = time_stepping.outset(
+        grid, law, -1.0, time_stepping.Point((1.0 + 1e-6) * dent, 0.0, (1.0 - 1e-6) * sag, 0.0)
+    )
+    end = time_stepping.march(grid, law, 1.0, 0.0, 0.0, start, count)
     if end.over:
         return math.inf  # swung so far that it left the plate
     return max(abs(end.now.gap / dent - 1.0), abs(end.now.q / sag - 1.0))
@@ -232,7 +235,7 @@ def test_largest_step_that_works_is_told():
             limit = float(largest_stable_step(**contact, scheme=kind))
             fewest = int(stable_steps_per_contact(**contact, scheme=kind))
             time = float(
-                isolated.contact_time(contact["restitution"], contact["penetration"], contact["adhesive"])
+                restitution.contact_time(contact["restitution"], contact["penetration"], contact["adhesive"])
             )
             assert time / fewest < limit
             assert fewest == 1 or time / (fewest - 1) >= limit * (1.0 - 1e-9)
@@ -312,7 +315,7 @@ def test_starts_from_the_softs_rest():
 
 def test_too_many_steps_are_left_undone():
     line = run(Model.STEPPED, 1.5, 0.5, 0.26, d=1e-9)
-    assert int(steps_per_period(0.3, 1e-9, 20)) > steps.MOST_STEPS_PER_PERIOD
+    assert int(steps_per_period(0.3, 1e-9, 20)) > step_limits.MOST_STEPS_PER_PERIOD
     assert line.outcome[0] == Outcome.UNRESOLVED
 
 

@@ -17,12 +17,12 @@ from naive import Setting
 from naive_ball import Fall, trajectory
 from naive_steps import Stepper
 
-from kernel import model
-from kernel.ball import BallPlate
-from kernel.events import HORIZON, ROOT
+from kernel import interface
+from kernel.line import warm
+from kernel.models.ball import BallPlate
+from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Model, Outcome
-from kernel.ramp import warm
-from kernel.steps import Scheme, stable_steps_per_contact, steps_per_period
+from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from kernel.threshold import threshold
 
 SETTLED = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
@@ -60,11 +60,11 @@ def test_any_ball_ends_with_an_outcome_in_time(gamma, epsilon):
 @given(gamma=GAMMA.filter(lambda gamma: gamma > 0.5), epsilon=EPSILON)
 @examples(100)
 def test_any_phase_of_a_ball_obeys_the_equations_of_motion(gamma, epsilon):
-    ball = model.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
-    phi, state = 0.0, model.rest(ball)
-    flying = model.flies(ball, phi, *state)
+    ball = interface.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
+    phi, state = 0.0, interface.rest(ball)
+    flying = interface.flies(ball, phi, *state)
     for _ in range(12):
-        phase = (model.flight if flying else model.contact)(ball, phi, *state, 20.0 * TWO_PI, 100_000)
+        phase = (interface.flight if flying else interface.contact)(ball, phi, *state, 20.0 * TWO_PI, 100_000)
         assert phase.ending in (ROOT, HORIZON)
         assert 0.0 <= phase.tau < math.inf
         if flying:

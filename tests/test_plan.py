@@ -251,7 +251,7 @@ def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
 
 
 def test_time_steps_are_counted():
-    """A contact of d = 1e-3 and e = 0.01 lasts 1.78 times pi*d; see kernel.isolated."""
+    """A contact of d = 1e-3 and e = 0.01 lasts 1.78 times pi*d; see kernel.restitution."""
     coarse, fine, deep = (
         estimate(sweep(model={"kind": "stepped", "steps_per_contact": n, "penetration": d})).core_seconds
         for n, d in ((20, 1e-3), (100, 1e-3), (20, 1e-2))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from kernel.params import Model
-from kernel.steps import Scheme, stable_steps_per_contact, steps_per_period
+from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from worker.axes import MAX_AXIS_VALUES
 from worker.contacts import (
     MODELS,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scripted import DEADLINE
 
+from kernel.line import run_line
 from kernel.params import STATE_FIELDS, Cell, Model, Outcome
-from kernel.ramp import run_line
 from worker import store, tasks
 from worker.plan import Plan, make_plan
 from worker.spec import AXES, SweepSpec

@@ -11,9 +11,9 @@ from fastapi.testclient import TestClient
 from scripted import Held
 from served import service
 
+from kernel.line import run_line
 from kernel.params import Cell, Contact, KernelInputError, Model
-from kernel.ramp import run_line
-from kernel.sampling import Trajectory, sample
+from kernel.trajectory import Trajectory, sample
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]

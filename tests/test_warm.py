@@ -92,7 +92,7 @@ def test_where_no_cache_can_be_kept_there_is_one_for_the_process(claim, tmp_path
 
 def test_kernels_declared_before_the_claim_keep_no_cache(tmp_path):
     late = (
-        f"import kernel.ramp; from worker.warm import claim_cache; print(claim_cache({str(tmp_path)!r}))"
+        f"import kernel.line; from worker.warm import claim_cache; print(claim_cache({str(tmp_path)!r}))"
     )  # fmt: skip
     done = subprocess.run([sys.executable, "-c", late], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == "None\n"

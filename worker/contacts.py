@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from kernel.isolated import restitution_of as spring_restitution
 from kernel.params import Model
+from kernel.restitution import restitution_of as spring_restitution
 from worker.axes import NUMBER, WHOLE, Strict
 from worker.problems import BrokenRuleError, describe, did_you_mean, one_of
 

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple, overload
 
 import numpy as np
 
-from kernel.steps import steps_per_period
+from kernel.step_limits import steps_per_period
 from worker.contacts import Rigid, Stepped, penetration_of
 from worker.layout import bytes_per_cell
 from worker.problems import Problem, SpecTooLarge

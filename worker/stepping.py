@@ -1,6 +1,6 @@
 """Room: which time steps a sweep may ask of `stepped`: stable in every cell, and not too many.
 
-Imports numpy and kernel.steps, which needs no numba, and its neighbours in worker.
+Imports numpy and kernel.step_limits, which needs no numba, and its neighbours in worker.
 """
 
 from itertools import product
@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.steps import (
+from kernel.step_limits import (
     MOST_STEPS_PER_PERIOD,
     Scheme,
     largest_stable_step,
@@ -34,7 +34,7 @@ class Cells(NamedTuple):
 def corners(gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]) -> Cells:
     """The (up to) eight corners of a grid.
 
-    Both numbers of steps asked of `kernel.steps` rise or fall with each parameter all the way,
+    Both numbers of steps asked of `kernel.step_limits` rise or fall with each parameter all the way,
     the contact's depth included where a rest length makes it go like Omega**2/Gamma: none is
     larger inside the grid than at every corner.
     """

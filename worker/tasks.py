@@ -17,8 +17,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.line import run_line
 from kernel.params import Cell, Line, Outcome, Start
-from kernel.ramp import run_line
 from worker import layout, store
 from worker.contacts import kernel_model, penetration_of, restitution_of, steps_of
 from worker.plan import Chunk, cell_seconds

@@ -19,10 +19,10 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.isolated import restitution_of
+from kernel.line import run_line
 from kernel.params import Line, Model, Outcome
-from kernel.ramp import run_line
-from kernel.steps import Scheme, stable_steps_per_contact
+from kernel.restitution import restitution_of
+from kernel.step_limits import Scheme, stable_steps_per_contact
 from worker.axes import Strict
 from worker.deviation import deviations, percentile
 

@@ -44,17 +44,17 @@ def warm(root: str | Path | None = None) -> None:
     """
     slot = claim_cache(root)
     # Not at the top: the kernels' declarations look for the cache that was just claimed.
-    from kernel import ramp  # noqa: PLC0415
+    from kernel import line  # noqa: PLC0415
 
     if slot is None or (slot.parent / _READY).exists():
         if slot is not None:
             _seed(slot)  # it may have been claimed before there was anything to copy
-        ramp.warm()
+        line.warm()
         return
     with (slot.parent / "compiling").open("a") as turn:
         fcntl.flock(turn, fcntl.LOCK_EX)
         _seed(slot)
-        ramp.warm()
+        line.warm()
         _publish(slot)
 
 
@@ -65,7 +65,7 @@ def claim_cache(root: str | Path | None = None) -> Path | None:
     """
     if _held:
         return _held[0]
-    if "kernel.jit" in sys.modules:
+    if "kernel.numerics.jit" in sys.modules:
         return None
     slot = _claim(Path(root) if root else default_root())
     os.environ[_VARIABLE] = str(slot)
@@ -146,7 +146,7 @@ def _digest() -> str:
     package = find_spec("kernel")
     folder = Path(next(iter(package.submodule_search_locations or ()))) if package else Path()
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
-    for source in sorted(folder.glob("*.py")):
-        digest.update(f"{source.name} {source.stat().st_mtime_ns}\n".encode())
+    for source in sorted(folder.rglob("*.py")):
+        digest.update(f"{source.relative_to(folder)} {source.stat().st_mtime_ns}\n".encode())
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

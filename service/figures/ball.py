@@ -7,8 +7,8 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from kernel.isolated import restitution_of
 from kernel.params import Outcome
+from kernel.restitution import restitution_of
 from service.client import Job
 from service.figures.canvas import Drawing, dots, flights_over, label, page, styled
 from service.figures.caption import Caption, Claim, mode

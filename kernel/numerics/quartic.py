@@ -8,7 +8,7 @@ may be one of a double pair, is never used by itself.
 import math
 from typing import Final, NamedTuple
 
-from kernel.jit import jit
+from kernel.numerics.jit import jit
 
 #: Rounds of Aberth's method; a dozen is the rule, wide spreads of roots take more.
 ROUNDS: Final = 100

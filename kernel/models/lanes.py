@@ -13,11 +13,11 @@ on its neighbours.
 import math
 from typing import Any, Final
 
-from kernel.elementary import GENTLE, bent, exp, sincos
-from kernel.events import EPS, NEAR
-from kernel.instructions import fma
-from kernel.jit import inlined, jit
-from kernel.oscillator import NEAR_CRITICAL, Oscillator
+from kernel.numerics.elementary import GENTLE, bent, exp, sincos
+from kernel.numerics.first_root import EPS, NEAR
+from kernel.numerics.intrinsics import fma
+from kernel.numerics.jit import inlined, jit
+from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator
 
 #: Lanes: two vectors of eight doubles, so that one computes while the other waits.
 LANES: Final = 16

@@ -1,6 +1,6 @@
 """Isolated impacts and the ball a spring is like, for whole arrays and without numba.
 
-What a specification must know of the contact before anything runs. `kernel.impact` says the
+What a specification must know of the contact before anything runs. `kernel.models.contact_law` says the
 same to compiled code. The impact is gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1,
 one unit of time being d rad; it ends where the gap is zero again (`adhesive`) or where the
 force is (MODEL section 2).

@@ -7,7 +7,7 @@ series 2v/(n(1 - e)); if it drifts at the rate n', that times 1 - n'T/(3n), T be
 
 from typing import Final
 
-from kernel.jit import jit
+from kernel.numerics.jit import jit
 
 #: A cascade is closed in one go once n changes over the rest of it by less than this part of
 #: itself. What is left out then moves its end by less than the square of this, relatively.

@@ -5,7 +5,7 @@ oscillator; it takes off where the plate's normal force n falls to zero. In flig
 centre of mass falls freely and q rings; it lands where the gap falls to zero. There the
 lower mass leaves again at -e times its relative velocity, and where e = 0 takes the plate's.
 A cascade of ever smaller hops is followed hop by hop, each of them a flight, until the plate
-presses steadily over all that is left of it (`kernel.cascade`): from there on the mass counts
+presses steadily over all that is left of it (`kernel.models.chatter`): from there on the mass counts
 as stuck, which over so short a time moves the spring as the hops would.
 """
 
@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cascade import collapses
-from kernel.elementary import turned
-from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
-from kernel.flight import landing, state_after, take_off
-from kernel.jit import inlined, jit
-from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator, quiet_after
+from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.models.chatter import collapses
+from kernel.models.flight import landing, state_after, take_off
+from kernel.numerics.elementary import turned
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
+from kernel.numerics.jit import inlined, jit
+from kernel.numerics.oscillator import Oscillator, derivatives, envelope, motion, oscillator, quiet_after
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
 #: computed as one 5e-9 beside it, where the closed form still has eight digits.

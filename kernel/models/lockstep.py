@@ -12,9 +12,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from kernel.events import HORIZON, ROOT, Phase, departure_step
-from kernel.jit import inlined, jit
-from kernel.lanes import (
+from kernel.cell import (
+    Progress,
+    Window,
+    begin,
+    horizon_of,
+    leave,
+    record,
+    room_for_flights,
+    settled,
+    write,
+)
+from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.models.lanes import (
     AT_ROOT,
     COS,
     COUNT,
@@ -35,21 +45,11 @@ from kernel.lanes import (
     fits,
     load,
 )
-from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import derivatives, quiet_after
+from kernel.models.rigid import RigidPlate, Spring, land
+from kernel.numerics.first_root import HORIZON, ROOT, Phase, departure_step
+from kernel.numerics.jit import inlined, jit
+from kernel.numerics.oscillator import derivatives, quiet_after
 from kernel.params import STATE_FIELDS, Line
-from kernel.rigid import RigidPlate, Spring, land
-from kernel.trajectory import (
-    Progress,
-    Window,
-    begin,
-    horizon_of,
-    leave,
-    record,
-    room_for_flights,
-    settled,
-    write,
-)
 
 #: A flight shorter than this (rad) is left to the power series, ...
 BRIEF: Final = 0.05

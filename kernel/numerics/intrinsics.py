@@ -1,7 +1,7 @@
 """Two machine instructions that Python has no name for, for straight-line arithmetic in lanes.
 
 Written out, a fused multiply-add is the same wherever the code is compiled and inlined; left to
-the compiler's choice it is not (see `kernel.jit`). Without compilation (NUMBA_DISABLE_JIT=1) its
+the compiler's choice it is not (see `kernel.numerics.jit`). Without compilation (NUMBA_DISABLE_JIT=1) its
 product is rounded, so that the last digits may differ there.
 """
 

@@ -7,8 +7,8 @@ with their velocities; phi is the plate's phase. Times are rad from the start of
 
 from typing import Any
 
-from kernel.events import Phase
-from kernel.jit import by_type, jit
+from kernel.numerics.first_root import Phase
+from kernel.numerics.jit import by_type, jit
 
 
 @by_type

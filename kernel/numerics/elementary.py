@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from kernel.instructions import fma, power_of_two
-from kernel.jit import inlined, jit
+from kernel.numerics.intrinsics import fma, power_of_two
+from kernel.numerics.jit import inlined, jit
 
 _TWO_OVER_PI: Final = 2.0 / math.pi
 _HALF_PI_1: Final = 1.5707963267341256

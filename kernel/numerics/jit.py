@@ -18,7 +18,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # No "contract": which products are fused with sums would hang on how LLVM inlines, and code read from the
 # cache then differs in the last digit from code just compiled. What gains by it writes it out: see
-# `kernel.instructions`.
+# `kernel.numerics.intrinsics`.
 _OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
 
 

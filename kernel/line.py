@@ -11,17 +11,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.ball import BallPlate
-from kernel.events import BROKEN
-from kernel.inputs import check_arrays, check_window, checked_state
-from kernel.jit import jit
-from kernel.lockstep import run_lockstep
-from kernel.model import flies, prepare, rest
+from kernel.cell import Window, leave, room_for_flights, run_cell, write
+from kernel.interface import flies, prepare, rest
+from kernel.models.ball import BallPlate
+from kernel.models.lockstep import run_lockstep
+from kernel.models.rigid import RigidPlate
+from kernel.models.soft import SoftPlate
+from kernel.models.stepped import SteppedPlate, stepped_plate
+from kernel.numerics.first_root import BROKEN
+from kernel.numerics.jit import jit
 from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
-from kernel.rigid import RigidPlate
-from kernel.soft import SoftPlate
-from kernel.stepped import SteppedPlate, stepped_plate
-from kernel.trajectory import Window, leave, room_for_flights, run_cell, write
+from kernel.validation import check_arrays, check_window, checked_state
 
 
 @jit
@@ -87,7 +87,7 @@ def run_line(
     its predecessor's end, the first from `start` or from rest; without, every cell starts from
     rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad; with a
     settle_tolerance (rad) > 0, flights that repeat within it end the settling early. The last two
-    are for `stepped` alone: see kernel.steps, which says what is stable.
+    are for `stepped` alone: see kernel.step_limits, which says what is stable.
 
     A trajectory that fails is an outcome. Raises KernelInputError for arguments no cell can have.
     """

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kernel.isolated import contact_time, damping_ratio
+from kernel.restitution import contact_time, damping_ratio
 
 #: More steps in a plate period than this are refused; a cell that asks for them is unresolved.
 MOST_STEPS_PER_PERIOD: Final = 10_000_000

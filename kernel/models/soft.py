@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.elementary import turned
-from kernel.events import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
-from kernel.flight import Flight, flight_terms, landing, state_after, take_off
-from kernel.impact import lets_go
-from kernel.jit import jit
-from kernel.model import contact, flies, flight, prepare, rest
-from kernel.oscillator import derivatives, envelope, motion, quiet_after
-from kernel.pressed import SoftSpring, join, pressed, soft_spring, split
-from kernel.ringing import pressed_until
+from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.models.contact_law import lets_go
+from kernel.models.flight import Flight, flight_terms, landing, state_after, take_off
+from kernel.models.soft_contact import SoftSpring, join, pressed, soft_spring, split
+from kernel.models.soft_liftoff import pressed_until
+from kernel.numerics.elementary import turned
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
+from kernel.numerics.jit import jit
+from kernel.numerics.oscillator import derivatives, envelope, motion, quiet_after
 
 
 class SoftPlate(NamedTuple):

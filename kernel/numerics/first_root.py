@@ -13,7 +13,7 @@ smooth part, its amplitude alone bounds it and the steps stay as wide as the pla
 import math
 from typing import Any, Final, NamedTuple
 
-from kernel.jit import by_type, inlined, jit
+from kernel.numerics.jit import by_type, inlined, jit
 
 #: How a search ends.
 ROOT: Final = 0

@@ -8,10 +8,10 @@ concave, and a first zero is bracketed or excluded for certain, however short a 
 import math
 from typing import Final, NamedTuple
 
-from kernel.elementary import turned
-from kernel.events import EPS, HORIZON, ROOT, SPENT, householder
-from kernel.jit import jit
 from kernel.modes import TWO_PI
+from kernel.numerics.elementary import turned
+from kernel.numerics.first_root import EPS, HORIZON, ROOT, SPENT, householder
+from kernel.numerics.jit import jit
 
 #: Below this many rad the gap is summed as a power series, which keeps the digits of small hops.
 SHORT: Final = 0.5

@@ -7,8 +7,8 @@ obeys the same equation, which gives n'', gap''' and so on without differencing.
 import math
 from typing import Final, NamedTuple
 
-from kernel.elementary import exp, turned
-from kernel.jit import inlined, jit
+from kernel.numerics.elementary import exp, turned
+from kernel.numerics.jit import inlined, jit
 
 TWO_PI: Final = 2.0 * math.pi
 

@@ -8,10 +8,10 @@ bound all between them.
 
 import math
 
-from kernel.events import Terms
-from kernel.jit import jit
-from kernel.oscillator import falling_zero, motion
-from kernel.pressed import Pressed
+from kernel.models.soft_contact import Pressed
+from kernel.numerics.first_root import Terms
+from kernel.numerics.jit import jit
+from kernel.numerics.oscillator import falling_zero, motion
 
 
 @jit

@@ -12,12 +12,12 @@ it follows, never as what is left of the gap when the contact's ringing is taken
 import math
 from typing import Final, NamedTuple
 
-from kernel.elementary import turned
-from kernel.events import EPS, Terms, terms
-from kernel.impact import damping_ratio
-from kernel.jit import jit
-from kernel.oscillator import Oscillator, derivatives, envelope, motion, oscillator
-from kernel.quartic import paired, roots
+from kernel.models.contact_law import damping_ratio
+from kernel.numerics.elementary import turned
+from kernel.numerics.first_root import EPS, Terms, terms
+from kernel.numerics.jit import jit
+from kernel.numerics.oscillator import Oscillator, derivatives, envelope, motion, oscillator
+from kernel.numerics.quartic import paired, roots
 
 #: As in `rigid`: an undamped spring exactly at resonance is computed as one this far beside it.
 NEAREST_RESONANCE: Final = 1e-8

@@ -1,8 +1,8 @@
 """The soft plate by fixed time steps: the molecular dynamics of the paper (section 2.2, MODEL section 2).
 
-The contact is that of `kernel.soft`, gap'' = b q' + w q - 1/Gamma + cos(phi) - kappa gap - beta gap'
-while it lasts, moved on by one of the schemes of `kernel.scheme`. A step of h = 2 pi/N rad, at most
-the contact's duration over `steps_per_contact` (`kernel.steps`), takes a whole number N of steps to
+The contact is that of `kernel.models.soft`, gap'' = b q' + w q - 1/Gamma + cos(phi) - kappa gap - beta gap'
+while it lasts, moved on by one of the schemes of `kernel.models.time_stepping`. A step of h = 2 pi/N rad, at most
+the contact's duration over `steps_per_contact` (`kernel.step_limits`), takes a whole number N of steps to
 the plate period, and the grid of phases on which steps end is the same in every period.
 
 The spring takes off or lands inside a step. That step is shortened so that it ends there (the
@@ -18,15 +18,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.events import BROKEN, EPS, HORIZON, ROOT, SPENT, Phase
-from kernel.impact import lets_go
-from kernel.isolated import damping_ratio
-from kernel.jit import jit
-from kernel.model import contact, flies, flight, prepare, rest
+from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.models.contact_law import lets_go
+from kernel.models.time_stepping import Grid, Law, March, Point, before, law, march, outset, over, step
 from kernel.modes import TWO_PI
+from kernel.numerics.first_root import BROKEN, EPS, HORIZON, ROOT, SPENT, Phase
+from kernel.numerics.jit import jit
 from kernel.params import KernelInputError
-from kernel.scheme import Grid, Law, March, Point, before, law, march, outset, over, step
-from kernel.steps import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
+from kernel.restitution import damping_ratio
+from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
 
 #: Steps between two exact evaluations of the plate's phase; in between a rotation turns it on.
 BLOCK: Final = 1024
@@ -182,7 +182,7 @@ def _run(
 def _contact(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In contact until take-off. The budget counts contacts and flights, `kernel.steps` bounds the steps."""
+    """In contact until take-off. The budget counts contacts and flights, `kernel.step_limits` bounds the steps."""
     tau, ending, x = _run(s, s.contact, phi, Point(gap, gap1, q, q1), horizon, budget)
     gap, gap1 = x.gap, x.gap1
     if ending == ROOT and s.contact.lead == 0.0:

@@ -11,7 +11,7 @@ with f = cos(phi) - 1/Gamma. At a step's end v = v(1) + m (v(1)+ - v(1)).
 
 from typing import NamedTuple
 
-from kernel.jit import jit
+from kernel.numerics.jit import jit
 
 
 class Grid(NamedTuple):

@@ -6,10 +6,10 @@ The same for every model of the plate, with or without a lower mass that starts 
 import math
 from typing import Final, NamedTuple
 
-from kernel.elementary import turned
-from kernel.events import EPS, ROOT, Terms, close_in, departure_step, first_root, terms
-from kernel.jit import jit
-from kernel.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
+from kernel.numerics.elementary import turned
+from kernel.numerics.first_root import EPS, ROOT, Terms, close_in, departure_step, first_root, terms
+from kernel.numerics.jit import jit
+from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 #: Terms of a power series smaller than this part of their sum are left out.
 NEGLIGIBLE: Final = 1e-19

@@ -7,7 +7,7 @@ again, `nonadhesive` where the force is.
 import math
 from typing import Final
 
-from kernel.jit import inlined, jit
+from kernel.numerics.jit import inlined, jit
 
 #: Restitutions below this ask for a damping without meaning; they get its damping.
 SMALLEST: Final = 1e-12

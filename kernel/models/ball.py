@@ -1,11 +1,11 @@
 """The bouncing ball: one rigid point mass on an ideal plate (paper section 2.1, MODEL section 2).
 
-It falls freely (`kernel.fall`), leaves the plate again at -epsilon times the relative velocity
+It falls freely (`kernel.models.free_fall`), leaves the plate again at -epsilon times the relative velocity
 it landed with (Eq. 4, its sign mended), and rests on it while n = 1/Gamma - cos(phi) > 0. The
 take-off from rest is at cos(phi) = 1/Gamma, in closed form, and what follows it is the same every
 time: an orbit that comes to rest again is known from then on (`_repeat`). A cascade of ever smaller hops is
 followed hop by hop, each of them a flight, until the plate presses steadily over all that is
-left of it (`kernel.cascade`); its end is then in closed form, and its hops are no more recorded:
+left of it (`kernel.models.chatter`); its end is then in closed form, and its hops are no more recorded:
 they are shorter than about 1e-3 (1 - epsilon) rad.
 """
 
@@ -15,13 +15,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cascade import collapse_time, collapses
-from kernel.events import HORIZON, ROOT, SPENT, Phase
-from kernel.fall import drop, landing, lifted, state_after, takes_off
-from kernel.jit import jit
-from kernel.model import contact, flies, flight, prepare, repeat, rest
+from kernel.cell import Flights, Progress, Window, horizon_of, record
+from kernel.interface import contact, flies, flight, prepare, repeat, rest
+from kernel.models.chatter import collapse_time, collapses
+from kernel.models.free_fall import drop, landing, lifted, state_after, takes_off
 from kernel.modes import TWO_PI
-from kernel.trajectory import Flights, Progress, Window, horizon_of, record
+from kernel.numerics.first_root import HORIZON, ROOT, SPENT, Phase
+from kernel.numerics.jit import jit
 
 #: Phases after a take-off from rest that a cell remembers, the next take-off among them if it comes so soon.
 KNOWN: Final = 18
@@ -36,7 +36,9 @@ WIDTH: Final = 3
 class BallPlate(NamedTuple):
     """The plate under each cell of a line."""
 
-    restitution: NDArray[np.float64]  # (n,) epsilon; kernel.isolated.restitution_of(xi) where none is given
+    restitution: NDArray[
+        np.float64
+    ]  # (n,) epsilon; kernel.restitution.restitution_of(xi) where none is given
 
 
 class Ball(NamedTuple):
