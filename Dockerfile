@@ -32,7 +32,7 @@ USER 10001
 
 # Compiled once here instead of at every start. Each container has its own copy of this layer,
 # so no two workers share a cache; on another kind of processor numba compiles anew.
-RUN python -c "from worker.warm import warm; warm()"
+RUN python -c "from worker.kernel_cache import warm; warm()"
 
 VOLUME /data
 EXPOSE 8000

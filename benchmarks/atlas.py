@@ -23,7 +23,7 @@ import psutil
 from benchmarks.machine import describe
 from service import embedded
 from service.client import Client, Job
-from worker.executors import Dask
+from worker.executors.dask import Dask
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport

@@ -31,7 +31,7 @@ from service.jobs import JobState
 from service.ledger import Ledger, Writing
 from service.lifecycle import Lifecycle
 from service.settings import Settings
-from worker.executors import Dask
+from worker.executors.dask import Dask
 from worker.plan import Chunk, make_plan
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport

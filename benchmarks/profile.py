@@ -25,7 +25,7 @@ from benchmarks.machine import describe
 from benchmarks.tables import table
 from service import embedded
 from service.client import Client
-from worker.executors import Dask
+from worker.executors.dask import Dask
 
 Stack = tuple[str, ...]
 

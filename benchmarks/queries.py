@@ -29,7 +29,7 @@ from benchmarks.tables import short, table
 from kernel.params import Outcome
 from service import embedded
 from service.client import Client
-from worker import layout, store
+from worker import schema, store
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.tasks import ChunkReport, run_chunk
@@ -55,7 +55,7 @@ class Tiling:
         shape = (*chunk.shape, spec.keep)
         if chunk.index % ONE_IN == 0 or shape not in self._found:
             report = run_chunk(spec, chunk, store_url)
-            names = [array.name for array in layout.arrays(spec)]
+            names = [array.name for array in schema.arrays(spec)]
             with self._lock:
                 self._found[shape] = store.read_chunk(store_url, chunk, names)
             return report

@@ -24,7 +24,7 @@ from zarr.storage import LocalStore, MemoryStore
 from benchmarks.atlas import atlas
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
-from worker import layout, store
+from worker import schema, store
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
@@ -43,7 +43,7 @@ CODECS: dict[str, Any] = {
 
 def computed(spec: SweepSpec, plan: Plan, count: int) -> tuple[list[Record], float]:
     """So many chunks spread over the plan, as arrays; and how long one took to compute, s."""
-    names = [array.name for array in layout.arrays(spec)]
+    names = [array.name for array in schema.arrays(spec)]
     records, kernel = [], []
     with tempfile.TemporaryDirectory() as folder:
         url = f"{folder}/atlas.zarr"

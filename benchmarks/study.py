@@ -22,7 +22,7 @@ from benchmarks.machine import describe
 from benchmarks.tables import short, table
 from service import embedded
 from service.client import Client
-from worker import layout
+from worker import schema
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -54,7 +54,7 @@ def piece(omega: int) -> Piece:
         stored = sum(f.stat().st_size for f in (Path(folder) / "stores" / f"{job.id}.zarr").rglob("*"))
     return Piece(
         executor.kernel_seconds / cells, executor.task_seconds / cells, 2 * wall / cells, stored / cells,
-        layout.bytes_per_cell(SweepSpec.model_validate(spec)),
+        schema.bytes_per_cell(SweepSpec.model_validate(spec)),
     )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def main() -> None:
         driven = million.drive(million.sweep(10_000), PLACES[-1], 0.0, Path(folder))
     dask = million.through_dask(2_000)
     hours = {n: max(cells * one.worker / n, len(plan) / min(dask, driven.rate)) / 3600 for n in PLACES}
-    arrays = len(list(layout.arrays(SweepSpec.model_validate(atlas(10, 10, 10)))))
+    arrays = len(list(schema.arrays(SweepSpec.model_validate(atlas(10, 10, 10)))))
     rows = [
         ("kernel, core-hours", short(cells * one.kernel / 3600)),
         ("worker-hours, everything", short(cells * one.worker / 3600)),

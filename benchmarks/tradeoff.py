@@ -2,7 +2,7 @@
 
     python -m benchmarks.tradeoff [-o docs/tradeoff.png]
 
-The same measurement (`worker.tradeoff`), one rung after the other in this process, so that rungs do
+The same measurement (`worker.analysis.work_precision`), one rung after the other in this process, so that rungs do
 not share the machine; the README's picture and figures come from here.
 """
 
@@ -14,7 +14,7 @@ from service import tradeoff_picture
 from service.tradeoff import table
 from service.tradeoff_command import report
 from service.tradeoff_text import lines
-from worker.tradeoff import RUNGS, measure
+from worker.analysis.work_precision import RUNGS, measure
 
 
 def main() -> None:

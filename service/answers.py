@@ -13,7 +13,8 @@ from fastapi import Request, Response
 from pydantic import BaseModel
 
 from service.errors import Busy, NotComputed
-from worker.executors import Executor, ExecutorError
+from worker.executors.base import Executor
+from worker.executors.errors import ExecutorError
 
 #: Questions whose answers are kept, the last asked.
 KEPT: Final = 64

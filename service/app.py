@@ -24,7 +24,7 @@ from service.security import Gate
 from service.settings import Settings
 from service.trajectories import TrajectorySpec
 from service.turns import Turns
-from worker.executors import Executor
+from worker.executors.base import Executor
 from worker.spec import SweepSpec
 from worker.store import StoreDamaged
 

@@ -14,8 +14,9 @@ from pydantic import BaseModel, Field
 
 from service.jobs import JobRecord
 from service.ledger import Ledger
-from worker.choice import Choice, choose, resolved
-from worker.executors import Executor, ExecutorError, WorkerDied
+from worker.analysis.model_selection import Choice, choose, resolved
+from worker.executors.base import Executor
+from worker.executors.errors import ExecutorError, WorkerDied
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 

@@ -242,7 +242,7 @@ def _service(url: str | None, given: dict[str, str | int | None]) -> Iterator[st
 
 def _claim_kernels() -> None:
     """Give this process a cache of compiled kernels, before anything that declares them is imported."""
-    from worker.warm import claim_cache
+    from worker.kernel_cache import claim_cache
 
     claim_cache()
 

@@ -10,8 +10,9 @@ import dask
 from distributed import Security
 
 from service.settings import Settings
-from worker.executors import ClusterLost, Dask
-from worker.link import SCHEDULER
+from worker.executors.connection import SCHEDULER
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost
 
 
 @contextmanager

@@ -29,8 +29,9 @@ from service.errors import ServiceError
 from service.ledger import Ledger
 from service.patience import impatient
 from service.settings import Settings
-from worker.executors import ClusterLost, Executor
-from worker.warm import claim_cache, warm
+from worker.executors.base import Executor
+from worker.executors.errors import ClusterLost
+from worker.kernel_cache import claim_cache, warm
 
 #: The web server's own log: silent until it has started, because why it does not start is raised, not logged.
 _LOG: Final = logging.getLogger("uvicorn.error")

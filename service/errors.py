@@ -36,9 +36,9 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
-from worker import places
-from worker.problems import Problem as Broken
-from worker.problems import SpecError, SpecTooLarge, SpecUnreadable
+from worker import store
+from worker.spec.errors import Problem as Broken
+from worker.spec.errors import SpecError, SpecTooLarge, SpecUnreadable
 from worker.store import StoreError
 
 log = logging.getLogger(__name__)
@@ -151,7 +151,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     NotComputed: HTTPStatus.SERVICE_UNAVAILABLE,
     NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
-    **dict.fromkeys(places.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
+    **dict.fromkeys(store.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
     sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
     OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is gone, or not ours to use
 }
@@ -200,7 +200,7 @@ def problem_of(error: Exception) -> Problem:
     if isinstance(error, sqlite3.OperationalError):
         log.error("the ledger does not answer: %s", error)
         return Problem(status, f"the ledger does not answer: {error}")
-    if isinstance(error, places.UNREACHABLE):
+    if isinstance(error, store.UNREACHABLE):
         log.error("the bucket of the results does not answer: %s", error)
         return Problem(status, "the place of the results does not answer")
     if isinstance(error, OSError):

@@ -10,8 +10,8 @@ from typing import Final, Literal, NamedTuple
 
 from service.ledger import Pace
 from worker import plan
-from worker.problems import SpecError
 from worker.spec import SweepSpec
+from worker.spec.errors import SpecError
 
 #: The finished jobs whose speed counts, and the longest specification read for it.
 RECENT_JOBS: Final = 20

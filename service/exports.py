@@ -24,7 +24,8 @@ from pyarrow import parquet
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import NoSpace, TooLarge
 from service.queries import Sweep
-from worker import layout, store
+from worker import schema as layout
+from worker import store
 from worker.plan import Chunk, Plan
 from worker.spec import AXES, SweepSpec
 

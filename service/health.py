@@ -3,7 +3,7 @@
 import threading
 import time
 
-from worker.executors import Executor
+from worker.executors.base import Executor
 
 
 class Health:

@@ -19,7 +19,7 @@ from service.jobs import UNFINISHED, JobRecord
 from service.ledger import Ledger
 from service.repair import Repairs, planned
 from service.settings import Settings
-from worker import store, stored
+from worker import store
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +127,7 @@ class Housekeeper:
             if not page:
                 return
             marked = ((plan[chunk], checksum) for chunk, checksum in page)
-            damaged = [chunk.index for chunk in stored.changed(url, spec, plan.chunk_shape, marked)]
+            damaged = [chunk.index for chunk in store.changed(url, spec, plan.chunk_shape, marked)]
             if damaged:
                 self._repairs.undo(job, damaged)
             last = page[-1][0]

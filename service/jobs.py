@@ -96,7 +96,9 @@ class JobRecord(NewJob):
     run_cells: int  # cells done then
     chunks_done: int
     cells_done: int
-    choice: str | None  # JSON of a worker.choice.Choice, once an `auto` sweep's model is chosen
+    choice: (
+        str | None
+    )  # JSON of a worker.analysis.model_selection.Choice, once an `auto` sweep's model is chosen
 
     def progress(self, now: float) -> Progress:
         """How far the job is at `now`; a job that is not running has no pace."""

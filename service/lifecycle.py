@@ -16,7 +16,7 @@ from service.repair import Repairs
 from service.settings import Settings
 from service.supervisor import Supervisor
 from worker import store
-from worker.executors import Executor
+from worker.executors.base import Executor
 from worker.plan import check_size, make_plan
 from worker.spec import SweepSpec
 

@@ -18,7 +18,7 @@ class KernelChanged(Exception):
 def opened(job: JobRecord, ledger: Ledger, settings: Settings) -> Run:
     """The run of a job whose model is decided, with nothing in flight.
 
-    Raises KernelChanged, a StoreError, an OSError, or one of `places.UNREACHABLE`.
+    Raises KernelChanged, a StoreError, an OSError, or one of `store.UNREACHABLE`.
     """
     if job.kernel_version != KERNEL_VERSION:
         raise KernelChanged(

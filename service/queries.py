@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
-from worker import layout, store
-from worker.problems import one_of
+from worker import schema, store
 from worker.spec import AXES, SweepSpec
+from worker.spec.errors import one_of
 
 #: The arrays of a diagram, by their names in the store.
 LINE_ARRAYS: Final = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
@@ -185,13 +185,13 @@ def read(sweep: Sweep, names: Sequence[str], direction: str, places: Places) -> 
         if sweep.promised:
             raise store.StoreDamaged(str(error)) from error
         # The job is still queued.
-        wanted = [array for array in layout.arrays(sweep.spec) if array.name in names]
+        wanted = [array for array in schema.arrays(sweep.spec) if array.name in names]
         return {array.name: _nothing(sweep.spec, array, where) for array in wanted}
 
 
-def _nothing(spec: SweepSpec, array: layout.Array, where: Places) -> NDArray[Any]:
+def _nothing(spec: SweepSpec, array: schema.Array, where: Places) -> NDArray[Any]:
     """What an array reads as before anything is computed."""
-    length = layout.sizes(spec)
+    length = schema.sizes(spec)
     kept = {dim: where.get(dim, slice(None)) for dim in array.dims}
     shape = [len(range(length[dim])[part]) for dim, part in kept.items() if isinstance(part, slice)]
     return np.full(shape, array.fill, array.dtype)

@@ -11,9 +11,9 @@ from service.errors import TooLarge
 from service.jobs import JobRecord
 from service.planes import Thresholds
 from service.queries import Sweep
-from worker.executors import Executor
+from worker.analysis.thresholds import USUAL_CELLS, Refined, refine
+from worker.executors.base import Executor
 from worker.plan import cell_seconds
-from worker.refine import USUAL_CELLS, Refined, refine
 
 #: Values of omega in one call: small enough to share out, large enough to be worth it.
 BLOCK: Final = 16

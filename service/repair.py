@@ -9,10 +9,10 @@ from service.jobs import JobRecord
 from service.ledger import Ledger
 from service.running import place
 from service.settings import Settings
-from worker import store, stored
+from worker import store
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
-from worker.stored import Place
+from worker.store import Place
 
 log = logging.getLogger(__name__)
 
@@ -50,8 +50,8 @@ class Repairs:
         log.error("job %s: chunks %s are damaged in the store and computed again", job.id, gone)
         spec, plan = planned(job)
         for chunk in gone:
-            where = stored.place_of(plan[chunk], plan.chunk_shape)
-            stored.discard(self._settings.store_of(job.id), spec, where)
+            where = store.place_of(plan[chunk], plan.chunk_shape)
+            store.discard(self._settings.store_of(job.id), spec, where)
         self._undone(job.id, gone)
 
 

@@ -17,7 +17,7 @@ from service.jobs import UNFINISHED, JobState
 from service.refining import refined
 from service.schemas import Format, problem_responses
 from service.unchanged import NOT_MODIFIED, Results, Tagged
-from worker import layout, places
+from worker import schema, store
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -133,8 +133,8 @@ def export(service: TheService, job: TheJob, query: Annotated[schemas.ExportQuer
 
 
 _STORED: Final = "|".join(
-    [*(array.name for array in (*layout.RECORD, layout.END_STATE, layout.OUTCOME)),
-     *(coordinate.name for coordinate in layout.COORDINATES)]
+    [*(array.name for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)),
+     *(coordinate.name for coordinate in schema.COORDINATES)]
 )  # fmt: skip
 #: The keys that a store of ours has, and no others: nothing else ever reaches the disk.
 STORE_KEY: Final = re.compile(
@@ -148,7 +148,7 @@ STORE_KEY: Final = re.compile(
 )
 def zarr(service: TheService, job: Results, key: str) -> Response:
     """The store itself, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
-    found = places.read(service.settings.store_of(job.id), key) if STORE_KEY.fullmatch(key) else None
+    found = store.read_key(service.settings.store_of(job.id), key) if STORE_KEY.fullmatch(key) else None
     if found is None:
         raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"

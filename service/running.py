@@ -11,7 +11,7 @@ import numpy as np
 
 from service.frontier import NONE, Frontier
 from service.jobs import DoneChunk, Failure, JobRecord, JobState
-from worker.faults import ExecutorError
+from worker.executors.errors import ExecutorError
 from worker.plan import Chunk, Plan, cell_seconds
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport

@@ -12,7 +12,7 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from worker import places
+from worker import store
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: As much as the system's clocks and SQLite can count.
@@ -84,8 +84,8 @@ class Settings(BaseSettings):
     def _place(cls, given: str | None) -> str | None:
         if given is not None:
             try:
-                places.check(given)
-            except places.StoreError as error:
+                store.check_address(given)
+            except store.StoreError as error:
                 raise ValueError(str(error)) from error
         return given
 
@@ -142,7 +142,7 @@ class Settings(BaseSettings):
 
     def store_of(self, job_id: str) -> str:
         """Where a job's zarr store is."""
-        if self.stores is not None and places.in_bucket(self.stores):
+        if self.stores is not None and store.in_bucket(self.stores):
             return f"{self.stores.rstrip('/')}/{job_id}.zarr"
         folder = self.data / "stores" if self.stores is None else Path(self.stores)
         return str(folder.absolute() / f"{job_id}.zarr")

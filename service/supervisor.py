@@ -22,8 +22,8 @@ from service.opening import opened
 from service.running import Limits, Run
 from service.settings import Settings
 from worker import store
-from worker.executors import ClusterLost, Executor, WorkerLost
-from worker.places import UNREACHABLE
+from worker.executors.base import Executor
+from worker.executors.errors import ClusterLost, WorkerLost
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkReport, PredecessorMissing
 
@@ -199,7 +199,7 @@ class Supervisor:
             if settled is None:
                 return  # it rings
             run = opened(settled, self._ledger, self._settings)
-        except UNREACHABLE as error:
+        except store.UNREACHABLE as error:
             log.warning("job %s cannot begin yet, its bucket does not answer: %s", job_id, error)
             return  # until the next look
         except Exception as error:

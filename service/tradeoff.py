@@ -11,9 +11,9 @@ from service import answers, schemas, tradeoff_picture
 from service.calls import TheService
 from service.schemas import problem_responses
 from service.tradeoff_text import advice
-from worker import tradeoff as measuring
-from worker.executors import Executor
-from worker.tradeoff import Measured
+from worker.analysis import work_precision as measuring
+from worker.analysis.work_precision import Measured
+from worker.executors.base import Executor
 
 router = APIRouter(prefix="/v1")
 

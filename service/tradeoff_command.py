@@ -55,7 +55,7 @@ def _service(url: str | None, workers: int | None) -> Iterator[str]:
     if url is not None:
         yield url
         return
-    from worker.warm import claim_cache
+    from worker.kernel_cache import claim_cache
 
     claim_cache()
     from service import embedded

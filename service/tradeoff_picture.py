@@ -12,7 +12,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 
 from service.diagrams import FONT, TEXT, drawing
-from worker.tradeoff import Measured
+from worker.analysis.work_precision import Measured
 
 
 class Series(NamedTuple):

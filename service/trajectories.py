@@ -16,9 +16,10 @@ from service import schemas
 from service.calls import JsonBody, TheService
 from service.errors import InvalidRequest, TooLarge
 from service.schemas import problem_responses
-from worker import specfile
-from worker.axes import NUMBER, WHOLE, Strict
-from worker.contacts import (
+from worker.plan import cell_seconds
+from worker.spec import LARGEST, SMALLEST, SweepSpec, parsing
+from worker.spec.axes import NUMBER, WHOLE, Strict
+from worker.spec.contact_models import (
     MODEL_FIELDS,
     ContactModel,
     Soft,
@@ -27,9 +28,7 @@ from worker.contacts import (
     restitution_of,
     steps_of,
 )
-from worker.plan import cell_seconds
-from worker.problems import Problem, SpecInvalid, describe, problems_of
-from worker.spec import LARGEST, SMALLEST, SweepSpec
+from worker.spec.errors import Problem, SpecInvalid, describe, problems_of
 from worker.tasks import run_cells
 
 router = APIRouter(prefix="/v1")
@@ -61,7 +60,7 @@ class TrajectorySpec(Strict):
     @classmethod
     def from_json(cls, text: bytes) -> Self:
         """From JSON text. Raises SpecUnreadable or SpecInvalid."""
-        data = specfile.read_json(text)
+        data = parsing.read_json(text)
         if not isinstance(data, dict):
             raise SpecInvalid([Problem("", f"a trajectory must be an object, not {describe(data)}")])
         odd = [name for name in data if not name.isprintable()]

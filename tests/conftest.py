@@ -14,14 +14,15 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
 
-from worker.warm import claim_cache, warm
+from worker.kernel_cache import claim_cache, warm
 
 CACHE = Path(__file__).parents[1] / ".numba-cache"
 claim_cache(CACHE)
 
 from scripted import small  # noqa: E402 - the cache comes first
 
-from worker.executors import Dask, Inline  # noqa: E402
+from worker.executors.dask import Dask  # noqa: E402
+from worker.executors.inline import Inline  # noqa: E402
 from worker.spec import SweepSpec  # noqa: E402
 
 for name in [name for name in os.environ if name.startswith("BOUNCE_")]:

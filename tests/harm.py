@@ -13,7 +13,7 @@ from typing import Any
 
 from distributed import WorkerPlugin
 
-from worker import watch
+from worker import watchdog
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
@@ -82,4 +82,4 @@ class Harm(WorkerPlugin):
     name = "harm"
 
     def setup(self, worker: Any) -> None:
-        watch.run_chunk = run_harmed
+        watchdog.run_chunk = run_harmed

@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from worker import store
-from worker.executors import Inline
+from worker.executors.inline import Inline
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk

@@ -10,7 +10,8 @@ from scripted import Held, sweep, wait_for
 
 from service.app import create_app
 from service.settings import Settings
-from worker.executors import Executor, Inline
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
 
 
 @contextmanager

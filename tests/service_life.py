@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from worker.warm import claim_cache, warm
+from worker.kernel_cache import claim_cache, warm
 
 claim_cache(sys.argv[3])
 warm(sys.argv[3])
@@ -26,8 +26,10 @@ from service.jobs import UNFINISHED  # noqa: E402
 from service.ledger import Ledger, Writing  # noqa: E402
 from service.lifecycle import Lifecycle  # noqa: E402
 from service.settings import Settings  # noqa: E402
-from worker import executors, store, stored, tasks  # noqa: E402
+from worker import store, tasks  # noqa: E402
+from worker.executors import dask  # noqa: E402
 from worker.spec import SweepSpec  # noqa: E402
+from worker.store import chunks as stored  # noqa: E402
 
 
 def die() -> None:
@@ -47,11 +49,11 @@ def after(owner: Any, name: str, act: Callable[[], None]) -> None:
 #: From accepting a job to its end: where the process stops.
 STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
-    "chunk given out": lambda act: before(executors, "run_chunk", act),
+    "chunk given out": lambda act: before(dask, "run_chunk", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
     "chunk half written": lambda act: before(store, "harden", act),
     "chunk synced": lambda act: before(stored, "checksum", act),
-    "chunk reported": lambda act: after(executors, "run_chunk", act),
+    "chunk reported": lambda act: after(dask, "run_chunk", act),
     "in the transaction": lambda act: after(Writing, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.Run, "marked", act),
     "job ends": lambda act: after(Writing, "finish", act),
@@ -61,18 +63,18 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
 def live(folder: Path, spec: SweepSpec, step: str, times: int, said: int) -> None:
     """One life, in a forked child: until the job has ended, or the step is reached."""
     tried: list[int] = []
-    real = executors.run_chunk
+    real = dask.run_chunk
 
     def run_chunk(spec: SweepSpec, chunk: Any, url: str) -> Any:
         os.write(said, f"{chunk.index}\n".encode())
         return real(spec, chunk, url)
 
-    executors.run_chunk = run_chunk
+    dask.run_chunk = run_chunk
     if step in STEPS:
         left = iter(range(times - 1, -1, -1))
         STEPS[step](lambda: die() if next(left, 0) == 0 else None)
     settings = Settings(data=folder, heartbeat_seconds=0.1)
-    executor = executors.Inline()
+    executor = dask.Inline()
     with Ledger(settings.ledger_path) as ledger:
         lifecycle = Lifecycle(ledger, executor, settings)
         lifecycle.start()

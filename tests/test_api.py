@@ -18,7 +18,7 @@ from scripted import Held, sweep, wait_for
 from served import computing, finished, get, occupied, service
 
 from service.errors import DataFolderBusy
-from worker.executors import Dask
+from worker.executors.dask import Dask
 
 GOLDEN = Path(__file__).parent / "golden"
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -33,11 +33,11 @@ ALLOWED = {
 #: What a specification is made of: light, so that clients can hold one.
 SPECIFICATION = {
     "worker.spec",
-    "worker.specfile",
-    "worker.axes",
-    "worker.contacts",
-    "worker.stepping",
-    "worker.problems",
+    "worker.spec.parsing",
+    "worker.spec.axes",
+    "worker.spec.contact_models",
+    "worker.spec.time_steps",
+    "worker.spec.errors",
     "kernel.params",
     "kernel.restitution",
     "kernel.step_limits",
@@ -46,7 +46,7 @@ SPECIFICATION = {
 #: Of the project's own rooms, all that these may reach.
 ROOMS = {
     "worker.spec": SPECIFICATION,
-    "worker.plan": SPECIFICATION | {"worker.plan", "worker.layout"},
+    "worker.plan": SPECIFICATION | {"worker.plan", "worker.schema"},
     "service.client": SPECIFICATION | {"service.client"},
 }
 

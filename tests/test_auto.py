@@ -13,7 +13,9 @@ from scripted import wait_for
 from served import service
 
 from worker import store
-from worker.executors import ClusterLost, Dask, Inline, WorkerDied
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost, WorkerDied
+from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 

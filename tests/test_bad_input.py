@@ -22,7 +22,7 @@ from service.app import create_app
 from service.bodies import BodyLimit
 from service.patience import impatient
 from service.settings import Settings
-from worker.executors import Inline
+from worker.executors.inline import Inline
 
 MAX_BODY = 20_000
 

@@ -28,7 +28,8 @@ from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 
 from service import embedded
 from service.settings import Settings
-from worker.executors import Dask, Inline
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
 
 pytestmark = needs_chromium
 

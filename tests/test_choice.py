@@ -12,10 +12,10 @@ from kernel_runs import run
 
 from kernel.params import KERNEL_VERSION, Line, Model
 from kernel.threshold import threshold
-from worker.choice import CELLS, Choice, choose, resolved, sample
-from worker.contacts import Ball, Rigid, Soft
-from worker.deviation import deviations
+from worker.analysis.deviation import deviations
+from worker.analysis.model_selection import CELLS, Choice, choose, resolved, sample
 from worker.spec import SweepSpec
+from worker.spec.contact_models import Ball, Rigid, Soft
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
 STIFF = {"restitution": 0.0, "penetration": 1e-6}

@@ -19,7 +19,9 @@ from service import embedded
 from service.cli import main
 from service.client import Client
 from service.settings import Settings
-from worker.executors import Dask, Executor, Inline
+from worker.executors.base import Executor
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [

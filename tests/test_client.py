@@ -32,7 +32,8 @@ from service.client import (
     WaitTimeout,
 )
 from service.settings import Settings
-from worker.executors import Executor, Inline
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
 from worker.spec import SweepSpec
 
 SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}

@@ -16,7 +16,7 @@ from scripted import Held, sweep, wait_for
 from service import embedded
 from service.cli import main
 from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
-from worker.executors import Inline
+from worker.executors.inline import Inline
 
 TOKEN = "a-token-of-thirty-two-characters"
 

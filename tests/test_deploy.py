@@ -54,7 +54,7 @@ def test_topology_is_a_scheduler_two_workers_and_the_service():
 
 
 def test_scheduler_is_set_as_the_service_wants_it():
-    from worker.link import SCHEDULER, variable
+    from worker.executors.connection import SCHEDULER, variable
 
     given = {name: float(value) for name, value in SERVICES["scheduler"]["environment"].items()}
     assert given == {variable(name): wanted for name, (wanted, _) in SCHEDULER.items()}

@@ -13,7 +13,8 @@ import pytest
 import xarray as xr
 
 from worker import store, tasks
-from worker.executors import Executor, Inline
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
@@ -112,7 +113,7 @@ def test_interrupted_by_cancel_and_resumed(spec, expected, tmp_path):
 
 WRITER = """
 import sys
-from worker.warm import claim_cache
+from worker.kernel_cache import claim_cache
 claim_cache()
 from worker.plan import make_plan
 from worker.spec import SweepSpec
@@ -150,7 +151,7 @@ def test_killed_while_writing_and_resumed(small_spec, tmp_path, delay):
 
 KERNEL = """
 import sys
-from worker.warm import claim_cache
+from worker.kernel_cache import claim_cache
 print(claim_cache(sys.argv[1]))
 import hashlib
 import numpy as np

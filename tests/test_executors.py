@@ -19,7 +19,10 @@ from harm import Stuck
 from scripted import DEADLINE, wait_for
 
 from worker import store
-from worker.executors import ClusterLost, Dask, Executor, Inline, WorkerDied, WorkerLost
+from worker.executors.base import Executor
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.inline import Inline
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
 from worker.tasks import ChunkCancelled, ChunkReport

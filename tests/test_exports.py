@@ -21,8 +21,8 @@ from service import embedded
 from service.planes import modes
 from service.queries import Sweep
 from service.settings import Settings
-from worker import layout, store
-from worker.executors import Inline
+from worker import schema, store
+from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
@@ -166,7 +166,7 @@ def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
         for chunk in plan:
             record = {
                 array.name: np.ones((*chunk.shape, *(1 for _ in array.extra_dims)), array.dtype)
-                for array in layout.arrays(spec)
+                for array in schema.arrays(spec)
             }
             store.write_chunk(url, chunk, record)
         began = time.process_time()

@@ -16,9 +16,10 @@ from scripted import Scripted, wait_for
 
 from service.app import create_app
 from service.settings import Settings
-from worker import layout, store, stored
+from worker import schema, store
 from worker.plan import make_plan
 from worker.spec import SweepSpec
+from worker.store import chunks as stored
 from worker.tasks import run_chunk
 
 #: Of reading alone, and of reading over HTTP and computing again.
@@ -109,9 +110,9 @@ def harmed(url: Path, chance: random.Random) -> str:
     return str(chunk.relative_to(url))
 
 
-def place_in(address: str) -> stored.Place:
+def place_in(address: str) -> store.Place:
     """The chunk that a file belongs to."""
-    return stored.Place(*map(int, address.split("/")[2:6]))
+    return store.Place(*map(int, address.split("/")[2:6]))
 
 
 def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
@@ -120,7 +121,7 @@ def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
     store.create(str(url), spec, plan)
     for chunk in plan:
         run_chunk(spec, chunk, str(url))
-    names = [array.name for array in layout.arrays(spec)]
+    names = [array.name for array in schema.arrays(spec)]
     intact = {path: path.read_bytes() for path in url.rglob("*") if path.is_file()}
     for _ in range(TRIALS):
         address = harmed(url, chance)
@@ -179,7 +180,7 @@ def test_a_chunk_in_which_a_ramp_goes_on_is_computed_again_first(tmp_path: Path)
         spec = SweepSpec(**RAMP)
         plan = make_plan(spec)
         before = plan[plan[6].after or 0]
-        address = stored.key("end_state", stored.place_of(before, plan.chunk_shape))
+        address = stored.key("end_state", store.place_of(before, plan.chunk_shape))
         (service.store(here) / address).unlink()
         service.client.post("/v1/jobs", json=RAMP)
         service.wait(here)

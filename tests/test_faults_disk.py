@@ -11,7 +11,7 @@ from test_lifecycle import running
 
 from kernel.params import Outcome
 from service.jobs import JobState
-from worker.executors import Dask
+from worker.executors.dask import Dask
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from test_faults_workers import sweep
 
 from service import embedded
 from service.settings import Settings
-from worker.executors import Dask
+from worker.executors.dask import Dask
 
 #: Seconds that 99 of 100 answers take at most, with 8 and with 64 connections.
 P99 = [float(limit) for limit in os.environ.get("BOUNCE_TEST_P99", "60,60").split(",")]

@@ -25,9 +25,9 @@ from test_lifecycle import Running, running
 
 from service.health import Health
 from service.jobs import JobRecord, JobState
-from worker.executors import Dask
-from worker.link import SCHEDULER, variable
-from worker.warm import warm
+from worker.executors.connection import SCHEDULER, variable
+from worker.executors.dask import Dask
+from worker.kernel_cache import warm
 
 ROOT = Path(__file__).parents[1]
 #: Seconds; 15 where nothing else runs: scheduler and workers have to start.

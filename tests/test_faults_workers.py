@@ -23,11 +23,12 @@ from scripted import wait_for
 from test_lifecycle import Running, running
 
 from service.jobs import JobState
-from worker.executors import Dask, Inline
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
+from worker.kernel_cache import warm
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
-from worker.warm import warm
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 #: Whether times are those of a machine with nothing else to do.

@@ -26,7 +26,7 @@ from service.figures import canvas, catalogue, hysteresis, sweeps
 from service.figures.caption import Caption, Claim
 from service.figures.catalogue import Figure, Picture
 from service.settings import Settings
-from worker.executors import Dask
+from worker.executors.dask import Dask
 from worker.spec import SweepSpec
 
 #: MODEL section 5: the last Γ that bounces on the way down, by Ω.

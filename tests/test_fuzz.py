@@ -29,7 +29,7 @@ from served import finished
 
 from service import embedded
 from service.settings import Settings
-from worker.executors import Inline
+from worker.executors.inline import Inline
 
 #: Seconds for an answer, on a machine that does much else.
 PATIENCE = 60

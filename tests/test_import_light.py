@@ -25,7 +25,7 @@ def loaded_by(code: str) -> set[str]:
     [
         ("import service.client", SERVER | COMPUTING | SLOW),
         ("import service.client.datasets", SERVER | COMPUTING),
-        ("from service.client.specification import body; import worker.specfile", SERVER | COMPUTING),
+        ("from service.client.specification import body; import worker.spec.parsing", SERVER | COMPUTING),
         ("import service.cli", SERVER | COMPUTING | SLOW | {"httpx2"}),
         ("import service.figures.catalogue", SERVER | COMPUTING | SLOW),
     ],

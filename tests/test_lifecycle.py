@@ -26,10 +26,12 @@ from service.ledger import Ledger
 from service.lifecycle import Lifecycle
 from service.settings import Settings
 from worker import store
-from worker.executors import ClusterLost, Executor, Inline, WorkerDied, WorkerLost
+from worker.executors.base import Executor
+from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.inline import Inline
 from worker.plan import Chunk, make_plan
-from worker.problems import SpecTooLarge
 from worker.spec import SweepSpec
+from worker.spec.errors import SpecTooLarge
 from worker.tasks import ChunkReport
 
 

@@ -20,9 +20,9 @@ from worker.plan import (
     estimate,
     make_plan,
 )
-from worker.problems import SpecTooLarge
 from worker.spec import AXES, SweepSpec
-from worker.stored import place_of
+from worker.spec.errors import SpecTooLarge
+from worker.store.chunks import place_of
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
 

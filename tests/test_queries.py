@@ -12,9 +12,10 @@ from kernel.threshold import threshold
 from service import planes, queries
 from service.errors import InvalidRequest, TooLarge
 from service.queries import Sweep
-from worker import layout, places, reading, store
+from worker import schema, store
 from worker.plan import make_plan
 from worker.spec import SweepSpec
+from worker.store import backend, reader
 from worker.tasks import run_chunk
 
 NOWHERE: dict[str, float | None] = {}
@@ -46,11 +47,11 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
     plan = make_plan(spec, chunk_shape=spec.shape[1:])
     url = str(folder / "made.zarr")
     store.create(url, spec, plan)
-    length = layout.sizes(spec)
+    length = schema.sizes(spec)
     for chunk in plan.chunks:
         record = {
             array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
-            for array in layout.arrays(spec)
+            for array in schema.arrays(spec)
         }
         store.write_chunk(url, chunk, record | {"outcome": outcomes[chunk.direction].astype("u1")})
     return Sweep(spec, url)
@@ -165,9 +166,9 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def counted(url: str, key: str) -> bytes | None:
         seen.append(key)
-        return places.read(url, key)
+        return backend.read_key(url, key)
 
-    monkeypatch.setattr(reading, "read", counted)
+    monkeypatch.setattr(reader, "read_key", counted)
     return seen
 
 

@@ -102,8 +102,8 @@ def test_every_dask_command_is_one():
 
 
 def test_tables_of_fields_and_models_are_those_of_the_specification():
-    from worker.contacts import MODELS
     from worker.spec import SweepSpec
+    from worker.spec.contact_models import MODELS
 
     section = re.search(r"^### What a sweep says\n\n(.*?)\n\n(.*?)\n\n", README, re.MULTILINE | re.DOTALL)
     assert section

@@ -19,9 +19,11 @@ from service.client import BadRequest, Client, Job
 from service.embedded import running
 from service.settings import Settings
 from worker import store
-from worker.executors import ClusterLost, Dask, Inline
+from worker.analysis.thresholds import Refined, refine
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost
+from worker.executors.inline import Inline
 from worker.plan import make_plan
-from worker.refine import Refined, refine
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
 

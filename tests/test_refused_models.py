@@ -13,7 +13,7 @@ from service.cli import main
 from service.client import Client, InvalidSpecification
 from service.embedded import running
 from service.settings import Settings
-from worker.executors import Inline
+from worker.executors.inline import Inline
 
 SWEEP: dict[str, Any] = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "settle": 0, "observe": 1}
 

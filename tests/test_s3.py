@@ -16,10 +16,12 @@ from served import finished, get, service
 from test_exports import RAMP
 
 from service import embedded
-from worker import places, store
-from worker.executors import Dask, Inline
+from worker import store
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.spec import SweepSpec
+from worker.store import backend
 
 PLACE = "s3://results/of/sweeps"
 
@@ -106,11 +108,11 @@ def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClie
     sound = store.checksum(url, chunk)
     assert store.verify(url, chunk, sound)
     key = "flights/c/0/0/0/0"
-    before = places.read(url, key)
+    before = backend.read_key(url, key)
     assert before is not None
-    places.delete(url, key)
+    backend.delete(url, key)
     assert not store.verify(url, chunk, sound)
-    places._bucket(url).put(key, before)
+    backend._bucket(url).put(key, before)
     assert store.verify(url, chunk, sound)
 
 
@@ -123,7 +125,7 @@ def test_the_store_opens_with_xarray_from_the_bucket_and_over_http(bucket: str, 
     ):
         here = finished(client, RAMP)  # type: ignore[arg-type]
         over_http = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
-        direct = places.open_store(settings.store_of(here.rsplit("/", 1)[1]), read_only=True)
+        direct = backend.open_store(settings.store_of(here.rsplit("/", 1)[1]), read_only=True)
         xarray.testing.assert_identical(over_http, xarray.open_zarr(direct, chunks=None).load())
     executor.close()
 
@@ -150,10 +152,10 @@ def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
     with service(tmp_path, executor, stores=f"{PLACE}/delete") as client:
         here = finished(client, RAMP)
         url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
-        assert places.read(url, "zarr.json") is not None
+        assert backend.read_key(url, "zarr.json") is not None
         assert client.delete(here).status_code == 204
-        wait_for(lambda: places.read(url, "zarr.json") is None)
-        wait_for(lambda: not list(places._bucket(url).list()))
+        wait_for(lambda: backend.read_key(url, "zarr.json") is None)
+        wait_for(lambda: not list(backend._bucket(url).list()))
     executor.close()
 
 
@@ -187,7 +189,7 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
 ):
     address = os.environ["AWS_ENDPOINT_URL"]
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    monkeypatch.setattr(places, "_PATIENCE", places._PATIENCE / 30)
+    monkeypatch.setattr(backend, "_PATIENCE", backend._PATIENCE / 30)
     executor = Inline()
     with service(tmp_path, executor, stores=f"{PLACE}/away") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
@@ -199,6 +201,6 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
         assert "127.0.0.1" not in answer.text
         assert client.get("/healthz").status_code == 200
         monkeypatch.setenv("AWS_ENDPOINT_URL", address)
-        places._bucket.cache_clear()
+        backend._bucket.cache_clear()
         wait_for(lambda: get(client, here)["state"] == "done")
     executor.close()

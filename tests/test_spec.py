@@ -12,8 +12,9 @@ from pydantic import ValidationError
 
 from kernel.params import Model
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
-from worker.axes import MAX_AXIS_VALUES
-from worker.contacts import (
+from worker.spec import SweepSpec
+from worker.spec.axes import MAX_AXIS_VALUES
+from worker.spec.contact_models import (
     MODELS,
     Auto,
     Soft,
@@ -23,9 +24,8 @@ from worker.contacts import (
     restitution_of,
     steps_of,
 )
-from worker.problems import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
-from worker.spec import SweepSpec
-from worker.stepping import corners
+from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
+from worker.spec.time_steps import corners
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
-from worker import layout, store
+from worker import schema, store
 from worker.plan import Chunk, Plan, make_plan
-from worker.problems import SpecError
 from worker.spec import SweepSpec
+from worker.spec.errors import SpecError
 
 
 @pytest.fixture
@@ -37,13 +37,13 @@ def url(tmp_path, spec, plan) -> str:
 def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndarray]:
     """Numbers of the right kinds and shapes; no physics."""
     random = np.random.default_rng([seed, chunk.index])
-    length = layout.sizes(spec)
+    length = schema.sizes(spec)
 
-    def some(array: layout.Array) -> np.ndarray:
+    def some(array: schema.Array) -> np.ndarray:
         shape = (*chunk.shape, *(length[dim] for dim in array.extra_dims))
         return random.integers(1, 5, shape).astype(array.dtype)
 
-    return {array.name: some(array) for array in layout.arrays(spec)}
+    return {array.name: some(array) for array in schema.arrays(spec)}
 
 
 def files(url: str) -> dict[str, bytes]:
@@ -256,7 +256,7 @@ def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
     """zarr leaves such chunks out by default, and their checksum with them."""
     record = {
         array.name: np.full_like(record_of(spec, plan[0])[array.name], array.fill)
-        for array in layout.arrays(spec)
+        for array in schema.arrays(spec)
     }
     before = set(files(url))
     store.write_chunk(url, plan[0], record)

@@ -19,10 +19,12 @@ from service.client import Client
 from service.embedded import running
 from service.errors import Busy, NotComputed
 from service.settings import Settings
-from worker import tradeoff
-from worker.executors import ClusterLost, Dask, Inline, WorkerDied
+from worker.analysis import work_precision
+from worker.analysis.work_precision import CELLS_A_LINE, LINES, RUNGS, Measured, Rung, measure
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost, WorkerDied
+from worker.executors.inline import Inline
 from worker.plan import COST_US
-from worker.tradeoff import CELLS_A_LINE, LINES, RUNGS, Measured, Rung, measure
 
 #: The cheap ones, and those that the advice speaks of.
 FEW = tuple(rung for rung in RUNGS if rung.model != "stepped" or
@@ -138,7 +140,7 @@ def test_the_picture(measured: list[Measured], format: str):
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tradeoff, "RUNGS", TOLD)  # all of them take a minute
+        patch.setattr(work_precision, "RUNGS", TOLD)  # all of them take a minute
         with running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
             yield address
 
@@ -225,7 +227,7 @@ class Slow(Inline):
 
 
 def test_a_request_is_told_how_far_the_workers_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tradeoff, "RUNGS", TOLD[:2])
+    monkeypatch.setattr(work_precision, "RUNGS", TOLD[:2])
     executor = Slow()
     with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
         first = client.get("/v1/tradeoff")

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from conftest import CACHE
 
-from worker import warm
+from worker import kernel_cache
 
 ROOT = Path(__file__).parents[1]
-CLAIM = "from worker.warm import claim_cache; print(claim_cache({root!r}), flush=True); input()"
+CLAIM = "from worker.kernel_cache import claim_cache; print(claim_cache({root!r}), flush=True); input()"
 
 
 class Process:
@@ -92,7 +92,7 @@ def test_where_no_cache_can_be_kept_there_is_one_for_the_process(claim, tmp_path
 
 def test_kernels_declared_before_the_claim_keep_no_cache(tmp_path):
     late = (
-        f"import kernel.line; from worker.warm import claim_cache; print(claim_cache({str(tmp_path)!r}))"
+        f"import kernel.line; from worker.kernel_cache import claim_cache; print(claim_cache({str(tmp_path)!r}))"
     )  # fmt: skip
     done = subprocess.run([sys.executable, "-c", late], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == "None\n"
@@ -101,7 +101,7 @@ def test_kernels_declared_before_the_claim_keep_no_cache(tmp_path):
 
 LATE = """
 import shutil
-from worker.warm import claim_cache, warm
+from worker.kernel_cache import claim_cache, warm
 slot = claim_cache({root!r})
 shutil.copytree({ready!r}, slot.parent / "ready")
 warm()
@@ -111,8 +111,8 @@ print(slot)
 
 def test_a_cache_claimed_before_there_was_one_to_copy_is_filled_when_warmed(tmp_path):
     """As the service's own, on the machine's first start: its workers compile, it does not."""
-    warm.warm(CACHE)
-    ready = warm.claim_cache().parent / "ready"
+    kernel_cache.warm(CACHE)
+    ready = kernel_cache.claim_cache().parent / "ready"
     code = LATE.format(root=str(tmp_path), ready=str(ready))
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     slot = Path(done.stdout.strip())
@@ -122,7 +122,7 @@ def test_a_cache_claimed_before_there_was_one_to_copy_is_filled_when_warmed(tmp_
 
 
 def test_this_process_keeps_its_claim():
-    assert str(warm.claim_cache()) == os.environ["NUMBA_CACHE_DIR"]
+    assert str(kernel_cache.claim_cache()) == os.environ["NUMBA_CACHE_DIR"]
 
 
 def test_finished_cache_is_published_once_and_old_ones_are_forgotten(tmp_path):
@@ -135,10 +135,10 @@ def test_finished_cache_is_published_once_and_old_ones_are_forgotten(tmp_path):
     (tmp_path / "somebody's").mkdir()
     (new / "slot-0" / "code.nbc").write_bytes(b"code")
 
-    warm._publish(new / "slot-0")
+    kernel_cache._publish(new / "slot-0")
     assert [path.name for path in (new / "ready").iterdir()] == ["code.nbc"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new", "other", "somebody's"]
 
     (new / "slot-0" / "more.nbc").write_bytes(b"more")
-    warm._publish(new / "slot-0")
+    kernel_cache._publish(new / "slot-0")
     assert [path.name for path in (new / "ready").iterdir()] == ["code.nbc"]

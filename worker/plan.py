@@ -22,10 +22,10 @@ from typing import Final, NamedTuple, overload
 import numpy as np
 
 from kernel.step_limits import steps_per_period
-from worker.contacts import Rigid, Stepped, penetration_of
-from worker.layout import bytes_per_cell
-from worker.problems import Problem, SpecTooLarge
+from worker.schema import bytes_per_cell
 from worker.spec import AXES, SweepSpec
+from worker.spec.contact_models import Rigid, Stepped, penetration_of
+from worker.spec.errors import Problem, SpecTooLarge
 
 #: Core-microseconds of one cell for one plate period, measured over cells of all kinds from rest; for
 #: `stepped` of one time step. `auto` costs at most what the exact contact does.

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from kernel.line import run_line
 from kernel.params import Cell, Line, Outcome, Start
-from worker import layout, store
-from worker.contacts import kernel_model, penetration_of, restitution_of, steps_of
+from worker import schema, store
 from worker.plan import Chunk, cell_seconds
 from worker.spec import AXES, SweepSpec
+from worker.spec.contact_models import kernel_model, penetration_of, restitution_of, steps_of
 
 #: How much computing, by the cost table, goes between two looks at the cancel mark. The
 #: table can be wrong by a lot for hard cells, hence well below what a user would wait for.
@@ -185,12 +185,12 @@ def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
 
 
 def _empty_record(spec: SweepSpec, chunk: Chunk) -> _Arrays:
-    length = layout.sizes(spec)
+    length = schema.sizes(spec)
     return {
         array.name: np.full(
             (*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.fill, dtype=array.dtype
         )
-        for array in layout.arrays(spec)
+        for array in schema.arrays(spec)
     }
 
 

@@ -40,15 +40,15 @@ def body(spec: Specification) -> bytes:
 
 def read(source: Path | bytes) -> Mapping[str, Any]:
     """The object in a .json or .toml file, or in JSON text. Raises InvalidSpecification."""
-    from worker import problems, specfile
+    from worker.spec import errors, parsing
 
     where = "" if isinstance(source, bytes) else f"{source}: "
     try:
-        content = specfile.read_json(source) if isinstance(source, bytes) else specfile.read_file(source)
-    except problems.SpecUnreadable as error:
+        content = parsing.read_json(source) if isinstance(source, bytes) else parsing.read_file(source)
+    except errors.SpecUnreadable as error:
         raise InvalidSpecification.local(where + str(error).removeprefix(where)) from error
     if not isinstance(content, Mapping):
-        found = problems.describe(content)
+        found = errors.describe(content)
         raise InvalidSpecification.local(f"{where}a specification must be an object, not {found}")
     return content
 

@@ -1,6 +1,6 @@
 """Room: specification files and request bodies as plain values, read without surprises.
 
-Standard library and worker.problems only. Python's own readers accept more than a
+Standard library and worker.spec.errors only. Python's own readers accept more than a
 specification means: NaN, repeated keys, integers of any length, nesting without end.
 """
 
@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from worker.problems import Problem, SpecUnreadable, describe
+from worker.spec.errors import Problem, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
 MAX_DIGITS: Final = 400  # beyond this no whole number fits a double

@@ -1,90 +1,33 @@
-"""Room: where chunks are computed: in this process, or on a Dask cluster.
+"""Computes chunks on a Dask cluster: one that is there already, or worker processes of this machine.
 
-Every executor answers the same four calls. Nothing is kept once a chunk's report has been
-handed over; who wants a chunk done again submits it again. What else may come back instead
-of a report is in worker.faults.
+Nothing is kept once a chunk's report has been handed over; who wants a chunk done again submits it again.
 """
 
 import asyncio
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final
 
 from distributed import KilledWorker
 
-from worker.faults import ClusterLost, ExecutorError, WorkerDied, WorkerLost
-from worker.link import Link, address_in
-from worker.local import LocalWorkers
+from worker.executors.base import Answer
+from worker.executors.connection import Link, address_in
+from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, WorkerLost
+from worker.executors.local_cluster import LocalWorkers
+from worker.executors.worker_plugin import WarmKernels
 from worker.plan import Chunk
-from worker.plugin import WarmKernels
 from worker.spec import SweepSpec
-from worker.tasks import ChunkCancelled, ChunkReport, run_chunk
-from worker.watch import run_watched
-
-__all__ = ["ClusterLost", "Dask", "Executor", "ExecutorError", "Inline", "WorkerDied", "WorkerLost"]
+from worker.tasks import ChunkCancelled, ChunkReport
+from worker.watchdog import run_watched
 
 #: How long the number of workers is believed.
 COUNT_SECONDS: Final = 1.0
 #: Above that of any chunk: somebody waits for the answer.
 CALL_PRIORITY: Final = 1_000_000.0
-
-Answer = TypeVar("Answer")
-
-
-class Executor(Protocol):
-    """What computes chunks. Safe to call from any thread."""
-
-    def submit(
-        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
-    ) -> "Future[ChunkReport]":
-        """Have `run_chunk(spec, chunk, store_url)` done, in at most `seconds` from when it begins.
-
-        Of the chunks that wait, those of higher priority begin first. The future fails with what
-        the task raised, or an `ExecutorError`. Cancelling it takes back what has not begun.
-        """
-
-    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
-        """Have `function(*arguments)` done by a worker, before chunks that wait. The future fails as
-        those of `submit` do; whoever wants it done again calls again."""
-
-    def ready(self) -> bool:
-        """Whether it would begin a chunk now; answers within seconds whatever happens."""
-
-    def workers(self) -> int:
-        """How many chunks it computes at once; 0 if there is nobody."""
-
-    def close(self) -> None:
-        """Let go of everything it started. Futures still open are cancelled or fail."""
-
-
-class Inline:
-    """One chunk after another in a thread of this process, in their order, for as long as they take."""
-
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="chunks")
-        self._open = True
-
-    def submit(
-        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
-    ) -> "Future[ChunkReport]":
-        return self._thread.submit(run_chunk, spec, chunk, store_url)
-
-    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
-        return self._thread.submit(function, *arguments)
-
-    def ready(self) -> bool:
-        return self._open
-
-    def workers(self) -> int:
-        return 1 if self._open else 0
-
-    def close(self) -> None:
-        self._open = False
-        self._thread.shutdown(cancel_futures=True)
 
 
 @dataclass

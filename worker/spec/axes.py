@@ -1,6 +1,6 @@
 """Room: the values an axis of a sweep takes: a number, a list of numbers, or a range.
 
-Imports pydantic, numpy and worker.problems only; loads quickly, so that clients can.
+Imports pydantic, numpy and worker.spec.errors only; loads quickly, so that clients can.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from worker.problems import BrokenRuleError, describe
+from worker.spec.errors import BrokenRuleError, describe
 
 #: Checked before any value of a range is computed.
 MAX_AXIS_VALUES: Final = 100_000

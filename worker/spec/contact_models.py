@@ -11,8 +11,8 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from kernel.params import Model
 from kernel.restitution import restitution_of as spring_restitution
-from worker.axes import NUMBER, WHOLE, Strict
-from worker.problems import BrokenRuleError, describe, did_you_mean, one_of
+from worker.spec.axes import NUMBER, WHOLE, Strict
+from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
 
 #: Contact depths delta_c/A between these are what double precision carries.
 MIN_PENETRATION: Final = 1e-12
@@ -68,7 +68,7 @@ class Soft(_SoftContact):
 
 
 class Stepped(_SoftContact):
-    """The same contact by fixed time steps; what a sweep may ask of them, see worker.stepping."""
+    """The same contact by fixed time steps; what a sweep may ask of them, see worker.spec.time_steps."""
 
     kind: Literal["stepped"]
     steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20

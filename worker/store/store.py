@@ -4,12 +4,6 @@ A store opens with plain `xarray.open_zarr(url)`. One task owns one chunk of eve
 and writes it whole, so two writers never meet; a file appears by renaming, never half
 written; every byte is under a checksum. Whether a cell is there is said by its outcome,
 never by a file's existence.
-
-    StoreError              something about a store
-    ├── PlaceUnusable       no store can be kept at this address (worker.places)
-    ├── StoreMissing        there is none at that place
-    ├── StoreConflict       another sweep, or another cut of this one, is there already
-    └── StoreDamaged        what is there cannot be read back
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,44 +15,17 @@ from numpy.typing import NDArray
 from zarr.core.sync import sync
 from zarr.errors import GroupNotFoundError
 
-from worker import layout, stored
-from worker.marks import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.places import StoreError, open_store, read, remove, set_aside
+from worker import schema
 from worker.plan import Chunk, Plan
-from worker.reading import ROOT, read_cells
-from worker.skeleton import identity, skeleton
 from worker.spec import AXES, SweepSpec
-from worker.stored import Index, StoreDamaged, StoreMissing, harden, key, place_of
-
-__all__ = [
-    "StoreConflict",
-    "StoreDamaged",
-    "StoreError",
-    "StoreMissing",
-    "check_chunk",
-    "checksum",
-    "chunk_shape",
-    "clear_cancelled",
-    "create",
-    "is_cancelled",
-    "mend",
-    "read_attrs",
-    "read_chunk",
-    "read_coordinates",
-    "read_slice",
-    "remove",
-    "set_aside",
-    "set_cancelled",
-    "sweep_leftovers",
-    "verify",
-    "write_chunk",
-]  # fmt: skip
+from worker.store import chunks
+from worker.store.backend import open_store, read_key
+from worker.store.chunks import Index, harden, key, place_of
+from worker.store.errors import StoreConflict, StoreDamaged, StoreMissing
+from worker.store.metadata import identity, skeleton
+from worker.store.reader import ROOT, read_cells
 
 _EVERYTHING: Final = slice(None)
-
-
-class StoreConflict(StoreError):
-    """What is stored there is not what was to be stored there."""
 
 
 def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> None:
@@ -75,7 +42,7 @@ def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | Non
 def mend(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> list[str]:
     """Put right everything in a store but its chunks: metadata, coordinates. Returns what was not right."""
     right = skeleton(spec, plan, attrs or {})
-    wrong = [address for address, content in right.items() if read(url, address) != content.to_bytes()]
+    wrong = [address for address, content in right.items() if read_key(url, address) != content.to_bytes()]
     # The root comes last: whoever finds consolidated metadata finds a complete store.
     wrong.sort(key=lambda address: address == ROOT)
     store = open_store(url, read_only=False)
@@ -104,13 +71,13 @@ def write_chunk(url: str, chunk: Chunk, record: Mapping[str, NDArray[Any]]) -> s
         array[chunk.slices] = record[name][np.newaxis]
     place = place_of(chunk, _chunk_shape(group))
     harden(url, [key(name, place) for name in _names(group)])
-    return stored.checksum(url, _names(group), place)
+    return chunks.checksum(url, _names(group), place)
 
 
 def checksum(url: str, chunk: Chunk) -> str:
     """SHA-256 over the chunk's stored bytes in all arrays, 64 hex digits; absent ones count too."""
     group = _open(url, "r")
-    return stored.checksum(url, _names(group), place_of(chunk, _chunk_shape(group)))
+    return chunks.checksum(url, _names(group), place_of(chunk, _chunk_shape(group)))
 
 
 def verify(url: str, chunk: Chunk, expected: str) -> bool:
@@ -150,7 +117,7 @@ def read_chunk(
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
     """`xi`, `omega`, `gamma` as float64 and `direction` as text, each (n,)."""
     group = _open(url, "r")
-    return {coordinate.name: _read(_array(group, coordinate.name)) for coordinate in layout.COORDINATES}
+    return {coordinate.name: _read(_array(group, coordinate.name)) for coordinate in schema.COORDINATES}
 
 
 def read_attrs(url: str) -> dict[str, Any]:
@@ -205,7 +172,7 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
 
 def _names(group: zarr.Group) -> list[str]:
     """The stored arrays in the order they are written."""
-    order = (*layout.RECORD, layout.END_STATE, layout.OUTCOME)
+    order = (*schema.RECORD, schema.END_STATE, schema.OUTCOME)
     return [array.name for array in order if array.name in group]
 
 
@@ -218,12 +185,12 @@ def _read(array: zarr.Array[Any]) -> NDArray[Any]:
 
 
 def _chunk_shape(group: zarr.Group) -> tuple[int, ...]:
-    return _array(group, layout.OUTCOME.name).chunks[1:]
+    return _array(group, schema.OUTCOME.name).chunks[1:]
 
 
 def _check_owns(group: zarr.Group, url: str, chunk: Chunk) -> None:
     """Two tasks in one stored chunk would lose data: a task's chunk is exactly one of the store's."""
-    grid = _array(group, layout.OUTCOME.name).shape[1:]
+    grid = _array(group, schema.OUTCOME.name).shape[1:]
     spans = (chunk.xi, chunk.omega, chunk.gamma)
     for axis, (low, high), size, n in zip(AXES, spans, _chunk_shape(group), grid, strict=True):
         if low % size or high != min(low + size, n):

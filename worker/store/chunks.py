@@ -10,39 +10,21 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
-from worker import layout
-from worker.places import StoreError, delete, in_bucket, read
+from worker import schema
 from worker.plan import Chunk
 from worker.spec import SweepSpec
+from worker.store.backend import delete, in_bucket, read_key
+from worker.store.errors import Place
 
 #: A disk's syncs and a bucket's answers come several at a time as fast as one.
 _THREADS: Final = 8
 
-_DIMS: Final = {array.name: array.dims for array in (*layout.RECORD, layout.END_STATE, layout.OUTCOME)}
+_DIMS: Final = {array.name: array.dims for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)}
 
 Shape = tuple[int, ...]
 Index = int | slice
-
-
-class Place(NamedTuple):
-    """A chunk's address in the grid of chunks."""
-
-    direction: int
-    xi: int
-    omega: int
-    gamma: int
-
-
-class StoreMissing(StoreError):
-    """There is no store at that place."""
-
-
-class StoreDamaged(StoreError):
-    """Stored bytes cannot be read back, or are gone; `places` says which chunks, where it is a chunk."""
-
-    places: tuple[Place, ...] = ()
 
 
 def place_of(chunk: Chunk, chunk_shape: Shape) -> Place:
@@ -63,7 +45,7 @@ def checksum(url: str, names: Iterable[str], place: Place) -> str:
     """SHA-256 over the chunk's stored bytes in these arrays, 64 hex digits; absent ones count too."""
     digest = hashlib.sha256()
     for name in names:
-        content = read(url, key(name, place))
+        content = read_key(url, key(name, place))
         digest.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
         digest.update(content or b"")
     return digest.hexdigest()
@@ -73,7 +55,7 @@ def changed(
     url: str, spec: SweepSpec, chunk_shape: Shape, chunks: Iterable[tuple[Chunk, str]]
 ) -> Iterator[Chunk]:
     """Those chunks whose stored bytes are not what their checksums say; a fraction of a millisecond each."""
-    names = [array.name for array in layout.arrays(spec)]
+    names = [array.name for array in schema.arrays(spec)]
     for chunk, expected in chunks:
         if checksum(url, names, place_of(chunk, chunk_shape)) != expected:
             yield chunk
@@ -81,7 +63,7 @@ def changed(
 
 def discard(url: str, spec: SweepSpec, place: Place) -> None:
     """Remove a chunk, its outcomes first, so that its cells read as missing from then on."""
-    names = [array.name for array in layout.arrays(spec)]
+    names = [array.name for array in schema.arrays(spec)]
     for name in reversed(names):
         delete(url, key(name, place))
 

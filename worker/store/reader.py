@@ -1,7 +1,7 @@
 """Room: reading cells of a store: the chunks they lie in, straight from their files.
 
 zarr's own way to a chunk takes longer than the chunk's decompression, many times over where chunks are
-small. What is read here is what worker.skeleton lays out and nothing else: whole chunks of numbers,
+small. What is read here is what worker.store.metadata lays out and nothing else: whole chunks of numbers,
 little-endian, zstd with a checksum. Used through worker.store.
 """
 
@@ -16,19 +16,20 @@ import numpy as np
 from numcodecs.zstd import decompress
 from numpy.typing import NDArray
 
-from worker import layout
-from worker.places import in_bucket, read
-from worker.stored import Index, Place, Shape, StoreDamaged, StoreMissing, key, threads
+from worker import schema
+from worker.store.backend import in_bucket, read_key
+from worker.store.chunks import Index, Shape, key, threads
+from worker.store.errors import Place, StoreDamaged, StoreMissing
 
 ROOT: Final = "zarr.json"
 
-_ARRAYS: Final = {array.name: array for array in (*layout.RECORD, layout.END_STATE, layout.OUTCOME)}
+_ARRAYS: Final = {array.name: array for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)}
 
 
 class _Cut(NamedTuple):
     """How one stored array is cut; shapes have the extra dimension too."""
 
-    array: layout.Array
+    array: schema.Array
     shape: Shape
     chunks: Shape
 
@@ -46,7 +47,7 @@ def read_cells(
 ) -> dict[str, NDArray[Any]]:
     """As `store.read_slice`; `where` is the index along (direction, xi, omega, gamma)."""
     cuts = _described(_root(url))
-    outcome, wanted = layout.OUTCOME.name, list(dict.fromkeys(names))
+    outcome, wanted = schema.OUTCOME.name, list(dict.fromkeys(names))
     parts = list(_parts(cuts[outcome], where))
     reading = _Reading(url, cuts, where)
     # Outcomes first: a cell that had one had everything else before, and one that has none has nothing.
@@ -107,12 +108,12 @@ class _Reading:
 def _contents(url: str, addresses: list[str]) -> Iterator[bytes | None]:
     """What lies under each address; a bucket answers many questions at once as fast as one."""
     if in_bucket(url):
-        return threads().map(lambda address: read(url, address), addresses)
-    return (read(url, address) for address in addresses)
+        return threads().map(lambda address: read_key(url, address), addresses)
+    return (read_key(url, address) for address in addresses)
 
 
 def _root(url: str) -> bytes:
-    content = read(url, ROOT)
+    content = read_key(url, ROOT)
     if content is None:
         raise StoreMissing(f"{url}: no store here")
     return content
@@ -140,7 +141,7 @@ def _described(root: bytes) -> dict[str, _Cut]:
         raise StoreDamaged(f"the store's metadata cannot be read: {type(error).__name__}: {error}") from None
     if found is None:
         raise StoreMissing("the store was never finished; create it again")
-    if layout.OUTCOME.name not in found:
+    if schema.OUTCOME.name not in found:
         raise StoreDamaged("the store's metadata cannot be read: no outcomes in it")
     return found
 

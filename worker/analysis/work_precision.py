@@ -7,7 +7,7 @@ Each is computed from rest by a model and by the exact soft contact that stands 
     "contact"  the very contact of d = 1e-3, e = 0.01: what a model makes of it
     "plate"    a hard plate without rebound, d = 1e-7, e = 0: what a softer contact makes of it
 
-Errors are those of worker.deviation where the reference repeats; where it is aperiodic, flights
+Errors are those of worker.analysis.deviation where the reference repeats; where it is aperiodic, flights
 cannot be told one by one, and cells count for the agreement of modes only. One measurement is a
 task like any other: it returns numbers, never data.
 """
@@ -23,8 +23,8 @@ from kernel.line import run_line
 from kernel.params import Line, Model, Outcome
 from kernel.restitution import restitution_of
 from kernel.step_limits import Scheme, stable_steps_per_contact
-from worker.axes import Strict
-from worker.deviation import deviations, percentile
+from worker.analysis.deviation import deviations, percentile
+from worker.spec.axes import Strict
 
 SETTLE: Final = 100
 OBSERVE: Final = 50

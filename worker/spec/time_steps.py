@@ -16,8 +16,8 @@ from kernel.step_limits import (
     stable_steps_per_contact,
     steps_per_period,
 )
-from worker.contacts import Stepped, penetration_of
-from worker.problems import BrokenRuleError
+from worker.spec.contact_models import Stepped, penetration_of
+from worker.spec.errors import BrokenRuleError
 
 #: A worker takes some two minutes for this, and cannot be stopped within a cell.
 MOST_STEPS_PER_CELL: Final = 10_000_000_000

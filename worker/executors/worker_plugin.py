@@ -1,4 +1,4 @@
-"""Room: what makes a Dask worker ready, and lets it go. Imports distributed and worker.warm, and so no
+"""Room: what makes a Dask worker ready, and lets it go. Imports distributed and worker.kernel_cache, and so no
 kernel: a worker loads this before it has claimed its kernel cache."""
 
 import asyncio
@@ -7,7 +7,7 @@ from typing import Any
 
 from distributed import Status, WorkerPlugin
 
-from worker.warm import claim_cache, warm
+from worker.kernel_cache import claim_cache, warm
 
 
 class WarmKernels(WorkerPlugin):

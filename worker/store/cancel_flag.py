@@ -6,24 +6,24 @@ Used through worker.store, which re-exports every function here.
 from pathlib import Path
 from typing import Final
 
-from worker import places
+from worker.store import backend
 
 _SUFFIX: Final = ".cancelled"
 
 
 def set_cancelled(url: str) -> None:
     """Ask every task writing to this store to stop. The store need not exist yet."""
-    places.put_mark(f"{url}{_SUFFIX}")
+    backend.put_mark(f"{url}{_SUFFIX}")
 
 
 def clear_cancelled(url: str) -> None:
     """Take the mark away; no harm if there is none."""
-    places.clear_mark(f"{url}{_SUFFIX}")
+    backend.clear_mark(f"{url}{_SUFFIX}")
 
 
 def is_cancelled(url: str) -> bool:
     """Whether tasks were asked to stop."""
-    return places.has_mark(f"{url}{_SUFFIX}")
+    return backend.has_mark(f"{url}{_SUFFIX}")
 
 
 def sweep_leftovers(url: str) -> int:
@@ -31,7 +31,7 @@ def sweep_leftovers(url: str) -> int:
 
     A bucket has none: an object appears whole or not at all.
     """
-    leftovers = [] if places.in_bucket(url) else list(Path(url).rglob("*.partial"))
+    leftovers = [] if backend.in_bucket(url) else list(Path(url).rglob("*.partial"))
     for path in leftovers:
         path.unlink(missing_ok=True)
     return len(leftovers)

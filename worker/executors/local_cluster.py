@@ -11,7 +11,7 @@ from typing import Any, Final
 import dask
 from distributed import LocalCluster, Status, system
 
-from worker.link import SCHEDULER
+from worker.executors.connection import SCHEDULER
 
 log = logging.getLogger(__name__)
 

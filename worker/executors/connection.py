@@ -13,8 +13,8 @@ import dask
 from distributed import Client, WorkerPlugin
 from distributed.comm.addressing import get_address_host_port
 
-from worker.faults import ClusterLost
-from worker.watch import TOPIC
+from worker.executors.errors import ClusterLost
+from worker.watchdog import TOPIC
 
 log = logging.getLogger(__name__)
 

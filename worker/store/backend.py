@@ -17,6 +17,8 @@ from uuid import uuid4
 from zarr.abc.store import Store
 from zarr.storage import LocalStore, ObjectStore
 
+from worker.store.errors import PlaceUnusable
+
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
@@ -33,20 +35,12 @@ _BUCKET: Final = "s3://"
 _PATIENCE: Final = timedelta(seconds=15)
 
 
-class StoreError(Exception):
-    """Something about a store."""
-
-
-class PlaceUnusable(StoreError):
-    """No store can be kept at this address; says why."""
-
-
 def in_bucket(url: str) -> bool:
     """Whether the address is in a bucket."""
     return url.startswith(_BUCKET)
 
 
-def check(url: str) -> None:
+def check_address(url: str) -> None:
     """Raise PlaceUnusable for an address that no store can have."""
     if not in_bucket(url):
         if "://" in url:
@@ -59,13 +53,13 @@ def check(url: str) -> None:
 
 def open_store(url: str, *, read_only: bool) -> Store:
     """The keys and values under an address, for zarr. Raises PlaceUnusable."""
-    check(url)
+    check_address(url)
     if in_bucket(url):
         return ObjectStore(_bucket(url), read_only=read_only)
     return LocalStore(Path(url), read_only=read_only)
 
 
-def read(url: str, key: str) -> bytes | None:
+def read_key(url: str, key: str) -> bytes | None:
     """What lies under a key of a store; None if nothing does."""
     try:
         if in_bucket(url):

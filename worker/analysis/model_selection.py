@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from kernel.params import Line as Record
 from kernel.params import Outcome
-from worker.axes import Strict
-from worker.contacts import Auto, Ball, Rigid, Soft
-from worker.deviation import deviations, percentile
+from worker.analysis.deviation import deviations, percentile
 from worker.plan import COST_US
 from worker.spec import AXES, SweepSpec
+from worker.spec.axes import Strict
+from worker.spec.contact_models import Auto, Ball, Rigid, Soft
 from worker.tasks import run_cells
 
 #: Cells of a sample from rest; of a ramp, lines and cells along each of them.

@@ -21,9 +21,9 @@ from pydantic import (
     model_validator,
 )
 
-from worker import specfile
-from worker.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
-from worker.contacts import (
+from worker.spec import parsing
+from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
+from worker.spec.contact_models import (
     MAX_PENETRATION,
     MIN_PENETRATION,
     MODEL_FIELDS,
@@ -32,10 +32,8 @@ from worker.contacts import (
     Stepped,
     penetration_of,
 )
-from worker.problems import BrokenRuleError, Problem, SpecError, SpecInvalid, describe, one_of, problems_of
-from worker.stepping import check_steps, corners
-
-__all__ = ["AXES", "SpecError", "SweepSpec"]
+from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
+from worker.spec.time_steps import check_steps, corners
 
 #: The sweep's axes in the order the store keeps them, slowest first.
 AXES: Final = ("xi", "omega", "gamma")
@@ -169,12 +167,12 @@ class SweepSpec(Strict):
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
         """A specification from JSON text. Raises `SpecUnreadable` or `SpecInvalid`."""
-        return cls.parse(specfile.read_json(text))
+        return cls.parse(parsing.read_json(text))
 
     @classmethod
     def from_file(cls, path: str | Path) -> Self:
         """A specification from a .json or .toml file. Raises `SpecUnreadable` or `SpecInvalid`."""
-        return cls.parse(specfile.read_file(Path(path)))
+        return cls.parse(parsing.read_file(Path(path)))
 
     def axis_values(self, axis: str) -> NDArray[np.float64]:
         """The values of "gamma", "omega" or "xi", (n,), strictly increasing."""

@@ -13,11 +13,11 @@ from zarr.errors import ZarrUserWarning
 from zarr.storage import MemoryStore
 
 from kernel.params import KERNEL_VERSION
-from worker import layout
-from worker.contacts import Stepped
+from worker import schema
 from worker.plan import Plan
 from worker.spec import SweepSpec
-from worker.stepping import corners, stated
+from worker.spec.contact_models import Stepped
+from worker.spec.time_steps import corners, stated
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
 _consolidating = threading.Lock()
@@ -28,9 +28,9 @@ def skeleton(spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any]) -> dict[str,
     content: dict[str, Buffer] = {}
     store = MemoryStore(content)
     group = zarr.open_group(store, mode="w", zarr_format=3)
-    for coordinate in layout.COORDINATES:
+    for coordinate in schema.COORDINATES:
         _create_coordinate(group, coordinate, spec)
-    for array in layout.arrays(spec):
+    for array in schema.arrays(spec):
         _create_array(group, array, spec, plan)
     group.attrs.put({**_provenance(spec), **attrs, **identity(spec, plan)})
     with _consolidating, warnings.catch_warnings():
@@ -58,7 +58,7 @@ def _provenance(spec: SweepSpec) -> dict[str, Any]:
     return said
 
 
-def _create_coordinate(group: zarr.Group, coordinate: layout.Coordinate, spec: SweepSpec) -> None:
+def _create_coordinate(group: zarr.Group, coordinate: schema.Coordinate, spec: SweepSpec) -> None:
     name = coordinate.name
     # Variable-length text: zarr has no stable form for the fixed-length one.
     values = (
@@ -73,8 +73,8 @@ def _create_coordinate(group: zarr.Group, coordinate: layout.Coordinate, spec: S
     array[:] = values
 
 
-def _create_array(group: zarr.Group, array: layout.Array, spec: SweepSpec, plan: Plan) -> None:
-    length = layout.sizes(spec)
+def _create_array(group: zarr.Group, array: schema.Array, spec: SweepSpec, plan: Plan) -> None:
+    length = schema.sizes(spec)
     extra = tuple(length[dim] for dim in array.extra_dims)
     group.create_array(
         array.name, shape=(*spec.shape, *extra), chunks=(1, *plan.chunk_shape, *extra), dtype=array.dtype,

@@ -1,0 +1,37 @@
+"""Computes chunks in a thread of this process."""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from worker.executors.base import Answer
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport, run_chunk
+
+
+class Inline:
+    """One chunk after another in a thread of this process, in their order, for as long as they take."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="chunks")
+        self._open = True
+
+    def submit(
+        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+    ) -> "Future[ChunkReport]":
+        return self._thread.submit(run_chunk, spec, chunk, store_url)
+
+    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+        return self._thread.submit(function, *arguments)
+
+    def ready(self) -> bool:
+        return self._open
+
+    def workers(self) -> int:
+        return 1 if self._open else 0
+
+    def close(self) -> None:
+        self._open = False
+        self._thread.shutdown(cancel_futures=True)
