@@ -21,8 +21,8 @@ import numpy as np
 import psutil
 
 from benchmarks.machine import describe
-from service import embedded
 from service.client import Client, Job
+from service.server import embedded
 from worker.executors.dask import Dask
 from worker.plan import Chunk
 from worker.spec import SweepSpec

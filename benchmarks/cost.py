@@ -26,8 +26,8 @@ from benchmarks.kernel import NEIGHBOURS, cost_of, line
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
 from kernel.params import Model
-from service import embedded
 from service.client import Client
+from service.server import embedded
 
 USUAL: dict[str, Any] = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "settle": 200, "observe": 100, "d": 1e-3}
 KINDS = {"rigid": Model.RIGID, "soft": Model.SOFT}

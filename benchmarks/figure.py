@@ -14,8 +14,8 @@ from typing import Any
 
 from benchmarks.machine import describe
 from benchmarks.small import small
-from service import embedded
 from service.client import Client
+from service.server import embedded
 
 MODELS: list[dict[str, Any]] = [
     {"kind": "rigid"},

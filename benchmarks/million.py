@@ -27,9 +27,9 @@ import psutil
 
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
-from service.jobs import JobState
-from service.ledger import Ledger, Writing
-from service.lifecycle import Lifecycle
+from service.jobs.ledger import Ledger, Writing
+from service.jobs.manager import Lifecycle
+from service.jobs.model import JobState
 from service.settings import Settings
 from worker.executors.dask import Dask
 from worker.plan import Chunk, make_plan

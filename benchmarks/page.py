@@ -14,10 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.machine import describe
-from service import embedded
-from service.client import Client, Job
 from tests.browser import LONG_LINE, chromium, longest_task, opened, redraws, wait_shown, watch_tasks
+
+from benchmarks.machine import describe
+from service.client import Client, Job
+from service.server import embedded
 
 #: How often a page is opened.
 VIEWS = 7

@@ -23,8 +23,8 @@ import psutil
 from benchmarks.atlas import atlas, warm
 from benchmarks.machine import describe
 from benchmarks.tables import table
-from service import embedded
 from service.client import Client
+from service.server import embedded
 from worker.executors.dask import Dask
 
 Stack = tuple[str, ...]

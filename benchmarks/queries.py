@@ -27,8 +27,8 @@ from benchmarks.atlas import atlas
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
 from kernel.params import Outcome
-from service import embedded
 from service.client import Client
+from service.server import embedded
 from worker import schema, store
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec

@@ -21,8 +21,8 @@ import numpy as np
 from benchmarks.atlas import atlas, warm
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
-from service import embedded
 from service.client import Client
+from service.server import embedded
 
 #: Every sweep is another by a hair, or it would be the same job.
 _SHIFTS = itertools.count()

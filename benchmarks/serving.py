@@ -45,7 +45,7 @@ class Serving:
         options = ["--port", str(self.port), "--data", str(self.data)]
         with (folder / "service.log").open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "service.cli", "serve", *options], stdout=log, stderr=log
+                [sys.executable, "-m", "service.cli.main", "serve", *options], stdout=log, stderr=log
             )
         self.me = psutil.Process(self.process.pid)
         while not self._answers():

@@ -16,8 +16,8 @@ from typing import Any
 
 from benchmarks.atlas import atlas
 from benchmarks.machine import describe
-from service import embedded
 from service.client import Client
+from service.server import embedded
 
 MODELS: dict[str, dict[str, Any]] = {
     "rigid": {"kind": "rigid"},

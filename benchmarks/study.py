@@ -20,8 +20,8 @@ from benchmarks import million
 from benchmarks.atlas import Counting, atlas, warm
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
-from service import embedded
 from service.client import Client
+from service.server import embedded
 from worker import schema
 from worker.plan import make_plan
 from worker.spec import SweepSpec

@@ -29,8 +29,8 @@ from benchmarks.machine import describe
 from benchmarks.tables import short, table
 from kernel.line import run_line
 from kernel.params import Line, Model
-from service import embedded
 from service.client import Client
+from service.server import embedded
 from worker.spec import SweepSpec
 
 PERIODS = 300

@@ -2,18 +2,18 @@
 
     python -m benchmarks.tradeoff [-o docs/tradeoff.png]
 
-The same measurement (`worker.analysis.work_precision`), one rung after the other in this process, so that rungs do
-not share the machine; the README's picture and figures come from here.
+The same measurement (`worker.analysis.work_precision`), one rung after the other in this process, so that
+rungs do not share the machine; the README's picture and figures come from here.
 """
 
 import argparse
 from pathlib import Path
 
 from benchmarks.machine import describe
-from service import tradeoff_picture
-from service.tradeoff import table
-from service.tradeoff_command import report
-from service.tradeoff_text import lines
+from service.api.routers.tradeoff import table
+from service.cli.tradeoff import report
+from service.render import work_precision
+from service.results.work_precision import lines
 from worker.analysis.work_precision import RUNGS, measure
 
 
@@ -27,7 +27,7 @@ def main() -> None:
     found = table(rows).model_dump()
     print(report(found, lines(found["rows"])))
     if arguments.output:
-        arguments.output.write_bytes(tradeoff_picture.draw(rows, arguments.output.suffix[1:]))
+        arguments.output.write_bytes(work_precision.draw(rows, arguments.output.suffix[1:]))
 
 
 if __name__ == "__main__":

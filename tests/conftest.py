@@ -8,15 +8,14 @@ proxies on the way to this machine itself, are none of the tests' business.
 import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
+from paths import CACHE
 
 from worker.kernel_cache import claim_cache, warm
 
-CACHE = Path(__file__).parents[1] / ".numba-cache"
 claim_cache(CACHE)
 
 from scripted import small  # noqa: E402 - the cache comes first

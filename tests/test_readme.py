@@ -10,9 +10,9 @@ from pathlib import Path
 import click
 import httpx2
 import pytest
+from paths import ROOT
 from scripted import DEADLINE
 
-ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 ADDRESS = "http://127.0.0.1:8000"
 
@@ -39,7 +39,7 @@ def commands(program: str) -> list[list[str]]:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    from service import embedded
+    from service.server import embedded
 
     settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path_factory.mktemp("data"))
     with embedded.running(settings) as address:
@@ -86,7 +86,7 @@ def parse(command: click.Command, words: list[str], parent: click.Context | None
 
 
 def test_every_bounce_command_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from service.cli import main
+    from service.cli.main import main
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.toml").write_text(blocks("toml")[0])

@@ -1,9 +1,9 @@
 """The soft plate by fixed time steps: the molecular dynamics of the paper (section 2.2, MODEL section 2).
 
 The contact is that of `kernel.models.soft`, gap'' = b q' + w q - 1/Gamma + cos(phi) - kappa gap - beta gap'
-while it lasts, moved on by one of the schemes of `kernel.models.time_stepping`. A step of h = 2 pi/N rad, at most
-the contact's duration over `steps_per_contact` (`kernel.step_limits`), takes a whole number N of steps to
-the plate period, and the grid of phases on which steps end is the same in every period.
+while it lasts, moved on by one of the schemes of `kernel.models.time_stepping`. A step of h = 2 pi/N rad,
+at most the contact's duration over `steps_per_contact` (`kernel.step_limits`), takes a whole number N of
+steps to the plate period, and the grid of phases on which steps end is the same in every period.
 
 The spring takes off or lands inside a step. That step is shortened so that it ends there (the
 zero of the same scheme's own gap or force), and another shortened one leads back to the grid.
@@ -182,7 +182,7 @@ def _run(
 def _contact(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In contact until take-off. The budget counts contacts and flights, `kernel.step_limits` bounds the steps."""
+    """In contact until take-off. The budget counts phases; `kernel.step_limits` bounds the steps."""
     tau, ending, x = _run(s, s.contact, phi, Point(gap, gap1, q, q1), horizon, budget)
     gap, gap1 = x.gap, x.gap1
     if ending == ROOT and s.contact.lead == 0.0:

@@ -14,7 +14,7 @@ from service.client.errors import (
     UnexpectedAnswer,
     WaitTimeout,
 )
-from service.client.notebook import job_html
+from service.client.live_display import job_html
 from service.client.results import Results
 from service.client.transport import Transport, document, seconds_to_wait
 

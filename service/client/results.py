@@ -122,7 +122,7 @@ class Results:
 
     def open(self) -> "xarray.Dataset":
         """The whole store, read over the same connection where it is used. Raises StoreUnreachable."""
-        from service.client.remote import open_remote
+        from service.client.zarr_store import open_remote
 
         return open_remote(self._transport, self._path("zarr"), self.id)
 

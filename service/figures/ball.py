@@ -12,7 +12,7 @@ from kernel.restitution import restitution_of
 from service.client import Job
 from service.figures.canvas import Drawing, dots, flights_over, label, page, styled
 from service.figures.caption import Caption, Claim, mode
-from service.figures.sweeps import UNSEEN
+from service.presets import UNSEEN
 
 #: Flight times closer than this are one in a picture, rad.
 ALIKE: Final = 0.05

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from service import presets
 from service.client import BounceError, Client, Job
-from service.figures import sweeps
 from service.figures.caption import Caption
-from service.figures.sweeps import Sweep
+from service.presets import Sweep
 
 if TYPE_CHECKING:
     from service.figures.canvas import Drawing
@@ -73,9 +73,9 @@ def make(
 
 
 def _models(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import models
+    from service.figures import schematics
 
-    return models.draw()
+    return schematics.draw()
 
 
 def _modes(client: Client, jobs: Sequence[Job]) -> "Drawing":
@@ -97,15 +97,15 @@ def _elastic(client: Client, jobs: Sequence[Job]) -> "Drawing":
 
 
 def _onsets(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import onset
+    from service.figures import thresholds
 
-    return onset.draw_dampings(*jobs)
+    return thresholds.draw_dampings(*jobs)
 
 
 def _sections(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import onset
+    from service.figures import thresholds
 
-    return onset.draw_sections(*jobs)
+    return thresholds.draw_sections(*jobs)
 
 
 def _along_gamma(client: Client, jobs: Sequence[Job]) -> "Drawing":
@@ -130,13 +130,13 @@ FIGURES: Final[Mapping[int, Figure]] = {
     one.number: one
     for one in (
         Figure(1, "the two models", (), _models),
-        Figure(2, "bifurcation diagram and motion at Ω = 0.5, ξ = 0.26", sweeps.figure_2(), _modes),
-        Figure(3, "rigid spring and inelastic ball", sweeps.figure_3(), _rigid),
-        Figure(4, "rigid spring of low viscosity and partially elastic ball", sweeps.figure_4(), _elastic),
-        Figure(5, "bouncing threshold at four dampings", sweeps.figure_5(), _onsets),
-        Figure(6, "threshold at ξ = 0.05 and the sections of Figs. 7 and 8", sweeps.figure_6(), _sections),
-        Figure(7, "flight times against Γ at three Ω", sweeps.figure_7(), _along_gamma),
-        Figure(8, "flight times against Ω at three Γ", sweeps.figure_8(), _along_omega),
-        Figure(9, "thresholds up and down", sweeps.figure_9(), _hysteresis),
+        Figure(2, "bifurcation diagram and motion at Ω = 0.5, ξ = 0.26", presets.figure_2(), _modes),
+        Figure(3, "rigid spring and inelastic ball", presets.figure_3(), _rigid),
+        Figure(4, "rigid spring of low viscosity and partially elastic ball", presets.figure_4(), _elastic),
+        Figure(5, "bouncing threshold at four dampings", presets.figure_5(), _onsets),
+        Figure(6, "threshold at ξ = 0.05 and the sections of Figs. 7 and 8", presets.figure_6(), _sections),
+        Figure(7, "flight times against Γ at three Ω", presets.figure_7(), _along_gamma),
+        Figure(8, "flight times against Ω at three Γ", presets.figure_8(), _along_omega),
+        Figure(9, "thresholds up and down", presets.figure_9(), _hysteresis),
     )
 }

@@ -11,8 +11,8 @@ from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, Drawing, minor_ticks, page, styled
 from service.figures.caption import Caption, Claim
-from service.figures.onset import FINE, apart, extremum
-from service.figures.sweeps import XI
+from service.figures.thresholds import FINE, apart, extremum
+from service.presets import XI
 
 #: Higher than where the curves part, Γ.
 TOP: Final = 1.6

@@ -11,7 +11,7 @@ from kernel.params import Outcome
 from service.client import Client, Job
 from service.figures.canvas import GREY, RED, TURN, Drawing, dots, flights_over, label, page, split, styled
 from service.figures.caption import Caption, Claim, mode
-from service.figures.sweeps import INSETS, SOFT
+from service.presets import INSETS, SOFT
 
 OMEGA: Final = 0.5
 XI: Final = 0.26

@@ -14,7 +14,7 @@ from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, Drawing, dots, flights_over, label, page, styled
 from service.figures.caption import Caption, Claim, mode
-from service.figures.sweeps import CONTACTS, ELASTIC, GAMMAS, HARDLY, OMEGAS, SETTLED, XI
+from service.presets import CONTACTS, ELASTIC, GAMMAS, HARDLY, OMEGAS, SETTLED, XI
 
 #: Half a figure's worth of Γ: chaos that begins goes on for so long, but for windows.
 STRETCH: Final = 0.5

@@ -9,7 +9,7 @@ gets the same model. A task like any other: idempotent, and it returns a report.
 One model for the whole sweep, never a mixture: its results would jump by the tolerance along a seam
 that nobody could tell from a bifurcation, and a ramp cannot be handed from a ball to a spring, for the
 ball has no elongation to carry on from. What rests on the plate is not followed whatever the model: its
-end is in closed form (`kernel.models.rigid`, `kernel.models.soft`, `kernel.models.ball`), and the table counts such cells.
+end is in closed form (the modules of `kernel.models`), and the table counts such cells.
 """
 
 import time

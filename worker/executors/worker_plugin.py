@@ -1,5 +1,8 @@
-"""Room: what makes a Dask worker ready, and lets it go. Imports distributed and worker.kernel_cache, and so no
-kernel: a worker loads this before it has claimed its kernel cache."""
+"""Makes a Dask worker ready, and lets it go.
+
+Imports distributed and worker.kernel_cache, and so no kernel: a worker loads this before it has claimed its
+kernel cache.
+"""
 
 import asyncio
 import os

@@ -1,6 +1,6 @@
 """Room: what a sweep has found, on disk as zarr v3: the one public face of the store.
 
-Everything outside this package uses what is listed here; zarr itself is imported only by the modules behind it.
+Everything outside this package uses what is listed here; only the modules behind it import zarr.
 """
 
 from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, set_aside

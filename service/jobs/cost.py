@@ -1,0 +1,65 @@
+"""What a sweep will cost before anything of it is computed.
+
+Core-seconds come from the speed measured here: what the finished chunks of the last jobs with the same
+contact model took, compared with the plan's cost table. Before there are any, from that table alone.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Final, Literal, NamedTuple
+
+from service.jobs.ledger import Pace
+from worker import plan
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecError
+
+#: The finished jobs whose speed counts, and the longest specification read for it.
+RECENT_JOBS: Final = 20
+LONGEST_SPEC: Final = 20_000
+
+#: Fewer core-seconds of the kind than this say nothing: starting up is most of them.
+LEAST_SECONDS: Final = 0.05
+
+
+class Cost(NamedTuple):
+    """What a sweep will take; `basis` says where the speed comes from."""
+
+    cells: int
+    chunks: int
+    bytes: int  # of stored arrays before compression
+    core_seconds: float
+    basis: Literal["measured", "table"]
+
+
+def cost(spec: SweepSpec, paces: Sequence[Pace]) -> Cost:
+    """The cost of a sweep, by the speed of jobs before it."""
+    found = plan.estimate(spec)
+    ratio = _against_table(spec.model.kind, paces)
+    return Cost(
+        found.cells,
+        found.chunks,
+        found.bytes,
+        found.core_seconds * (1.0 if ratio is None else ratio),
+        "table" if ratio is None else "measured",
+    )
+
+
+def _against_table(kind: str, paces: Sequence[Pace]) -> float | None:
+    """Seconds taken over seconds expected; None where nothing of the kind has been computed."""
+    taken = expected = 0.0
+    for pace in paces:
+        known = _kind_and_cost(pace.spec)
+        if known is not None and known[0] == kind:
+            taken += pace.seconds
+            expected += pace.cells * known[1]
+    return taken / expected if min(taken, expected) >= LEAST_SECONDS else None
+
+
+@lru_cache(maxsize=4 * RECENT_JOBS)
+def _kind_and_cost(text: str) -> tuple[str, float] | None:
+    """A specification's contact model and the table's seconds for one cell."""
+    try:
+        spec = SweepSpec.from_json(text)
+    except SpecError:  # an older version accepted it
+        return None
+    return spec.model.kind, plan.cell_seconds(spec)

@@ -1,0 +1,96 @@
+"""No room for results: the job fails with the reason, the service lives, and resuming finishes it."""
+
+import resource
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from running import running
+from scripted import Held, sweep, wait_for
+
+from kernel.params import Outcome
+from service.jobs.model import JobState
+from worker.executors.dask import Dask
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 2 MB, where this machine lets us have one."""
+    place = tmp_path / "small"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)]
+    try:
+        mounted = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except FileNotFoundError:
+        mounted = False
+    if not mounted:
+        pytest.skip("file systems cannot be mounted here")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def fill(path: Path) -> None:
+    """Take what room there is, to the last byte."""
+    with path.open("wb", buffering=0) as file:
+        for size in (1 << 16, 1 << 12, 1):
+            try:
+                while True:
+                    file.write(b"x" * size)
+            except OSError:
+                continue
+
+
+def test_a_full_disk_fails_the_job_and_no_more(small_disk: Path):
+    """Ledger and stores on it; what the ledger keeps aside is enough to say what happened."""
+    held, spec = Held(capacity=1), sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
+    with running(small_disk / "data", held, window=1) as service:
+        job = service.submit(spec)
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 1)
+        ballast = small_disk / "ballast"
+        fill(ballast)
+        held.let_go()
+        job = service.until(job, JobState.FAILED)
+        assert job.error is not None
+        assert "No space left on device" in job.error
+        ballast.unlink()
+        assert service.submit(spec).state is JobState.QUEUED
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        assert (service.outcomes(job) != Outcome.MISSING).all()
+
+
+def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(
+    small_disk: Path, caplog: pytest.LogCaptureFixture
+):
+    """Not even the ledger can say what happened, until then."""
+    held = Held()
+    with running(small_disk / "data", held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
+        ballast = small_disk / "ballast"
+        service.settings.ledger_path.with_suffix(".reserve").unlink()
+        fill(ballast)
+        held.let_go()
+        wait_for(lambda: "the supervisor stumbled" in caplog.text)
+        assert service.job(job).state is JobState.RUNNING
+        ballast.unlink()
+        held.let_go_until(lambda: service.job(job).state is JobState.FAILED)
+        assert "No space left" in (service.job(job).error or "")
+        service.submit(sweep())
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+
+
+def test_a_limit_on_the_size_of_files_fails_the_job_and_no_more(tmp_path: Path, cluster: Dask):
+    spec = sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
+    run = cluster._link.client.run
+    with running(tmp_path, cluster) as service:
+        run(resource.setrlimit, resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+        try:
+            job = service.until(service.submit(spec), JobState.FAILED)
+        finally:
+            run(resource.setrlimit, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+        assert "File too large" in (job.error or "")
+        job = service.until(service.submit(spec), JobState.DONE)
+        assert (service.outcomes(job) != Outcome.MISSING).all()

@@ -1,0 +1,154 @@
+"""A scheduler that freezes, and one that is killed and started again: said, found again, nothing done twice.
+
+Scheduler and workers are processes of their own, started again whenever they end, as `restart:
+unless-stopped` does. The figures of a machine with nothing else to do:
+
+    BOUNCE_TEST_FREEZE=60 BOUNCE_TEST_BACK=15 pytest -n 0 -m long tests/faults/test_scheduler.py
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from paths import CACHE, ROOT
+from running import Counting, Running, costing, running
+from scripted import free_port, wait_for
+
+from service.api.readiness import Health
+from service.jobs.model import JobRecord, JobState
+from worker.executors.connection import SCHEDULER, variable
+from worker.executors.dask import Dask
+from worker.kernel_cache import warm
+
+#: Seconds; 15 where nothing else runs: scheduler and workers have to start.
+BACK = float(os.environ.get("BOUNCE_TEST_BACK", "60"))
+#: Chunks in flight, of one job on two workers.
+WINDOW = 4
+FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
+
+
+class Kept:
+    """A command that is started again whenever it ends, until told to end."""
+
+    def __init__(self, folder: Path, *command: str) -> None:
+        self._command, self._log = command, folder / f"{command[1]}.log"
+        self._over = threading.Event()
+        self.process = self._start()
+        self._thread = threading.Thread(target=self._keep)
+        self._thread.start()
+
+    def _start(self) -> "subprocess.Popen[bytes]":
+        program = str(Path(sys.executable).with_name(self._command[0]))
+        settings = {variable(name): f"{wanted:g}" for name, (wanted, _) in SCHEDULER.items()}
+        variables = os.environ | settings | {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)}
+        with self._log.open("ab") as log:
+            return subprocess.Popen([program, *self._command[1:]], stdout=log, stderr=log, env=variables)
+
+    def _keep(self) -> None:
+        while not self._over.is_set():
+            self.process.wait()
+            if not self._over.wait(0.2):
+                self.process = self._start()
+
+    def end(self) -> None:
+        self._over.set()
+        family = psutil.Process(self.process.pid).children(recursive=True)
+        self.process.send_signal(signal.SIGCONT)
+        self.process.terminate()
+        self._thread.join(20)
+        for process in psutil.wait_procs(family, timeout=10)[1]:
+            process.kill()
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[Kept, str]]:
+    warm(CACHE)
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    scheduler = Kept(
+        tmp_path, "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port),
+        "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
+    )  # fmt: skip
+    folder = str(tmp_path / "dask")
+    workers = Kept(
+        tmp_path, "dask", "worker", address, "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1",
+        "--no-dashboard", "--local-directory", folder, "--death-timeout", "10",
+    )  # fmt: skip
+    yield scheduler, address
+    workers.end()
+    scheduler.end()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_scheduler_that_freezes_and_one_that_dies(
+    tmp_path: Path, scheduler: tuple[Kept, str], capsys: pytest.CaptureFixture[str]
+):
+    kept, address = scheduler
+    executor = Dask(address, timeout=60)
+    counting, health = Counting(executor), Health(executor)
+    try:
+        wait_for(lambda: executor.ready() and executor.workers() == 2, seconds=90)
+        with running(tmp_path / "data", counting) as service:
+            job = service.submit(costing(chunks=150, seconds=0.1))
+
+            def told() -> str:
+                return f"{counting.submitted} submitted to {executor.workers()} workers: {service.job(job)}"
+
+            def goes_on(since: float) -> float:
+                """Seconds until a chunk is done that was not done at `since`, by which nothing moved."""
+                done = service.job(job).chunks_done
+                wait_for(lambda: service.job(job).chunks_done > done, told, 90)
+                return time.monotonic() - since
+
+            wait_for(lambda: service.job(job).chunks_done >= 2, told, 90)
+
+            kept.process.send_signal(signal.SIGSTOP)
+            frozen = time.monotonic()
+            wait_for(lambda: not health.ready())
+            noticed = time.monotonic() - frozen
+            time.sleep(max(FREEZE - noticed, 0))
+            again = Resubmitted(service, job, counting)
+            kept.process.send_signal(signal.SIGCONT)
+            thawed = goes_on(time.monotonic())
+            again.check()
+
+            wait_for(lambda: executor.ready() and executor.workers() == 2, told, 90)
+            killed = time.monotonic()
+            kept.process.kill()
+            wait_for(lambda: not health.ready())
+            time.sleep(0.5)
+            again = Resubmitted(service, job, counting)
+            back = goes_on(killed)
+            again.check()
+            job = service.until(job, JobState.DONE, seconds=120)
+            again.check()
+            assert counting.submitted <= job.chunks_total + 2 * WINDOW
+        with capsys.disabled():
+            sys.stderr.write(
+                f"\nfrozen for {FREEZE:g} s: not ready after {noticed:.1f} s, goes on {thawed:.1f} s after it"
+                f"\nkilled: goes on after {back:.1f} s\n"
+            )
+        assert noticed < 10
+        assert max(thawed, back) < BACK
+    finally:
+        executor.close()
+
+
+class Resubmitted:
+    """What is given to workers from now on, beside what is marked as done now: they must not meet."""
+
+    def __init__(self, service: Running, job: JobRecord, counting: Counting) -> None:
+        self._done = set(np.flatnonzero(service.ledger.done_mask(job)))
+        self._counting, self._given = counting, counting.submitted
+
+    def check(self) -> None:
+        assert not self._done & set(self._counting.given[self._given :])

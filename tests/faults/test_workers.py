@@ -1,0 +1,212 @@
+"""Workers that die, hang, and eat memory: only the job that is to blame suffers, and nothing is lost.
+
+Real worker processes, really killed. The long version, on a machine with nothing else to do:
+
+    BOUNCE_TEST_RUNS=10 pytest -n 0 -m "long or not long" tests/faults/test_workers.py
+"""
+
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import dask
+import pytest
+from harm import Harm
+from paths import CACHE
+from running import Counting, Running, costing, running
+from scripted import wait_for
+
+from service.jobs.model import JobState
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
+from worker.kernel_cache import warm
+from worker.spec import SweepSpec
+
+RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
+#: Whether times are those of a machine with nothing else to do.
+STRICT = RUNS >= 10
+MEMORY = 600 << 20
+#: Seconds that a chunk may take: a hung one takes them, no other comes near them on a busy machine.
+HUNG = 10.0
+PATIENCE = 180.0
+
+
+@pytest.fixture(scope="module")
+def fragile() -> Iterator[Dask]:
+    """A cluster of this module's own, whose workers do the harm that a sweep's name asks for."""
+    warm(CACHE)
+    with dask.config.set({"distributed.worker.memory.terminate": False}):  # it is our watch that is tried
+        executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
+    executor._link.client.register_plugin(Harm())
+    yield executor
+    executor.close()
+
+
+#: Cells of a huge job: none of them rests, which costs next to nothing.
+BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
+
+
+def pids(executor: Dask) -> list[int]:
+    return list(executor._link.client.run(os.getpid).values())
+
+
+def whole(executor: Dask) -> None:
+    """Wait until both workers are there."""
+    wait_for(lambda: executor.ready() and executor.workers() == 2)
+
+
+def files(url: str) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in map(Path, Path(url).rglob("*")) if path.is_file()}
+
+
+def contents(service: Running, job_id: str) -> dict[str, bytes]:
+    url = Path(service.settings.store_of(job_id))
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, fragile: Dask):
+    chance = random.Random(2)
+    inline = Inline()
+    with running(tmp_path / "calm", inline) as service:
+        calm = service.until(service.submit(costing()), JobState.DONE)
+        expected = contents(service, calm.id)
+    inline.close()
+    for run in range(RUNS):
+        whole(fragile)
+        counting = Counting(fragile)
+        with running(tmp_path / str(run), counting) as service:
+            job = service.submit(costing())
+            wait_for(lambda job=job, service=service: service.job(job).chunks_done >= 1)
+            time.sleep(chance.uniform(0, 0.5))
+            os.kill(chance.choice(pids(fragile)), signal.SIGKILL)
+            service.until(job, JobState.DONE)
+            found = contents(service, job.id)
+            assert {name: found[name] for name in expected} == expected
+            assert counting.submitted - calm.chunks_total <= 4  # the window
+
+
+@pytest.mark.timeout(400)
+def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
+    """A hung, a greedy, a poisonous and a failing chunk at once, beside jobs that have none."""
+    whole(fragile)
+    tries = 2  # so that who is busy or unlucky once is not counted among the guilty
+    terms = {"chunk_seconds": HUNG, "chunk_tries": tries}
+    with running(tmp_path, fragile, **terms) as service:
+        bad = {
+            name: service.submit(costing(f"{name}:2", omega=omega))
+            for name, omega in {"hang": 0.51, "hog": 0.52, "poison": 0.53, "fail": 0.54}.items()
+        }
+        good = [service.submit(costing(omega=omega)) for omega in (0.6, 0.7)]
+        for job in good:
+            service.until(job, JobState.DONE, seconds=PATIENCE)
+        ended = {name: service.until(job, JobState.FAILED, seconds=PATIENCE) for name, job in bad.items()}
+        with service.ledger.reading() as ledger:
+            failed = {name: ledger.failures(job) for name, job in ended.items()}
+    why = {
+        "hang": f"it took longer than {HUNG:g} s",
+        "hog": "MB of memory",
+        "poison": "died",
+        "fail": "ValueError: the spring broke",
+    }
+    for name, job in ended.items():
+        [failure] = failed[name]
+        assert not STRICT or (job.finished or 0) - (job.started or 0) < tries * HUNG + 10
+        assert (failure.chunk, failure.tries) == (2, tries)
+        assert failure.place.startswith("chunk 2 (rest, gamma ")
+        assert why[name] in failure.error
+        assert job.chunks_done == job.chunks_total - 1
+    assert "the spring broke" in (failed["fail"][0].traceback or "")
+
+
+def test_nothing_waits_behind_a_chunk_that_hangs(tmp_path: Path, fragile: Dask):
+    """Its own job's other chunks, and another job, are done long before its time is up."""
+    whole(fragile)
+    with running(tmp_path, fragile, chunk_seconds=PATIENCE) as service:
+        hung, good = service.submit(costing("hang:0")), service.submit(costing(omega=0.6))
+        service.until(good, JobState.DONE)
+        wait_for(lambda: service.job(hung).chunks_done == service.job(hung).chunks_total - 1)
+        assert service.job(hung).state is JobState.RUNNING
+        service.lifecycle.cancel(hung.id)
+        service.until(hung, JobState.CANCELLED)
+
+
+def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, fragile: Dask):
+    whole(fragile)
+    with running(tmp_path, fragile) as service:
+        hung, busy = (
+            service.submit(costing("hang:0")),
+            service.submit(costing(chunks=4, seconds=3, omega=0.6)),
+        )
+        service.until(hung, JobState.RUNNING)
+        service.until(busy, JobState.RUNNING)
+        time.sleep(1)  # in the middle of chunks
+        began = time.monotonic()
+        service.lifecycle.cancel(hung.id)
+        service.lifecycle.cancel(busy.id)
+        for job in (hung, busy):
+            service.until(job, JobState.CANCELLED)
+        assert time.monotonic() - began < (5 if STRICT else 30)
+        whole(fragile)
+
+
+@pytest.mark.skipif(not STRICT, reason="long: BOUNCE_TEST_RUNS=10")
+def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
+    whole(fragile)
+    with running(tmp_path, fragile, chunk_seconds=2.0, chunk_tries=1) as service:
+        job = service.until(service.submit(costing("freeze:1")), JobState.FAILED)
+        assert job.chunks_done == job.chunks_total - 1
+
+
+def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: Path, fragile: Dask):
+    """While it is computed hardly a chunk of the huge one is, though dozens wait."""
+    whole(fragile)
+    with running(tmp_path, fragile) as service:
+        huge = service.submit(costing("huge", gamma=BOUNCING))
+        wait_for(lambda: service.job(huge).chunks_done >= 2)
+        for run in range(RUNS // 2):
+            small = service.submit(costing("small", chunks=10, seconds=0.03, omega=0.8 + run / 100))
+            wait_for(lambda small=small: service.job(small).chunks_done >= 1)
+            first = service.job(huge).chunks_done
+            service.until(small, JobState.DONE)
+            # One on each worker when it came, and one more as its last chunk was computed on the other.
+            assert service.job(huge).chunks_done - first <= 3
+        assert service.job(huge).state is JobState.RUNNING
+        service.lifecycle.cancel(huge.id)
+        service.until(huge, JobState.CANCELLED)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(400)
+def test_a_small_job_beside_a_huge_one_is_hardly_delayed(
+    tmp_path: Path, fragile: Dask, capsys: pytest.CaptureFixture[str]
+):
+    """Within three times its time alone and a second, which a chunk of the huge one takes at most."""
+    whole(fragile)
+    with running(tmp_path, fragile, window_seconds=0.5) as service:
+        alone = [timed(service, small(0.6 + run / 100)) for run in range(3)]
+        huge = service.submit(costing("huge", gamma=BOUNCING))
+        wait_for(lambda: service.job(huge).chunks_done >= 2)
+        beside = []
+        for run in range(max(RUNS, 5)):
+            time.sleep(0.4)
+            beside.append(timed(service, small(0.8 + run / 100)))
+        assert service.job(huge).state is JobState.RUNNING
+        service.lifecycle.cancel(huge.id)
+        service.until(huge, JobState.CANCELLED)
+    with capsys.disabled():
+        sys.stderr.write(f"\nalone {sorted(alone)[1]:.2f} s, beside at most {max(beside):.2f} s\n")
+    assert max(beside) <= 3 * sorted(alone)[1] + 1.0, (alone, beside)
+
+
+def small(omega: float) -> SweepSpec:
+    return costing("small", chunks=8, seconds=0.1, omega=omega)
+
+
+def timed(service: Running, spec: SweepSpec) -> float:
+    began = time.monotonic()
+    service.until(service.submit(spec), JobState.DONE)
+    return time.monotonic() - began

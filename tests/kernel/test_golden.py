@@ -1,0 +1,87 @@
+"""Reference numbers, each with where it comes from (tests/golden)."""
+
+import json
+
+import numpy as np
+import pytest
+from kernel_runs import last_cycle, recorded, run
+from paths import GOLDEN
+
+from kernel.params import Model, Outcome
+
+
+def read(name: str):
+    return json.loads((GOLDEN / name).read_text())
+
+
+def label(cell) -> str:
+    return f"{cell['gamma']:g}-{cell['omega']:g}-{cell['xi']:g}"
+
+
+FACTS = read("facts.json")
+
+
+@pytest.mark.parametrize("cell", read("rigid.json"), ids=label)
+def test_rigid_reference(cell):
+    line = run(cell["gamma"], cell["omega"], cell["xi"], settle=500, observe=40)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert line.bounces[0] == cell["bounces"] == len(cell["flights"])
+    assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-9)
+
+
+@pytest.mark.parametrize("cell", read("soft.json"), ids=label)
+def test_soft_reference(cell):
+    contact = {name: cell[name] for name in ("restitution", "penetration", "adhesive")}
+    line = run(cell["gamma"], cell["omega"], cell["xi"], Model.SOFT, **contact, settle=500, observe=40)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert line.bounces[0] == cell["bounces"] == len(cell["flights"])
+    assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-8)
+
+
+@pytest.mark.parametrize("cell", FACTS["cycles"], ids=label)
+def test_the_papers_cycles(cell):
+    line = run(cell["gamma"], cell["omega"], cell["xi"], settle=500, observe=40)
+    assert [line.bounces[0], line.periods[0]] == cell["mode"]
+    expected = Outcome.PERIODIC if cell["flights"] else Outcome.APERIODIC
+    assert line.outcome[0] == expected
+    if cell["flights"]:
+        assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-9)
+
+
+def test_descending_thresholds():
+    facts = FACTS["descending"]
+    gamma = 1.2 - facts["step"] * np.arange(210)
+    for (omega, last), (_, ascending) in zip(facts["last_bouncing"], facts["threshold"], strict=True):
+        line = run(gamma, omega, facts["xi"], carry=True, settle=facts["periods"] // 2, observe=60, keep=1)
+        bouncing = line.outcome != Outcome.AT_REST
+        lowest = gamma[np.flatnonzero(bouncing)[-1]]
+        assert lowest == pytest.approx(last, abs=facts["step"])
+        assert lowest < ascending
+
+
+@pytest.mark.parametrize(("gamma", "flight"), FACTS["ball"]["inelastic_flight"])
+def test_inelastic_ball(gamma, flight):
+    line = run(gamma, 1.0, 1.0, Model.BALL, settle=300)
+    assert last_cycle(line, 1) == pytest.approx([flight], abs=1e-6)
+
+
+EDGES = {"flight_is_2_pi_up_to": (1, 1), "two_two_up_to": (2, 2), "one_two_up_to": (1, 2)}
+
+
+@pytest.mark.parametrize("edge", EDGES)
+def test_edges_of_the_inelastic_balls_modes(edge):
+    """Followed upwards to a hundredth below, past one above; test_kernel_ball has them to 1e-6."""
+    last = FACTS["ball"][edge]
+    gamma = np.append(np.linspace(last - 0.2, last - 0.01, 40), last + 0.01)
+    line = run(gamma, 1.0, 1.0, Model.BALL, carry=True, settle=2000)
+    modes = list(zip(line.bounces, line.periods, strict=True))
+    assert modes[:-1] == [EDGES[edge]] * 40
+    assert modes[-1] != EDGES[edge]
+
+
+def test_the_inelastic_ball_sticks_no_more():
+    last = FACTS["ball"]["one_one_sticks_up_to"]
+    line = run([last - 1e-3, last + 1e-3], 1.0, 1.0, Model.BALL, settle=300)
+    below, above = (recorded(line, i)[-1] for i in (0, 1))
+    assert below < 2.0 * np.pi - 1e-6
+    assert above == pytest.approx(2.0 * np.pi, abs=1e-6)

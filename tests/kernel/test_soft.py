@@ -1,0 +1,259 @@
+"""The soft model against the integrated equations of motion; its constants; what stiffness may not cost."""
+
+import json
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from kernel_runs import TWO_PI, constants, examples, last_cycle, one_phase, phases, recorded, run, run_setting
+from mpmath import mp, mpf
+from naive import Setting, bounce, damping_for, restitution_of, trajectory
+from naive_exact import pressed
+from paths import GOLDEN
+
+from kernel.models.contact_law import damping_ratio, restitution
+from kernel.models.soft_contact import join, soft_spring, split
+from kernel.models.soft_contact import pressed as in_contact
+from kernel.models.soft_liftoff import pressed_until
+from kernel.numerics.first_root import ROOT, terms
+from kernel.numerics.quartic import Factors, paired, roots
+from kernel.params import Model
+
+FACTS = json.loads((GOLDEN / "facts.json").read_text())["restitution"]
+
+CELLS = [
+    Setting(1.5, 0.5, 0.26, True, 0.05, 1e-2, True),
+    Setting(3.0, 1.0, 0.05, True, 0.3, 1e-2, True),
+    Setting(3.0, 1.0, 0.05, True, 0.3, 1e-2, False),
+    Setting(1.5, 0.5, 1.0, True, 0.0, 1e-2, True),
+    Setting(2.0, 0.67, 0.05, True, 0.1, 2e-3, True),
+    Setting(1.6, 3.0, 1.0, True, 0.5, 3e-2, False),
+    Setting(2.0, 3.0, 0.3, True, 1.0, 3e-2, True),  # nothing lost in the contact
+]
+
+
+def label(s: Setting) -> str:
+    law = "adhesive" if s.adhesive else "nonadhesive"
+    return f"{s.gamma}-{s.omega}-{s.xi}-e{s.restitution}-d{s.penetration}-{law}"
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=label)
+def test_every_flight_is_the_integrated_one(cell):
+    expected = trajectory(cell, 3.0)
+    line = run_setting(cell, settle=0, observe=3, keep=200)
+    assert len(expected) == line.flights[0] > 0
+    assert recorded(line) == pytest.approx([f.time for f in expected], abs=1e-8)
+    takeoffs = line.takeoff_phase[0, : line.flights[0]]
+    assert takeoffs == pytest.approx([f.takeoff % TWO_PI for f in expected], abs=1e-8)
+
+
+# --- an isolated impact ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+@pytest.mark.parametrize("zeta", [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 1.001, 1.5, 4.0])
+def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
+    expected = 0.0 if adhesive and zeta >= 1.0 else bounce(zeta, adhesive)
+    # adhesive leaves only after more and more of the plate's time: nothing is left of it near 1
+    assert restitution(zeta, adhesive) == pytest.approx(expected, abs=1e-10)
+
+
+@given(e=st.floats(1e-9, 1.0), adhesive=st.booleans())
+@examples(200)
+def test_damping_gives_back_its_restitution(e, adhesive):
+    zeta = damping_ratio(e, adhesive)
+    assert zeta == pytest.approx(damping_for(e, adhesive), rel=1e-9, abs=1e-14)
+    assert restitution_of(zeta, adhesive) == pytest.approx(e, rel=1e-9)
+
+
+def test_restitution_is_continuous_through_critical_damping():
+    zetas = 1.0 + np.concatenate([-np.logspace(-1, -16, 100), [0.0], np.logspace(-16, -1, 100)])
+    values = [restitution(zeta, False) for zeta in zetas]
+    assert all(later <= earlier + 1e-15 for earlier, later in pairwise(values))
+    assert values[100] == pytest.approx(math.exp(-2.0), rel=1e-15)
+    assert values[99] == pytest.approx(values[101], abs=1e-9)
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+@pytest.mark.parametrize("e", [0.05, 0.2, 0.5, 0.9, 1.0])
+def test_the_kernels_contact_gives_the_restitution_asked_for(e, adhesive):
+    """A fast impact on a stiff plate, the spring too soft to be felt; the trap would give 0.2137 for 0.05."""
+    s = Setting(100.0, 1000.0, 0.0, True, e, 1e-6, adhesive)
+    impact = one_phase(s, False, math.pi / 2, (0.0, -1.0, 0.0, 0.0), 1.0, 1000)
+    assert impact.ending == ROOT
+    assert impact.after[1] == pytest.approx(e, abs=2e-5)
+
+
+@pytest.mark.parametrize("fact", FACTS["trap"])
+def test_the_trap_is_real(fact):
+    """Adhesive's damping in a contact that cannot pull gives back more than was asked for."""
+    got = restitution(damping_ratio(fact["asked"], True), False)
+    assert got == pytest.approx(fact["got"], abs=5e-4)
+
+
+@pytest.mark.parametrize("fact", FACTS["spring_as_ball"])
+def test_a_locked_spring_as_a_ball(fact):
+    """epsilon = f(xi) is half the restitution of a contact that cannot pull, at damping ratio xi."""
+    assert 0.5 * restitution(fact["xi"], False) == pytest.approx(fact["half"], abs=5e-5)
+
+
+def test_an_isolated_contact_lasts_as_long_as_eq_11_says():
+    d, e = 1e-6, 0.3
+    impact = one_phase(
+        Setting(100.0, 1000.0, 0.0, True, e, d, True), False, math.pi / 2, (0.0, -1.0, 0.0, 0.0), 1.0, 1000
+    )
+    zeta = damping_for(e, True)
+    assert impact.tau == pytest.approx(math.pi * d / math.sqrt(1.0 - zeta**2), rel=1e-5)
+
+
+# --- stiffness ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("penetration", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+@pytest.mark.parametrize(("e", "adhesive"), [(0.0, True), (0.01, True), (0.3, True), (0.05, False)])
+def test_take_off_keeps_its_digits_however_stiff_the_contact(penetration, e, adhesive):
+    """After a hard landing, against 80 digits: n is 1/d**2 times what little the gap is."""
+    s = Setting(1.5, 0.5, 0.26, True, e, penetration, adhesive)
+    long = [step for step in phases(s, 4, 60) if not step.flying and step.tau > 0.5 and step.ending == ROOT]
+    assert long or e > 0.01  # otherwise every landing ends in a long contact
+    for step in long[:2]:
+        motion = pressed(s, step.phi, step.before)
+        lifts = motion.gap if adhesive else motion.force
+        near = mpf(step.tau)
+        true = mp.findroot(lambda tau, lifts=lifts: lifts(tau), (near, near * (1 + mpf(10) ** -9)), tol=1e-60)
+        assert abs(float(true - near)) < 1e-13
+
+
+def test_soft_tends_to_rigid():
+    """Linearly in d, where nothing is given back."""
+    rigid = last_cycle(run(1.5, 0.5, 0.26, settle=300), 1)[0]
+    off = []
+    for d in (1e-3, 1e-4, 1e-5, 1e-6):
+        line = run(1.5, 0.5, 0.26, Model.SOFT, restitution=0.0, penetration=d, settle=300)
+        assert (line.bounces[0], line.periods[0]) == (1, 1)
+        off.append(abs(last_cycle(line, 1)[0] - rigid))
+    slopes = [math.log10(before / after) for before, after in pairwise(off)]
+    assert slopes == pytest.approx([1.0] * 3, abs=0.15)
+
+
+def test_the_cost_hardly_grows_with_stiffness():
+    """Evaluations, not seconds, so that it holds on any machine; five decades of depth."""
+    used = []
+    for d in (1e-3, 1e-8):
+        s = Setting(1.5, 0.5, 0.26, True, 0.0, d, True)
+        used.append(sum(step.used for step in phases(s, 20, 200)))
+    assert used[1] < 2.5 * used[0]
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-12, 1e-9, 1e-6, 1e-3])
+def test_a_plate_as_soft_as_the_spring(beside):
+    """Omega = d, xi = 0, zeta = 1: both free motions are one; to tell them apart costs digits."""
+    cell = Setting(2.5, 0.1 * (1.0 + beside), 0.0, True, 0.0, 0.1, True)
+    line = run_setting(cell, settle=0, observe=3)
+    assert recorded(line) == pytest.approx([f.time for f in trajectory(cell, 3.0)], abs=1e-7)
+
+
+# --- the constants of the contact -----------------------------------------------------------
+
+
+def coefficients(s: Setting) -> tuple[float, float, float, float]:
+    """Of the spring's free motion on the soft plate: s**4 + c3 s**3 + c2 s**2 + c1 s + c0."""
+    b, w, beta, kappa = s.b, s.w, s.beta, s.kappa
+    return beta + 2 * b, kappa + 2 * w + b * beta, b * kappa + w * beta, w * kappa
+
+
+WIDE = {
+    "omega": st.floats(-3.0, 3.0).map(lambda x: 10.0**x),
+    "xi": st.one_of(
+        st.sampled_from([0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, 1.0 - 1e-12]),
+        st.floats(-3.0, 3.0).map(lambda x: 10.0**x),
+    ),
+    "penetration": st.floats(-8.0, -1.0).map(lambda x: 10.0**x),
+    "restitution": st.one_of(st.sampled_from([0.0, 1.0, 0.01]), st.floats(1e-6, 1.0)),
+    "adhesive": st.booleans(),
+}
+
+
+def contact(adhesive: bool, restitution: float, **others: float) -> Setting:
+    """A setting that can be: a contact that does not pull gives something back; no two motions alike."""
+    assume(abs(others["omega"] / others["penetration"] - 1.0) > 1e-3 or others["xi"] > 0.0)
+    e = restitution if adhesive else max(restitution, 1e-6)
+    return Setting(1.5, soft=True, adhesive=adhesive, restitution=e, **others)
+
+
+def pairings(c3: float, c2: float, c1: float, c0: float) -> list[Factors]:
+    """Every way to factor that the kernel would choose from."""
+    z = roots(c3, c2, c1, c0)
+    ways = [paired(c3, c2, c1, c0, z, partner) for partner in (1, 2, 3)]
+    furthest = max(apart for apart, _ in ways)
+    return [f for apart, f in ways if apart >= min(furthest, 0.1)]
+
+
+@given(**WIDE)
+@examples(300)
+def test_factors_multiply_to_the_quartic(**wide):
+    c3, c2, c1, c0 = (mpf(c) for c in coefficients(contact(**wide)))
+    for f in pairings(float(c3), float(c2), float(c1), float(c0)):
+        a1, b1, a2, b2 = map(mpf, f)
+        assert 0.0 < b1 <= b2 * (1 + 1e-10)
+        # a damping may be off by the rounding of the other, far larger one
+        assert min(a1, a2) >= -1e-15 * mp.sqrt(b1)
+        assert abs(a1 + a2 - c3) <= 1e-14 * (c3 + mp.sqrt(c2))
+        assert abs(b1 + b2 + a1 * a2 - c2) <= 1e-14 * c2
+        assert abs(a1 * b2 + a2 * b1 - c1) <= 1e-14 * (c1 + mp.sqrt(c0 * c2))
+        assert abs(b1 * b2 - c0) <= 1e-14 * c0
+
+
+@given(**WIDE)
+@examples(30)
+def test_factors_have_the_quartics_roots(**wide):
+    c = coefficients(contact(**wide))
+    true = mp.polyroots([1, *map(mpf, c)], maxsteps=2000, extraprec=400)
+    for a1, b1, a2, b2 in pairings(*c):
+        halves = [(-mpf(a) / 2, mp.sqrt(mpf(a) ** 2 / 4 - mpf(b))) for a, b in ((a1, b1), (a2, b2))]
+        mine = [half + sign * root for half, root in halves for sign in (1, -1)]
+        for root in true:
+            # a double root moves by the square root of a rounding
+            assert min(abs(r - root) for r in mine) <= 1e-6 * abs(root)
+
+
+@given(**WIDE, phase=st.floats(0.0, 6.28), gap=st.floats(-1.0, 0.0), gap1=st.floats(-2.0, 2.0),
+       q=st.floats(-1.0, 1.0), q1=st.floats(-2.0, 2.0), tau=st.floats(-9.0, 0.8))  # fmt: skip
+@examples(60)
+def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **wide):
+    """Any state, pressed for any time: all four numbers against 80 digits."""
+    s = contact(**wide)
+    if abs(s.omega - 1.0) < 1e-3 and s.xi == 0.0:
+        return  # resonance is computed beside itself: see test_kernel_rigid
+    state, tau = (gap * s.penetration, gap1, q * min(1.0, s.omega**2), q1), 10.0**tau
+    cell = constants(s)
+    got = join(cell, split(cell, phase, *state), phase, tau)
+    true = [float(x) for x in pressed(s, phase, state).state(tau)]
+    size = 1.0 + abs(gap1) + abs(q1)
+    # a phase error grows with every ringing that is still there
+    turns = 1.0 + tau * math.sqrt(2.0 * s.w) + min(tau, 40.0 / max(s.beta, 1e-9)) / s.penetration
+    scales = (s.penetration * size, size, min(1.0, s.omega) * size + s.omega**2, size)
+    for mine, exact, scale in zip(got, true, scales, strict=True):
+        assert abs(mine - exact) <= 1e-13 * turns * scale
+
+
+def test_no_contact_ends_while_its_ringing_is_stepped_over():
+    """Impacts all over the range: what is stepped over is positive at 400 instants; most are."""
+    rng = np.random.default_rng(7)
+    jumps = 0
+    for _ in range(300):
+        gamma, omega, xi, d = 10.0 ** rng.uniform([-0.3, -1.5, -3, -7], [2, 1.5, 1, -1])
+        adhesive = bool(rng.integers(2))
+        e = rng.uniform(0.001, 1.0) ** 2
+        s = soft_spring(gamma, omega, xi, e, d, adhesive)
+        state = (rng.uniform(0, TWO_PI), 0.0, -(10.0 ** rng.uniform(-6, 1)), *rng.normal(0, 2, 2))
+        contact = in_contact(s, split(s, *state), state[0])
+        end = pressed_until(contact, terms(contact, 0.0))
+        jumps += end > 0.0
+        for tau in np.linspace(0.0, end, 400):
+            t = terms(contact, tau)
+            assert t.smooth + t.ring >= -4.0 * t.noise
+    assert jumps > 150

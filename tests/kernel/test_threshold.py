@@ -1,0 +1,94 @@
+"""The bouncing threshold: MODEL section 5's facts, and the onset itself searched for naively."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from paths import GOLDEN
+from scipy.optimize import minimize_scalar
+
+from kernel.threshold import takeoff_phase, threshold
+
+FACTS = json.loads((GOLDEN / "facts.json").read_text())["threshold"]
+XI = [0.01, 0.05, 0.2, 0.3, 1.0, 10.0, 1e3]
+
+
+def least_gamma(omega: float, xi: float) -> tuple[float, float]:
+    """Of a mass that rides the plate: where the least n = 1/Gamma - cos(phi) - b q' - w q is zero."""
+    w, b = 1.0 / omega**2, 2.0 * xi / omega
+    phi = np.linspace(0.0, 2.0 * math.pi, 400_001)
+    wave = np.exp(1j * phi) / complex(w - 1.0, b)
+    # q = -1/(Gamma w) + Re(wave): the static part adds another 1/Gamma
+    loss = np.cos(phi) + b * (1j * wave).real + w * wave.real
+    return 2.0 / float(loss.max()), float(phi[np.argmax(loss)])
+
+
+@pytest.mark.parametrize("xi", [0.01, 0.05, 0.2, 1.0, 30.0])
+@pytest.mark.parametrize("omega", [1e-3, 0.1, 0.5, 0.99, 1.0, math.sqrt(4 / 3), math.sqrt(2.0), 2.0, 40.0])
+def test_eq_25_and_eq_24_are_the_onset(omega, xi):
+    gamma, phase = least_gamma(omega, xi)
+    assert threshold(omega, xi) == pytest.approx(gamma, rel=1e-9)
+    off = (float(takeoff_phase(omega, xi)) - phase + math.pi) % (2.0 * math.pi) - math.pi
+    assert abs(off) < 2e-5
+
+
+@pytest.mark.parametrize("xi", XI)
+def test_one_at_the_square_root_of_four_thirds_for_every_damping(xi):
+    assert threshold(math.sqrt(4.0 / 3.0), xi) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("xi", XI)
+def test_closed_forms_at_resonance_and_at_the_square_root_of_two(xi):
+    assert threshold(1.0, xi) == pytest.approx(4.0 * xi / math.sqrt(1.0 + 16.0 * xi**2), rel=1e-13)
+    assert threshold(math.sqrt(2.0), xi) == pytest.approx(math.sqrt(1.0 + 1.0 / (8.0 * xi**2)), rel=1e-13)
+
+
+@pytest.mark.parametrize("xi", XI)
+def test_limits(xi):
+    assert threshold(1e-8, xi) == pytest.approx(1.0, abs=1e-9)
+    assert threshold(1e9, xi) == pytest.approx(2.0, abs=1e-9)
+
+
+def test_undamped():
+    assert threshold(1.0, 0.0) == 0.0
+    assert threshold(np.sqrt(2.0), 0.0) > 1e7  # infinite, but for the rounding of the root of two
+
+
+@pytest.mark.parametrize("xi", [0.0, 0.01, 0.05, 0.2, 0.3])
+def test_extrema(xi):
+    """Omega**2 = (3 -+ sqrt(1 + 48 xi**2))/(2 (1 - 6 xi**2)); both exist below xi = 1/sqrt(6)."""
+    root = math.sqrt(1.0 + 48.0 * xi**2)
+    least, most = (math.sqrt((3.0 + sign * root) / (2.0 * (1.0 - 6.0 * xi**2))) for sign in (-1.0, 1.0))
+    if xi > 0.0:
+        found = minimize_scalar(
+            lambda o: float(threshold(o, xi)), bounds=(0.3, 1.15), options={"xatol": 1e-10}
+        )
+        assert found.x == pytest.approx(least, abs=1e-6)
+        found = minimize_scalar(
+            lambda o: -float(threshold(o, xi)), bounds=(1.2, 9.0), options={"xatol": 1e-10}
+        )
+        assert found.x == pytest.approx(most, abs=1e-5)
+
+
+def test_no_maximum_beyond_the_root_of_a_sixth():
+    omega = np.linspace(1.2, 300.0, 100_000)
+    assert np.all(np.diff(threshold(omega, 1.0 / math.sqrt(6.0) + 1e-3)) > 0.0)
+    assert np.any(np.diff(threshold(omega, 1.0 / math.sqrt(6.0) - 1e-2)) < 0.0)
+
+
+def test_facts():
+    for which in ("least", "most"):
+        omega, gamma = FACTS["extrema"][which]
+        assert threshold(omega, FACTS["extrema"]["xi"]) == pytest.approx(gamma, abs=1e-5)
+    for omega, gamma in FACTS["not_one_at_xi_one"]:
+        assert threshold(omega, 1.0) == pytest.approx(gamma, abs=5e-4)
+
+
+def test_arrays_broadcast():
+    omega, xi = np.linspace(0.1, 3.0, 7), np.array([[0.01], [0.2]])
+    whole = threshold(omega, xi)
+    assert whole.shape == (2, 7)
+    assert whole.dtype == np.float64
+    assert whole[1, 3] == threshold(omega[3], 0.2)
+    assert np.all((takeoff_phase(omega, xi) >= 0.0) & (takeoff_phase(omega, xi) < 2.0 * np.pi))

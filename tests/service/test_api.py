@@ -1,0 +1,338 @@
+"""The calls over HTTP, from submission to the last format of a diagram."""
+
+import csv
+import io
+import json
+import os
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import psutil
+import pytest
+from fastapi.testclient import TestClient
+from paths import GOLDEN
+from scripted import Held, sweep, wait_for
+from served import FIGURE_2, computing, finished, get, occupied, service
+
+from service.api.problems import DataFolderBusy
+from worker.executors.dask import Dask
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def figure_2(client: TestClient) -> str:
+    """Where the finished job is."""
+    return finished(client, FIGURE_2)
+
+
+# Jobs
+
+
+def test_a_submission_is_accepted_and_says_where_to_look(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        answer = client.post("/v1/jobs", json=FIGURE_2)
+        assert answer.status_code == 202
+        view = answer.json()
+        assert re.fullmatch("[0-9a-f]{32}", view["id"])
+        assert answer.headers["Location"] == view["links"]["self"] == f"/v1/jobs/{view['id']}"
+        assert int(answer.headers["Retry-After"]) >= 0
+        assert set(view) == {
+            *("id", "name", "state", "progress", "error", "failures"),
+            *("created", "started", "finished", "spec", "choice", "links"),
+        }
+        assert (view["name"], view["state"], view["error"]) == ("figure 2, coarse", "queued", None)
+        assert view["progress"] == {
+            "chunks_done": 0,
+            "chunks_total": view["progress"]["chunks_total"],
+            "cells_done": 0,
+            "cells_total": 111,
+            "percent": 0.0,
+            "eta_seconds": None,
+        }
+        assert view["spec"]["gamma"] == {"start": 0.5, "stop": 6.0, "num": 111, "spacing": "linear"}
+
+
+def test_a_finished_job_says_so(client: TestClient, figure_2: str):
+    view = get(client, figure_2)
+    assert (view["state"], view["progress"]["percent"]) == ("done", 100.0)
+    assert view["created"] <= view["started"] <= view["finished"]
+    assert view["created"].endswith("Z")
+
+
+def test_the_same_sweep_however_it_is_written_is_the_same_job(client: TestClient, figure_2: str):
+    same = {**FIGURE_2, "name": "", "omega": [0.5], "settle": 200.0, "protocol": {"kind": "rest"}}
+    answer = client.post("/v1/jobs", json=same)
+    assert (answer.status_code, answer.headers["Location"]) == (200, figure_2)
+    assert answer.json()["name"] == "figure 2, coarse"
+
+
+def test_an_unchanged_job_is_not_sent_again(client: TestClient, figure_2: str):
+    tag = client.get(figure_2).headers["ETag"]
+    for wanted in (tag, f'"other", {tag}', tag.removeprefix("W/"), "*"):
+        answer = client.get(figure_2, headers={"If-None-Match": wanted})
+        assert (answer.status_code, answer.content, answer.headers["ETag"]) == (304, b"", tag)
+    assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+def test_progress_changes_the_tag(tmp_path: Path):
+    held = Held()
+    with service(tmp_path, held) as client:
+        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
+        wait_for(lambda: held.held() == 4)
+        before = client.get(here).headers["ETag"]
+        held.let_go()
+        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] == 1)
+        answer = client.get(here, headers={"If-None-Match": before})
+        assert answer.status_code == 200
+        assert answer.json()["progress"]["eta_seconds"] > 0
+
+
+def test_a_job_that_takes_long_asks_for_patience(tmp_path: Path):
+    held = Held()
+    with service(tmp_path, held) as client:
+        long = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 100_000}, omega=[*range(1, 31)]).as_submitted()
+        here = client.post("/v1/jobs", json=long).headers["Location"]
+        wait_for(lambda: held.held() == 4)
+        time.sleep(0.3)
+        held.let_go()
+        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] == 1)
+        assert 1 <= int(client.get(here).headers["Retry-After"]) <= 10
+
+
+def test_jobs_are_listed_newest_first(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        for omega in (0.5, 0.6):
+            client.post("/v1/jobs", json={**FIGURE_2, "omega": omega})
+        everything = get(client, "/v1/jobs")
+        assert [job["spec"]["omega"] for job in everything["jobs"]] == [0.6, 0.5, 0.123]
+        assert everything["total"] == 3
+        two = get(client, "/v1/jobs", limit=2)
+        assert ([job["spec"]["omega"] for job in two["jobs"]], two["total"]) == ([0.6, 0.5], 3)
+        assert get(client, "/v1/jobs", state="done") == {"jobs": [], "total": 0, "next": None}
+        client.post(f"/v1/jobs/{everything['jobs'][0]['id']}/cancel")
+        assert get(client, "/v1/jobs", state="cancelled")["total"] == 1
+
+
+def test_a_long_specification_is_left_out_of_lists(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        here = client.post(
+            "/v1/jobs", json={**FIGURE_2, "gamma": [1 + i / 3e4 for i in range(2000)]}
+        ).headers["Location"]
+        assert get(client, "/v1/jobs")["jobs"][0]["spec"] is None
+        assert len(get(client, here)["spec"]["gamma"]) == 2000
+
+
+def test_cancel_and_resume(tmp_path: Path):
+    held = Held()
+    with service(tmp_path, held) as client:
+        spec = sweep().as_submitted()
+        here = client.post("/v1/jobs", json=spec).headers["Location"]
+        wait_for(lambda: held.held() == 4)
+        assert client.post(f"{here}/cancel").status_code == 202
+        wait_for(held.told_to_stop)
+        held.let_go_until(lambda: client.get(here).json()["state"] == "cancelled")
+        assert client.post(f"{here}/cancel").status_code == 202  # twice is once
+        assert client.post("/v1/jobs", json=spec).status_code == 202
+        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
+        refused = client.post(f"{here}/cancel")
+        assert (refused.status_code, refused.json()["status"]) == (409, 409)
+
+
+def test_a_failed_job_tells_why(tmp_path: Path):
+    (tmp_path / "stores").write_text("in the way of the stores")
+    with service(tmp_path, Held()) as client:
+        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+        wait_for(lambda: client.get(here).json()["state"] == "failed")
+        assert "cannot begin" in client.get(here).json()["error"]
+
+
+def test_jobs_outlive_the_service(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+    with computing(tmp_path) as client:
+        wait_for(lambda: client.get(here).json()["state"] == "done")
+
+
+def test_a_data_folder_serves_one_service(tmp_path: Path):
+    with service(tmp_path, Held()), pytest.raises(DataFolderBusy), service(tmp_path, Held()):
+        pass
+
+
+def test_the_cluster_computes_what_inline_computes(
+    tmp_path: Path, cluster: Dask, client: TestClient, figure_2: str
+):
+    with service(tmp_path, cluster) as other:
+        there = get(other, f"{finished(other, FIGURE_2)}/diagram")
+        wait_for(lambda: other.get("/readyz").json() == {"status": "ok"})
+    assert there == get(client, f"{figure_2}/diagram")
+
+
+def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
+    """By the workers' own clocks; the seconds that pass on a quiet machine: `python -m benchmarks.figure`."""
+    pids = cluster._link.client.run(os.getpid).values()
+
+    def spent() -> float:
+        return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids)
+
+    with service(tmp_path, cluster) as client:
+        finished(client, {**FIGURE_2, "gamma": 1.5})
+        for kind in ("rigid", "soft"):
+            gamma = {"start": 1.0, "stop": 6.0, "num": 1000}
+            before = spent()
+            finished(client, {**FIGURE_2, "gamma": gamma, "model": {"kind": kind}})
+            assert spent() - before < 5
+
+
+# Diagrams
+
+
+def test_a_diagram_holds_every_cell_and_no_more_than_its_flights(client: TestClient, figure_2: str):
+    answer = get(client, f"{figure_2}/diagram")
+    assert (answer["along"], answer["direction"], answer["complete"]) == ("gamma", "rest", True)
+    assert answer["fixed"] == {"omega": 0.5, "xi": 0.26}
+    assert len(answer["values"]) == 111
+    assert [len(cell) for cell in answer["flight_time"]] == [min(n, 64) for n in answer["flights"]]
+    assert [len(cell) for cell in answer["takeoff_phase"]] == [min(n, 64) for n in answer["flights"]]
+
+
+def test_figure_2s_modes(client: TestClient, figure_2: str):
+    answer = get(client, f"{figure_2}/diagram")
+    cell = {round(gamma, 9): place for place, gamma in enumerate(answer["values"])}
+    modes = {
+        gamma: (answer["bounces"][cell[gamma]], answer["periods"][cell[gamma]]) for gamma in (1.5, 2.3, 3.6)
+    }
+    assert modes == {1.5: (1, 1), 2.3: (2, 2), 3.6: (1, 2)}
+    assert answer["outcome"][cell[5.0]] == 2
+    threshold = get(client, "/v1/threshold", omega=0.5, xi=0.26)["threshold"]
+    for gamma, place in cell.items():
+        assert (answer["outcome"][place] == 3) == (gamma < threshold)
+        assert answer["flights"][place] > 0 or gamma < threshold
+
+
+@pytest.mark.parametrize("name", ["rigid", "soft"])
+def test_the_reference_flights_come_out_of_the_service(client: TestClient, name: str):
+    tolerance = {"rigid": 1e-9, "soft": 1e-8}[name]
+    for cell in json.loads((GOLDEN / f"{name}.json").read_text()):
+        model = {key: cell[key] for key in ("restitution", "penetration", "adhesive") if key in cell}
+        point = {axis: cell[axis] for axis in ("gamma", "omega", "xi")}
+        here = finished(client, {**point, "model": {"kind": name, **model}, "settle": 500, "observe": 40})
+        flights = get(client, f"{here}/diagram")["flight_time"][0][-len(cell["flights"]) :]
+        assert sorted(flights) == pytest.approx(cell["flights"], abs=tolerance), point
+
+
+def test_short_flights_may_be_left_out(client: TestClient, figure_2: str):
+    everything, long = get(client, f"{figure_2}/diagram"), get(client, f"{figure_2}/diagram", min_flight=5.0)
+    assert long["flight_time"] == [[t for t in cell if t >= 5] for cell in everything["flight_time"]]
+    assert [len(cell) for cell in long["takeoff_phase"]] == [len(cell) for cell in long["flight_time"]]
+    assert long["flights"] == everything["flights"]
+
+
+def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
+    held = Held()
+    with service(tmp_path, held, active_jobs=1) as client:
+        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
+        wait_for(lambda: held.held() == 4)
+        held.let_go()
+        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] == 1)
+        half = get(client, f"{here}/diagram")
+        assert half["complete"] is False
+        assert 0 < half["outcome"].count(0) < 60
+        assert all(
+            cell == [] for cell, what in zip(half["flight_time"], half["outcome"], strict=True) if not what
+        )
+        assert client.get(f"{here}/diagram", params={"format": "png"}).headers["Bounce-Complete"] == "false"
+        assert get(client, f"{here}/threshold")["complete"] is False
+        queued = client.post("/v1/jobs", json=sweep(omega=0.6).as_submitted()).headers["Location"]
+        nothing = get(client, f"{queued}/diagram")
+        assert (nothing["complete"], nothing["outcome"]) == (False, [0] * 60)
+        assert get(client, f"{queued}/threshold")["up"] == [None]
+
+
+def test_a_ramp_both_ways_shows_its_first_direction_unless_told(client: TestClient):
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
+    spec = {**FIGURE_2, "protocol": ramp, "gamma": {"start": 0.6, "stop": 1.4, "num": 9}, "settle": 20}
+    here = finished(client, spec)
+    assert get(client, f"{here}/diagram")["direction"] == "up"
+    assert get(client, f"{here}/diagram", direction="down")["direction"] == "down"
+    table = csv.DictReader(io.StringIO(client.get(f"{here}/diagram", params={"format": "csv"}).text))
+    assert {row["direction"] for row in table} == {"up", "down"}
+
+
+@pytest.mark.parametrize(
+    ("format", "media_type"), [("csv", "text/csv"), ("png", "image/png"), ("svg", "image/svg+xml")]
+)
+def test_a_diagram_comes_as_a_file(client: TestClient, figure_2: str, format: str, media_type: str):
+    answer = client.get(f"{figure_2}/diagram", params={"format": format})
+    assert answer.status_code == 200
+    assert answer.headers["Content-Type"].partition(";")[0] == media_type
+    assert answer.headers["Bounce-Complete"] == "true"
+    if format == "csv":
+        assert len(list(csv.reader(io.StringIO(answer.text)))) > 1000
+    elif format == "png":
+        assert answer.content.startswith(PNG)
+    else:
+        assert ElementTree.fromstring(answer.text).tag.endswith("svg")
+
+
+# Thresholds
+
+
+def test_thresholds_of_a_sweep(client: TestClient):
+    spec = {
+        "gamma": {"start": 0.1, "stop": 1.0, "num": 19},
+        "omega": [0.6, 0.8],
+        "xi": [0.05, 0.26],
+        "model": {"kind": "rigid"},
+        "settle": 40,
+        "observe": 20,
+    }
+    answer = get(client, f"{finished(client, spec)}/threshold", xi=0.04999999999)
+    assert (answer["xi"], answer["omega"], answer["complete"]) == (0.05, [0.6, 0.8], True)
+    for analytic, up in zip(answer["analytic"], answer["up"], strict=True):
+        assert analytic <= up <= analytic + 0.05 + 1e-9
+    assert answer["down"] == [None, None]
+
+
+def test_eq_25(client: TestClient):
+    assert get(client, "/v1/threshold", omega=1, xi=0.05)["threshold"] == pytest.approx(0.2 / 1.04**0.5)
+    assert get(client, "/v1/threshold", omega=1, xi=0)["threshold"] == 0.0
+
+
+# The rest
+
+
+def test_health(tmp_path: Path):
+    held = Held(capacity=0)
+    with service(tmp_path, held) as client:
+        assert get(client, "/healthz") == {"status": "ok"}
+        answer = client.get("/readyz")
+        assert (answer.status_code, answer.headers["Content-Type"]) == (503, "application/problem+json")
+        assert int(answer.headers["Retry-After"]) > 0
+        held.capacity = 1
+        wait_for(lambda: client.get("/readyz").status_code == 200)
+
+
+def test_the_api_document_is_whole(client: TestClient):
+    document = get(client, "/openapi.json")
+    assert {"/v1/jobs", "/v1/jobs/{job_id}/diagram", "/v1/threshold", "/readyz"} <= set(document["paths"])
+    references = set(re.findall(r'"#/components/schemas/([^"]+)"', json.dumps(document)))
+    assert references <= set(document["components"]["schemas"])
+    assert "SweepSpec" in references
+
+
+def test_the_page_of_calls_fetches_nothing(client: TestClient):
+    answer = client.get("/docs")
+    assert answer.headers["Content-Type"].startswith("text/html")
+    for path in get(client, "/openapi.json")["paths"]:
+        assert path in answer.text
+    assert not re.search(r"https?://|<script|<link|@import", answer.text)

@@ -1,0 +1,379 @@
+"""Bad requests, one line each: the status, a piece of the message, and the service still answers."""
+
+import asyncio
+import contextlib
+import gzip
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import httpx2
+import pytest
+import uvicorn
+from fastapi.testclient import TestClient
+from scripted import DEADLINE, Held, wait_for
+from served import computing, finished, service
+
+from service.api.app import create_app
+from service.api.middleware.body_limit import BodyLimit
+from service.server.head_timeout import impatient
+from service.settings import Settings
+from worker.executors.inline import Inline
+
+MAX_BODY = 20_000
+
+GOOD: dict[str, Any] = {
+    "gamma": {"start": 0.6, "stop": 1.4, "num": 9},
+    "omega": [0.5, 0.6],
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 20,
+    "observe": 20,
+}
+
+
+class Body(NamedTuple):
+    """A body for POST /v1/jobs."""
+
+    name: str
+    body: bytes
+    status: int
+    message: str
+    media_type: str = "application/json"
+
+
+def text(name: str, body: str | bytes, status: int, message: str) -> Body:
+    return Body(name, body.encode() if isinstance(body, str) else body, status, message)
+
+
+def spec(case: str, status: int, message: str, /, **changes: Any) -> Body:
+    return text(case, json.dumps({**GOOD, **changes}), status, message)
+
+
+def without(field: str) -> bytes:
+    return json.dumps({name: value for name, value in GOOD.items() if name != field}).encode()
+
+
+def raw(name: str, gamma: str, status: int, message: str) -> Body:
+    """`gamma` as it stands in the body, which Python would not write."""
+    return text(name, '{"omega": 0.5, "xi": 0.26, "gamma": %s}' % gamma, status, message)  # noqa: UP031
+
+
+BODIES = [
+    text("nothing", b"", 400, "not JSON"),
+    text("not JSON", "gamma: 1", 400, "not JSON"),
+    text("half an object", '{"gamma": 1', 400, "not JSON"),
+    text("two values", "{} {}", 400, "not JSON"),
+    text("not UTF-8", b'{"name": "\xff"}', 400, "not UTF-8 at byte 10"),
+    text("a coded surrogate", b'{"name": "\xed\xa0\x80"}', 400, "not UTF-8"),
+    text("a byte order mark", b"\xef\xbb\xbf{}", 400, "not JSON"),
+    text("deep nesting", "[" * 9000 + "]" * 9000, 400, "nested too deeply"),
+    raw("NaN", "NaN", 400, "NaN"),
+    raw("Infinity", "-Infinity", 400, "Infinity"),
+    raw("5,000 digits", "1" * 5000, 400, "5000 digits"),
+    raw("a field twice", '1, "gamma": 2', 400, "'gamma' is given twice"),
+    raw("1e999", "1e999", 422, "gamma: must be finite"),
+    raw("300 digits", "1" * 300, 422, "gamma"),
+    raw("nested lists", "[" * 500 + "]" * 500, 422, "gamma"),
+    text("a list", "[1, 2]", 422, "must be an object"),
+    text("a number", "7", 422, "must be an object"),
+    text("null", "null", 422, "must be an object"),
+    text("an empty object", "{}", 422, "gamma: is required"),
+    text("no omega", without("omega"), 422, "omega: is required"),
+    spec("an unknown field", 422, "did you mean 'gamma'", gama=1.0),
+    spec("a field named with half a surrogate", 422, "printable", **{"\ud800": 1}),
+    spec("a name with half a surrogate", 422, "name: must be text that UTF-8 can write", name="\udc00"),
+    spec("a name of two lines", 422, "name: must be one line of printable", name="a\nb"),
+    spec("a name without end", 422, "name: must have at most 200 characters", name="x" * 500),
+    spec("a number as text", 422, "omega: must be a number", omega="0.5"),
+    spec("a truth as a number", 422, "omega", omega=True),
+    spec("null for an axis", 422, "xi", xi=None),
+    spec("an empty axis", 422, "omega: must hold at least one number", omega=[]),
+    spec("an unsorted axis", 422, "omega: must increase", omega=[1.0, 0.5]),
+    spec("a repeated value", 422, "omega: must increase", omega=[0.5, 0.5]),
+    spec("a negative omega", 422, "omega", omega=-0.5),
+    spec("a zero gamma", 422, "gamma", gamma=0.0),
+    spec("a subnormal gamma", 422, "gamma", gamma=5e-324),
+    spec("a negative xi", 422, "xi: must be at least 0", xi=-1e-9),
+    spec("a range downwards", 422, "gamma.start", gamma={"start": 2.0, "stop": 1.0, "num": 5}),
+    spec("a range of nothing", 422, "gamma.num", gamma={"start": 1.0, "stop": 2.0, "num": 0}),
+    spec("a range of half a value", 422, "gamma.num", gamma={"start": 1.0, "stop": 2.0, "num": 2.5}),
+    spec("a range without end", 422, "gamma.num: must", gamma={"start": 1.0, "stop": 2.0, "num": 10**18}),
+    spec("a log range from 0", 422, "xi.start", xi={"start": 0.0, "stop": 1.0, "num": 5, "spacing": "log"}),
+    spec("a model to come", 422, "model.kind", model={"kind": "granite"}),
+    spec("a field of another model", 422, "model.penetration", model={"kind": "rigid", "penetration": 1e-3}),
+    spec("a subnormal rest length", 422, "model.rest_length: gives contacts 0 to 0",
+         model={"kind": "soft", "rest_length": 5e-324}),
+    spec("restitution above 1", 422, "model.restitution", model={"kind": "rigid", "restitution": 1.5}),
+    spec("a protocol to come", 422, "protocol.kind", protocol={"kind": "spiral"}),
+    spec("a ramp along one value", 422, "protocol.axis",
+         protocol={"kind": "ramp", "axis": "xi", "direction": "up"}),
+    spec("no periods observed", 422, "observe: must be at least 1", observe=0),
+    spec("half a period", 422, "settle: must be a whole number", settle=0.5),
+    spec("nothing kept", 422, "keep: must be at least 1", keep=0),
+    spec("too many cells", 413, "at most 1000000",
+         gamma={"start": 1, "stop": 2, "num": 99999}, xi=list(range(99))),
+    spec("too many bytes", 413, "keep", keep=10_000, gamma={"start": 1, "stop": 2, "num": 90_000}),
+    text("a body too long", b" " * (MAX_BODY + 1), 413, f"longer than {MAX_BODY:,} bytes"),
+    Body("a form", b"gamma=1", 415, "Content-Type: application/json", "application/x-www-form-urlencoded"),
+    Body("plain text", json.dumps(GOOD).encode(), 415, "Content-Type: application/json", "text/plain"),
+    Body("no type", json.dumps(GOOD).encode(), 415, "Content-Type: application/json", ""),
+]  # fmt: skip
+
+#: Method, path ({job} is one that is done), status, and a piece of the message.
+REQUESTS = {
+    "nowhere": ("GET", "/v2/jobs", 404, "there is nothing at /v2/jobs"),
+    "a method not known": ("DELETE", "/v1/jobs", 405, "does not answer DELETE"),
+    "a made-up method": ("BREW", "/v1/jobs", 405, "does not answer BREW"),
+    "an unknown id": ("GET", "/v1/jobs/" + "0" * 32, 404, "no job has the id"),
+    "an id with a quote": ("GET", "/v1/jobs/'%20OR%201=1", 404, "no job has the id"),
+    "an id with a null": ("GET", "/v1/jobs/%00", 404, "no job has the id"),
+    "an id that is a path": ("GET", "/v1/jobs/..%2F..%2Fledger.sqlite", 404, ""),
+    "an id without end": ("GET", "/v1/jobs/" + "a" * 5000, 404, "no job has the id"),
+    "an id that is not UTF-8": ("GET", "/v1/jobs/%ff%fe", 404, "no job has the id"),
+    "cancelling nobody": ("POST", "/v1/jobs/nobody/cancel", 404, "no job has the id 'nobody'"),
+    "cancelling what is done": ("POST", "{job}/cancel", 409, "the job is done"),
+    "an unknown state": ("GET", "/v1/jobs?state=lost", 422, "state: should be 'queued'"),
+    "no limit": ("GET", "/v1/jobs?limit=0", 422, "limit: should be greater than or equal to 1"),
+    "a limit in words": ("GET", "/v1/jobs?limit=all", 422, "limit: should be a valid integer"),
+    "a limit without end": ("GET", "/v1/jobs?limit=" + "9" * 5000, 422, "limit"),
+    "a cursor of one's own": ("GET", "/v1/jobs?cursor=two", 422, "cursor: should be `next` of the page"),
+    "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: there is no such parameter"),
+    "along nothing": ("GET", "{job}/diagram?along=time&omega=0.5", 422, "along: should be 'gamma', 'omega'"),
+    "a missing parameter": ("GET", "{job}/diagram", 422, "omega: is required: the sweep has 2 values"),
+    "the axis itself": ("GET", "{job}/diagram?gamma=1&omega=0.5", 422, "gamma: is the axis the diagram"),
+    "below the grid": ("GET", "{job}/diagram?omega=0.4999", 422, "omega: must be within the sweep"),
+    "above the grid": ("GET", "{job}/diagram?omega=1e300", 422, "omega: must be within the sweep"),
+    "beside one value": ("GET", "{job}/diagram?omega=0.5&xi=0.27", 422, "xi: must be within the sweep"),
+    "a fixed NaN": ("GET", "{job}/diagram?omega=nan", 422, "omega: should be a finite number"),
+    "a fixed infinity": ("GET", "{job}/diagram?omega=1e999", 422, "omega: should be a finite number"),
+    "a fixed word": ("GET", "{job}/diagram?omega=half", 422, "omega: should be a valid number"),
+    "a fixed nothing": ("GET", "{job}/diagram?omega=", 422, "omega: should be a valid number"),
+    "a direction not there": ("GET", "{job}/diagram?omega=0.5&direction=up", 422, "direction: must be"),
+    "a negative flight": ("GET", "{job}/diagram?omega=0.5&min_flight=-1", 422, "min_flight: should be"),
+    "an unknown format": ("GET", "{job}/diagram?omega=0.5&format=gif", 422, "format: should be 'json'"),
+    "thresholds off the grid": ("GET", "{job}/threshold?xi=9", 422, "xi: must be within the sweep"),
+    "thresholds of nobody": ("GET", "/v1/jobs/nobody/threshold", 404, "no job has the id"),
+    "Eq. 25 nowhere": ("GET", "/v1/threshold", 422, "omega: is required; xi: is required"),
+    "Eq. 25 at rest": ("GET", "/v1/threshold?omega=0&xi=0.1", 422, "omega: should be greater than 0"),
+    "Eq. 25 undamped and worse": ("GET", "/v1/threshold?omega=1&xi=-0.1", 422, "xi: should be greater than"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    limits = {"max_body_bytes": MAX_BODY, "max_cells": 1_000_000, "max_bytes": 2**32}
+    with computing(tmp_path_factory.mktemp("data"), **limits) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def job(client: TestClient) -> str:
+    return finished(client, GOOD)
+
+
+def check_refusal(answer: Any, status: int, message: str) -> None:
+    assert (answer.status_code, answer.headers["Content-Type"]) == (status, "application/problem+json"), (
+        answer.text
+    )
+    problem = answer.json()
+    assert problem["status"] == status
+    assert message in problem["detail"], problem
+    for error in problem.get("errors", []):
+        assert set(error) == {"field", "rule"}
+
+
+@pytest.mark.parametrize("case", BODIES, ids=lambda case: case.name)
+def test_bad_body(client: TestClient, case: Body):
+    headers = {"Content-Type": case.media_type} if case.media_type else {}
+    answer = client.post("/v1/jobs", content=case.body, headers=headers)
+    check_refusal(answer, case.status, case.message)
+    assert client.get("/v1/jobs?limit=1").status_code == 200
+
+
+@pytest.mark.parametrize(("method", "path", "status", "message"), REQUESTS.values(), ids=REQUESTS)
+def test_bad_request(client: TestClient, job: str, method: str, path: str, status: int, message: str):
+    check_refusal(client.request(method, path.format(job=job)), status, message)
+    assert client.get(job).json()["state"] == "done"
+
+
+def test_a_broken_rule_is_named_by_field_and_in_words(client: TestClient):
+    problem = client.post("/v1/jobs", json={**GOOD, "omega": -1, "keep": 0}).json()
+    assert [error["field"] for error in problem["errors"]] == ["omega", "keep"]
+    assert [error["rule"].startswith("must be") for error in problem["errors"]] == [True, True]
+
+
+def test_no_refused_sweep_has_left_anything(client: TestClient, job: str):
+    assert client.get("/v1/jobs").json()["total"] == 1
+
+
+def test_a_full_queue_says_when_to_come_back(tmp_path: Any):
+    with service(tmp_path, Held(), max_queue=1) as client:
+        assert client.post("/v1/jobs", json={**GOOD, "xi": 0.3}).status_code == 202
+        answer = client.post("/v1/jobs", json=GOOD)
+        check_refusal(answer, 429, "at most 1 may be")
+        assert int(answer.headers["Retry-After"]) > 0
+
+
+def test_an_answer_too_large_says_what_fits(tmp_path: Any):
+    with computing(tmp_path, max_points=100) as client:
+        here = finished(client, GOOD)
+        for format in ("json", "csv"):
+            answer = client.get(f"{here}/diagram?omega=0.5&format={format}")
+            check_refusal(answer, 413, "9 values of gamma × keep 64")
+            assert "every=9 asks for as many as fit" in answer.json()["detail"]
+            assert client.get(f"{here}/diagram?omega=0.5&format={format}&every=9").status_code == 200
+        for format in ("png", "svg"):
+            assert client.get(f"{here}/diagram?omega=0.5&format={format}").status_code == 200
+        assert client.get(f"{here}/threshold").status_code == 200
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs?state=done&state=failed", "/v1/threshold?omega=1&xi=0&xi=0.1"])
+def test_a_parameter_given_twice_is_refused(client: TestClient, path: str):
+    check_refusal(client.get(path), 422, "is given 2 times")
+
+
+def test_a_sweep_is_not_accepted_by_a_request_that_also_says_validate_only(client: TestClient, job: str):
+    before = client.get("/v1/jobs").json()["total"]
+    answer = client.post("/v1/jobs?validate_only=true&validate_only=false", json={**GOOD, "xi": 0.77})
+    check_refusal(answer, 422, "validate_only: is given 2 times")
+    assert client.get("/v1/jobs").json()["total"] == before
+
+
+def test_a_compressed_body_is_refused_as_such(client: TestClient):
+    headers = {"Content-Type": "application/json", "Content-Encoding": "gzip"}
+    answer = client.post("/v1/jobs", content=gzip.compress(json.dumps(GOOD).encode()), headers=headers)
+    check_refusal(answer, 415, "the body is compressed (Content-Encoding: gzip)")
+
+
+def test_a_refused_method_is_told_all_that_there_are(client: TestClient, job: str):
+    assert client.put("/v1/jobs").headers["Allow"] == "GET, POST"
+    assert client.put(job).headers["Allow"] == "DELETE, GET"
+    assert client.put("/v1/trajectories").headers["Allow"] == "POST"
+
+
+@pytest.mark.parametrize("path", ["diagram?omega=0.5", "modes", "export?format=nc"])
+def test_a_data_folder_out_of_order_is_no_defect_of_the_service(tmp_path: Path, path: str):
+    with computing(tmp_path) as client:
+        here = finished(client, GOOD)
+        stores, away = tmp_path / "stores", tmp_path / "away"
+        stores.rename(away)
+        stores.touch()
+        check_refusal(
+            client.get(f"{here}/{path}"), 503, "the data folder cannot be used now: Not a directory"
+        )
+        stores.unlink()
+        away.rename(stores)
+        assert client.get(f"{here}/{path}").status_code == 200
+
+
+def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):
+    here = finished(client, {**GOOD, "protocol": {"kind": "ramp", "axis": "omega", "direction": "up"}})
+    check_refusal(client.get(f"{here}/threshold"), 422, "protocol.axis: is omega")
+
+
+# Bodies on the wire, where a client may stop in the middle
+
+
+@pytest.fixture
+def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
+    executor = Inline()
+    settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
+    app, http = create_app(settings, executor), impatient(settings.body_seconds)
+    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    yield server.servers[0].sockets[0].getsockname()
+    server.should_exit = True
+    thread.join()
+    executor.close()
+
+
+def spoken(address: tuple[str, int], *pieces: bytes) -> bytes:
+    """All the service answers until it closes the connection."""
+    head = b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
+        connection.sendall(head + b"".join(pieces))
+        return b"".join(iter(lambda: connection.recv(65536), b""))
+
+
+def test_a_stalled_body_is_given_up(address: tuple[str, int]):
+    answer = spoken(address, b"Content-Length: 100\r\n\r\n", b'{"gamma": ')
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert b"did not arrive within 0.5 s" in answer
+
+
+HEAD = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+
+
+@pytest.mark.parametrize("before", [b"", HEAD + b"\r\n"], ids=["first", "next"])
+@pytest.mark.parametrize("pieces", [[HEAD], [bytes([byte]) for byte in HEAD]], ids=["stalled", "dripping"])
+def test_a_head_that_does_not_come_is_given_up(address: tuple[str, int], before: bytes, pieces: list[bytes]):
+    """On a fresh connection, and on one that has had an answer."""
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
+        if before:
+            connection.sendall(before)
+            while not (got := connection.recv(65536)).endswith(b"}"):
+                assert got
+        with contextlib.suppress(ConnectionError):  # closed while it dripped
+            for piece in pieces:
+                connection.sendall(piece)
+                time.sleep(0.05)
+            rest = b"".join(iter(lambda: connection.recv(65536), b""))
+            assert rest.startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_connection_without_a_word_is_given_up(address: tuple[str, int]):
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
+        assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
+
+
+def test_who_asks_again_and_again_is_not_given_up(address: tuple[str, int]):
+    """For longer than a head may take, unless this machine pauses for so long itself."""
+
+    def connections() -> int:
+        with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}", timeout=DEADLINE) as client:
+            opened = set()
+            for _ in range(8):
+                answer = client.get("/healthz", headers={"Host": "localhost"})
+                assert answer.status_code == 200
+                opened.add(answer.extensions["network_stream"].get_extra_info("client_addr"))
+                time.sleep(0.1)
+            return len(opened)
+
+    wait_for(lambda: connections() == 1)
+
+
+def test_a_body_declared_too_long_is_refused_unread(address: tuple[str, int]):
+    assert spoken(address, b"Content-Length: 99999999999\r\n\r\n").startswith(b"HTTP/1.1 413 ")
+
+
+def test_a_body_in_chunks_is_refused_where_it_gets_too_long(address: tuple[str, int]):
+    chunk = b"1000\r\n" + b" " * 0x1000 + b"\r\n"
+    answer = spoken(address, b"Transfer-Encoding: chunked\r\n\r\n", *[chunk] * 5)
+    assert answer.startswith(b"HTTP/1.1 413 ")
+
+
+def test_a_client_that_goes_away_in_the_middle_of_its_body_reaches_no_route():
+    reached: list[str] = []
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        reached.append(scope["path"])
+
+    messages = iter([{"type": "http.request", "body": b"{", "more_body": True}, {"type": "http.disconnect"}])
+
+    async def receive() -> Any:
+        return next(messages)
+
+    async def send(message: Any) -> None:
+        raise AssertionError(message)
+
+    limit = BodyLimit(app, max_bytes=100, seconds=1.0)
+    asyncio.run(limit({"type": "http", "path": "/", "headers": []}, receive, send))
+    assert reached == []

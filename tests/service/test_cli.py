@@ -1,0 +1,412 @@
+"""The command `bounce` against a real service, in this process and as processes of its own."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from click.testing import CliRunner, Result
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+
+from service.cli.main import main
+from service.client import Client
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.base import Executor
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
+
+BOUNCE = str(Path(sys.executable).with_name("bounce"))
+COMMANDS = [
+    "cancel", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "resume",
+    "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
+]  # fmt: skip
+
+SPEC = {**TWO_LINES, "name": "two ω"}
+
+
+def serving(folder: Path, executor: Executor, **given: object):
+    settings = Settings(data=folder / "data", port=0, heartbeat_seconds=0.2, shutdown_seconds=1.0, **given)
+    return embedded.running(settings, executor)
+
+
+def bounce(*words: object, url: str = "http://127.0.0.1:9", **options: object) -> Result:
+    """Run a command line in this process; nothing but SystemExit may come out of it."""
+    result = CliRunner(env={"BOUNCE_URL": url}).invoke(main, [str(word) for word in words], **options)
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exc_info
+    return result
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    executor = Inline()
+    with serving(tmp_path_factory.mktemp("cli"), executor) as url:
+        yield url
+    executor.close()
+
+
+@pytest.fixture(scope="module")
+def spec(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("spec") / "sweep.json"
+    path.write_text(json.dumps(SPEC))
+    return path
+
+
+@pytest.fixture(scope="module")
+def job(url: str, spec: Path) -> str:
+    """The id of a job that is done."""
+    result = bounce("submit", spec, "--wait", url=url)
+    assert result.exit_code == 0, result.stderr
+    return result.stdout.strip()
+
+
+# Help
+
+
+def test_help_lists_every_command_in_one_line():
+    text = bounce("--help").stdout
+    listed = dict(re.findall(r"^  ([a-z]+)  +(.+)$", text.split("Commands:")[1], re.MULTILINE))
+    assert sorted(listed) == COMMANDS
+    assert not [line for line in listed.values() if line.endswith("...")]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command: str):
+    result = bounce(command, "-h")
+    assert result.exit_code == 0
+    assert "Usage:" in result.stdout
+
+
+def test_the_version_is_told():
+    assert re.search(r"\d+\.\d+", bounce("--version").stdout)
+
+
+# Submitting and following
+
+
+def test_submit_prints_the_id_alone_so_that_it_can_be_piped(url: str, spec: Path, job: str):
+    result = bounce("submit", spec, url=url)
+    assert re.fullmatch(r"[0-9a-f]{32}\n", result.stdout)
+    assert result.stdout.strip() == job  # the same sweep
+    assert result.stderr == ""
+
+
+def test_submit_reads_standard_input(url: str, job: str):
+    assert bounce("submit", "-", url=url, input=json.dumps(SPEC)).stdout.strip() == job
+    broken = bounce("submit", "-", url=url, input='{"gamma": ')
+    assert (broken.exit_code, broken.stdout) == (1, "")
+    assert "not JSON" in broken.stderr
+
+
+def test_waiting_writes_plain_lines_where_there_is_no_terminal(url: str, tmp_path: Path):
+    path = tmp_path / "sweep.json"
+    path.write_text(json.dumps(SPEC | {"settle": 21, "name": "plain"}))
+    result = bounce("submit", path, "--wait", url=url)
+    assert result.exit_code == 0
+    lines = result.stderr.splitlines()
+    assert lines[-1] == f"{result.stdout[:8]} plain: done, 100% (92 of 92 cells)"
+    assert all(re.match(r"[0-9a-f]{8} plain: (queued|running|done), \d+% ", line) for line in lines)
+    assert "\x1b" not in result.stderr
+
+
+def test_wait_on_a_job_that_is_done_returns(url: str, job: str):
+    result = bounce("wait", job, url=url)
+    assert (result.exit_code, result.stdout) == (0, "")
+
+
+def test_status_for_people_and_for_programs(url: str, job: str):
+    text = bounce("status", job, url=url).stdout
+    assert re.search(r"^state +done$", text, re.MULTILINE)
+    assert re.search(r"^progress +100% \(92 of 92 cells, \d+ of \d+ chunks\)$", text, re.MULTILINE)
+    view = json.loads(bounce("status", job, "--json", url=url).stdout)
+    assert (view["id"], view["state"], view["name"]) == (job, "done", "two ω")
+
+
+def test_list_for_people_and_for_programs(url: str, job: str):
+    heading, *rows = bounce("list", url=url).stdout.splitlines()
+    assert heading.split() == ["ID", "STATE", "DONE", "CELLS", "NAME"]
+    assert f"{job}  done       100%             92  two ω" in rows
+    assert job in [view["id"] for view in json.loads(bounce("list", "--json", url=url).stdout)]
+    assert bounce("list", "--state", "failed", url=url).stdout.splitlines() == [heading]
+    assert json.loads(bounce("list", "--state", "failed", "--json", url=url).stdout) == []
+
+
+def test_cancel_and_what_follows(tmp_path: Path):
+    held = Held()
+    with serving(tmp_path, held) as url, Client(url) as client:
+        job = client.submit(sweep("long"))
+        wait_for(held.held)
+        result = bounce("cancel", job.id, url=url)
+        assert result.exit_code == 0
+        assert "long: " in result.stderr
+        wait_for(held.told_to_stop)
+        held.let_go_until(lambda: job.refresh().finished)
+        result = bounce("wait", job.id, url=url)
+        assert result.exit_code == 1
+        assert "was cancelled" in result.stderr
+
+
+def test_a_failed_job_ends_the_wait_with_its_reason(tmp_path: Path):
+    executor = Scripted({0: [ValueError("the roof fell in")] * 99})
+    with serving(tmp_path, executor, failed_chunks=1) as url, Client(url) as client:
+        result = bounce("wait", client.submit(sweep()).id, url=url)
+    executor.close()
+    assert result.exit_code == 1
+    assert "the roof fell in" in result.stderr
+
+
+def test_a_wait_can_be_given_up(tmp_path: Path):
+    with serving(tmp_path, Held()) as url, Client(url) as client:
+        result = bounce("wait", client.submit(sweep()).id, "--timeout", "0.2", url=url)
+    assert result.exit_code == 1
+    assert "it goes on" in result.stderr
+
+
+# Diagrams
+
+
+@pytest.mark.parametrize(
+    ("name", "begin"), [("a.png", b"\x89PNG"), ("a.SVG", b"<?xml"), ("a.csv", b"direction,")]
+)
+def test_a_diagram_is_written_as_its_name_says(url: str, job: str, tmp_path: Path, name: str, begin: bytes):
+    result = bounce("diagram", job, "--omega", 0.5, "-o", tmp_path / name, url=url)
+    assert result.exit_code == 0, result.stderr
+    assert (tmp_path / name).read_bytes().startswith(begin)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_diagram_goes_to_standard_output(url: str, job: str):
+    result = bounce(
+        "diagram", job, "--along", "omega", "--gamma", 1.5, "--format", "json", "-o", "-", url=url
+    )
+    assert json.loads(result.stdout)["values"] == [0.5, 0.7]
+
+
+def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
+    with serving(tmp_path, Held()) as url, Client(url) as client:
+        job = client.submit(sweep())
+        result = bounce("diagram", job.id, "-o", tmp_path / "a.png", url=url)
+    assert result.exit_code == 0
+    assert "incomplete" in result.stderr
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["list"], 1, "no service answers at"),
+        (["list", "--url", "nonsense"], 1, "http://HOST:PORT"),
+        (["status", "nonsense"], 1, "32 hex digits"),
+        (["status"], 2, "Missing argument"),
+        (["bounce"], 2, "No such command"),
+        (["submit", "missing.json"], 2, "does not exist"),
+        (["figure", "99"], 1, "there is no figure 99 here; there are: 1, 2, 3"),
+        (["figure", "two"], 1, "there is no figure two here; there are: 1, 2, 3"),
+        (["figure", "2", "-o", "figure.pdf"], 2, ".png, .svg"),
+        (["figure", "2", "-o", "/nowhere/figure.png"], 2, "no folder"),
+        (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
+        (["diagram", "0" * 32, "--format", "png", "-o", "/nowhere/diagram"], 2, "no folder /nowhere"),
+        (["diagram", "0" * 32], 2, "Missing option '-o'"),
+        (["list", "--state", "asleep"], 2, "asleep"),
+        (["wait", "0" * 32, "--timeout", "-1"], 2, "timeout"),
+        (["serve", "--port", "99999"], 1, "port"),
+        (["serve", "--workers", "0"], 1, "workers"),
+        (["serve", "--host", "nowhere.invalid", "--port", "0"], 1, "to listen on nowhere.invalid"),
+    ],
+)
+def test_an_error_is_one_message_and_an_exit_code(words: list[str], code: int, message: str):
+    result = bounce(*words)
+    assert result.exit_code == code
+    assert message in result.stderr
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+
+
+def test_a_bad_specification_names_field_and_rule(url: str, tmp_path: Path):
+    path = tmp_path / "sweep.json"
+    path.write_text(json.dumps(SPEC | {"omega": -0.5}))
+    result = bounce("submit", path, url=url)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "omega: must be at least" in result.stderr
+
+
+def test_a_line_outside_the_grid_leaves_the_file_as_it_was(url: str, job: str, tmp_path: Path):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"before")
+    result = bounce("diagram", job, "--omega", 3, "-o", path, url=url)
+    assert result.exit_code == 1
+    assert "omega: must be within the sweep" in result.stderr
+    assert path.read_bytes() == b"before"
+    assert bounce("diagram", job, "--omega", 0.5, "-o", tmp_path / "no" / "a.png", url=url).exit_code == 2
+
+
+@pytest.mark.parametrize("content", [b"not a database, and not one line of it " * 99, None])
+def test_a_ledger_that_is_none_is_said(tmp_path: Path, content: bytes | None):
+    ledger = tmp_path / "ledger.sqlite"
+    ledger.mkdir() if content is None else ledger.write_bytes(content)
+    result = bounce("serve", "--port", "0", "--data", tmp_path)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "ledger.sqlite cannot be used" in result.stderr
+
+
+def test_what_is_no_file_is_written_to_and_not_replaced(url: str, job: str, tmp_path: Path):
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        line = ("diagram", job, "--omega", 0.5, "--every", 40)
+        assert bounce(*line, "-o", pipe, url=url).exit_code == 0
+        assert pipe.is_fifo()
+        assert os.read(reader, 10) == b"direction,"
+    finally:
+        os.close(reader)
+
+
+def test_settings_from_the_environment_are_checked_like_options(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_WORKERS", "many")
+    result = bounce("serve", "--port", "0")
+    assert result.exit_code == 1
+    assert "workers" in result.stderr
+
+
+# Processes
+
+
+class Serve:
+    """`bounce serve` as a process of its own."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.log = (folder / "log").open("w+")
+        words = [BOUNCE, "serve", "--port", "0", "--data", str(folder / "data"), *options]
+        self.process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=self.log, text=True, start_new_session=True
+        )
+
+    def line(self) -> str:
+        assert self.process.stdout
+        line = self.process.stdout.readline()
+        self.log.seek(0)
+        assert line, self.log.read()
+        return line
+
+    def end(self, number: int) -> int:
+        """Its exit code, once it and everything it started have ended."""
+        family = psutil.Process(self.process.pid).children(recursive=True)
+        self.process.send_signal(number)
+        code = self.process.wait(DEADLINE)
+        _, left = psutil.wait_procs(family, timeout=DEADLINE)
+        assert left == []
+        return code
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate()
+        self.log.close()
+
+
+@pytest.fixture
+def serve(tmp_path: Path, cluster: Dask) -> Iterator[Serve]:
+    """Started when the shared cluster has compiled the kernels, so that this one only reads them."""
+    serve = Serve(tmp_path)
+    yield serve
+    serve.close()
+
+
+def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [BOUNCE, *words],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+        check=False,
+    )
+
+
+def test_serve_computes_keeps_its_data_to_itself_and_stops_when_told(serve: Serve, spec: Path):
+    line = serve.line()
+    (url,) = re.findall(
+        r"^bounce listens on (http://127\.0\.0\.1:\d+) \(data in .*, 2 worker processes\)$", line
+    )
+
+    submitted = run("submit", str(spec), "--wait", BOUNCE_URL=url)
+    assert submitted.returncode == 0, submitted.stderr
+    assert json.loads(run("list", "--json", BOUNCE_URL=url).stdout)[0]["id"] == submitted.stdout.strip()
+
+    data = line.split("data in ")[1].split(",")[0]
+    second = run("serve", "--port", "0", "--data", data, "--workers", "1")
+    assert second.returncode == 1
+    assert "another service uses the data folder" in second.stderr
+    assert "Traceback" not in second.stderr
+
+    port = url.rsplit(":", 1)[1]
+    third = run("serve", "--port", port, "--data", data)
+    assert third.returncode == 1
+    assert f"cannot listen on 127.0.0.1 port {port}: Address already in use" in third.stderr
+
+    assert serve.end(signal.SIGTERM) == 0
+
+
+def test_serve_stops_while_it_is_still_starting(serve: Serve):
+    wait_for(lambda: len(psutil.Process(serve.process.pid).children(recursive=True)) >= 2)
+    assert serve.end(signal.SIGINT) == 0
+
+
+def test_a_wait_that_is_interrupted_leaves_the_job_alone(tmp_path: Path):
+    with serving(tmp_path, Held()) as url, Client(url) as client:
+        job = client.submit(sweep())
+        process = subprocess.Popen(
+            [BOUNCE, "wait", job.id, "--url", url], stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        assert process.stderr
+        process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=DEADLINE)
+        assert process.returncode == 130
+        assert f"the job goes on (stop it with: bounce cancel {job.id})" in errors
+        assert not job.refresh().finished
+
+
+def test_a_terminal_gets_a_bar(url: str, job: str):
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [BOUNCE, "wait", job, "--url", url],
+        stderr=theirs,
+        env=os.environ | {"TERM": "xterm", "COLUMNS": "120"},
+    )
+    os.close(theirs)
+    shown = b""
+    try:
+        while part := os.read(ours, 4096):
+            shown += part
+    except OSError:  # the other side has closed
+        pass
+    os.close(ours)
+    assert process.wait(DEADLINE) == 0
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+    assert "━━━" in text
+    assert "100%" in text
+    assert "done, 92 of 92 cells" in text
+
+
+def test_a_reader_that_goes_away_is_no_error(url: str, job: str):
+    listing = subprocess.Popen(
+        [BOUNCE, "list", "--url", url], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert listing.stdout
+    listing.stdout.close()
+    assert listing.stderr
+    errors = listing.stderr.read()
+    listing.stderr.close()
+    listing.wait(DEADLINE)
+    assert "Traceback" not in errors

@@ -1,0 +1,403 @@
+"""The client against the real application, in this process."""
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+
+from kernel.params import Outcome
+from kernel.threshold import threshold
+from service import client as package
+from service.api.app import create_app
+from service.client import (
+    BadRequest,
+    BounceError,
+    Client,
+    Conflict,
+    InvalidSpecification,
+    Job,
+    JobCancelled,
+    JobFailed,
+    NotFound,
+    StoreUnreachable,
+    TooLarge,
+    WaitTimeout,
+)
+from service.settings import Settings
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
+from worker.spec import SweepSpec
+
+SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
+
+
+@contextmanager
+def serving(folder: Path, executor: Executor, **given: Any) -> Iterator[Client]:
+    settings = Settings(data=folder, heartbeat_seconds=0.2, **given)
+    with TestClient(create_app(settings, executor)) as http, Client("http://localhost", http=http) as client:
+        yield client
+    executor.close()
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    with serving(tmp_path_factory.mktemp("data"), Inline()) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def job(client: Client) -> Job:
+    """A job that is done."""
+    return client.submit(SPEC).wait(progress=False)
+
+
+# Submitting
+
+
+def test_a_sweep_goes_in_and_comes_back_done(job: Job):
+    assert job.state == "done"
+    assert job.finished
+    assert job.name == SPEC["name"]
+    assert job.progress.cells_done == job.progress.cells_total == 92
+    assert job.progress.whole_percent == 100
+    assert job.spec["model"] == {"kind": "rigid", "restitution": 0.0}
+
+
+def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, tmp_path: Path):
+    as_json = tmp_path / "sweep.json"
+    as_json.write_text(json.dumps(SPEC))
+    as_toml = tmp_path / "sweep.toml"
+    as_toml.write_text(
+        'omega = [0.5, 0.7]\nxi = 0.26\nsettle = 100\nobserve = 20\nkeep = 8\nmodel = {kind = "rigid"}\n'
+        "gamma = {start = 0.5, stop = 5.0, num = 46}\n"
+    )
+    in_numpy = SPEC | {"omega": np.array([0.5, 0.7]), "xi": np.float64(0.26), "keep": np.int64(8)}
+    for form in (SPEC, as_json, str(as_json), as_toml, in_numpy, SweepSpec.parse(SPEC)):
+        assert client.submit(form).id == job.id
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "rule"),
+    [
+        ({"omega": -1.0}, "omega", "at least"),
+        ({"gamma": {"start": 2.0, "stop": 1.0, "num": 3}}, "gamma.start", "above stop"),
+        ({"gama": 1.0}, "gama", "not a field"),
+        ({"xi": "0.26"}, "xi", "a number"),
+        ({"xi": float("nan")}, "xi", "finite"),
+        ({"gamma": {"start": 1.0, "stop": float("inf"), "num": 3}}, "gamma.stop", "finite"),
+        ({"omega": [0.5, np.inf]}, "omega[1]", "finite"),
+        ({"omega": {0.5, 0.7}}, "omega", "not set"),
+        ({"keep": 1 + 2j}, "keep", "not complex"),
+    ],
+)
+def test_a_bad_specification_names_field_and_rule(client: Client, change: dict, field: str, rule: str):
+    with pytest.raises(InvalidSpecification, match=rule) as caught:
+        client.submit(SPEC | change)
+    assert [found for found, _ in caught.value.fields] == [field]
+    assert caught.value.problem.status == caught.value.status == 422
+
+
+def test_what_json_cannot_carry_is_refused_before_it_is_sent(client: Client):
+    nested: dict[str, Any] = {}
+    nested["gamma"] = nested
+    for spec, word in [
+        (nested, "deep"),
+        (SPEC | {"keep": 10**5000}, "JSON"),
+        ([1, 2], "mapping"),
+        (42, "mapping"),
+        (None, "mapping"),
+    ]:
+        with pytest.raises(InvalidSpecification, match=word):
+            client.submit(spec)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "word"),
+    [
+        ("missing.json", None, "No such file"),
+        ("sweep.yaml", b"gamma: 1", r"\.json or \.toml"),
+        ("broken.json", b'{"gamma": ', "not JSON"),
+        ("broken.toml", b"gamma = ", "not TOML"),
+        ("twice.json", b'{"xi": 1, "xi": 2}', "twice"),
+        ("nan.json", b'{"xi": NaN}', "NaN"),
+        ("latin.json", b'{"name": "\xe9"}', "UTF-8"),
+        ("list.json", b"[1, 2]", "an object"),
+    ],
+)
+def test_an_unreadable_file_is_named(
+    client: Client, tmp_path: Path, name: str, content: bytes | None, word: str
+):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InvalidSpecification, match=word) as caught:
+        client.submit(path)
+    assert name in str(caught.value)
+
+
+def test_too_many_cells_are_refused(tmp_path: Path):
+    with serving(tmp_path, Held(), max_cells=50) as client, pytest.raises(TooLarge, match="50"):
+        client.submit(SPEC)
+
+
+# Jobs
+
+
+def test_a_job_is_found_again(client: Client, job: Job):
+    found = client.job(job.id)
+    assert found.view == job.view
+    assert found.refresh() is found
+
+
+@pytest.mark.parametrize("id", ["0" * 32, "", "..", "../healthz", "x" * 32, "A" * 32, "\ud800", "a" * 33])
+def test_an_unknown_id_is_not_found(client: Client, id: str):
+    with pytest.raises(NotFound, match="no job has the id") as caught:
+        client.job(id)
+    assert caught.value.status == 404
+
+
+def test_jobs_are_listed_newest_first(tmp_path: Path):
+    with serving(tmp_path, Held()) as client:
+        assert list(client.jobs()) == []
+        first, second = client.submit(sweep("first")), client.submit(sweep("second", settle=1999))
+        assert [job.id for job in client.jobs()] == [second.id, first.id]
+        assert [job.state for job in client.jobs("done")] == []
+        with pytest.raises(BadRequest, match="state"):
+            list(client.jobs("asleep"))
+
+
+def test_a_long_specification_left_out_of_a_list_is_fetched(tmp_path: Path):
+    values = np.linspace(0.5, 1.2, 2000).tolist()
+    with serving(tmp_path, Held()) as client:
+        client.submit(sweep(gamma=values))
+        (listed,) = client.jobs()
+        assert listed.view["spec"] is None
+        assert listed.spec["gamma"] == values
+
+
+def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
+    held = Held()
+    with serving(tmp_path, held) as client:
+        job = client.submit(sweep())
+        wait_for(held.held)
+        seen = []
+
+        def follow(job: Job) -> None:
+            seen.append((job.state, job.progress.cells_done))
+            held.let_go_all()
+
+        assert job.wait(progress=follow) is job
+        assert seen[0] == ("queued", 0)
+        assert seen[-1] == ("done", 60)
+        assert seen == sorted(seen, key=lambda one: one[1])
+
+
+def test_a_wait_ends_in_time_and_the_job_goes_on(tmp_path: Path):
+    with serving(tmp_path, Held()) as client:
+        job = client.submit(sweep())
+        with pytest.raises(WaitTimeout, match="goes on") as caught:
+            job.wait(progress=False, timeout=0.2)
+        assert caught.value.job is job
+        assert isinstance(caught.value, TimeoutError)
+        assert not job.finished
+        with pytest.raises(WaitTimeout):
+            job.wait(progress=False, timeout=0)
+
+
+def test_a_failed_job_says_why(tmp_path: Path):
+    script = {0: [ValueError("the roof fell in")] * 99}
+    with serving(tmp_path, Scripted(script), failed_chunks=1) as client:
+        with pytest.raises(JobFailed, match="the roof fell in") as caught:
+            client.submit(sweep()).wait(progress=False)
+        assert "the roof fell in" in caught.value.job.error
+
+
+def test_a_cancelled_job_can_be_taken_up_again(tmp_path: Path):
+    held = Held()
+    with serving(tmp_path, held) as client:
+        job = client.submit(sweep())
+        wait_for(held.held)
+        assert job.cancel() is job
+        job.cancel()
+        wait_for(held.told_to_stop)
+        with pytest.raises(JobCancelled, match="submit the same sweep"):
+            job.wait(progress=lambda job: held.let_go_all(), timeout=DEADLINE)
+        with pytest.raises(JobCancelled):
+            job.wait(progress=False)
+        assert client.submit(sweep()).id == job.id
+        assert job.refresh().state in ("queued", "running")
+
+
+def test_a_job_that_is_done_cannot_be_cancelled(job: Job):
+    with pytest.raises(Conflict, match="done"):
+        job.cancel()
+
+
+# Results
+
+
+def test_a_diagram_is_a_dataset(job: Job):
+    diagram = job.diagram(omega=0.52)
+    assert dict(diagram.sizes) == {"gamma": 46, "flight": 8}
+    assert diagram.flight_time.dims == diagram.takeoff_phase.dims == ("gamma", "flight")
+    assert {name: diagram[name].dtype.str for name in ("flights", "outcome", "bounces", "periods")} == {
+        "flights": "<i4", "outcome": "|u1", "bounces": "<i2", "periods": "<i2",
+    }  # fmt: skip
+    assert float(diagram.omega) == 0.5  # the grid's value, not the one asked for
+    assert float(diagram.xi) == 0.26
+    assert str(diagram.direction.values) == "rest"
+    assert diagram.attrs["complete"] == 1
+    assert diagram.attrs["job"] == job.id
+    one = diagram.sel(gamma=1.5)
+    assert (int(one.bounces), int(one.periods)) == (1, 1)
+    assert one.flight_time.values == pytest.approx(4.855013427295, abs=1e-6)
+
+
+def test_a_diagram_has_nan_where_there_is_no_flight(job: Job):
+    diagram = job.diagram(omega=0.5)
+    resting = diagram.outcome == Outcome.AT_REST
+    assert resting.any()
+    assert diagram.flight_time.where(resting, drop=True).isnull().all()
+    counted = np.minimum(diagram.flights, 8)
+    assert (diagram.flight_time.notnull().sum("flight") == counted).all()
+    assert (diagram.takeoff_phase.notnull() == diagram.flight_time.notnull()).all()
+
+
+def test_every_variable_is_described_and_can_be_filed(job: Job, tmp_path: Path):
+    for dataset in (job.diagram(omega=0.5), job.threshold()):
+        assert dataset.attrs["Conventions"].startswith("CF-")
+        for name, variable in dataset.variables.items():
+            assert variable.attrs["long_name"], name
+            assert variable.dtype.kind == "U" or {"units", "flag_meanings"} & set(variable.attrs), name
+        dataset.to_zarr(tmp_path / f"{len(dataset)}.zarr", zarr_format=2, consolidated=True)
+    (flags,) = {len(text.split()) for text in (job.diagram(omega=0.5).outcome.flag_meanings,)}
+    assert flags == len(job.diagram(omega=0.5).outcome.flag_values) == len(Outcome)
+
+
+def test_a_diagram_goes_along_any_axis(job: Job):
+    diagram = job.diagram("omega", gamma=1.5)
+    assert dict(diagram.sizes)["omega"] == 2
+    assert float(diagram.gamma) == 1.5
+
+
+def test_cells_can_be_left_out(job: Job):
+    whole, thinned = job.diagram(omega=0.5), job.diagram(omega=0.5, every=3)
+    np.testing.assert_array_equal(thinned.gamma, whole.gamma[::3])
+    np.testing.assert_array_equal(thinned.outcome, whole.outcome[::3])
+
+
+def test_short_flights_can_be_left_out(job: Job):
+    diagram = job.diagram(omega=0.5, min_flight=6.0)
+    assert float(diagram.flight_time.min()) >= 6.0
+
+
+@pytest.mark.parametrize(
+    ("line", "field"),
+    [
+        ({"omega": 3.0}, "omega"),
+        ({}, "omega"),
+        ({"along": "time"}, "along"),
+        ({"omega": 0.5, "direction": "down"}, "direction"),
+        ({"omega": 0.5, "gamma": 1.0}, "gamma"),
+        ({"omega": float("nan")}, "omega"),
+    ],
+)
+def test_a_line_outside_the_grid_is_refused(job: Job, line: dict, field: str):
+    for ask in (job.diagram, job.picture):
+        with pytest.raises(BadRequest, match=field) as caught:
+            ask(**line)
+        assert not isinstance(caught.value, InvalidSpecification)
+        assert field in [one.field for one in caught.value.fields]
+
+
+def test_pictures_are_the_bytes_of_files(job: Job):
+    assert job.picture(omega=0.5).startswith(b"\x89PNG")
+    assert b"<svg" in job.picture(omega=0.5, format="svg")
+    assert job.picture(omega=0.5, format="csv").startswith(b"direction,gamma")
+    with pytest.raises(BadRequest, match="format"):
+        job.picture(omega=0.5, format="pdf")
+
+
+def test_results_come_before_the_job_is_done(tmp_path: Path):
+    with serving(tmp_path, Held()) as client:
+        diagram = client.submit(sweep()).diagram()
+        assert diagram.attrs["complete"] == 0
+        assert (diagram.outcome == Outcome.MISSING).all()
+        assert dict(diagram.sizes) == {"gamma": 60, "flight": 0}
+
+
+def test_thresholds_come_per_omega(job: Job):
+    found = job.threshold(xi=0.26)
+    assert found.omega.values.tolist() == [0.5, 0.7]
+    assert found.analytic.values == pytest.approx(threshold(found.omega.values, 0.26))
+    assert found.up.values - found.analytic.values == pytest.approx([0.05, 0.05], abs=0.051)
+    assert found.down.isnull().all()  # the sweep never goes down
+
+
+def test_both_directions_of_a_ramp_are_told_apart(client: Client):
+    protocol = {"kind": "ramp", "axis": "gamma", "direction": "both"}
+    gamma = {"start": 0.4, "stop": 1.2, "num": 41}
+    ramp = {"gamma": gamma, "omega": 0.6, "xi": 0.05, "protocol": protocol, "model": {"kind": "rigid"}}
+    job = client.submit(ramp | {"settle": 60, "observe": 20, "keep": 4}).wait(progress=False)
+    up, down = (job.diagram(direction=direction) for direction in ("up", "down"))
+    assert [str(one.direction.values) for one in (up, down)] == ["up", "down"]
+    assert int((down.flights > 0).sum()) > int((up.flights > 0).sum())
+    loop = job.threshold()
+    assert float(loop.down[0]) < float(loop.analytic[0]) < float(loop.up[0])
+
+
+def test_the_closed_form_is_at_hand(client: Client):
+    assert client.threshold(0.5, 0.26) == pytest.approx(float(threshold(0.5, 0.26)))
+    assert client.threshold(math.sqrt(2), 1e-9) > 1e6
+    with pytest.raises(BadRequest, match="omega"):
+        client.threshold(-1.0, 0.26)
+
+
+def test_the_store_opens_lazily(job: Job):
+    store = job.open()
+    assert isinstance(store, xarray.Dataset)
+    assert store.flight_time.dims == ("direction", "xi", "omega", "gamma", "flight")
+    assert not store.flight_time.variable._in_memory
+    line = store.isel(direction=0, xi=0, omega=0)
+    np.testing.assert_array_equal(line.flight_time.load(), job.diagram(omega=0.5).flight_time)
+
+
+def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
+    with serving(tmp_path, Held(), active_jobs=1) as client:
+        client.submit(sweep("never ends"))
+        waiting = client.submit(sweep("waits for it", omega=0.6))
+        with pytest.raises(StoreUnreachable, match="has not begun"):
+            waiting.open()
+
+
+# How things look, and what is exported
+
+
+def test_a_job_looks_well_in_a_shell_and_in_a_notebook(job: Job):
+    assert repr(job) == f"<Job {job.id[:8]} coarse <figure 2>: done, 100% (92 of 92 cells)>"
+    html = job._repr_html_()
+    assert "coarse &lt;figure 2&gt;" in html
+    assert "<figure" not in html
+    assert job.id in html
+
+
+def test_every_error_is_exported_and_descends_from_one():
+    errors = [getattr(package, name) for name in package.__all__]
+    kinds = [one for one in errors if isinstance(one, type) and issubclass(one, Exception)]
+    assert all(issubclass(kind, BounceError) for kind in kinds)
+    from service.client import errors as module
+
+    declared = {
+        name for name, kind in vars(module).items() if isinstance(kind, type) and issubclass(kind, Exception)
+    }
+    assert declared <= set(package.__all__)
+    assert all(name in (module.__doc__ or "") for name in declared)
+    assert package.__all__ == sorted(package.__all__)

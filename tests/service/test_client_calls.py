@@ -1,0 +1,271 @@
+"""Client and command line offer every call: against the real service, each against what it answers itself."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import httpx2
+import numpy as np
+import pytest
+import xarray
+from click.testing import CliRunner, Result
+from pyarrow import parquet
+from scripted import Held, sweep, wait_for
+
+from service.cli.main import main
+from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
+from service.server import embedded
+from worker.executors.inline import Inline
+
+TOKEN = "a-token-of-thirty-two-characters"
+
+PLANE: dict[str, Any] = {
+    "name": "a plane", "gamma": {"start": 0.6, "stop": 1.6, "num": 11}, "omega": [0.5, 0.7], "xi": 0.26,
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"}, "settle": 40, "observe": 20, "keep": 8,
+}  # fmt: skip
+
+
+class Running(NamedTuple):
+    """A service that wants a token, a client that has it, and a job that is done."""
+
+    address: str
+    client: Client
+    job: Job
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    executor = Inline()
+    given = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2, "token": TOKEN}
+    with (
+        embedded.running(embedded.settings(**given), executor) as address,
+        Client(address, TOKEN) as client,
+    ):
+        yield Running(address, client, client.submit(PLANE).wait(progress=False))
+    executor.close()
+
+
+@pytest.fixture(scope="module")
+def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """A service with a place for one job, which a job has that never ends: all others stay queued."""
+    settings = embedded.settings(data=tmp_path_factory.mktemp("data"), port=0, active_jobs=1)
+    with embedded.running(settings, Held()) as address, Client(address) as client:
+        yield Running(address, client, client.submit(sweep("never ends")))
+
+
+def bounce(running: Running, *words: str, token: str | None = TOKEN) -> Result:
+    given = {"BOUNCE_URL": running.address, "BOUNCE_TOKEN": token}
+    return CliRunner().invoke(main, words, env=given)
+
+
+def said(running: Running, *words: str) -> str:
+    done = bounce(running, *words)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+# Tokens
+
+
+def test_the_token_opens_every_way_in(running: Running):
+    assert running.client.job(running.job.id).state == "done"
+    with Client(running.address) as stranger, pytest.raises(Unauthorized, match="token"):
+        stranger.job(running.job.id)
+    assert said(running, "status", running.job.id)
+    refused = bounce(running, "status", running.job.id, token="not-the-token-at-all")
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "token" in refused.stderr
+
+
+# Handing in
+
+
+def test_a_key_makes_a_repeat_harmless(idle: Running):
+    job = idle.client.submit(sweep("keyed", xi=0.3), key="once")
+    job.cancel()
+    assert idle.client.submit(sweep("keyed", xi=0.3), key="once").state == "cancelled"
+    with pytest.raises(Conflict, match="another specification"):
+        idle.client.submit(sweep("keyed", xi=0.4), key="once")
+
+
+def test_an_estimate_hands_in_nothing(idle: Running, tmp_path: Path):
+    before = len(list(idle.client.jobs()))
+    found = idle.client.estimate(PLANE)
+    assert (found.cells, found.basis) == (44, "table")
+    assert found.core_seconds > 0
+    file = tmp_path / "sweep.json"
+    file.write_text(json.dumps(PLANE))
+    assert "44 cells" in said(idle, "submit", str(file), "--estimate")
+    assert len(list(idle.client.jobs())) == before
+    with pytest.raises(BadRequest, match="omega"):
+        idle.client.estimate({**PLANE, "omega": -1})
+
+
+def test_a_key_on_the_command_line(idle: Running, tmp_path: Path):
+    file = tmp_path / "sweep.json"
+    for xi in (0.31, 0.32):
+        file.write_text(json.dumps({**PLANE, "xi": xi}))
+        done = bounce(idle, "submit", str(file), "--key", "mine")
+    assert done.exit_code == 1
+    assert "Idempotency-Key" in done.stderr
+
+
+# Changing
+
+
+def test_resume_and_delete(idle: Running):
+    job = idle.client.submit(sweep("to and fro", xi=0.5))
+    assert job.cancel().state == "cancelled"
+    assert job.resume().state == "queued"
+    with pytest.raises(Conflict, match="cancel it first"):
+        job.delete()
+    job.cancel()
+    assert "queued" in bounce(idle, "resume", job.id).stderr
+    assert bounce(idle, "delete", job.id).exit_code == 1
+    bounce(idle, "cancel", job.id)
+    assert bounce(idle, "delete", job.id).exit_code == 0
+    with pytest.raises(NotFound):
+        job.refresh()
+    assert "no job has the id" in bounce(idle, "delete", job.id).stderr
+
+
+def test_what_is_done_is_not_resumed(running: Running):
+    with pytest.raises(Conflict, match="nothing to resume"):
+        running.client.job(running.job.id).resume()
+
+
+def test_follow_ends_with_the_job(tmp_path: Path):
+    held = Held()
+    settings = embedded.settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
+    with embedded.running(settings, held) as address, Client(address) as client:
+        job = client.submit(sweep())
+        wait_for(lambda: held.held() > 0)
+        states = []
+        for now in job.follow():
+            states.append((now.state, now.progress.chunks_done))
+            while held.held() and now.state == "running":
+                held.let_go()
+        assert states[-1] == ("done", job.progress.chunks_total)
+        assert states == sorted(states, key=lambda state: state[1])
+        assert job.spec["gamma"]["num"] == 60
+        assert "done" in bounce(Running(address, client, job), "follow", job.id).stderr
+
+
+# Results
+
+
+def test_modes(running: Running, tmp_path: Path):
+    found = running.job.modes(direction="down")
+    store = running.job.open().sel(direction="down", xi=0.26)
+    for name in ("outcome", "bounces", "periods"):
+        np.testing.assert_array_equal(found[name], store[name])
+        assert found[name].dims == ("omega", "gamma")
+    assert found.attrs["complete"] == 1
+    said(running, "modes", running.job.id, "--direction", "down", "-o", str(tmp_path / "modes.csv"))
+    rows = (tmp_path / "modes.csv").read_text().splitlines()
+    assert rows[0] == "omega,gamma,outcome,bounces,periods"
+    assert len(rows) == 1 + 22
+    thinned = running.job.modes(direction="down", every=2)
+    np.testing.assert_array_equal(thinned.outcome, found.outcome[::2, ::2])
+    omega, gamma, outcome, *_ = rows[-1].split(",")
+    assert (float(omega), float(gamma)) == (0.7, 1.6)
+    assert outcome in ("periodic", "aperiodic", "at_rest")
+    words = ["modes", running.job.id, "--direction", "up", "-o", "-", "--format", "json"]
+    assert json.loads(said(running, *words))["direction"] == "up"
+    with pytest.raises(BadRequest, match="direction"):
+        running.job.modes(direction="sideways")
+
+
+@pytest.mark.parametrize("ending", ["nc", "parquet"])
+def test_export(running: Running, tmp_path: Path, ending: str):
+    by_client = running.job.export(tmp_path / f"client.{ending}")
+    said(running, "export", running.job.id, "-o", str(tmp_path / f"shell.{ending}"))
+    stored = running.job.open().load()
+    for path in (by_client, tmp_path / f"shell.{ending}"):
+        if ending == "nc":
+            with xarray.open_dataset(path, engine="h5netcdf") as found:
+                np.testing.assert_array_equal(found.flight_time, stored.flight_time)
+        else:
+            assert parquet.read_table(path).num_rows == stored.outcome.size
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"client.{ending}", f"shell.{ending}"]
+
+
+def test_an_export_that_is_refused_leaves_no_file(running: Running, tmp_path: Path):
+    with pytest.raises(BounceError, match=r"ends in \.nc or \.parquet"):
+        running.job.export(tmp_path / "sweep.xls")
+    assert bounce(running, "export", running.job.id, "-o", str(tmp_path / "sweep.xls")).exit_code != 0
+    assert bounce(running, "export", "0" * 32, "-o", str(tmp_path / "sweep.nc")).exit_code == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_store_is_read_over_the_wire_and_only_where_it_is_used(running: Running):
+    store = running.job.open()
+    assert not store.flight_time.variable._in_memory
+    here = f"{running.address}/v1/jobs/{running.job.id}/zarr"
+    answer = httpx2.get(f"{here}/outcome/c/0/0/0/0", headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60)
+    assert answer.status_code == 200
+    line = store.isel(direction=0, xi=0, omega=0).flight_time.load()
+    np.testing.assert_array_equal(
+        line.values[:, : line.sizes["flight"]],
+        running.job.diagram(omega=0.5, xi=0.26).flight_time.reindex(flight=range(8)).values,
+    )
+
+
+def test_trajectory(running: Running, tmp_path: Path):
+    cell = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 50, "samples": 20}
+    found = running.client.trajectory(cell)
+    assert found.sizes["phase"] == 4 * 20 + 1
+    words = ["--gamma", "2.3", "--omega", "0.5", "--xi", "0.26", "--model", "rigid", "--settle", "50"]
+    said(running, "trajectory", *words, "--samples", "20", "-o", str(tmp_path / "cell.csv"))
+    rows = (tmp_path / "cell.csv").read_text().splitlines()
+    assert rows[0] == "phase,plate,z1,z2,force,in_flight"
+    assert len(rows) == 1 + 81
+    np.testing.assert_allclose([float(row.split(",")[3]) for row in rows[1:]], found.z2)
+    with pytest.raises(BadRequest, match="xi"):
+        running.client.trajectory({"gamma": 1, "omega": 1})
+
+
+def test_metrics(running: Running):
+    assert 'bounce_jobs{state="done"} 1.0' in running.client.metrics()
+    assert "bounce_ready" in said(running, "metrics")
+
+
+# Bad input on the command line
+
+
+BAD = {
+    "no such file": (["submit", "nowhere.json"], "nowhere.json"),
+    "a folder": (["submit", "."], "directory"),
+    "an id in words": (["status", "mine"], "an id is 32 hex digits"),
+    "an id that is a path": (["status", "../../etc/passwd"], "an id is 32 hex digits"),
+    "an encoded path": (["cancel", "..%2f..%2fledger"], "an id is 32 hex digits"),
+    "an id nobody has": (["status", "f" * 32], "no job has the id"),
+    "no file": (["export", "f" * 32], "Missing option"),
+    "a file of no kind": (["diagram", "f" * 32, "-o", "x.gif"], "does not end in"),
+    "a folder that is not": (["modes", "f" * 32, "-o", "nowhere/x.csv"], "there is no folder"),
+    "a state that is not": (["list", "--state", "lost"], "is not one of"),
+    "a gamma in words": (["trajectory", "--gamma", "much"], "not a valid"),
+    "a gamma of zero": (
+        ["trajectory", "--gamma", "0", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],
+        "gamma: must be at least",
+    ),
+    "NaN": (
+        ["trajectory", "--gamma", "nan", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],
+        "gamma: must be finite",
+    ),
+    "another command": (["launch"], "No such command"),
+    "a port that is not": (["serve", "--port", "99999"], "port"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_command(running: Running, case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    words, message = BAD[case]
+    done = bounce(running, *words)
+    assert done.exit_code in (1, 2)
+    assert message in " ".join(done.stderr.split())
+    assert "Traceback" not in done.output
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,75 @@
+"""Computing with a cluster that a function makes, as dask-jobqueue and dask-gateway do."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from service.client import Client
+from service.server import embedded
+
+MAKER = """
+from distributed import LocalCluster
+
+made = []
+
+
+def two_processes():
+    made.append(LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"))
+    return made[-1]
+
+
+def nothing_to_be_had():
+    raise RuntimeError("the queue is closed")
+"""
+
+SPEC = {
+    "gamma": {"start": 1.0, "stop": 2.0, "num": 6},
+    "omega": 0.5,
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 5,
+    "observe": 5,
+}
+
+
+@pytest.fixture
+def maker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A module in the current folder, as a user has it."""
+    (tmp_path / "queue_of_mine.py").write_text(MAKER)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "queue_of_mine", raising=False)
+    return "queue_of_mine"
+
+
+def test_a_cluster_that_a_function_makes_computes_and_is_closed(tmp_path: Path, maker: str):
+    settings = embedded.settings(
+        host="127.0.0.1", port=0, data=tmp_path / "data", cluster=f"{maker}:two_processes"
+    )
+    with embedded.running(settings) as address, Client(address) as client:
+        job = client.submit(SPEC).wait(progress=False)
+        assert job.progress.cells_done == 6
+        (cluster,) = sys.modules[maker].made
+        assert {worker["nthreads"] for worker in cluster.scheduler_info["workers"].values()} == {1}
+        assert cluster.scheduler.allowed_failures == 0  # whose fault a death was is judged by the service
+    assert cluster.status.name == "closed"
+
+
+@pytest.mark.parametrize(
+    ("function", "why"),
+    [("nothing_to_be_had", "RuntimeError: the queue is closed"), ("missing", "no attribute 'missing'")],
+)
+def test_a_function_that_makes_none_says_why(tmp_path: Path, maker: str, function: str, why: str):
+    settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
+    with pytest.raises(embedded.NotStarted, match=why), embedded.running(settings):
+        pass
+
+
+def test_only_one_cluster_can_be_named(tmp_path: Path):
+    with pytest.raises(embedded.NotStarted, match="only one of scheduler, scheduler_file and cluster"):
+        embedded.settings(data=tmp_path, cluster="a:b", scheduler="tcp://127.0.0.1:8786")
+
+
+def test_a_cluster_is_named_by_module_and_function(tmp_path: Path):
+    with pytest.raises(embedded.NotStarted, match="cluster"):
+        embedded.settings(data=tmp_path, cluster="slurm")

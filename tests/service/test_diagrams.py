@@ -1,0 +1,259 @@
+"""Diagrams as JSON, tables and pictures."""
+
+import csv
+import io
+import json
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from kernel.params import Outcome
+from kernel.threshold import threshold
+from service.render.bifurcation import as_picture
+from service.render.text import COLUMNS, as_csv, as_json
+from service.results.diagram import Diagram
+from worker.spec import SweepSpec
+
+NAN = float("nan")
+
+
+def made(**given: Any) -> Diagram:
+    """Four cells: at rest, bouncing once and twice, and missing; two flights are kept."""
+    fields: dict[str, Any] = {
+        "along": "gamma",
+        "fixed": {"omega": 0.5, "xi": 0.26},
+        "direction": "rest",
+        "values": np.array([0.5, 1.5, 2.5, 3.5]),
+        "flight_time": np.array([[NAN, NAN], [4.0, NAN], [3.0, 6.0], [NAN, NAN]]),
+        "takeoff_phase": np.array([[NAN, NAN], [1.0, NAN], [2.0, 0.5], [NAN, NAN]]),
+        "flights": np.array([0, 1, 7, 0], np.int32),
+        "outcome": np.array([3, 1, 2, 0], np.uint8),
+        "bounces": np.array([0, 1, 0, 0], np.int16),
+        "periods": np.array([0, 1, 0, 0], np.int16),
+    }
+    return Diagram(**(fields | given))
+
+
+def spec(**given: Any) -> SweepSpec:
+    fields: dict[str, Any] = {"gamma": [0.5, 1.5, 2.5, 3.5], "omega": 0.5, "xi": 0.26, "keep": 2}
+    return SweepSpec(**(fields | given))
+
+
+def long(cells: int, flights: int, seed: int = 1) -> Diagram:
+    """Many cells, every flight kept."""
+    shape = (cells, flights)
+    return made(
+        values=np.linspace(0.5, 6.0, cells),
+        flight_time=np.random.default_rng(seed).uniform(0.0, 19.0, shape),
+        takeoff_phase=np.zeros(shape),
+        flights=np.full(cells, flights, np.int32),
+        outcome=np.full(cells, 2, np.uint8),
+        bounces=np.zeros(cells, np.int16),
+        periods=np.zeros(cells, np.int16),
+    )
+
+
+def dark(picture: bytes) -> int:
+    """Pixels of a PNG that are more black than white."""
+    return int(np.count_nonzero(imread(io.BytesIO(picture))[..., :3].max(axis=-1) < 0.5))
+
+
+def words(svg: bytes) -> str:
+    """The picture's texts: matplotlib notes each beside the outlines it draws."""
+    return svg.decode()
+
+
+def test_json_is_the_contract_to_the_letter():
+    assert json.loads(as_json(made())) == {
+        "along": "gamma",
+        "fixed": {"omega": 0.5, "xi": 0.26},
+        "direction": "rest",
+        "values": [0.5, 1.5, 2.5, 3.5],
+        "flight_time": [[], [4.0], [3.0, 6.0], []],
+        "takeoff_phase": [[], [1.0], [2.0, 0.5], []],
+        "flights": [0, 1, 7, 0],
+        "outcome": [3, 1, 2, 0],
+        "bounces": [0, 1, 0, 0],
+        "periods": [0, 1, 0, 0],
+        "complete": False,
+    }
+
+
+def test_json_of_every_nth_cell_says_so():
+    assert json.loads(as_json(made(every=7)))["every"] == 7
+
+
+def test_long_lists_are_the_same_in_pieces():
+    many = long(2_000, 9)
+    content = json.loads(as_json(many))
+    assert content["flight_time"] == many.flight_time.tolist()
+    assert content["values"] == many.values.tolist()
+    assert content["flights"] == [9] * 2_000
+
+
+def test_json_keeps_every_digit():
+    values = np.array([0.1 + 0.2, np.nextafter(1.5, 2), 2.5, 3.5])
+    assert json.loads(as_json(made(values=values)))["values"] == values.tolist()
+
+
+def test_a_diverged_cell_spoils_no_json():
+    wild = made(flight_time=np.array([[NAN, NAN], [np.inf, NAN], [3.0, 6.0], [NAN, NAN]]))
+    assert json.loads(as_json(wild))["flight_time"] == [[], [], [3.0, 6.0], []]
+
+
+def test_short_flights_are_left_out_of_both_lists():
+    content = json.loads(as_json(made(min_flight=3.5)))
+    assert (content["flight_time"], content["takeoff_phase"]) == (
+        [[], [4.0], [6.0], []],
+        [[], [1.0], [0.5], []],
+    )
+
+
+def test_a_table_has_a_row_a_flight():
+    down = made(direction="down", min_flight=5.0)
+    rows = list(csv.DictReader(io.StringIO(as_csv([made(), down]).decode())))
+    assert tuple(rows[0]) == COLUMNS
+    assert rows[0] == {
+        "direction": "rest",
+        "gamma": "1.5",
+        "omega": "0.5",
+        "xi": "0.26",
+        "flight": "0",
+        "flight_time_rad": "4.0",
+        "takeoff_phase_rad": "1.0",
+        "outcome": "periodic",
+        "bounces": "1",
+        "periods": "1",
+    }
+    assert [(row["direction"], row["gamma"], row["flight"]) for row in rows] == [
+        ("rest", "1.5", "0"),
+        ("rest", "2.5", "0"),
+        ("rest", "2.5", "1"),
+        ("down", "2.5", "1"),
+    ]
+
+
+def test_a_table_along_omega_names_its_columns_the_same():
+    along = made(along="omega", fixed={"gamma": 2.0, "xi": 0.26})
+    row = next(csv.DictReader(io.StringIO(as_csv([along]).decode())))
+    assert (row["gamma"], row["omega"]) == ("2.0", "1.5")
+
+
+def test_a_picture_shows_its_points():
+    blank = long(300, 8)
+    blank = Diagram(**{**_fields(blank), "flights": np.zeros(300, np.int32)})
+    assert dark(as_picture([long(300, 8)], spec(), "png")) > dark(as_picture([blank], spec(), "png")) + 1000
+
+
+def test_a_picture_is_the_same_for_the_same_diagram():
+    assert as_picture([long(100, 4)], spec(), "png") == as_picture([long(100, 4)], spec(), "png")
+
+
+def test_few_points_are_drawn_and_many_become_an_image():
+    few = as_picture([long(100, 4)], spec(), "svg")
+    many = as_picture([long(2000, 64)], spec(), "svg")
+    assert b"<image" not in few
+    assert b"<image" in many
+    assert len(many) < 3_000_000
+    ElementTree.fromstring(many)
+
+
+@pytest.mark.parametrize("values", [np.linspace(0.5, 6.0, 1200), np.geomspace(0.5, 6.0, 1200)])
+def test_density_covers_what_points_would(values: np.ndarray, monkeypatch: pytest.MonkeyPatch):
+    """The same flights as dots and as density: dark in the same places, on linear and logarithmic axes."""
+    flights = 3.0 + 2.0 * np.sin(6 * values)[:, None] * np.ones(30) + 1e-3 * np.arange(30)
+    wave = long(1200, 30)
+    wave = Diagram(**{**_fields(wave), "values": values, "flight_time": flights})
+    monkeypatch.setattr("service.render.bifurcation.DENSE_POINTS", 1000)
+    dense = imread(io.BytesIO(as_picture([wave], spec(), "png")))[..., :3].mean(axis=-1) < 0.5
+    monkeypatch.setattr("service.render.bifurcation.DENSE_POINTS", 10**9)
+    dots = imread(io.BytesIO(as_picture([wave], spec(), "png")))[..., :3].mean(axis=-1) < 0.5
+    assert 0.7 < dense.sum() / dots.sum() < 1.4
+    assert (dense & _near(dots)).sum() > 0.99 * dense.sum()
+    assert (dots & _near(dense)).sum() > 0.99 * dots.sum()
+
+
+def _near(dark: np.ndarray) -> np.ndarray:
+    """Within two pixels of something dark."""
+    found = dark.copy()
+    for axis in (0, 1):
+        found = np.logical_or.reduce([np.roll(found, shift, axis) for shift in range(-2, 3)])
+    return found
+
+
+def test_a_dense_picture_of_two_directions_names_both():
+    up, down = (Diagram(**{**_fields(long(3200, 64)), "direction": one}) for one in ("up", "down"))
+    ramp = spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
+    picture = words(as_picture([up, down], ramp, "svg"))
+    assert "<!-- up -->" in picture
+    assert "<!-- down -->" in picture
+
+
+def test_a_picture_of_every_nth_cell_says_so():
+    assert "1 cell in 7" in words(as_picture([made(every=7)], spec(), "svg"))
+
+
+def test_a_picture_says_what_is_missing_and_what_is_unresolved():
+    assert "incomplete: 1 of 4 cells" in words(as_picture([made()], spec(), "svg"))
+    whole = np.array([3, 1, 2, Outcome.UNRESOLVED], np.uint8)
+    picture = words(as_picture([made(outcome=whole)], spec(), "svg"))
+    assert "incomplete" not in picture
+    assert "1 of 4 cells unresolved" in picture
+
+
+def test_a_picture_says_how_it_was_made():
+    ramp = spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}, model={"kind": "rigid"})
+    up, down = made(direction="up", min_flight=0.5), made(direction="down", min_flight=0.5)
+    picture = words(as_picture([up, down], ramp, "svg"))
+    for text in (
+        "rigid contact, ramped along",
+        "flights of at least 0.5 rad",
+        "<!-- up -->",
+        "<!-- down -->",
+    ):
+        assert text in picture
+
+
+@pytest.mark.parametrize("omega", [0.5, 3.0])
+def test_the_threshold_is_marked_where_it_is_in_the_picture(omega: float):
+    onset = float(threshold(omega, 0.26))
+    inside = made(fixed={"omega": omega, "xi": 0.26}, values=np.array([onset - 1, onset + 1, 6, 7]))
+    outside = made(fixed={"omega": omega, "xi": 0.26}, values=np.array([onset + 1, onset + 2, 8, 9]))
+    along_omega = made(along="omega", fixed={"gamma": 2.0, "xi": 0.26})
+    marked = [
+        r"mathrm{th}" in words(as_picture([one], spec(), "svg")) for one in (inside, outside, along_omega)
+    ]
+    assert marked == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    "diagram",
+    [
+        made(values=np.array([1.5]), **{name: getattr(made(), name)[1:2] for name in
+             ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")}),
+        made(flights=np.zeros(4, np.int32)),
+        made(values=np.geomspace(1e-3, 1e3, 4)),
+        made(flight_time=np.full((4, 2), 1e4), flights=np.full(4, 2, np.int32)),
+        made(flight_time=np.full((4, 2), 1e-9), flights=np.full(4, 2, np.int32)),
+    ],
+    ids=["one cell", "no flight", "logarithmic", "huge flights", "tiny flights"],
+)  # fmt: skip
+@pytest.mark.parametrize("format", ["png", "svg"])
+def test_odd_diagrams_can_be_drawn(diagram: Diagram, format: str):
+    assert len(as_picture([diagram], spec(), format)) > 1000
+
+
+def test_pictures_may_be_drawn_by_many_at_once():
+    diagrams = [long(50, 4, seed) for seed in range(8)]
+    alone = [as_picture([one], spec(), "png") for one in diagrams]
+    with ThreadPoolExecutor(8) as threads:
+        together = list(threads.map(lambda one: as_picture([one], spec(), "png"), diagrams))
+    assert together == alone
+
+
+def _fields(diagram: Diagram) -> dict[str, Any]:
+    return {name: getattr(diagram, name) for name in Diagram.__dataclass_fields__}

@@ -1,0 +1,259 @@
+"""A sweep as a file, as a mode map, and as the store itself over HTTP: the same numbers everywhere."""
+
+import io
+import time
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+
+import httpx2
+import numpy as np
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from pyarrow import parquet
+from scripted import DEADLINE, Held
+from served import RAMP, computing, finished, get, occupied, service
+
+from kernel.params import Outcome
+from service.results.diagram import Sweep
+from service.results.mode_map import modes
+from service.server import embedded
+from service.settings import Settings
+from worker import schema, store
+from worker.executors.inline import Inline
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+
+
+class Done:
+    """A finished job, the client that made it, and its store as xarray reads it from the disk."""
+
+    def __init__(self, client: TestClient, folder: Path) -> None:
+        self.client = client
+        self.here = finished(client, RAMP)
+        (url,) = folder.rglob("*.zarr")
+        self.store = xarray.open_zarr(url, chunks=None).load()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    folder = tmp_path_factory.mktemp("data")
+    with computing(folder) as client:
+        yield Done(client, folder)
+
+
+def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
+    answer = done.client.get(f"{done.here}/export?format=nc")
+    assert answer.status_code == 200
+    assert answer.headers["Content-Disposition"].endswith('.nc"')
+    assert answer.headers["Bounce-Complete"] == "true"
+    (tmp_path / "sweep.nc").write_bytes(answer.content)
+    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as found:
+        for name, array in done.store.drop_vars("end_state").variables.items():
+            np.testing.assert_array_equal(found[name], array, err_msg=str(name))
+            assert found[name].dims == array.dims
+        assert found["flight_time"].attrs["units"] == "rad"
+        assert found["outcome"].dtype == np.uint8
+        assert SweepSpec.from_json(found.attrs["spec"]) == SweepSpec(**RAMP)
+
+
+def test_parquet_holds_a_row_for_every_cell(done: Done):
+    answer = done.client.get(f"{done.here}/export?format=parquet")
+    table = parquet.read_table(io.BytesIO(answer.content))
+    assert table.num_rows == done.store.outcome.size
+    names = [outcome.name.lower() for outcome in Outcome]
+    for row in table.to_pylist():
+        cell = done.store.sel({name: row[name] for name in ("direction", "xi", "omega", "gamma")})
+        assert row["outcome"] == names[int(cell.outcome)]
+        assert row["flights"] == int(cell.flights)
+        kept = min(row["flights"], 8)
+        assert row["flight_time"] == cell.flight_time.values[:kept].tolist()
+        assert row["takeoff_phase"] == cell.takeoff_phase.values[:kept].tolist()
+    assert SweepSpec.from_json(table.schema.metadata[b"spec"]) == SweepSpec(**RAMP)
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet"])
+def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        answer = client.get(f"{here}/export?format={format}")
+        assert answer.headers["Bounce-Complete"] == "false"
+        if format == "parquet":
+            table = parquet.read_table(io.BytesIO(answer.content)).to_pydict()
+            assert set(table["outcome"]) == {"missing"}
+            assert set(map(len, table["flight_time"])) == {0}
+
+
+def test_nothing_is_left_of_a_file_that_was_sent(done: Done, tmp_path: Path):
+    (exports,) = Path(str(done.client.app.state.service.settings.data)).glob("exports")  # type: ignore[attr-defined]
+    assert list(exports.iterdir()) == []
+
+
+def test_what_a_killed_export_left_is_swept_at_the_start(tmp_path: Path):
+    (tmp_path / "exports").mkdir()
+    (tmp_path / "exports" / "half.nc").write_bytes(b"x")
+    with service(tmp_path, Held()):
+        assert not list(tmp_path.rglob("half.nc"))
+
+
+def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0), max_export_bytes=1000) as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        answer = client.get(f"{here}/export?format=nc")
+        assert answer.status_code == 413
+        assert "at most 1,000 are exported" in answer.json()["detail"]
+
+
+def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
+    service_ = done.client.app.state.service  # type: ignore[attr-defined]
+    with service_.exports.turn(), service_.exports.turn():
+        answer = done.client.get(f"{done.here}/export?format=nc")
+    assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
+    assert done.client.get(f"{done.here}/export?format=nc").status_code == 200
+
+
+@pytest.mark.parametrize("query", ["", "?format=xls", "?format=nc&keep=1"])
+def test_an_export_needs_a_format(done: Done, query: str):
+    assert done.client.get(f"{done.here}/export{query}").status_code == 422
+
+
+# Mode maps
+
+
+@pytest.mark.parametrize("direction", ["up", "down", None])
+def test_the_mode_map_is_the_stores_plane(done: Done, direction: str | None):
+    query = {"xi": 0.26, **({"direction": direction} if direction else {})}
+    found = get(done.client, f"{done.here}/modes", **query)
+    plane = done.store.sel(xi=0.26, direction=direction or "up")
+    assert (found["xi"], found["direction"], found["complete"]) == (0.26, direction or "up", True)
+    assert found["omega"] == [0.5, 0.7]
+    for name in ("outcome", "bounces", "periods"):
+        assert found[name] == plane[name].values.tolist()
+
+
+def test_a_mode_map_needs_a_xi_of_the_grid(done: Done):
+    assert "xi: is required" in done.client.get(f"{done.here}/modes").json()["detail"]
+    assert done.client.get(f"{done.here}/modes?xi=3").status_code == 422
+    assert done.client.get(f"{done.here}/modes?xi=0.26&direction=rest").status_code == 422
+
+
+def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        spec = SweepSpec(
+            gamma={"start": 1, "stop": 5, "num": 400},
+            omega={"start": 0.3, "stop": 1, "num": 250},
+            xi=0.1,
+            keep=1,
+        )
+        here = client.post("/v1/jobs", json=spec.as_submitted()).headers["Location"]
+        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+        plan = make_plan(spec, chunk_shape=client.app.state.service.ledger.find(here[9:]).chunk_shape)  # type: ignore[attr-defined]
+        store.create(url, spec, plan)
+        for chunk in plan:
+            record = {
+                array.name: np.ones((*chunk.shape, *(1 for _ in array.extra_dims)), array.dtype)
+                for array in schema.arrays(spec)
+            }
+            store.write_chunk(url, chunk, record)
+        began = time.process_time()
+        found = get(client, f"{here}/modes")
+        took = time.process_time() - began
+        assert (len(found["outcome"]), len(found["outcome"][0]), found["complete"]) == (250, 400, True)
+        assert took < 2.0
+        assert modes(Sweep(spec, url), None, None, 10**6).complete
+
+
+# The store over HTTP
+
+
+def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
+    executor = Inline()
+    with (
+        embedded.running(Settings(data=tmp_path, port=0, heartbeat_seconds=0.2), executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        here = finished(client, RAMP)  # type: ignore[arg-type]
+        found = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
+        (url,) = tmp_path.rglob("*.zarr")
+        xarray.testing.assert_identical(found, xarray.open_zarr(url, chunks=None).load())
+        head = client.head(f"{here}/zarr/zarr.json")
+        assert (head.status_code, head.content) == (200, b"")
+    executor.close()
+
+
+KEYS = {
+    "zarr.json": 200,
+    "outcome/zarr.json": 200,
+    "outcome/c/0/0/0/0": 200,
+    "gamma/c/0": 200,
+    "": 404,
+    "outcome": 404,
+    "outcome/": 404,
+    "outcome/c/0/0/0/00": 404,
+    "outcome/c/0/0/0/999999": 404,
+    "outcome/c/0/0/0/-1": 404,
+    "outcome/c/0/0/0/%D9%A3": 404,  # a three, though not an ASCII one
+    "outcome/c/0/0/0/0%00": 404,
+    "../../ledger.sqlite": 404,
+    "..%2F..%2Fledger.sqlite": 404,
+    "%2e%2e/%2e%2e/ledger.sqlite": 404,
+    "..%5c..%5cledger.sqlite": 404,
+    "%252e%252e/ledger.sqlite": 404,
+    "/etc/passwd": 404,
+    "%2Fetc%2Fpasswd": 404,
+    "outcome/../zarr.json": 404,
+    "outcome/%2e%2e/zarr.json": 404,
+    "outcome/c/../../../../ledger.sqlite": 404,
+    "zarr.json%0a": 200,  # the line end is left off before anybody looks at the key
+    ".zarr.json.partial": 404,
+    "outcome/c/0/0/0/0.partial": 404,
+    "C:/windows/win.ini": 404,
+    "zarr.json%FF": 404,
+}
+
+
+@pytest.fixture(scope="module")
+def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, str]]:
+    """A service's host and port, and two jobs of it that are done."""
+    executor = Inline()
+    settings = Settings(data=tmp_path_factory.mktemp("data"), port=0, heartbeat_seconds=0.2)
+    with (
+        embedded.running(settings, executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        one, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
+        yield address.removeprefix("http://"), one, other
+    executor.close()
+
+
+def on_the_wire(host: str, path: str) -> tuple[int, bytes]:
+    """GET a path exactly as it is written, which no well-behaved client does."""
+    connection = HTTPConnection(host, timeout=DEADLINE)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str], key: str):
+    host, here, _ = wire
+    status, content = on_the_wire(host, f"{here}/zarr/{key}")
+    assert status == KEYS[key], content
+    assert b"SQLite" not in content
+
+
+@pytest.mark.parametrize(
+    "way", ["../{}.zarr", "%2e%2e/{}.zarr", "..%2f{}.zarr", "../../{}/zarr", "..%5c{}.zarr"]
+)
+def test_another_jobs_results_are_not_reached_through_ones_own(wire: tuple[str, str, str], way: str):
+    host, here, other = wire
+    path = way.format(other.rsplit("/", 1)[1])
+    assert on_the_wire(host, f"{here}/zarr/{path}/zarr.json")[0] == 404
+
+
+@pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "PATCH"])
+def test_the_store_is_read_only(done: Done, method: str):
+    assert done.client.request(method, f"{done.here}/zarr/zarr.json").status_code == 405

@@ -1,0 +1,334 @@
+"""The paper's figures, start to end, and what is said beside them against MODEL's numbers."""
+
+import io
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from paths import ROOT
+from PIL import Image
+from scripted import DEADLINE
+
+from kernel.params import Outcome
+from kernel.restitution import restitution_of
+from service import presets
+from service.cli.main import main
+from service.client import Client
+from service.figures import canvas, catalogue, hysteresis
+from service.figures.caption import Caption, Claim
+from service.figures.catalogue import Figure, Picture
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.dask import Dask
+from worker.spec import SweepSpec
+
+#: MODEL section 5: the last Γ that bounces on the way down, by Ω.
+DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
+
+#: What makes each figure small enough for a test, its cells still the paper's.
+SMALL: Mapping[int, Mapping[str, Any]] = {
+    1: {},
+    2: {"gamma": {"start": 1.0, "stop": 6.0, "num": 101}},
+    3: {"gamma": {"start": 1.0, "stop": 7.0, "num": 61}},
+    4: {"gamma": {"start": 1.0, "stop": 7.0, "num": 121}},
+    5: {"omega": [0.4, 0.63, 1.0, 1.2, 2.0]},
+    6: {},
+    7: {"gamma": {"start": 0.05, "stop": 6.0, "num": 120}},
+    8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
+    9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
+}
+DOUBTED = {"gamma": {**presets.DOUBTED, "num": 9}}
+
+
+def small(figure: Figure) -> Figure:
+    """The figure with fewer cells."""
+    changed = SMALL[figure.number]
+    return replace(
+        figure,
+        sweeps=tuple(
+            {**sweep, **(DOUBTED if sweep["gamma"] == presets.DOUBTED else changed)}
+            for sweep in figure.sweeps
+        ),
+    )
+
+
+SMALL_FIGURES = {number: small(figure) for number, figure in catalogue.FIGURES.items()}
+
+
+@pytest.fixture(scope="module")
+def client(cluster: Dask, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    settings = Settings(data=tmp_path_factory.mktemp("figures"), port=0)
+    with embedded.running(settings, cluster) as url, Client(url) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def pictures(client: Client) -> dict[int, Picture]:
+    """Every figure, drawn from small grids."""
+    made = catalogue.make(list(SMALL_FIGURES.values()), client, "png", progress=False)
+    return dict(zip(SMALL_FIGURES, made, strict=True))
+
+
+def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
+    """What the figure was drawn from."""
+    return client.submit(SMALL_FIGURES[number].sweeps[sweep]).diagram(**line)
+
+
+def test_every_figure_is_listed_by_its_number_with_valid_sweeps():
+    assert list(catalogue.FIGURES) == list(range(1, 10))
+    for number, figure in catalogue.FIGURES.items():
+        assert figure.number == number
+        assert figure.title
+        names = [SweepSpec.parse(dict(sweep)).name for sweep in figure.sweeps]
+        assert all(re.match(rf"figure {number}(,|$)", name) for name in names)
+        assert len(set(names)) == len(names)
+
+
+def test_the_parameters_are_the_papers():
+    spring, ball, _ = (SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[3].sweeps)
+    assert spring.xi / spring.omega == pytest.approx(650)
+    assert (spring.xi, ball.model.kind, ball.model.restitution) == (10, "ball", 0)
+    spring, ball, _ = (SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[4].sweeps)
+    assert spring.xi / spring.omega == pytest.approx(650)
+    assert (spring.xi, ball.model.kind, ball.model.restitution) == (0.5, "ball", 0.15)
+    assert SweepSpec.parse(dict(catalogue.FIGURES[5].sweeps[0])).xi == (0.01, 0.05, 0.2, 1.0)
+    assert SweepSpec.parse(dict(catalogue.FIGURES[7].sweeps[0])).omega == (0.67, 1.0, 1.24)
+    assert SweepSpec.parse(dict(catalogue.FIGURES[8].sweeps[0])).gamma == (1.0, 2.0, 3.0)
+    loop = SweepSpec.parse(dict(catalogue.FIGURES[9].sweeps[0]))
+    assert (loop.xi, loop.protocol.direction, loop.settle + loop.observe) == (0.05, "both", 120)
+
+
+@pytest.mark.parametrize("which", ["10", "0", "-1", "one", "ALL", ""])
+def test_an_unknown_figure_names_those_there_are(which: str):
+    with pytest.raises(catalogue.UnknownFigure, match=r"there are: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
+        catalogue.figures(which)
+
+
+@pytest.mark.parametrize("number", SMALL)
+def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: dict[int, Picture], number: int):
+    content, caption = pictures[number].content, pictures[number].caption
+    assert content.startswith(b"\x89PNG")
+    assert len(content) < 150_000
+    image = Image.open(io.BytesIO(content))
+    assert image.text["Description"] == str(caption)
+    assert image.width == pytest.approx(canvas.WIDTH * canvas.DPI, abs=1)
+    grey = np.asarray(image.convert("L"))
+    assert 0.01 < np.mean(grey < 128) < 0.4
+    assert np.all(grey[:, -2:] == 255)  # nothing is cut off on the right
+    assert caption.number == number
+    assert caption.agrees
+    assert caption.differs
+
+
+@pytest.mark.parametrize("number", [4, 9])
+def test_svg_holds_letters_as_lines_and_dots_as_an_image(
+    client: Client, pictures: dict[int, Picture], number: int
+):
+    content = SMALL_FIGURES[number].make(client, "svg", progress=False).content.decode()
+    assert content == SMALL_FIGURES[number].make(client, "svg", progress=False).content.decode()
+    assert "<svg" in content
+    assert "<text" not in content  # no font is asked of whoever looks at it
+    assert ("<image" in content) == (number == 4)
+
+
+def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: dict[int, Picture]):
+    found = diagram(client, 2)
+    modes = {
+        gamma: (int(cell.bounces), int(cell.periods))
+        for gamma in (1.5, 2.3, 3.6)
+        for cell in [found.sel(gamma=gamma, method="nearest")]
+    }
+    assert modes == {1.5: (1, 1), 2.3: (2, 2), 3.6: (1, 2)}
+    assert int(found.outcome.sel(gamma=5.0, method="nearest")) == Outcome.APERIODIC
+    # No small hops after a landing: what is short is the tail of a branch that ends at zero.
+    assert np.mean(found.flight_time.values < 0.1) < 1e-2
+    expected = "(1, 1) at Γ = 1.5; (2, 2) at Γ = 2.3; (1, 2) at Γ = 3.6; aperiodic at Γ = 5.0"
+    assert pictures[2].caption.agrees.startswith(expected)
+
+
+def test_fig_2_on_the_ramp_is_not_in_the_mode_it_has_from_rest(client: Client, pictures: dict[int, Picture]):
+    cell = diagram(client, 2, sweep=1).sel(gamma=3.6, method="nearest")
+    assert (int(cell.bounces), int(cell.periods)) != (1, 2)
+    assert "at Γ = 3.6, when Γ is ramped up" in pictures[2].caption.differs
+
+
+def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: dict[int, Picture]):
+    cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": presets.SOFT}
+    motion = client.trajectory({**cell, "settle": 200, "periods": 4, "samples": 50})
+    assert motion.sizes["phase"] == 201
+    np.testing.assert_allclose(motion.flight_time, 4.855013427295, atol=3e-3)  # MODEL's, on an ideal plate
+    np.testing.assert_allclose(motion.plate, np.cos(motion.phase), atol=1e-12)
+    assert float(((motion.z2 - motion.plate) * motion.in_flight).min()) >= -1e-9
+
+
+def test_fig_3_spring_and_ball_cannot_be_told_apart(pictures: dict[int, Picture]):
+    agrees, differs = pictures[3].caption.agrees, pictures[3].caption.differs
+    same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", agrees)[0])
+    assert same == periodic > 50
+    assert float(re.findall(r"([\d.]+) rad apart", agrees)[0]) < 0.05
+    same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", differs)[0])
+    assert same < 0.5 * periodic  # on a contact softer than the spring
+
+
+def test_fig_4_names_the_springs_own_restitution(pictures: dict[int, Picture]):
+    assert float(restitution_of(np.array([0.5]))[0]) == pytest.approx(0.1492, abs=5e-5)
+    caption = pictures[4].caption
+    assert "f(0.5) = 0.1492" in caption.differs
+    own, given = map(float, re.findall(r"median ([\d.]+) rad instead of ([\d.]+)", caption.differs)[0])
+    assert own < given < 0.05
+    assert "forbidden zones: for Γ = 4.7 to 5.3" in caption.agrees
+
+
+def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: dict[int, Picture]):
+    job = client.submit(SMALL_FIGURES[5].sweeps[0])
+    for xi in presets.DAMPINGS:
+        onset = job.threshold(xi=xi)
+        np.testing.assert_allclose(onset.up, onset.analytic, rtol=0.01)
+    assert "at most 0." in pictures[5].caption.agrees
+    assert "0.935 at Ω = 0.632" in pictures[5].caption.differs
+    assert "1.599 at Ω = 4" in pictures[5].caption.differs
+    assert "7.14 at ξ = 0.05" in pictures[5].caption.differs  # √(1 + 1/8ξ²)
+
+
+def test_fig_5_says_how_far_off_the_printed_equations_are(pictures: dict[int, Picture]):
+    assert "Eq. 22 as printed" in pictures[5].caption.differs
+    # The denominator of Eq. 24 is below zero between its roots, about Ω = 1 and √2.
+    assert re.search(r"off by π from Ω = 1\.0\d to 1\.(39|4)", pictures[5].caption.differs)
+
+
+def test_fig_6_has_models_minimum(pictures: dict[int, Picture]):
+    assert "0.1941 at Ω = 0.9928" in pictures[6].caption.agrees
+    assert "beyond Ω = 1.44" in pictures[6].caption.differs  # MODEL: the maximum is at 1.43529
+
+
+def test_fig_9_names_the_maximum_outside_its_frame(pictures: dict[int, Picture]):
+    assert "120 plate periods" in pictures[9].caption.shows
+    assert "7.3 at Ω = 1.435" in pictures[9].caption.shows  # MODEL: 7.29511 at 1.43529
+
+
+def test_fig_7_is_chaotic_at_four_and_not_at_two(client: Client, pictures: dict[int, Picture]):
+    agrees, differs = pictures[7].caption.agrees, pictures[7].caption.differs
+    assert "(a) is chaotic beyond Γ ≈ 2." in agrees
+    assert "(b) is chaotic around Γ = 4" in agrees
+    assert "(c) is not chaotic" in agrees
+    assert "(b) is not chaotic" in differs
+    assert "they repeat as (4, 4), (3, 4), (2, 2)" in differs
+    *_, hardly_elastic, elastic = range(len(SMALL_FIGURES[7].sweeps))
+    for sweep in range(2, hardly_elastic):
+        assert np.mean(diagram(client, 7, sweep).outcome == Outcome.APERIODIC) < 0.2
+    assert np.mean(diagram(client, 7, hardly_elastic).outcome == Outcome.APERIODIC) > 0.2
+    assert np.mean(diagram(client, 7, elastic).outcome == Outcome.APERIODIC) > 0.5
+    # MODEL, on an ideal plate: (3, 4) at Γ = 2, (1, 2) at Γ = 3 from rest; the former is found here too.
+    cell = diagram(client, 7, sweep=2).sel(gamma=2.0, method="nearest")
+    assert (int(cell.bounces), int(cell.periods)) == (3, 4)
+    np.testing.assert_allclose(
+        np.sort(np.unique(np.round(cell.flight_time.values, 6))),
+        [1.841623253802, 4.885760696436, 5.084577776933],
+        atol=0.02,
+    )
+
+
+def test_fig_8_is_chaotic_at_low_frequency_only_when_shaken_hard(pictures: dict[int, Picture]):
+    agrees, differs = pictures[8].caption.agrees, pictures[8].caption.differs
+    assert "at Γ = 2 low Ω is chaotic" in agrees
+    assert "at Γ = 3 low Ω is chaotic" in agrees
+    assert "at Γ = 1 low Ω is not chaotic" in differs
+
+
+def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int, Picture]):
+    loop = client.submit(SMALL_FIGURES[9].sweeps[0]).threshold(xi=0.05)
+    for omega, gamma in DESCENDING.items():
+        assert float(loop.down.sel(omega=omega)) == pytest.approx(gamma, abs=0.006)
+    np.testing.assert_allclose(loop.up, loop.analytic, atol=0.006)
+    assert "Ω = 0.62: down to Γ = 0.5" in pictures[9].caption.agrees
+
+
+@pytest.mark.parametrize(
+    ("values", "places"),
+    [
+        ([3, 1, 2, 0, 3], [1, 3]),
+        ([3, 1, 1.01, 0, 3], [3]),  # too shallow on one side
+        ([1, 2, 3], []),
+        ([3, 1, 1, 2], [2]),
+    ],
+)
+def test_minima_are_as_deep_as_asked(values: Sequence[float], places: list[int]):
+    assert hysteresis.minima(np.array(values, float), 0.5) == places
+
+
+def test_caption_sorts_claims():
+    caption = Caption(5, "A line.", (Claim(True, "one"), Claim(np.bool_(False), "two"), Claim(True, "three")))
+    assert str(caption) == "Fig. 5. A line.\nAgrees: one; three.\nDiffers: two."
+    assert str(Caption(5, "A line.", ())) == "Fig. 5. A line."
+
+
+def test_all_figures_go_into_a_folder_with_their_captions(
+    client: Client, pictures: dict[int, Picture], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(catalogue, "FIGURES", {n: SMALL_FIGURES[n] for n in (1, 6)})
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(main, ["figure", "all", "-o", "new/folder", "--url", client.url])
+    assert done.exit_code == 0, done.stderr
+    assert sorted(path.name for path in Path("new/folder").iterdir()) == ["figure-1.png", "figure-6.png"]
+    assert Path("new/folder/figure-6.png").read_bytes() == pictures[6].content
+    assert str(pictures[6].caption) in done.stderr
+    assert done.stdout == ""
+
+
+def test_the_first_command_of_the_readme_draws_figure_2(tmp_path: Path, cluster: Dask):
+    bounce = str(Path(sys.executable).with_name("bounce"))
+    first, second = (
+        subprocess.run(
+            [bounce, "figure", "2", "-o", name],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE,
+            check=False,
+        )
+        for name in ("figure-2.png", "again.svg")
+    )
+    assert first.returncode == 0, first.stderr
+    assert re.search(r"figure 2: done, 100% \(1,001 of 1,001 cells\)", first.stderr)
+    assert "\nAgrees: (1, 1) at Γ = 1.5" in first.stderr
+    assert first.stdout == ""
+    picture = matplotlib.image.imread(tmp_path / "figure-2.png")
+    assert picture.shape[0] > 500
+    assert 0.02 < np.mean(picture[..., :3].mean(axis=2) < 0.5) < 0.5  # ink, and not too much of it
+
+    # The second run finds the jobs done: not one line says that anything runs.
+    assert second.returncode == 0, second.stderr
+    assert "running" not in second.stderr
+    assert b"<svg" in (tmp_path / "again.svg").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.svg", "bounce-data", "figure-2.png"]
+
+
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs_from_submission_to_a_figure(
+    client: Client, path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    from matplotlib import pyplot as plt
+
+    monkeypatch.setenv("BOUNCE_URL", client.url)
+    plt.switch_backend("agg")
+    names: dict[str, Any] = {}
+    cells = [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+    for number, cell in enumerate(cells, start=1):
+        exec(compile("".join(cell["source"]), f"{path.name}, cell {number}", "exec"), names)
+    drawn = plt.get_fignums()
+    plt.close("all")
+    printed = [line for cell in cells for output in cell["outputs"] for line in output.get("text", [])]
+    assert len(drawn) >= 3
+    assert capsys.readouterr().out == "".join(printed)  # what the notebook shows is what it does

@@ -1,0 +1,152 @@
+"""Requests made up from the API document: whatever comes, no answer is a defect, and all are as documented.
+
+A few hundred here; the long run is
+
+    BOUNCE_FUZZ=5000 pytest tests/service/test_fuzz.py --timeout 3600
+"""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import httpx2
+import pytest
+import requests
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from hypothesis.errors import FlakyStrategyDefinition
+from schemathesis import GenerationMode
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+from scripted import DEADLINE
+from served import finished
+
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.inline import Inline
+
+#: Seconds for an answer, on a machine that does much else.
+PATIENCE = 60
+CASES = int(os.environ.get("BOUNCE_FUZZ", "300"))
+
+DONE: dict[str, Any] = {
+    "gamma": {"start": 0.6, "stop": 1.4, "num": 9}, "omega": [0.5, 0.6], "xi": 0.26,
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"}, "settle": 5, "observe": 5, "keep": 4,
+}  # fmt: skip
+
+CHECKS = [
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_schema_conformance,
+]
+
+
+#: Sequences from one seed: answers depend on what was asked before, and hypothesis gives up where the same
+#: draws come to something else than before.
+AT_A_TIME = 4
+
+
+class Idle(Inline):
+    """Is there, and begins no job: made-up sweeps may be long."""
+
+    def workers(self) -> int:
+        return 0
+
+
+class Api(NamedTuple):
+    """A service with one job done, and one that never begins."""
+
+    address: str
+    done: str
+    queued: str
+    schema: Any
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    given = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2}
+    computing, idle = Inline(), Idle()
+    with (
+        embedded.running(Settings(**given), computing) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        done = finished(client, DONE).rsplit("/", 1)[1]  # type: ignore[arg-type]
+    computing.close()
+    caps = {"max_queue": 100_000, "trajectory_seconds": 0.02, "body_seconds": 2.0}
+    with (
+        embedded.running(Settings(**given, **caps), idle) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
+        schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
+        # Measures for half a minute, and answers 202 until it has: no place for thousands of requests.
+        yield Api(address, done, queued, schema.exclude(path="/v1/tradeoff"))
+    idle.close()
+
+
+def requests_of(api: Api) -> st.SearchStrategy[Any]:
+    """Cases of every call, good and bad, most of those that name a job naming one that there is."""
+    calls = [found.ok() for found in api.schema.get_all_operations()]
+    modes = (GenerationMode.POSITIVE, GenerationMode.NEGATIVE)
+    cases = st.one_of([call.as_strategy(generation_mode=mode) for call in calls for mode in modes])
+
+    def named(pair: tuple[Any, str | None]) -> Any:
+        case, job = pair
+        if job is None or "job_id" not in (case.path_parameters or {}):
+            return case
+        if case.method.upper() == "DELETE" or (case.path.endswith("/events") and job != api.done):
+            return case  # the job is needed; it would go on for as long as the job does
+        case.path_parameters["job_id"] = job
+        return case
+
+    return st.tuples(cases, st.sampled_from([api.done, api.done, api.queued, None])).map(named)
+
+
+def test_no_request_is_answered_with_a_defect(api: Api):
+    session = requests.Session()
+
+    @settings(
+        max_examples=CASES,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate,),
+    )
+    @given(requests_of(api))
+    def check(case: Any) -> None:
+        response = case.call(session=session, timeout=DEADLINE)
+        case.validate_response(response, checks=CHECKS)
+
+    check()
+    session.close()
+    assert requests.get(f"{api.address}/v1/jobs/{api.done}", timeout=DEADLINE).json()["state"] == "done"
+
+
+def test_no_sequence_of_requests_is_answered_with_a_defect(api: Api):
+    """Ids that calls answer with go into later calls, by the links between them."""
+    schema = api.schema.exclude(path_regex="/events$")  # of a job that never begins, they never end
+    machine = schema.as_state_machine()
+    machine.validate_response = lambda self, response, case, additional_checks=(), **rest: (
+        case.validate_response(response, checks=CHECKS)
+    )
+    machine.get_call_kwargs = lambda self, case: {"timeout": PATIENCE}
+    machine.TestCase.settings = settings(
+        max_examples=AT_A_TIME,
+        stateful_step_count=12,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate,),
+    )
+    for number in range(max(CASES // 60 // AT_A_TIME, 1)):
+        seed(number)(machine)
+        with contextlib.suppress(FlakyStrategyDefinition):
+            machine.TestCase().runTest()

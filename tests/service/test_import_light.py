@@ -1,0 +1,42 @@
+"""What is imported often loads little: a fresh interpreter tells."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+SERVER = {"fastapi", "uvicorn", "starlette", "sqlite3", "pydantic_settings"}
+COMPUTING = {"distributed", "dask", "zarr", "numba", "matplotlib"}
+SLOW = {"xarray", "pandas", "numpy", "rich", "pydantic"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level names of all modules that a fresh interpreter holds after running `code`."""
+    report = "import sys, json; print(json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
+    )
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    ("code", "forbidden"),
+    [
+        ("import service.client", SERVER | COMPUTING | SLOW),
+        ("import service.client.datasets", SERVER | COMPUTING),
+        ("from service.client.specification import body; import worker.spec.parsing", SERVER | COMPUTING),
+        ("import service.cli.main", SERVER | COMPUTING | SLOW | {"httpx2"}),
+        ("import service.figures.catalogue", SERVER | COMPUTING | SLOW),
+    ],
+)
+def test_importing_does_not_load(code: str, forbidden: set[str]):
+    assert loaded_by(code) & forbidden == set()
+
+
+def test_showing_help_loads_no_library_but_clicks():
+    code = (
+        "from click.testing import CliRunner; from service.cli.main import main; "
+        "CliRunner().invoke(main, ['--help'])"
+    )
+    assert loaded_by(code) & (SERVER | COMPUTING | SLOW | {"httpx2"}) == set()

@@ -1,0 +1,51 @@
+"""States, transitions and progress."""
+
+import pytest
+
+from service.api.problems import IllegalTransition
+from service.jobs.model import LEGAL, RESUMABLE, UNFINISHED, JobState, Progress, check_transition
+
+#: Every transition there is; anything else is illegal.
+ALLOWED = {
+    ("queued", "running"),
+    ("queued", "failed"),
+    ("queued", "cancelled"),
+    ("running", "done"),
+    ("running", "failed"),
+    ("running", "cancelled"),
+    ("done", "running"),
+    ("failed", "queued"),
+    ("cancelled", "queued"),
+}
+
+
+@pytest.mark.parametrize("new", JobState)
+@pytest.mark.parametrize("old", JobState)
+def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
+    if (old, new) in ALLOWED:
+        check_transition(old, new)
+    else:
+        with pytest.raises(IllegalTransition, match=f"{old} cannot become {new}"):
+            check_transition(old, new)
+
+
+def test_every_state_has_its_transitions_and_its_place():
+    assert set(LEGAL) == set(JobState)
+    assert set(UNFINISHED) | set(RESUMABLE) | {JobState.DONE} == set(JobState)
+
+
+def test_percent_is_100_only_when_all_is_done():
+    assert Progress(0, 9, 0, 1_000_000).percent == 0
+    assert Progress(8, 9, 999_999, 1_000_000).percent == 99.9
+    assert Progress(9, 9, 1_000_000, 1_000_000).percent == 100
+
+
+def test_eta_goes_by_the_pace_of_this_run_alone():
+    # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
+    progress = Progress(0, 0, 920, 1000, run_seconds=4.0, run_cells=20)
+    assert progress.eta_seconds == pytest.approx(16.0)
+
+
+def test_eta_is_unknown_before_there_is_a_pace():
+    assert Progress(0, 9, 0, 1000, run_seconds=3.0, run_cells=0).eta_seconds is None
+    assert Progress(5, 9, 500, 1000).eta_seconds is None

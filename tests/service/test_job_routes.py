@@ -1,0 +1,343 @@
+"""Calls on jobs beyond the simplest: keys, costs, pages, events, resume, delete, figures for Prometheus."""
+
+import json
+import re
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from paths import ROOT
+from scripted import DEADLINE, Held, sweep, wait_for
+from served import FIGURE_2, computing, finished, get, occupied, service
+
+from service.api.app import create_app
+from service.server import embedded
+from service.settings import Settings
+
+SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
+
+
+# Idempotency keys
+
+
+def test_a_request_repeated_under_its_key_changes_nothing(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        first = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "a-1"})
+        here = first.headers["Location"]
+        client.post(f"{here}/cancel")
+        wait_for(lambda: get(client, here)["state"] in ("cancelled", "running"))
+        headers = {"Idempotency-Key": "a-1", "Content-Type": "application/json"}
+        again = client.post("/v1/jobs", content=json.dumps(SWEEP, indent=4).encode(), headers=headers)
+        assert (first.status_code, again.status_code) == (202, 200)
+        assert again.json()["id"] == first.json()["id"]
+
+
+def test_a_cancelled_job_stays_so_when_its_request_is_repeated_and_goes_on_under_a_new_key(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        here = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"}).headers["Location"]
+        client.post(f"{here}/cancel")
+        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+        assert get(client, here)["state"] == "cancelled"
+        assert client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "l"}).status_code == 202
+        assert get(client, here)["state"] == "queued"
+
+
+def test_a_key_for_another_body_is_refused(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+        answer = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
+        assert answer.status_code == 409
+        assert "another specification" in answer.json()["detail"]
+        assert get(client, "/v1/jobs")["total"] == 1
+
+
+def test_a_key_is_forgotten_in_time(tmp_path: Path):
+    with service(tmp_path, Held(), key_seconds=0.05) as client:
+        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+        time.sleep(0.1)
+        answer = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
+        assert answer.status_code == 202
+
+
+def test_a_key_outlives_the_service(tmp_path: Path):
+    for status in (202, 200):
+        with service(tmp_path, Held(capacity=0)) as client:
+            answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+            assert answer.status_code == status
+    with service(tmp_path, Held(capacity=0)) as client:
+        other = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
+        assert other.status_code == 409
+
+
+@pytest.mark.parametrize("key", ["", "two words", "x" * 256, "tab\t"])
+def test_a_key_must_be_a_word(tmp_path: Path, key: str):
+    with service(tmp_path, Held()) as client:
+        answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": key})
+        assert answer.status_code == 422
+        assert answer.json()["errors"][0]["field"] == "idempotency-key"
+        assert "pattern" not in answer.json()["detail"]
+
+
+# Costs
+
+
+def test_validate_only_accepts_nothing_and_says_what_it_would_cost(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        answer = client.post("/v1/jobs?validate_only=true", json=FIGURE_2)
+        assert answer.status_code == 200
+        cost = answer.json()
+        assert (cost["cells"], cost["basis"]) == (111, "table")
+        assert cost["bytes"] == 111 * (64 * 16 + 9)
+        assert cost["chunks"] >= 1
+        assert cost["core_seconds"] > 0
+        assert get(client, "/v1/jobs")["total"] == 0
+
+
+def test_validate_only_still_refuses(tmp_path: Path):
+    with service(tmp_path, Held(), max_cells=100) as client:
+        assert client.post("/v1/jobs?validate_only=true", json=FIGURE_2).status_code == 413
+        wrong = client.post("/v1/jobs?validate_only=true", json={**SWEEP, "omega": -1})
+        assert wrong.status_code == 422
+
+
+def test_the_cost_comes_from_what_was_measured_here(tmp_path: Path):
+    with computing(tmp_path) as client:
+        work = {
+            **SWEEP,
+            "gamma": {"start": 1.5, "stop": 5.0, "num": 400},
+            "settle": 3000,
+            "model": {"kind": "rigid"},
+        }
+        here = finished(client, work)
+        cost = client.post("/v1/jobs?validate_only=true", json={**work, "xi": 0.2}).json()
+        assert cost["basis"] == "measured"
+        with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
+            (pace,) = ledger.paces(5, 10_000)
+        assert cost["core_seconds"] == pytest.approx(pace.seconds, rel=1e-9)
+        soft = client.post("/v1/jobs?validate_only=true", json={**work, "model": {"kind": "soft"}}).json()
+        assert soft["basis"] == "table"
+        assert get(client, here)["state"] == "done"
+
+
+# Lists
+
+
+def test_pages_follow_each_other_without_gap_or_repeat(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        ids = [job["id"] for job in get(client, "/v1/jobs")["jobs"]]
+        ids += [client.post("/v1/jobs", json={**SWEEP, "xi": xi / 100}).json()["id"] for xi in range(1, 7)]
+        page = get(client, "/v1/jobs", limit=3)
+        found = [job["id"] for job in page["jobs"]]
+        client.post("/v1/jobs", json={**SWEEP, "xi": 0.9})  # belongs before the first page
+        client.post(f"/v1/jobs/{found[-1]}/cancel")
+        assert client.delete(f"/v1/jobs/{found[-1]}").status_code == 204  # what the cursor points at
+        while page["next"] is not None:
+            page = get(client, "/v1/jobs", limit=3, cursor=page["next"])
+            found += [job["id"] for job in page["jobs"]]
+        assert found == ids[::-1]
+
+
+def test_the_last_page_has_no_next_even_if_it_is_full(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        for xi in (0.1, 0.2):
+            client.post("/v1/jobs", json={**SWEEP, "xi": xi})
+        assert get(client, "/v1/jobs", limit=3)["next"] is None
+        assert get(client, "/v1/jobs", limit=1, state="queued")["next"] is not None
+        assert get(client, "/v1/jobs", limit=1, state="done")["next"] is None
+
+
+# Links
+
+
+def test_links_name_every_part_and_nothing_of_the_machine(tmp_path: Path):
+    with computing(tmp_path) as client:
+        view = get(client, finished(client, SWEEP))
+        assert str(tmp_path) not in json.dumps(view)
+        assert set(view["links"]) >= {"diagram", "threshold", "modes", "events", "export", "zarr", "resume"}
+        for name in ("self", "diagram", "threshold", "modes", "events"):
+            assert client.get(view["links"][name]).status_code == 200, name
+        assert client.get(f"{view['links']['export']}?format=nc").status_code == 200
+        assert client.get(f"{view['links']['zarr']}/zarr.json").status_code == 200
+
+
+# Results that a caller has already
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        "diagram",
+        "diagram?format=csv",
+        "diagram?format=png",
+        "threshold",
+        "modes",
+        "zarr/zarr.json",
+        "zarr/gamma/c/0",
+    ],
+)
+def test_results_of_a_done_job_are_not_sent_twice(tmp_path: Path, part: str):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        first = client.get(f"{here}/{part}")
+        tag = first.headers["ETag"]
+        assert (first.status_code, tag[0]) == (200, '"')
+        assert client.get(f"{here}/{part}").content == first.content  # which a strong tag promises
+        again = client.get(f"{here}/{part}", headers={"If-None-Match": f'"other", {tag}'})
+        assert (again.status_code, again.content, again.headers["ETag"]) == (304, b"", tag)
+        assert client.get(f"{here}/{part}", headers={"If-None-Match": '"other"'}).content == first.content
+        assert client.delete(here).status_code == 204
+        assert client.get(f"{here}/{part}", headers={"If-None-Match": tag}).status_code == 404
+        finished(client, SWEEP)
+        assert client.get(f"{here}/{part}").headers["ETag"] != tag  # accepted anew: its label may differ
+
+
+def test_results_that_may_change_and_errors_have_no_tag(tmp_path: Path):
+    with service(tmp_path, held := Held()) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        wait_for(lambda: held.held() > 0)
+        assert "ETag" not in client.get(f"{here}/diagram").headers
+    with computing(tmp_path) as client:
+        finished(client, SWEEP)
+        tag = client.get(f"{here}/diagram").headers["ETag"]
+        wrong = client.get(f"{here}/diagram?omega=77", headers={"If-None-Match": '"other", *'})
+        assert (wrong.status_code, "ETag" in wrong.headers) == (422, False)
+        assert client.get(f"{here}/zarr/nothing", headers={"If-None-Match": "*"}).status_code == 404
+        assert client.get(f"{here}/diagram", headers={"If-None-Match": tag}).status_code == 304
+
+
+# Resume, delete
+
+
+def test_resume_goes_on_and_is_refused_when_done(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        answer = client.post(f"{here}/resume")
+        assert (answer.status_code, answer.json()["detail"][:15]) == (409, "the job is done")
+    with occupied(tmp_path / "2") as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        assert client.post(f"{here}/resume").status_code == 200
+        client.post(f"{here}/cancel")
+        answer = client.post(f"{here}/resume")
+        assert (answer.status_code, answer.json()["state"]) == (202, "queued")
+
+
+def test_a_deleted_job_is_gone_with_all_it_had(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        assert list((tmp_path / "stores").glob("*.zarr"))
+        answer = client.delete(here)
+        assert (answer.status_code, answer.content) == (204, b"")
+        assert not list((tmp_path / "stores").glob("*.zarr"))
+        for path in (here, f"{here}/diagram", f"{here}/zarr/zarr.json", f"{here}/events"):
+            assert client.get(path).status_code == 404
+        assert client.delete(here).status_code == 404
+        assert finished(client, SWEEP) == here  # and it can be computed again
+
+
+# Events
+
+
+def events(text: str) -> list[tuple[str, dict[str, Any]]]:
+    blocks = [block.split("\n") for block in text.strip().split("\n\n") if not block.startswith(":")]
+    return [
+        (block[0].removeprefix("event: "), json.loads(block[1].removeprefix("data: "))) for block in blocks
+    ]
+
+
+def test_events_of_a_finished_job_are_one(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        answer = client.get(f"{here}/events")
+        assert answer.headers["Content-Type"].startswith("text/event-stream")
+        ((name, view),) = events(answer.text)
+        assert (name, view["state"], view["spec"]) == ("end", "done", None)
+
+
+def test_many_listen_and_everything_else_goes_on(tmp_path: Path):
+    held, listeners = Held(), 60
+    settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
+    heard: list[str] = []
+    listening: list[str] = []
+
+    def listen(here: str) -> None:
+        with many.stream("GET", f"{here}/events") as answer:
+            lines = answer.iter_lines()
+            listening.append(first := next(lines))
+            heard.append("\n".join([first, *lines]))
+
+    limits = httpx2.Limits(max_connections=listeners)
+    with (
+        embedded.running(settings, held) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+        httpx2.Client(base_url=address, timeout=DEADLINE, limits=limits) as many,
+    ):
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        wait_for(held.held)
+        threads = [threading.Thread(target=listen, args=[here]) for _ in range(listeners)]
+        for thread in threads:
+            thread.start()
+        wait_for(lambda: len(listening) == listeners)
+        for _ in range(20):  # before anything happens that a listener waits for
+            assert client.get(here).status_code == 200
+        assert client.get("/metrics").status_code == 200
+        held.let_go_until(lambda: client.get(here).json()["state"] == "done")
+        for thread in threads:
+            thread.join(DEADLINE)
+    assert len(heard) == listeners
+    for one in map(events, heard):
+        names = [name for name, _ in one]
+        assert names[-1] == "end"
+        assert set(names[:-1]) <= {"progress"}
+        done = [view["progress"]["chunks_done"] for _, view in one]
+        assert done == sorted(done)
+        assert one[-1][1]["state"] == "done"
+
+
+def test_listeners_are_counted_and_do_not_hold_up_the_end(tmp_path: Path):
+    settings = Settings(data=tmp_path, port=0, max_listeners=1, shutdown_seconds=1000)
+    with httpx2.Client(timeout=DEADLINE) as client, ExitStack() as listening:
+        with embedded.running(settings, Held()) as address:
+            here = address + client.post(f"{address}/v1/jobs", json=SWEEP).headers["Location"]
+            lines = listening.enter_context(client.stream("GET", f"{here}/events")).iter_lines()
+            assert next(lines) == "event: progress"
+            refused = client.get(f"{here}/events")
+            assert refused.status_code == 429
+            assert "poll the job" in refused.json()["detail"]
+            began = time.monotonic()
+        assert time.monotonic() - began < DEADLINE  # not after the seconds for answers under way
+
+
+# Figures for Prometheus
+
+
+def test_metrics_tell_of_requests_and_jobs(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        client.get(f"{here}/nowhere")
+        client.get("/v1/jobs/none")
+        text = client.get("/metrics").text
+    assert 'bounce_jobs{state="done"} 1.0' in text
+    assert "bounce_cells_done 60.0" in text
+    assert "bounce_ready 1.0" in text
+    assert 'bounce_http_requests_total{method="GET",route="/v1/jobs/{job_id}",status="404"} 1.0' in text
+    assert 'bounce_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0' in text
+    assert here.rsplit("/", 1)[1] not in text
+
+
+def test_the_readme_names_calls_that_there_are():
+    text = (ROOT / "README.md").read_text()
+    table = text.split("| call | answers |")[1].split("\n\n")[0]
+    found = set()
+    for row in re.findall(r"^\| (.*?) \| ", table, re.MULTILINE):
+        calls = re.findall(r"`(?:(GET|POST|DELETE) )?(/[^`]*)`", row)
+        for n, (method, path) in enumerate(calls):
+            job = "/v1/jobs/{job_id}" if calls[0][1].startswith("/v1/jobs/{job_id}") else ""
+            found.add((method or calls[0][0], path if n == 0 or path.startswith("/v1") else job + path))
+    paths = create_app(Settings(), Held()).openapi()["paths"]
+    there = {(method.upper(), path) for path, methods in paths.items() for method in methods}
+    assert found <= there
+    assert len(found) >= 17  # the page has calls of its own, which the table leaves out

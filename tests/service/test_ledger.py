@@ -1,0 +1,256 @@
+"""The ledger keeps what it was told, whole transactions only, for one service at a time."""
+
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from paths import SUPPORT
+
+from service.api.problems import DataFolderBusy, IllegalTransition, LedgerUnusable
+from service.jobs.ledger import MIGRATIONS, Ledger
+from service.jobs.model import UNFINISHED, DoneChunk, JobRecord, JobState, NewJob
+
+
+@pytest.fixture
+def ledger(tmp_path: Path) -> Iterator[Ledger]:
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        yield ledger
+
+
+def new_job(job_id: str = "a" * 32, chunks: int = 4) -> NewJob:
+    return NewJob(job_id, "a name", '{"gamma": 1.0}', "1", (1, 2, 3), chunks, 10 * chunks)
+
+
+def accept(ledger: Ledger, job_id: str = "a" * 32, chunks: int = 4) -> JobRecord:
+    with ledger.writing() as writing:
+        writing.insert(new_job(job_id, chunks), now=100.0)
+    return found(ledger, job_id)
+
+
+def found(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
+    job = ledger.find(job_id)
+    assert job is not None
+    return job
+
+
+def done(*chunks: int) -> list[DoneChunk]:
+    return [DoneChunk(chunk, 10, 0.5, f"sum {chunk}", (0, 10, 0, 0, 0, 0)) for chunk in chunks]
+
+
+def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
+    with ledger.writing() as writing:
+        writing.run(job, now)
+    return found(ledger, job.id)
+
+
+def mark_and_finish(ledger: Ledger, job: JobRecord) -> None:
+    with ledger.writing() as writing:
+        writing.mark_done(job, done(0))
+        writing.finish(job, JobState.DONE, 300.0)
+
+
+def mark_and_break_off(ledger: Ledger, job: JobRecord) -> None:
+    with ledger.writing() as writing:
+        writing.mark_done(job, done(0))
+        raise KeyboardInterrupt
+
+
+def test_a_job_comes_back_as_it_was_accepted(ledger: Ledger):
+    job = accept(ledger)
+    assert (job.id, job.name, job.spec) == ("a" * 32, "a name", '{"gamma": 1.0}')
+    assert job.chunk_shape == (1, 2, 3)
+    assert (job.state, job.created, job.started, job.finished) == (JobState.QUEUED, 100.0, None, None)
+    assert (job.chunks_done, job.chunks_total, job.cells_done, job.cells_total) == (0, 4, 0, 40)
+
+
+def test_an_unknown_job_is_none(ledger: Ledger):
+    assert ledger.find("b" * 32) is None
+    assert ledger.find("' OR 1=1 --") is None
+
+
+def test_the_same_job_is_not_accepted_twice(ledger: Ledger):
+    accept(ledger)
+    with pytest.raises(sqlite3.IntegrityError):
+        accept(ledger)
+
+
+def test_a_job_runs_and_ends(ledger: Ledger):
+    job = run(ledger, accept(ledger))
+    assert (job.state, job.started, job.run_started) == (JobState.RUNNING, 200.0, 200.0)
+    with ledger.writing() as writing:
+        writing.finish(job, JobState.FAILED, 300.0, "because")
+    job = found(ledger)
+    assert (job.state, job.finished, job.error) == (JobState.FAILED, 300.0, "because")
+
+
+def test_a_resumed_job_keeps_its_chunks_and_loses_its_error(ledger: Ledger):
+    job = run(ledger, accept(ledger))
+    with ledger.writing() as writing:
+        writing.mark_done(job, done(0, 1))
+        writing.finish(job, JobState.FAILED, 300.0, "because")
+    with ledger.writing() as writing:
+        writing.queue(found(ledger))
+    job = run(ledger, found(ledger), now=400.0)
+    assert (job.error, job.finished, job.chunks_done) == (None, None, 2)
+    assert (job.started, job.run_started, job.run_cells) == (200.0, 400.0, 20)
+    assert job.progress(410.0).eta_seconds is None  # nothing done in this run yet
+
+
+def test_an_illegal_step_changes_nothing(ledger: Ledger):
+    job = accept(ledger)
+    with pytest.raises(IllegalTransition):
+        mark_and_finish(ledger, job)
+    assert found(ledger) == job
+
+
+def test_chunks_are_marked_once(ledger: Ledger):
+    job = run(ledger, accept(ledger))
+    for chunks in (done(0, 2), done(2, 3)):
+        with ledger.writing() as writing:
+            writing.mark_done(job, chunks)
+    assert found(ledger).chunks_done == 3
+    assert found(ledger).cells_done == 30
+    assert ledger.done_mask(job).tolist() == [True, False, True, True]
+
+
+def test_jobs_do_not_share_chunks(ledger: Ledger):
+    one, two = accept(ledger, "a" * 32), accept(ledger, "b" * 32)
+    with ledger.writing() as writing:
+        writing.mark_done(one, done(0, 1))
+    assert not ledger.done_mask(two).any()
+
+
+def test_newest_first_and_counted(ledger: Ledger):
+    for letter in "abc":
+        accept(ledger, letter * 32)
+    run(ledger, found(ledger, "b" * 32))
+    with ledger.reading() as reading:
+        assert [job.id[0] for job in reading.newest(None, 10)] == ["c", "b", "a"]
+        assert [job.id[0] for job in reading.newest(None, 2)] == ["c", "b"]
+        assert [job.id[0] for job in reading.newest(JobState.QUEUED, 10)] == ["c", "a"]
+        assert reading.count(UNFINISHED) == 3
+        assert reading.count([JobState.DONE]) == 0
+
+
+def test_unfinished_are_the_running_ones_and_then_the_queue(ledger: Ledger):
+    for letter in "abcd":
+        accept(ledger, letter * 32)
+    run(ledger, found(ledger, "c" * 32))
+    with ledger.writing() as writing:
+        writing.finish(found(ledger, "a" * 32), JobState.CANCELLED, 1.0)
+        writing.request_cancel(found(ledger, "c" * 32), wanted=True)
+    with ledger.reading() as reading:
+        assert [(job.id[0], job.cancel_requested) for job in reading.unfinished(9)] == [
+            ("c", True),
+            ("b", False),
+            ("d", False),
+        ]
+        assert len(reading.unfinished(2)) == 2
+
+
+def test_a_transaction_is_all_or_nothing(ledger: Ledger):
+    job = accept(ledger)
+    with pytest.raises(KeyboardInterrupt):
+        mark_and_break_off(ledger, job)
+    assert found(ledger).chunks_done == 0
+    with ledger.writing() as writing:  # and the next one works
+        writing.mark_done(job, done(1))
+    assert found(ledger).chunks_done == 1
+
+
+def test_a_reader_does_not_wait_for_a_writer(ledger: Ledger):
+    job = accept(ledger)
+    with ledger.writing() as writing:
+        writing.mark_done(job, done(0))
+        assert found(ledger).chunks_done == 0
+
+
+def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
+    job = accept(ledger, chunks=200)
+
+    def mark(first: int) -> None:
+        for chunk in range(first, 200, 8):
+            with ledger.writing() as writing:
+                writing.mark_done(job, done(chunk))
+
+    threads = [threading.Thread(target=mark, args=(first,)) for first in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found(ledger).chunks_done == 200
+    assert ledger.done_mask(job).all()
+
+
+def test_it_survives_closing(tmp_path: Path):
+    path = tmp_path / "folder" / "ledger.sqlite"
+    with Ledger(path) as ledger:
+        accept(ledger)
+    with Ledger(path) as ledger:
+        assert found(ledger).name == "a name"
+    assert sqlite3.connect(path).execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
+
+
+def test_it_says_what_was_said_last_before_a_kill(tmp_path: Path):
+    """A process that marks chunks one by one and tells us of each is killed in the middle."""
+    program = (
+        "import sys; from pathlib import Path; sys.path[:0] = sys.argv[2:]\n"
+        "from service.jobs.ledger import Ledger; from test_ledger import accept, done\n"
+        "ledger = Ledger(Path(sys.argv[1])); job = accept(ledger, chunks=100000)\n"
+        "for chunk in range(100000):\n"
+        "    with ledger.writing() as writing: writing.mark_done(job, done(chunk))\n"
+        "    print(chunk, flush=True)\n"
+    )
+    path = tmp_path / "ledger.sqlite"
+    command = [sys.executable, "-c", program, str(path), str(Path(__file__).parent), str(SUPPORT)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        told = [int(process.stdout.readline()) for _ in range(50)]
+        process.kill()
+    with Ledger(path) as ledger:
+        mask = ledger.done_mask(found(ledger))
+        assert mask[told].all()
+        assert np.count_nonzero(mask) == found(ledger).chunks_done
+
+
+def test_one_service_at_a_time(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    with Ledger(path), pytest.raises(DataFolderBusy, match="another service uses the data folder"):
+        Ledger(path)
+    Ledger(path).close()
+
+
+def test_a_newer_ledger_is_left_alone(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    newer = sqlite3.connect(path)
+    newer.execute("PRAGMA user_version = 99")
+    newer.close()
+    for _ in range(2):  # the folder is let go of, too
+        with pytest.raises(LedgerUnusable, match="version 99"):
+            Ledger(path)
+
+
+def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    path.write_bytes(b"not a database, and not one line of it " * 99)
+    for _ in range(2):  # the folder is let go of, too
+        with pytest.raises(sqlite3.DatabaseError, match="not a database"):
+            Ledger(path)
+    assert path.read_bytes().startswith(b"not a database")
+
+
+def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
+    job = accept(ledger, chunks=100_000)
+    began = time.process_time()
+    for first in range(0, 100_000, 1000):
+        with ledger.writing() as writing:
+            writing.mark_done(job, done(*range(first, first + 1000)))
+    assert ledger.done_mask(job).all()
+    assert time.process_time() - began < 10
+    assert (tmp_path / "ledger.sqlite").stat().st_size < 100_000 * 100

@@ -1,0 +1,457 @@
+"""Jobs from submission to their end, through everything that may come between.
+
+The executors here compute with the real task into real stores; a script says what goes wrong.
+"""
+
+import errno
+import os
+import sqlite3
+import threading
+import time
+from concurrent.futures import Future
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from running import running
+from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
+
+from kernel.params import Outcome
+from service.api.problems import IllegalTransition, QueueFull, UnknownJob
+from service.jobs.model import JobRecord, JobState
+from worker import store
+from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.inline import Inline
+from worker.plan import Chunk, make_plan
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecTooLarge
+from worker.tasks import ChunkReport
+
+
+def test_a_job_is_queued_runs_and_is_done(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        first = service.submit(sweep())
+        assert first.state is JobState.QUEUED
+        job = service.until(first, JobState.DONE)
+    assert job.chunks_done == job.chunks_total >= 4
+    assert job.cells_done == job.cells_total == 60
+    assert job.created <= (job.started or 0) <= (job.finished or 0)
+
+
+def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: Path, inline: Inline):
+    spec = sweep()
+    with running(tmp_path, inline) as service:
+        job = service.until(service.submit(spec), JobState.DONE)
+        assert np.all(service.outcomes(job) != Outcome.MISSING)
+        with service.ledger.reading() as ledger:
+            rows = ledger._sql.execute("SELECT chunk, checksum, cells FROM chunks ORDER BY chunk").fetchall()
+    plan = make_plan(spec, chunk_shape=job.chunk_shape)
+    assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan.chunks]
+    assert all(store.verify(service.settings.store_of(job.id), plan.chunks[row[0]], row[1]) for row in rows)
+
+
+def test_the_same_sweep_is_the_same_job(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        job, accepted = service.lifecycle.submit(sweep("one name"))
+        assert accepted
+        service.until(job, JobState.DONE)
+        again, accepted = service.lifecycle.submit(sweep("another name"))
+    assert not accepted
+    assert (again.id, again.name, again.state) == (job.id, "one name", JobState.DONE)
+
+
+def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        answers: list[bool] = []
+        threads = [
+            threading.Thread(target=lambda: answers.append(service.lifecycle.submit(sweep()).accepted))
+            for _ in range(8)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        service.until(service.lifecycle.submit(sweep()).job, JobState.DONE)
+    assert sorted(answers) == [False] * 7 + [True]
+
+
+def test_a_stopped_service_goes_on_where_it_was(tmp_path: Path, inline: Inline):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        for _ in range(2):
+            wait_for(held.held)
+            held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 2)
+    assert all(future.cancelled() for future, *_ in held.chunks)
+    rest = Scripted()
+    with closing(rest), running(tmp_path, rest) as service:
+        job = service.until(job, JobState.DONE)
+    assert len(rest.tried) == job.chunks_total - 2
+    assert job.cells_done == 60
+
+
+def test_a_ramps_chunks_go_one_after_the_other(tmp_path: Path):
+    held = Held()
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep(protocol=ramp))
+        for _ in range(job.chunks_total):
+            wait_for(held.held)
+            assert held.held() == 1
+            held.let_go()
+        service.until(job, JobState.DONE)
+        assert np.all(service.outcomes(job) != Outcome.MISSING)
+
+
+def test_no_more_is_in_flight_than_the_window_has_places(tmp_path: Path):
+    held = Held(capacity=1)
+    with running(tmp_path, held, window=2) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 2)
+        time.sleep(0.5)  # heartbeats pass
+        most = [held.held()]
+
+        def done() -> bool:
+            most.append(held.held())
+            return service.job(job).state is JobState.DONE
+
+        held.let_go_until(done)
+        assert max(most) == 2
+
+
+def test_a_small_job_passes_a_huge_one(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        huge = service.submit(sweep("huge", gamma={"start": 0.5, "stop": 1.2, "num": 1000}))
+        wait_for(lambda: held.held("huge") == 4)
+        small = service.submit(sweep("small"))
+
+        def small_is_done() -> bool:
+            if held.held("small"):
+                held.let_go_first()  # as workers do: the highest priority first
+            return service.job(small).state is JobState.DONE
+
+        wait_for(lambda: held.held("small") == 4)
+        wait_for(small_is_done)
+        assert service.job(huge).chunks_done <= 1  # its first has no more before it than the small one's
+
+
+def test_only_so_many_jobs_are_active(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held, active_jobs=1) as service:
+        first, second = service.submit(sweep("1")), service.submit(sweep("2", omega=0.6))
+        wait_for(held.held)
+        assert service.job(second).state is JobState.QUEUED
+        held.let_go_until(lambda: service.job(first).state is JobState.DONE)
+        service.until(second, JobState.RUNNING)
+
+
+# Cancelling and resuming
+
+
+def test_a_queued_job_is_cancelled_at_once(tmp_path: Path):
+    with running(tmp_path, Held(), active_jobs=1) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        waiting = service.submit(sweep(omega=0.6))
+        assert service.lifecycle.cancel(waiting.id).state is JobState.CANCELLED
+
+
+def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
+        held.let_go()  # one is written before the cancel
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
+        service.lifecycle.cancel(job.id)
+        url = service.settings.store_of(job.id)
+        wait_for(lambda: store.is_cancelled(url))
+        assert service.lifecycle.cancel(job.id).state is JobState.RUNNING  # twice is once
+        for _ in range(4):
+            assert service.job(job).state is JobState.RUNNING
+            held.let_go()
+        job = service.until(job, JobState.CANCELLED)
+    assert (job.chunks_done, job.error) == (1, None)
+    assert held.held() == 0
+
+
+def test_a_cancelled_job_resumes_with_what_it_had(tmp_path: Path):
+    held, spec = Held(), sweep()
+    with running(tmp_path, held) as service:
+        job = service.submit(spec)
+        wait_for(lambda: held.held() > 1)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+        service.lifecycle.cancel(job.id)
+        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
+        held.let_go_until(lambda: service.job(job).state is JobState.CANCELLED)
+        began = len(held.order)
+        assert service.lifecycle.submit(spec).accepted
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        assert not store.is_cancelled(service.settings.store_of(job.id))
+        assert len(held.order) - began == service.job(job).chunks_total - 1
+
+
+def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
+    held, spec = Held(), sweep()
+    with running(tmp_path, held) as service:
+        job = service.submit(spec)
+        wait_for(held.held)
+        service.lifecycle.cancel(job.id)
+        wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
+        again = service.lifecycle.submit(spec)
+        assert again.accepted
+        assert again.job.state is JobState.RUNNING
+        wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.id)))
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+
+
+def test_a_job_deleted_while_its_store_is_made_leaves_none(
+    tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch
+):
+    making, go_on, real = threading.Event(), threading.Event(), store.create
+
+    def create(*given: Any) -> None:
+        making.set()
+        assert go_on.wait(DEADLINE)
+        real(*given)
+
+    monkeypatch.setattr(store, "create", create)
+    with running(tmp_path, inline) as service:
+        job = service.submit(sweep())
+        assert making.wait(DEADLINE)
+        service.lifecycle.cancel(job.id)
+        deleting = threading.Thread(target=service.lifecycle.delete, args=[job.id])
+        deleting.start()
+        go_on.set()
+        deleting.join(DEADLINE)
+        assert service.ledger.find(job.id) is None
+        wait_for(lambda: not any(path.is_dir() for path in (tmp_path / "stores").glob("*.zarr*")))
+    assert not list(tmp_path.rglob("*.zarr"))
+
+
+def test_a_cancel_survives_the_service(tmp_path: Path, inline: Inline):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(held.held)
+        service.lifecycle.cancel(job.id)
+    with running(tmp_path, inline) as service:
+        assert service.until(job, JobState.CANCELLED).chunks_done == 0
+
+
+def test_a_job_that_is_done_cannot_be_cancelled(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        job = service.until(service.submit(sweep()), JobState.DONE)
+        with pytest.raises(IllegalTransition, match="the job is done"):
+            service.lifecycle.cancel(job.id)
+        with pytest.raises(UnknownJob, match="no job has the id 'nobody'"):
+            service.lifecycle.cancel("nobody")
+
+
+# What goes wrong
+
+
+def come_to(
+    state: JobState, folder: Path, script: Script, spec: SweepSpec | None = None, **limits: int
+) -> tuple[JobRecord, list[int]]:
+    """A job whose chunks meet the errors of the script, when it has ended, and the chunks that were tried."""
+    with closing(Scripted(script)) as executor, running(folder, executor, **limits) as service:
+        return service.until(service.submit(spec or sweep()), state), executor.tried
+
+
+def test_a_chunk_that_fails_fails_the_job_and_the_rest_is_computed(tmp_path: Path):
+    executor, spec = Scripted({1: [ValueError("the spring broke")] * 3}), sweep()
+    with closing(executor), running(tmp_path, executor) as service:
+        job = service.until(service.submit(spec), JobState.FAILED)
+        assert job.error is not None
+        assert job.error.startswith("chunk 1 (rest, gamma 0.")
+        assert job.error.endswith("omega 0.5, xi 0.26): ValueError: the spring broke (3 times)")
+        assert job.chunks_done == job.chunks_total - 1
+        with service.ledger.reading() as ledger:
+            [failure] = ledger.failures(job)
+        assert (failure.chunk, failure.tries, failure.place) == (1, 3, job.error.partition(":")[0])
+        assert failure.traceback is not None
+        assert "raise self.script" in failure.traceback
+        tried = len(executor.tried)
+        job = service.until(service.submit(spec), JobState.DONE)
+        with service.ledger.reading() as ledger:
+            assert ledger.failures(job) == []
+    assert executor.tried[tried:] == [1]
+
+
+def test_what_waits_for_a_chunk_that_failed_is_not_tried(tmp_path: Path):
+    ramp = sweep(protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+    _, tried = come_to(JobState.FAILED, tmp_path, {1: [ValueError("no")]}, ramp, chunk_tries=1)
+    assert tried == [0, 1]
+
+
+def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
+    script: Script = {chunk: [ValueError("no")] for chunk in range(100)}
+    job, tried = come_to(JobState.FAILED, tmp_path, script, failed_chunks=3, chunk_tries=1)
+    assert len(tried) <= 3 + 2 < job.chunks_total
+    assert job.error is not None
+    assert "more chunks failed" in job.error
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        {0: [ValueError("not now")], 2: [OSError("nor now"), MemoryError()]},
+        {0: [WorkerDied("gone")], 2: [WorkerDied("gone"), WorkerDied("gone")]},
+    ],
+    ids=["an error", "a dead worker"],
+)
+def test_a_chunk_that_fails_is_tried_again(tmp_path: Path, script: Script):
+    _, tried = come_to(JobState.DONE, tmp_path, script, chunk_tries=3)
+    assert (tried.count(0), tried.count(2)) == (2, 3)
+
+
+def test_a_chunk_whose_neighbour_killed_the_worker_is_not_blamed(tmp_path: Path):
+    _, tried = come_to(JobState.DONE, tmp_path, {0: [WorkerLost("gone")] * 5}, chunk_tries=1)
+    assert tried.count(0) == 6
+
+
+def test_a_chunk_that_always_has_bad_neighbours_is_given_up_in_the_end(tmp_path: Path):
+    _, tried = come_to(JobState.FAILED, tmp_path, {0: [WorkerLost("gone")] * 99}, chunk_tries=1)
+    assert tried.count(0) == 10
+
+
+def test_a_lost_cluster_costs_no_tries(tmp_path: Path):
+    _, tried = come_to(JobState.DONE, tmp_path, {0: [ClusterLost("gone")] * 5}, chunk_tries=1)
+    assert tried.count(0) == 6
+
+
+def test_a_chunk_that_kills_its_workers_is_given_up(tmp_path: Path):
+    job, tried = come_to(JobState.FAILED, tmp_path, {2: [WorkerDied("gone")] * 9}, chunk_tries=3)
+    assert tried.count(2) == 3
+    assert job.error is not None
+    assert job.error.endswith("gone (3 times)")
+    assert job.chunks_done == job.chunks_total - 1
+
+
+def test_a_full_disk_fails_the_job_at_once_and_it_goes_on_when_there_is_room(tmp_path: Path):
+    executor = Scripted({chunk: [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))] for chunk in range(1, 5)})
+    with closing(executor), running(tmp_path, executor) as service:
+        job = service.until(service.submit(sweep()), JobState.FAILED)
+        assert job.error is not None
+        assert "No space left on device" in job.error
+        assert len(executor.tried) < 5
+        executor.script.clear()  # space has returned
+        service.until(service.submit(sweep()), JobState.DONE)
+
+
+def test_an_executor_that_takes_nothing_is_asked_again(tmp_path: Path):
+    class Closed(Scripted):
+        refusals = 3
+
+        def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
+            if self.refusals:
+                self.refusals -= 1
+                raise ClusterLost("not connected")
+            return super().submit(spec, chunk, store_url)
+
+    with closing(Closed()) as executor, running(tmp_path, executor) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+
+
+def test_jobs_wait_for_workers(tmp_path: Path):
+    held = Held(capacity=0)
+    with running(tmp_path, held) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        time.sleep(0.5)
+        assert held.held() == 0
+        held.capacity = 1
+        wait_for(lambda: held.held() == 2)
+
+
+def test_a_ledger_that_cannot_be_written_delays_the_job_and_no_more(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
+        service.ledger._writer.execute("PRAGMA busy_timeout = 50")
+        with closing(sqlite3.connect(service.settings.ledger_path, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            held.let_go()
+            time.sleep(0.5)  # several tries to mark it
+            assert (service.job(job).chunks_done, held.held()) == (0, 3)
+            other.execute("ROLLBACK")
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
+
+
+def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline: Inline):
+    spec = sweep()
+    with running(tmp_path, inline) as service:
+        place = Path(service.settings.store_of(spec.job_id("1")))
+        place.parent.mkdir(parents=True)
+        place.write_text("in the way")
+        job = service.until(service.submit(spec), JobState.FAILED)
+        assert job.error is not None
+        assert job.error.startswith("the job cannot begin: ")
+        service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
+        place.unlink()
+        service.until(service.submit(spec), JobState.DONE)
+
+
+def test_a_job_begun_by_another_kernel_is_not_finished_by_this_one(tmp_path: Path, inline: Inline):
+    with running(tmp_path, Held()) as service:
+        job = service.submit(sweep())
+        with service.ledger.writing() as ledger:
+            ledger._sql.execute("UPDATE jobs SET kernel_version = '0'")
+    with running(tmp_path, inline) as service:
+        job = service.until(job, JobState.FAILED)
+    assert job.error is not None
+    assert "kernel 0 began it" in job.error
+
+
+# Limits
+
+
+def test_a_full_queue_refuses(tmp_path: Path):
+    with running(tmp_path, Held(), max_queue=2) as service:
+        service.submit(sweep(omega=0.5))
+        service.submit(sweep(omega=0.6))
+        with pytest.raises(QueueFull, match="2 jobs are queued or running already, at most 2"):
+            service.submit(sweep(omega=0.7))
+        assert not service.lifecycle.submit(sweep(omega=0.5)).accepted  # what is there is no news
+
+
+@pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}])
+def test_a_sweep_that_is_too_large_is_refused_before_anything_is_made(
+    tmp_path: Path, inline: Inline, limit: dict[str, int]
+):
+    with running(tmp_path, inline, **limit) as service:
+        with pytest.raises(SpecTooLarge, match="at most"):
+            service.submit(sweep())
+        with service.ledger.reading() as ledger:
+            assert ledger.newest(None, 1) == []
+
+
+def test_waiting_takes_no_processor_time(tmp_path: Path):
+    """By the clocks of the service's own threads: others of this process may have something to do."""
+    held, others = Held(), {thread.native_id for thread in threading.enumerate()}
+
+    def spent() -> float:
+        ours = [thread for thread in psutil.Process().threads() if thread.id not in others]
+        assert ours
+        return sum(thread.user_time + thread.system_time for thread in ours)
+
+    with running(tmp_path, held, heartbeat_seconds=600.0) as service:
+        service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
+        before = spent()
+        time.sleep(1.0)
+        assert spent() - before < 0.2
+
+
+def test_stopping_is_prompt(tmp_path: Path):
+    with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
+        service.until(service.submit(sweep()), JobState.RUNNING)
+        began = time.monotonic()
+        service.lifecycle.stop()
+        assert time.monotonic() - began < DEADLINE  # and not with the next heartbeat

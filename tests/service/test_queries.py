@@ -1,0 +1,318 @@
+"""From the store to arrays: the right cells, no other chunks, and words for what cannot be had."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted import small as spec
+
+from kernel.params import Outcome
+from kernel.threshold import threshold
+from service.api.problems import InvalidRequest, TooLarge
+from service.results import diagram as queries
+from service.results import mode_map
+from service.results.diagram import Sweep
+from worker import schema, store
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.store import backend, reader
+from worker.tasks import run_chunk
+
+NOWHERE: dict[str, float | None] = {}
+
+
+def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Sweep:
+    """A store of the sweep with its first `chunks` chunks (or all) computed, a cell or few each."""
+    plan = make_plan(spec, chunk_shape=(1, 2, 5))
+    url = str(folder / "store.zarr")
+    store.create(url, spec, plan)
+    for chunk in plan.chunks[:chunks]:
+        run_chunk(spec, chunk, url)
+    return Sweep(spec, url)
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    return computed(tmp_path_factory.mktemp("sweep"), spec())
+
+
+def diagram(
+    sweep: Sweep, along: str = "gamma", direction: str | None = None, **given: float
+) -> queries.Diagram:
+    return queries.diagram(sweep, along, given, direction, 0.0, 1_000_000)
+
+
+def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
+    """A store whose outcomes, (direction, xi, omega, gamma), are as given."""
+    plan = make_plan(spec, chunk_shape=spec.shape[1:])
+    url = str(folder / "made.zarr")
+    store.create(url, spec, plan)
+    length = schema.sizes(spec)
+    for chunk in plan.chunks:
+        record = {
+            array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
+            for array in schema.arrays(spec)
+        }
+        store.write_chunk(url, chunk, record | {"outcome": outcomes[chunk.direction].astype("u1")})
+    return Sweep(spec, url)
+
+
+# Lines
+
+
+@pytest.mark.parametrize(
+    ("along", "given"),
+    [
+        ("gamma", {"omega": 0.7, "xi": 0.26}),
+        ("omega", {"gamma": 2.0, "xi": 0.05}),
+        ("xi", {"gamma": 3.5, "omega": 1.0}),
+    ],
+)
+def test_a_line_is_the_stores_own(sweep: Sweep, along: str, given: dict[str, float]):
+    found = diagram(sweep, along, **given)
+    assert found.fixed == given
+    assert found.values.tolist() == sweep.spec.axis_values(along).tolist()
+    places = {
+        axis: int(np.flatnonzero(sweep.spec.axis_values(axis) == value)[0]) for axis, value in given.items()
+    }
+    for name, array in store.read_slice(sweep.url, queries.LINE_ARRAYS, direction=0, **places).items():
+        np.testing.assert_array_equal(getattr(found, name), array)
+    assert found.complete
+
+
+def test_fixed_values_snap_to_the_grid(sweep: Sweep):
+    assert diagram(sweep, omega=0.59, xi=0.1).fixed == {"omega": 0.5, "xi": 0.05}
+    assert diagram(sweep, omega=0.61, xi=0.2).fixed == {"omega": 0.7, "xi": 0.26}
+
+
+def test_a_value_off_the_end_by_rounding_is_on_the_grid(sweep: Sweep):
+    ends = math.nextafter(0.5, 0), math.nextafter(0.26, 1)
+    assert diagram(sweep, omega=ends[0], xi=ends[1]).fixed == {"omega": 0.5, "xi": 0.26}
+    assert diagram(sweep, "omega", gamma=0.1 + 0.4, xi=0.05).fixed["gamma"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("given", "field", "rule"),
+    [
+        ({"omega": 1.01, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 1.01"),
+        ({"omega": 0.4999, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 0.4999"),
+        ({"omega": 0.5}, "xi", "is required: the sweep has 2 values from 0.05 to 0.26"),
+        ({"omega": 0.5, "xi": 0.05, "gamma": 1.0}, "gamma", "leave it out"),
+    ],
+)
+def test_what_is_not_on_the_grid_is_named(sweep: Sweep, given: dict[str, float], field: str, rule: str):
+    with pytest.raises(InvalidRequest) as error:
+        diagram(sweep, **given)
+    assert [problem.field for problem in error.value.problems] == [field]
+    assert rule in str(error.value)
+
+
+def test_the_only_value_of_an_axis_needs_no_giving(tmp_path: Path):
+    sweep = computed(tmp_path, spec(omega=0.5, xi=0.26))
+    assert diagram(sweep).fixed == {"omega": 0.5, "xi": 0.26}
+    with pytest.raises(InvalidRequest, match=r"xi: must be within .*, which is at 0\.26 alone, not 0\.3"):
+        diagram(sweep, xi=0.3)
+
+
+def test_a_line_of_one_cell(tmp_path: Path):
+    found = diagram(computed(tmp_path, spec(gamma=1.5, omega=0.5, xi=0.26)))
+    assert (found.values.tolist(), found.flight_time.shape) == ([1.5], (1, 8))
+
+
+def test_directions(tmp_path: Path, sweep: Sweep):
+    both = computed(tmp_path, spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}))
+    point = {"omega": 0.5, "xi": 0.05}
+    assert diagram(both, **point).direction == "up"
+    down = store.read_slice(both.url, ("flight_time",), direction=1, xi=0, omega=0)["flight_time"]
+    np.testing.assert_array_equal(diagram(both, direction="down", **point).flight_time, down)
+    found = queries.diagrams(both, "gamma", point, None, 0.0, 1000)
+    assert [one.direction for one in found] == ["up", "down"]
+    with pytest.raises(InvalidRequest, match="direction: must be 'up' or 'down' in this sweep"):
+        diagram(both, direction="rest", **point)
+    with pytest.raises(InvalidRequest, match="direction: must be 'rest' in this sweep"):
+        diagram(sweep, direction="sideways", **point)
+
+
+def test_shown_are_the_recorded_flights_that_are_long_enough(sweep: Sweep):
+    found = queries.diagram(sweep, "gamma", {"omega": 1.0, "xi": 0.05}, None, 3.0, 1000)
+    kept = np.minimum(found.flights, 8)
+    assert np.all(np.isnan(found.flight_time[kept == 0]))
+    assert not found.shown[np.isnan(found.flight_time)].any()
+    assert np.all(found.flight_time[found.shown] >= 3.0)
+    assert found.shown.sum() == np.sum(found.flight_time >= 3.0) > 0
+
+
+def test_half_a_sweep_is_incomplete(tmp_path: Path):
+    half = computed(tmp_path, spec(omega=0.5, xi=0.26), chunks=1)
+    found = diagram(half)
+    assert (found.complete, found.missing) == (False, 5)
+    assert not found.shown[5:].any()
+    assert found.flights[5:].tolist() == [0] * 5
+
+
+def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
+    queued = Sweep(spec(omega=0.5, xi=0.26), str(tmp_path / "nothing.zarr"))
+    found = diagram(queued)
+    assert (found.complete, found.missing, found.flight_time.shape) == (False, 10, (10, 8))
+    assert np.isnan(found.flight_time).all()
+    assert found.flights.dtype == np.int32
+    assert not mode_map.thresholds(queued, None, 1000).complete
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Every file of a store that is read, by its name within the store."""
+    seen: list[str] = []
+
+    def counted(url: str, key: str) -> bytes | None:
+        seen.append(key)
+        return backend.read_key(url, key)
+
+    monkeypatch.setattr(reader, "read_key", counted)
+    return seen
+
+
+def test_only_the_chunks_that_a_line_touches_are_read(sweep: Sweep, reads: list[str]):
+    diagram(sweep, omega=0.7, xi=0.26)
+    chunks = {key for key in reads if key.startswith("flight_time/c/")}
+    assert chunks == {f"flight_time/c/0/1/0/{gamma}/0" for gamma in (0, 1)}
+    reads.clear()
+    diagram(sweep, "omega", gamma=0.5, xi=0.05)
+    chunks = {key for key in reads if key.startswith("flight_time/c/")}
+    assert chunks == {f"flight_time/c/0/0/{omega}/0/0" for omega in (0, 1)}
+
+
+def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[str]):
+    point = {"omega": 0.5, "xi": 0.05}
+    assert queries.diagram(sweep, "gamma", point, None, 0.0, 80).complete
+    reads.clear()
+    with pytest.raises(TooLarge, match=r"80 points \(10 values of gamma × keep 8\), at most 79 are sent"):
+        queries.diagram(sweep, "gamma", point, None, 0.0, 79)
+    with pytest.raises(TooLarge, match=r"3 values of omega × 10 of gamma.*every=2 "):
+        mode_map.modes(sweep, 0.05, "rest", 29)
+    assert reads == []
+
+
+@pytest.mark.parametrize(("most", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
+def test_what_is_refused_is_told_what_would_fit(sweep: Sweep, most: int, every: int | None):
+    """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
+    point = {"omega": 0.5, "xi": 0.05}
+    assert queries.thinning((10,), 8, most) == every
+    if every is None:
+        with pytest.raises(TooLarge, match=r"are sent: opening the store itself has no such limit"):
+            queries.diagram(sweep, "gamma", point, None, 0.0, most)
+        return
+    assert queries.diagram(sweep, "gamma", point, None, 0.0, most, every).every == every
+    if every > 1:
+        with pytest.raises(TooLarge, match=f"every={every} asks for as many as fit"):
+            queries.diagram(sweep, "gamma", point, None, 0.0, most, every - 1)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 4, 7, 10, 99])
+def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
+    for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
+        whole = queries.diagram(sweep, along, point, None, 0.0, 1000)
+        found = queries.diagram(sweep, along, point, None, 0.0, 1000, every)
+        for name in ("values", *queries.LINE_ARRAYS):
+            np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[::every])
+    whole_map, found_map = (mode_map.modes(sweep, 0.05, None, 1000, n) for n in (1, every))
+    np.testing.assert_array_equal(found_map.omega, whole_map.omega[::every])
+    np.testing.assert_array_equal(found_map.gamma, whole_map.gamma[::every])
+    for name in mode_map.MODE_ARRAYS:
+        np.testing.assert_array_equal(found_map.arrays[name], whole_map.arrays[name][::every, ::every])
+
+
+def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: list[str]):
+    queries.diagram(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0, 1000, 10)
+    assert "flight_time/c/0/1/0/0/0" in reads
+    assert "flight_time/c/0/1/0/1/0" not in reads
+
+
+def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
+    """What can be read for it, every n-th cell."""
+    monkeypatch.setattr(queries, "MAX_READ", 40)
+    (found,) = queries.pictured(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
+    assert (found.every, len(found.values)) == (2, 5)
+    monkeypatch.setattr(queries, "MAX_READ", 8)
+    assert len(queries.pictured(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)[0].values) == 1
+
+
+def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
+    """However large the store: a line touches as many files as the plan has chunks along its axis."""
+    large = spec(
+        gamma={"start": 1.0, "stop": 6.0, "num": 1000},
+        omega={"start": 0.1, "stop": 5.0, "num": 100},
+        xi={"start": 0.1, "stop": 5.0, "num": 10},
+    )
+    plan, url = make_plan(large), str(tmp_path / "large.zarr")
+    store.create(url, large, plan)
+    point = {"gamma": 2.0, "omega": 0.5, "xi": 0.5}
+    for along, chunks in zip(("xi", "omega", "gamma"), plan.counts, strict=True):
+        reads.clear()
+        given = {axis: value for axis, value in point.items() if axis != along}
+        assert queries.diagram(Sweep(large, url), along, given, None, 0.0, 10**6).missing > 0
+        assert len(reads) == 1 + chunks  # the description, and outcomes, which are not there
+
+
+# Planes and thresholds
+
+
+def test_a_plane_is_the_stores_own(sweep: Sweep):
+    found = mode_map.plane(sweep, 0.2, "rest", ("bounces", "periods"))
+    assert (found.xi, found.omega.tolist(), len(found.gamma)) == (0.26, [0.5, 0.7, 1.0], 10)
+    for name, array in store.read_slice(sweep.url, ("bounces", "periods"), direction=0, xi=1).items():
+        np.testing.assert_array_equal(found.arrays[name], array)
+
+
+def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
+    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
+    found = mode_map.thresholds(fine, None, 1000)
+    gamma = fine.spec.axis_values("gamma")
+    expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
+    np.testing.assert_allclose(found.up, expected)
+    np.testing.assert_array_equal(found.analytic, threshold([0.5, 0.7, 1.0], 0.05))
+    assert np.isnan(found.down).all()
+    assert found.complete
+
+
+def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Read a few rows of Ω at a time, the same."""
+    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
+    whole = mode_map.thresholds(fine, None, 3)
+    monkeypatch.setattr(mode_map, "MAX_READ", 50)
+    np.testing.assert_array_equal(mode_map.thresholds(fine, None, 3).up, whole.up)
+    with pytest.raises(TooLarge, match="3 values of omega"):
+        mode_map.thresholds(fine, None, 2)
+
+
+def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
+    both = spec(
+        omega=[0.5, 0.7, 1.0], xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}
+    )
+    outcomes = np.full(both.shape, Outcome.AT_REST)
+    outcomes[0, 0, 0, 4:] = Outcome.PERIODIC
+    outcomes[1, 0, 0, 2:] = Outcome.APERIODIC
+    outcomes[:, 0, 1, 3:] = Outcome.UNRESOLVED  # not known to bounce
+    outcomes[1, 0, 2, 0] = Outcome.PERIODIC
+    found = mode_map.thresholds(handmade(tmp_path, outcomes, both), 0.05, 1000)
+    gamma = both.axis_values("gamma")
+    np.testing.assert_array_equal(found.up, [gamma[4], np.nan, np.nan])
+    np.testing.assert_array_equal(found.down, [gamma[2], np.nan, gamma[0]])
+    assert found.complete
+
+
+def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
+    down = spec(omega=0.5, xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "down"})
+    outcomes = np.full(down.shape, Outcome.AT_REST)
+    outcomes[..., 6:] = Outcome.PERIODIC
+    outcomes[..., 9] = Outcome.MISSING
+    found = mode_map.thresholds(handmade(tmp_path, outcomes, down), None, 1000)
+    assert (found.down.tolist(), found.complete) == ([down.axis_values("gamma")[6]], False)
+    assert np.isnan(found.up).all()
+
+
+def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
+    along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
+    with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
+        mode_map.thresholds(Sweep(along, str(tmp_path)), 0.05, 1000)

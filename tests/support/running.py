@@ -1,0 +1,91 @@
+"""Jobs without HTTP: a manager on its ledger, an executor that counts, sweeps of a given cost."""
+
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scripted import DEADLINE, wait_for
+
+from service.jobs.ledger import Ledger
+from service.jobs.manager import Lifecycle
+from service.jobs.model import JobRecord, JobState
+from service.settings import Settings
+from worker import store
+from worker.executors.base import Executor
+from worker.executors.dask import Dask
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import ChunkReport
+
+
+class Running:
+    """A lifecycle on its ledger, and ways to wait for what it does."""
+
+    def __init__(self, ledger: Ledger, lifecycle: Lifecycle, settings: Settings) -> None:
+        self.ledger, self.lifecycle, self.settings = ledger, lifecycle, settings
+
+    def submit(self, spec: SweepSpec) -> JobRecord:
+        return self.lifecycle.submit(spec).job
+
+    def job(self, job: JobRecord) -> JobRecord:
+        found = self.ledger.find(job.id)
+        assert found is not None
+        return found
+
+    def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
+        wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
+        return self.job(job)
+
+    def outcomes(self, job: JobRecord) -> np.ndarray:
+        return store.read_slice(self.settings.store_of(job.id), ("outcome",))["outcome"]
+
+
+@contextmanager
+def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]:
+    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
+    with Ledger(settings.ledger_path) as ledger:
+        lifecycle = Lifecycle(ledger, executor, settings)
+        lifecycle.start()
+        try:
+            yield Running(ledger, lifecycle, settings)
+        finally:
+            lifecycle.stop()
+
+
+class Counting:
+    """The same executor, noting the chunks that it is given."""
+
+    def __init__(self, executor: Dask) -> None:
+        self._executor = executor
+        self.given: list[int] = []
+
+    @property
+    def submitted(self) -> int:
+        return len(self.given)
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **terms: Any) -> "Future[ChunkReport]":
+        future = self._executor.submit(spec, chunk, url, **terms)
+        self.given.append(chunk.index)
+        return future
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._executor, name)
+
+
+def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **given: Any) -> SweepSpec:
+    """Chunks of about so many core-seconds, by the cost table."""
+    cell = 0.01
+    fields: dict[str, Any] = {
+        "name": name,
+        "gamma": {"start": 0.5, "stop": 1.2, "num": max(round(chunks * seconds / cell), 1)},
+        "omega": 0.5,
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": round(cell / 0.4e-6),
+        "observe": 10,
+        "keep": 4,
+    }
+    return SweepSpec(**(fields | given))

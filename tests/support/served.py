@@ -1,0 +1,75 @@
+"""The application on a data folder, in this process, and the calls that most tests make of it."""
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+from fastapi.testclient import TestClient
+from scripted import Held, sweep, wait_for
+
+from service.api.app import create_app
+from service.settings import Settings
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
+
+#: Sweeps that several tests submit.
+FIGURE_2: dict[str, Any] = {
+    "name": "figure 2, coarse",
+    "gamma": {"start": 0.5, "stop": 6.0, "num": 111},
+    "omega": 0.5,
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+}
+RAMP: dict[str, Any] = {
+    "name": "up and down, Γ × Ω",
+    "gamma": {"start": 0.6, "stop": 1.6, "num": 11},
+    "omega": [0.5, 0.7],
+    "xi": [0.05, 0.26],
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"},
+    "settle": 40,
+    "observe": 20,
+    "keep": 8,
+}
+
+
+@contextmanager
+def service(folder: Path, executor: Executor, **given: Any) -> Iterator[TestClient]:
+    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
+    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
+        yield client
+
+
+@contextmanager
+def computing(folder: Path, **given: Any) -> Iterator[TestClient]:
+    """A service that computes in this process."""
+    with closing(Inline()) as executor, service(folder, executor, **given) as client:
+        yield client
+
+
+@contextmanager
+def occupied(folder: Path, **given: Any) -> Iterator[TestClient]:
+    """A service with a place for one job, which another one has and keeps: what is handed in stays queued."""
+    with service(folder, Held(), active_jobs=1, **given) as client:
+        first = client.post("/v1/jobs", json=sweep("never ends", omega=0.123).as_submitted())
+        here = first.headers["Location"]
+        wait_for(lambda: bool(get(client, here)["state"] == "running"))
+        yield client
+
+
+def finished(client: TestClient, spec: dict[str, Any]) -> str:
+    """Where the job of a sweep is, once it is done."""
+    answer = client.post("/v1/jobs", json=spec)
+    assert answer.status_code in (200, 202), answer.text
+    here = str(answer.headers["Location"])
+    wait_for(lambda: client.get(here).json()["state"] not in ("queued", "running"))
+    view = client.get(here).json()
+    assert view["state"] == "done", view["error"]
+    return here
+
+
+def get(client: TestClient, path: str, **query: Any) -> Any:
+    answer = client.get(path, params=query)
+    assert answer.status_code == 200, answer.text
+    return answer.json()

@@ -1,0 +1,115 @@
+"""A service without HTTP in a process that a test kills: `python service_life.py FOLDER SPEC STEP`.
+
+Forks a child for every life of the service, so that kernels are loaded once. Reads lines from
+standard input: `STEP TIMES SECONDS` begins a life that kills itself the TIMES-th time it reaches STEP
+(`-`: never), or after SECONDS; the answer is one line of JSON: how the life ended, and which chunks it
+computed. A life that finishes the job ends by itself.
+"""
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from worker.kernel_cache import claim_cache, warm
+
+claim_cache(sys.argv[3])
+warm(sys.argv[3])
+
+from service.jobs import supervisor  # noqa: E402 - the cache comes first
+from service.jobs.ledger import Ledger, Writing  # noqa: E402
+from service.jobs.manager import Lifecycle  # noqa: E402
+from service.jobs.model import UNFINISHED  # noqa: E402
+from service.settings import Settings  # noqa: E402
+from worker import store, tasks  # noqa: E402
+from worker.executors import inline  # noqa: E402
+from worker.spec import SweepSpec  # noqa: E402
+from worker.store import chunks as stored  # noqa: E402
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def before(owner: Any, name: str, act: Callable[[], None]) -> None:
+    real = getattr(owner, name)
+    setattr(owner, name, lambda *given, **more: (act(), real(*given, **more))[1])
+
+
+def after(owner: Any, name: str, act: Callable[[], None]) -> None:
+    real = getattr(owner, name)
+    setattr(owner, name, lambda *given, **more: (real(*given, **more), act())[0])
+
+
+#: From accepting a job to its end: where the process stops.
+STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
+    "store laid out": lambda act: after(supervisor.store, "create", act),
+    "chunk given out": lambda act: before(inline, "run_chunk", act),
+    "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
+    "chunk half written": lambda act: before(store, "harden", act),
+    "chunk synced": lambda act: before(stored, "checksum", act),
+    "chunk reported": lambda act: after(inline, "run_chunk", act),
+    "in the transaction": lambda act: after(Writing, "mark_done", act),
+    "chunk marked": lambda act: after(supervisor.Run, "marked", act),
+    "job ends": lambda act: after(Writing, "finish", act),
+}
+
+
+def live(folder: Path, spec: SweepSpec, step: str, times: int, said: int) -> None:
+    """One life, in a forked child: until the job has ended, or the step is reached."""
+    tried: list[int] = []
+    real = inline.run_chunk
+
+    def run_chunk(spec: SweepSpec, chunk: Any, url: str) -> Any:
+        os.write(said, f"{chunk.index}\n".encode())
+        return real(spec, chunk, url)
+
+    inline.run_chunk = run_chunk
+    if step in STEPS:
+        left = iter(range(times - 1, -1, -1))
+        STEPS[step](lambda: die() if next(left, 0) == 0 else None)
+    settings = Settings(data=folder, heartbeat_seconds=0.1)
+    executor = inline.Inline()
+    with Ledger(settings.ledger_path) as ledger:
+        lifecycle = Lifecycle(ledger, executor, settings)
+        lifecycle.start()
+        job = lifecycle.submit(spec).job
+        while (found := ledger.find(job.id)) is not None and found.state in UNFINISHED:
+            time.sleep(0.005)
+        lifecycle.stop()
+    os.write(said, f"{found.state if found else 'gone'}\n".encode())
+    assert tried is not None
+
+
+def main() -> None:
+    folder, spec = Path(sys.argv[1]), SweepSpec.from_file(sys.argv[2])
+    for line in sys.stdin:
+        step, times, seconds = json.loads(line)
+        heard, said = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(heard)
+            try:
+                live(folder, spec, step, times, said)
+            finally:
+                os._exit(0)
+        os.close(said)
+        if seconds is not None:
+            threading.Timer(seconds, os.kill, [child, signal.SIGKILL]).start()
+        with os.fdopen(heard) as words:
+            told = words.read().split()
+        _, status = os.waitpid(child, 0)
+        killed = os.WIFSIGNALED(status)
+        ended = None if killed or not told else told[-1]
+        chunks = [int(word) for word in told if word.isdigit()]
+        sys.stdout.write(json.dumps({"killed": killed, "state": ended, "chunks": chunks}) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

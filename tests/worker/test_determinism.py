@@ -1,0 +1,181 @@
+"""Same specification, same bytes: however it is cut, whoever computes it, whatever crashed in between."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import wait
+from pathlib import Path
+
+import pytest
+import xarray as xr
+from paths import ROOT
+
+from worker import store, tasks
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
+from worker.plan import Plan, make_plan
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
+
+SWEEPS = {
+    "from rest": {},
+    "soft": {"model": {"kind": "soft", "penetration": 1e-2}, "gamma": [0.5, 1.5, 2.3], "xi": 0.26},
+    "ramp both": {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}},
+    "ramp down": {"protocol": {"kind": "ramp", "axis": "omega", "direction": "down"}},
+}
+
+
+@pytest.fixture(params=SWEEPS)
+def spec(request, small_spec) -> SweepSpec:
+    return small_spec(**SWEEPS[request.param])
+
+
+@pytest.fixture
+def expected(spec, tmp_path) -> dict[str, bytes]:
+    """What one call computes that does everything at once."""
+    return values(compute(spec, tmp_path / "expected.zarr", shape=spec.shape[1:]))
+
+
+def make(spec: SweepSpec, url: Path, shape=None) -> Plan:
+    plan = make_plan(spec, chunk_shape=shape)
+    store.create(str(url), spec, plan)
+    return plan
+
+
+def compute(spec: SweepSpec, url: Path, shape=None) -> Path:
+    for chunk in make(spec, url, shape):
+        run_chunk(spec, chunk, str(url))
+    return url
+
+
+def compute_with(executor: Executor, spec: SweepSpec, url: Path, shape=None) -> Path:
+    """All chunks at once, each as soon as the one it waits for is there."""
+    plan = make(spec, url, shape)
+    for wave in range(0, len(plan), plan.lines):
+        futures = [executor.submit(spec, chunk, str(url)) for chunk in plan[wave : wave + plan.lines]]
+        wait(futures)
+        assert all(future.result().cells for future in futures)
+    return url
+
+
+def values(url: Path) -> dict[str, bytes]:
+    """Every stored number, bit by bit."""
+    with xr.open_zarr(url) as dataset:
+        return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
+
+
+def files(url: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 7), (1, 1, 1), (2, 2, 3), (1, 3, 10)])
+def test_the_cut_changes_no_number(spec, expected, tmp_path, shape):
+    assert values(compute(spec, tmp_path / "cut.zarr", shape)) == expected
+
+
+def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "CANCEL_SECONDS", 0.0)  # a piece for every cell
+    assert values(compute(spec, tmp_path / "pieces.zarr", spec.shape[1:])) == expected
+
+
+def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, cluster):
+    inline = Inline()
+    one = compute_with(inline, spec, tmp_path / "inline.zarr", (1, 1, 7))
+    inline.close()
+    two = compute_with(cluster, spec, tmp_path / "cluster.zarr", (1, 1, 7))
+    assert files(one) == files(two)
+    assert values(two) == expected
+
+
+def test_one_worker_at_random_order_within_what_the_plan_allows(spec, expected, tmp_path):
+    plan = make(spec, tmp_path / "order.zarr", (1, 2, 3))
+    for wave in range(0, len(plan), plan.lines):
+        for chunk in reversed(plan[wave : wave + plan.lines]):
+            run_chunk(spec, chunk, str(tmp_path / "order.zarr"))
+    assert values(tmp_path / "order.zarr") == expected
+
+
+def test_interrupted_by_cancel_and_resumed(spec, expected, tmp_path):
+    url = tmp_path / "cancelled.zarr"
+    plan = make(spec, url, (1, 2, 3))
+    done = {chunk.index for chunk in plan[: len(plan) // 2] if run_chunk(spec, chunk, str(url))}
+    store.set_cancelled(str(url))
+    with pytest.raises(tasks.ChunkCancelled):
+        run_chunk(spec, plan[len(plan) // 2], str(url))
+    store.clear_cancelled(str(url))
+    for chunk in plan:
+        if chunk.index not in done:
+            run_chunk(spec, chunk, str(url))
+    assert values(url) == expected
+
+
+WRITER = """
+import sys
+from worker.kernel_cache import claim_cache
+claim_cache()
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
+spec = SweepSpec.from_file(sys.argv[1])
+print("begins", flush=True)
+while True:
+    for chunk in make_plan(spec, chunk_shape=(1, 1, 3)):
+        run_chunk(spec, chunk, sys.argv[2])
+"""
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.4])
+def test_killed_while_writing_and_resumed(small_spec, tmp_path, delay):
+    """A process writes chunks over and over and is killed; whatever it left, resuming mends it."""
+    spec = small_spec(**SWEEPS["ramp both"])
+    whole = compute(spec, tmp_path / "whole.zarr", (1, 1, 3))
+    url = tmp_path / "killed.zarr"
+    make(spec, url, (1, 1, 3))
+    (tmp_path / "spec.json").write_text(json.dumps(spec.as_submitted()))
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path / "spec.json"), str(url)],
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    )
+    with writer:
+        assert writer.stdout
+        assert writer.stdout.readline() == b"begins\n"
+        time.sleep(delay)
+        os.kill(writer.pid, signal.SIGKILL)
+    compute(spec, url, (1, 1, 3))
+    store.sweep_leftovers(str(url))
+    assert files(url) == files(whole)
+
+
+KERNEL = """
+import sys
+from worker.kernel_cache import claim_cache
+print(claim_cache(sys.argv[1]))
+import hashlib
+import numpy as np
+from kernel.params import Model
+from kernel.line import run_line
+gamma, one = np.linspace(0.5, 5.0, 100), np.ones(100)
+line = run_line(
+    gamma, one, 0.26 * one, model=Model.RIGID, restitution=0 * one, penetration=one, adhesive=True,
+    carry=False, settle=20, observe=20, keep=8,
+)
+print(hashlib.sha256(line.flight_time.tobytes() + line.end_state.tobytes()).hexdigest())
+"""
+
+
+def test_code_from_the_cache_computes_what_code_just_compiled_does(tmp_path):
+    """A worker that compiled and one that found compiled code, side by side in one job."""
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", KERNEL, str(tmp_path)],
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert said[0] == said[1]

@@ -1,0 +1,279 @@
+"""Executors: the same four calls whatever is behind them, and errors that say who failed."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError
+from pathlib import Path
+
+import dask
+import psutil
+import pytest
+from distributed import get_worker, system
+from harm import Stuck
+from paths import CACHE
+from scripted import DEADLINE, wait_for
+
+from worker import store
+from worker.executors.base import Executor
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.inline import Inline
+from worker.plan import Plan, make_plan
+from worker.spec import SweepSpec
+from worker.tasks import ChunkCancelled, ChunkReport
+
+#: Seconds for anything to come back, on a machine that may be compiling kernels meanwhile.
+PATIENCE = 180
+
+
+@pytest.fixture(params=["inline", "cluster"])
+def executor(request) -> Executor:
+    return request.getfixturevalue(request.param)
+
+
+@pytest.fixture
+def planned(small_spec, tmp_path) -> tuple[SweepSpec, Plan, str]:
+    spec = small_spec()
+    plan, url = make_plan(spec, chunk_shape=(1, 3, 5)), str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    return spec, plan, url
+
+
+def test_every_chunk_comes_back_with_a_report(executor, planned):
+    spec, plan, url = planned
+    futures = [executor.submit(spec, chunk, url) for chunk in plan]
+    reports = [future.result(PATIENCE) for future in futures]
+    assert [report.index for report in reports] == [0, 1, 2, 3]
+    assert all(isinstance(report, ChunkReport) and report.cells == 15 for report in reports)
+    assert all(store.verify(url, chunk, report.checksum) for chunk, report in zip(plan, reports, strict=True))
+
+
+def test_is_ready_and_counts_its_workers(executor):
+    wait_for(executor.ready)
+    wait_for(lambda: executor.workers() == (1 if isinstance(executor, Inline) else 2))
+
+
+def test_a_task_that_fails_says_why(executor, planned, tmp_path):
+    spec, plan, _ = planned
+    nowhere = str(tmp_path / "nowhere.zarr")
+    with pytest.raises(store.StoreMissing, match="no store here"):
+        executor.submit(spec, plan[0], nowhere).result(PATIENCE)
+
+
+def test_a_cancelled_store_stops_its_tasks(executor, planned):
+    spec, plan, url = planned
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled):
+        executor.submit(spec, plan[0], url).result(PATIENCE)
+    store.clear_cancelled(url)
+    executor.submit(spec, plan[0], url).result(PATIENCE)
+
+
+def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tmp_path):
+    """Both workers have something else to do until it is taken back."""
+    spec, gate = small_spec(), tmp_path / "gate"
+    plan, url = make_plan(spec, chunk_shape=(2, 3, 5)), str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+
+    def wait_at(gate: Path) -> None:
+        while not gate.exists():
+            time.sleep(0.01)
+
+    def known() -> int:
+        return int(cluster._link.client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
+
+    before = known()
+    try:
+        waiting = [cluster.call(wait_at, gate) for _ in range(2)]
+        first, last = (cluster.submit(spec, chunk, url) for chunk in plan)
+        wait_for(lambda: known() == before + 4)
+        assert last.cancel()
+        with pytest.raises(CancelledError):
+            last.result(PATIENCE)
+        wait_for(lambda: known() == before + 3)
+    finally:
+        gate.touch()
+    for future in (*waiting, first):
+        future.result(PATIENCE)
+    assert store.read_chunk(url, plan[0], ["outcome"])["outcome"].all()
+    assert not store.read_chunk(url, plan[1], ["outcome"])["outcome"].any()
+
+
+def test_two_workers_never_share_a_kernel_cache(cluster):
+    caches = cluster._link.client.run(lambda: os.environ["NUMBA_CACHE_DIR"])
+    assert len(set(caches.values())) == 2
+    assert os.environ["NUMBA_CACHE_DIR"] not in caches.values()
+
+
+def test_workers_share_the_memory_however_many_cores_there_are(cluster):
+    limits = cluster._link.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
+    assert set(limits.values()) == {system.MEMORY_LIMIT // 2}
+
+
+def test_the_cluster_listens_on_loopback_only(cluster):
+    here = psutil.Process()
+    listening = [
+        connection.laddr.ip
+        for process in (here, *here.children(recursive=True))
+        for connection in process.net_connections("inet")
+        if connection.status == psutil.CONN_LISTEN
+    ]
+    assert set(listening) == {"127.0.0.1"}
+
+
+def test_nothing_is_kept_of_a_chunk_that_is_done(cluster, planned):
+    spec, plan, url = planned
+    cluster.submit(spec, plan[0], url).result(PATIENCE)
+    wait_for(lambda: not cluster._link.client.futures)
+
+
+def test_inline_after_close_is_not_ready(planned):
+    executor = Inline()
+    executor.close()
+    assert not executor.ready()
+    assert executor.workers() == 0
+
+
+def test_no_scheduler_at_an_address_is_said():
+    with pytest.raises(ClusterLost, match=re.escape("tcp://127.0.0.1:9")):
+        Dask("tcp://127.0.0.1:9", timeout=0.5)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:8786"])
+def test_what_is_no_address_is_said_and_leaves_nothing_behind(address):
+    before = set(threading.enumerate())
+    with pytest.raises(ClusterLost, match=re.escape(f"no scheduler answers at {address}")):
+        Dask(address)
+    assert set(threading.enumerate()) <= before
+
+
+def test_no_scheduler_file_is_said(tmp_path):
+    with pytest.raises(ClusterLost, match=r"nothing\.json"):
+        Dask(scheduler_file=tmp_path / "nothing.json", timeout=0.5)
+
+
+def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp_path):
+    spec, plan, url = planned
+    file = tmp_path / "scheduler.json"
+    writer = threading.Timer(0.3, cluster._link.client.write_scheduler_file, [str(file)])
+    writer.start()
+    executor = Dask(scheduler_file=file, timeout=PATIENCE)
+    writer.join()
+    try:
+        assert executor.workers() == 2
+        assert executor.submit(spec, plan[0], url).result(PATIENCE).cells == 15
+    finally:
+        executor.close()
+
+
+def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worker_is_ready(
+    small_spec, tmp_path
+):
+    spec = small_spec(gamma=[3.0, 3.5], settle=10_000_000)
+    plan, url = make_plan(spec, chunk_shape=(2, 3, 2)), str(tmp_path / "sweep.zarr")
+    store.create(url, spec, plan)
+    quick = small_spec()
+    other = str(tmp_path / "other.zarr")
+    store.create(other, quick, make_plan(quick))
+    executor = Dask(workers=1)
+    try:
+        [pid] = executor._link.client.run(os.getpid).values()
+        future = executor.submit(spec, plan[0], url)
+        wait_for(lambda: any(flight.worker for flight in executor._flights.values()))  # it has begun
+        waiting = executor.submit(quick, make_plan(quick)[0], other)
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(WorkerDied, match="the worker process that computed it died"):
+            future.result(PATIENCE)
+        try:
+            report = waiting.result(PATIENCE)
+        except WorkerLost:  # the scheduler had given it to that worker already
+            report = executor.submit(quick, make_plan(quick)[0], other).result(PATIENCE)
+        assert report.outcomes[0] == 0
+    finally:
+        executor.close()
+
+
+def test_a_worker_that_is_still_starting_does_not_hold_up_the_end(tmp_path):
+    executor = Dask(workers=1)
+    try:
+        executor._link.client.register_plugin(Stuck(tmp_path / "stuck"))
+        (tmp_path / "stuck").touch()
+        [pid] = executor._link.client.run(os.getpid).values()
+        os.kill(pid, signal.SIGKILL)
+        wait_for((tmp_path / "starting").exists, seconds=PATIENCE)
+    finally:
+        began = time.monotonic()
+        executor.close()
+    assert time.monotonic() - began < DEADLINE  # and not an hour
+
+
+def leave() -> None:
+    """A worker that closes its nanny too, as one does that its scheduler has forgotten."""
+    worker = get_worker()
+    worker.loop.add_callback(worker.close)
+
+
+def test_workers_that_are_gone_for_good_are_replaced():
+    """Dask itself gives up a worker that is not back 15 s after any of its deaths."""
+    executor = Dask(workers=2, kernel_cache=CACHE)
+    client, nannies = executor._link.client, executor._workers.cluster.workers
+    try:
+        assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1000 days"
+        before = set(nannies.values())
+        executor.call(leave)
+        wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
+        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+        before = set(nannies.values())
+        with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
+            [pid, _] = client.run(os.getpid).values()
+            os.kill(pid, signal.SIGKILL)
+            wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
+        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+    finally:
+        executor.close()
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """A scheduler in a process of its own, without workers; gives the process and its file."""
+    file = tmp_path / "scheduler.json"
+    command = [str(Path(sys.executable).with_name("dask")), "scheduler", "--host", "127.0.0.1", "--port", "0"]
+    quiet = ["--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
+    with (tmp_path / "scheduler.log").open("wb") as log:
+        process = subprocess.Popen([*command, *quiet], stdout=log, stderr=log)
+    yield process, file
+    process.kill()
+    process.wait()
+
+
+def test_a_cluster_without_workers_a_frozen_and_a_dead_one(scheduler, planned, caplog):
+    process, file = scheduler
+    spec, plan, url = planned
+    executor = Dask(scheduler_file=file)
+    try:
+        assert not executor.ready()
+        [why] = [one for one in caplog.messages if "allowed-failures" in one]
+        assert why.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")
+        assert executor.workers() == 0
+        waiting = executor.submit(spec, plan[0], url)
+
+        process.send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        assert not executor.ready()
+        assert time.monotonic() - began < DEADLINE  # a ping would wait for ever
+        process.send_signal(signal.SIGCONT)
+        assert not waiting.done()
+
+        process.kill()
+        with pytest.raises(ClusterLost):
+            waiting.result(PATIENCE)
+        assert not executor.ready()
+        with pytest.raises(ClusterLost):
+            executor.submit(spec, plan[0], url).result(PATIENCE)
+    finally:
+        executor.close()

@@ -1,0 +1,205 @@
+"""Results in an S3-compatible bucket: the same code path, the same bytes, against a server of moto's."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from moto.server import ThreadedMotoServer
+from scripted import DEADLINE, Held, wait_for
+from served import RAMP, finished, get, service
+
+from service.server import embedded
+from worker import store
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.store import backend
+
+PLACE = "s3://results/of/sweeps"
+
+ENVIRONMENT = {
+    "AWS_ENDPOINT_URL": "of the server",
+    "AWS_ACCESS_KEY_ID": "test",
+    "AWS_SECRET_ACCESS_KEY": "test",
+    "AWS_REGION": "us-east-1",
+    "AWS_ALLOW_HTTP": "true",
+}
+
+
+@pytest.fixture(scope="module")
+def bucket() -> Iterator[str]:
+    """The address of a server with one empty bucket, which the environment tells of."""
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    address = f"http://{host}:{port}"
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (ENVIRONMENT | {"AWS_ENDPOINT_URL": address}).items():
+            patch.setenv(name, value)
+        assert httpx2.put(f"{address}/results").status_code == 200
+        yield address
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def both(
+    bucket: str, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, tuple[TestClient, str]]]:
+    """The same job done by two services, one with a folder and one with the bucket."""
+    executor = Inline()
+    folders = [tmp_path_factory.mktemp("data") for _ in range(2)]
+    with service(folders[0], executor) as local, service(folders[1], executor, stores=PLACE) as remote:
+        yield {"folder": (local, finished(local, RAMP)), "bucket": (remote, finished(remote, RAMP))}
+    executor.close()
+
+
+def test_nothing_of_the_results_is_on_the_disk(both: dict[str, tuple[TestClient, str]]):
+    client, _ = both["bucket"]
+    settings = client.app.state.service.settings  # type: ignore[attr-defined]
+    assert not list(settings.data.rglob("*.zarr"))
+
+
+def test_every_answer_is_the_same(both: dict[str, tuple[TestClient, str]]):
+    for query in (
+        "diagram?omega=0.5&xi=0.26&direction=down",
+        "diagram?omega=0.5&xi=0.26&format=csv",
+        "modes?xi=0.05",
+        "threshold?xi=0.05",
+        "export?format=parquet",
+    ):
+        answers = [client.get(f"{here}/{query}") for client, here in both.values()]
+        assert [answer.status_code for answer in answers] == [200, 200]
+        assert answers[0].content == answers[1].content
+
+
+def keys(spec: SweepSpec, shape: tuple[int, int, int]) -> Iterator[str]:
+    plan = make_plan(spec, chunk_shape=shape)
+    yield from ("zarr.json", "outcome/zarr.json", "gamma/c/0")
+    for d in range(len(spec.directions)):
+        for xi, omega, gamma in np.ndindex(plan.counts):
+            yield f"outcome/c/{d}/{xi}/{omega}/{gamma}"
+            yield f"flight_time/c/{d}/{xi}/{omega}/{gamma}/0"
+
+
+def test_every_byte_is_the_same(both: dict[str, tuple[TestClient, str]]):
+    client, here = both["bucket"]
+    parts = client.app.state.service  # type: ignore[attr-defined]
+    job = parts.ledger.find(here.rsplit("/", 1)[1])
+    for key in keys(SweepSpec.from_json(job.spec), job.chunk_shape):
+        stored = [one.get(f"{where}/zarr/{key}") for one, where in both.values()]
+        assert stored[0].status_code == 200, key
+        assert stored[0].content == stored[1].content, key
+
+
+def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClient, str]]):
+    client, here = both["bucket"]
+    parts = client.app.state.service  # type: ignore[attr-defined]
+    job = parts.ledger.find(here.rsplit("/", 1)[1])
+    url = parts.settings.store_of(job.id)
+    chunk = make_plan(SweepSpec.from_json(job.spec), chunk_shape=job.chunk_shape)[0]
+    sound = store.checksum(url, chunk)
+    assert store.verify(url, chunk, sound)
+    key = "flights/c/0/0/0/0"
+    before = backend.read_key(url, key)
+    assert before is not None
+    backend.delete(url, key)
+    assert not store.verify(url, chunk, sound)
+    backend._bucket(url).put(key, before)
+    assert store.verify(url, chunk, sound)
+
+
+def test_the_store_opens_with_xarray_from_the_bucket_and_over_http(bucket: str, tmp_path: Path):
+    executor = Inline()
+    settings = embedded.settings(data=tmp_path, port=0, stores=f"{PLACE}/http", heartbeat_seconds=0.2)
+    with (
+        embedded.running(settings, executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        here = finished(client, RAMP)  # type: ignore[arg-type]
+        over_http = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
+        direct = backend.open_store(settings.store_of(here.rsplit("/", 1)[1]), read_only=True)
+        xarray.testing.assert_identical(over_http, xarray.open_zarr(direct, chunks=None).load())
+    executor.close()
+
+
+def test_cancel_reaches_workers_through_the_bucket(bucket: str, tmp_path: Path):
+    held = Held()
+    with service(tmp_path, held, stores=f"{PLACE}/cancel") as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+        wait_for(lambda: held.held() > 0)
+        assert not store.is_cancelled(url)
+        client.post(f"{here}/cancel")
+        wait_for(lambda: store.is_cancelled(url))
+        while held.held():
+            held.let_go()
+        wait_for(lambda: get(client, here)["state"] == "cancelled")
+        assert client.post(f"{here}/resume").status_code == 202
+        wait_for(lambda: held.held() > 0)
+        assert not store.is_cancelled(url)
+
+
+def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
+    executor = Inline()
+    with service(tmp_path, executor, stores=f"{PLACE}/delete") as client:
+        here = finished(client, RAMP)
+        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+        assert backend.read_key(url, "zarr.json") is not None
+        assert client.delete(here).status_code == 204
+        wait_for(lambda: backend.read_key(url, "zarr.json") is None)
+        wait_for(lambda: not list(backend._bucket(url).list()))
+    executor.close()
+
+
+def test_workers_of_a_cluster_write_to_the_bucket(
+    bucket: str, both: dict[str, tuple[TestClient, str]], tmp_path: Path, cluster: Dask
+):
+    """Real ones, in processes of their own, told of the bucket as they always are: by their environment."""
+    run = cluster._link.client.run
+    known = {name: os.environ[name] for name in ENVIRONMENT}
+    run(os.environ.update, known)
+    try:
+        with service(tmp_path, cluster, stores=f"{PLACE}/cluster") as client:
+            here = finished(client, RAMP)
+            _, inline = both["bucket"]
+            for key in ("outcome/c/0/0/0/0", "flight_time/c/1/0/0/0/0", "end_state/c/0/0/0/0/0"):
+                stored = client.get(f"{here}/zarr/{key}")
+                assert stored.status_code == 200
+                assert stored.content == both["bucket"][0].get(f"{inline}/zarr/{key}").content
+            long = {**RAMP, "settle": 1_000_000, "protocol": {"kind": "rest"}}
+            slow = client.post("/v1/jobs", json=long).headers["Location"]
+            wait_for(lambda: get(client, slow)["state"] == "running")
+            client.post(f"{slow}/cancel")
+            wait_for(lambda: get(client, slow)["state"] == "cancelled")
+    finally:
+        for name in known:
+            run(os.environ.pop, name, None)
+
+
+def test_a_bucket_that_does_not_answer_is_waited_for(
+    bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    address = os.environ["AWS_ENDPOINT_URL"]
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setattr(backend, "_PATIENCE", backend._PATIENCE / 30)
+    executor = Inline()
+    with service(tmp_path, executor, stores=f"{PLACE}/away") as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        wait_for(lambda: sum("its bucket does not answer" in one for one in caplog.messages) >= 2)
+        assert get(client, here)["state"] == "queued"
+        answer: Any = client.get(f"{here}/modes?xi=0.26")
+        assert (answer.status_code, answer.headers["Retry-After"]) == (503, "2")
+        assert "does not answer" in answer.json()["detail"]
+        assert "127.0.0.1" not in answer.text
+        assert client.get("/healthz").status_code == 200
+        monkeypatch.setenv("AWS_ENDPOINT_URL", address)
+        backend._bucket.cache_clear()
+        wait_for(lambda: get(client, here)["state"] == "done")
+    executor.close()

@@ -1,0 +1,256 @@
+"""Thresholds finer than the grid: Eq. 25 on the way up, the hysteresis of MODEL section 5 on the way down."""
+
+import re
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from fastapi.testclient import TestClient
+from scripted import wait_for
+from served import computing, finished, get, service
+
+from kernel.threshold import threshold
+from service.cli.main import main
+from service.client import BadRequest, Client, Job
+from service.server.embedded import running
+from service.settings import Settings
+from worker import store
+from worker.analysis.thresholds import Refined, refine
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost
+from worker.executors.inline import Inline
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
+
+TOLERANCE = 1e-4
+
+#: Through resonance, and through the antiresonance at sqrt(2) where a spring hardly loads the plate.
+OMEGA = [*np.geomspace(0.3, 1.35, 10).tolist(), 1.4, 1.4142, 1.45, *np.geomspace(1.6, 4.0, 7).tolist()]
+
+#: MODEL section 5: xi = 0.05, gamma ramped down by 0.004 with 120 periods a step, last gamma that bounces.
+DESCENDING = {0.56: 0.743, 0.60: 0.554, 0.62: 0.508, 0.66: 0.600, 0.70: 0.671}
+
+
+def computed(folder: Path, **fields: Any) -> tuple[SweepSpec, str]:
+    """A sweep and its finished store."""
+    spec = SweepSpec(**{"model": {"kind": "rigid"}, "keep": 1, "observe": 20} | fields)
+    url, plan = str(folder / "sweep.zarr"), make_plan(spec)
+    store.create(url, spec, plan)
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    return spec, url
+
+
+def ramp(direction: str) -> dict[str, str]:
+    return {"kind": "ramp", "axis": "gamma", "direction": direction}
+
+
+def thresholds(spec: SweepSpec, url: str, tolerance: float) -> Refined:
+    return refine(spec, url, 0, tuple(range(len(spec.axis_values("omega")))), tolerance)
+
+
+@pytest.mark.parametrize("xi", [0.01, 0.05, 0.2, 1.0])
+@pytest.mark.parametrize(
+    "model", [{"kind": "rigid"}, {"kind": "soft", "restitution": 0.01}], ids=["rigid", "soft"]
+)
+def test_the_ascending_threshold_is_eq_25(tmp_path: Path, xi: float, model: dict[str, Any]):
+    """On a grid of steps of 7%, whose own onsets are off by as much, and by half at the antiresonance."""
+    gamma = {"start": 0.01, "stop": 80.0, "num": 130, "spacing": "log"}
+    spec, url = computed(tmp_path, gamma=gamma, omega=OMEGA, xi=xi, protocol=ramp("up"), model=model)
+    found = np.array(thresholds(spec, url, TOLERANCE).up)
+    assert len(found) == 20
+    np.testing.assert_allclose(found, threshold(np.array(OMEGA), xi), rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("xi", [0.01, 0.2, 1.0])
+@pytest.mark.parametrize("omega", [1e-3, 1e-2, np.sqrt(2.0), 1e2, 1e3])
+def test_the_ascending_threshold_at_extreme_frequencies(tmp_path: Path, omega: float, xi: float):
+    """Slow plates, fast ones, and the antiresonance, where Eq. 25 goes like 1/(sqrt(8) xi)."""
+    gamma = {"start": 0.3, "stop": 80.0, "num": 60, "spacing": "log"}
+    spec, url = computed(tmp_path, gamma=gamma, omega=float(omega), xi=xi, protocol=ramp("up"))
+    found = thresholds(spec, url, 1e-5).up
+    assert found == pytest.approx([float(threshold(omega, xi))], rel=0, abs=1e-5)
+
+
+def descending(folder: Path, **model: Any) -> tuple[SweepSpec, str]:
+    """From a bouncing state at the top, in the paper's steps."""
+    gamma = {"start": 0.4, "stop": 1.2, "num": 201}
+    return computed(
+        folder, gamma=gamma, omega=list(DESCENDING), xi=0.05, protocol=ramp("both"), model=model, settle=100
+    )
+
+
+def last_bouncing(spec: SweepSpec, url: str) -> np.ndarray:
+    outcome = store.read_slice(url, ("outcome",), direction=1, xi=0)["outcome"]
+    return spec.axis_values("gamma")[np.argmax(outcome != 3, axis=1)]
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        {"kind": "rigid"},
+        {"kind": "soft", "restitution": 0.0},
+        {"kind": "soft", "restitution": 0.01},
+        {"kind": "soft", "restitution": 0.1},
+        {"kind": "rigid", "restitution": 0.1},
+    ],
+    ids=lambda model: f"{model['kind']} {model.get('restitution', 0)}",
+)
+def test_the_descending_threshold_is_that_of_the_model_page(tmp_path: Path, model: dict[str, Any]):
+    """Within a step of 0.004 on the grid; and no higher when the steps get finer, for those shake less."""
+    spec, url = descending(tmp_path, **model)
+    on_the_grid = last_bouncing(spec, url)
+    np.testing.assert_allclose(on_the_grid, list(DESCENDING.values()), rtol=0, atol=0.0041)
+    found = thresholds(spec, url, TOLERANCE)
+    assert np.all(on_the_grid - 0.0041 <= found.down)
+    assert np.all(found.down <= on_the_grid)
+    np.testing.assert_allclose(found.up, threshold(np.array(spec.omega), 0.05), rtol=0, atol=TOLERANCE)
+
+
+def test_a_finer_tolerance_confirms_a_coarser_one(tmp_path: Path):
+    spec, url = descending(tmp_path, kind="rigid")
+    fine = thresholds(spec, url, 1e-7)
+    for tolerance in (1e-3, 1e-5):
+        coarse = thresholds(spec, url, tolerance)
+        np.testing.assert_allclose(coarse.up, fine.up, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(coarse.down, fine.down, rtol=0, atol=tolerance)
+
+
+def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path):
+    spec, url = computed(
+        tmp_path, gamma={"start": 0.5, "stop": 1.5, "num": 11}, omega=[0.5, 0.7, 1.0], xi=0.26
+    )
+    found = thresholds(spec, url, 1e-6)
+    assert np.isnan(found.down).all()
+    coarse = [spec.axis_values("gamma")[np.argmax(row != 3)] for row in store.read_slice(
+        url, ("outcome",), direction=0, xi=0)["outcome"]]  # fmt: skip
+    for omega, fine, on_grid in zip(spec.omega, found.up, coarse, strict=True):
+        assert on_grid - 0.1 < fine <= on_grid
+        beside = computed(tmp_path / str(omega), gamma=[fine - 1e-6, fine], omega=omega, xi=0.26)[1]
+        outcome = store.read_slice(beside, ("outcome",))["outcome"].ravel()
+        assert (outcome[0] == 3, outcome[1] == 3) == (True, False)
+
+
+def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(tmp_path: Path):
+    """Everything bounces, or nothing does, or it is not computed yet."""
+    spec, url = computed(tmp_path / "a", gamma=[2.0, 3.0], omega=[0.5], xi=0.26, protocol=ramp("both"))
+    assert np.isnan(thresholds(spec, url, 1e-3)).all()
+    spec, url = computed(tmp_path / "b", gamma=[0.1, 0.2], omega=[0.5], xi=0.26, protocol=ramp("both"))
+    assert np.isnan(thresholds(spec, url, 1e-3)).all()
+    spec = SweepSpec(gamma=[0.5, 1.5], omega=[0.5], xi=0.26, protocol=ramp("up"), model={"kind": "rigid"})
+    store.create(str(tmp_path / "c"), spec, make_plan(spec))
+    assert np.isnan(thresholds(spec, str(tmp_path / "c"), 1e-3)).all()
+
+
+# Through the service
+
+SWEEP: dict[str, Any] = {
+    "gamma": {"start": 0.4, "stop": 1.2, "num": 81},
+    "omega": [0.6, 0.66],
+    "xi": [0.05, 0.2],
+    "protocol": ramp("both"),
+    "model": {"kind": "rigid"},
+    "settle": 100,
+    "observe": 20,
+    "keep": 4,
+}
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
+    settings = Settings(data=tmp_path_factory.mktemp("data"), port=0)
+    with running(settings, cluster) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def job(address: str) -> Iterator[Job]:
+    with Client(address) as client:
+        yield client.submit(SWEEP).wait(progress=False)
+
+
+def test_a_job_refines_its_thresholds_on_the_workers(job: Job):
+    for xi in (0.05, 0.2):
+        fine, coarse = job.threshold(xi, tolerance=1e-5), job.threshold(xi)
+        np.testing.assert_allclose(fine.up, threshold(np.array([0.6, 0.66]), xi), rtol=0, atol=1e-5)
+        assert np.all(fine.down <= coarse.down + 1e-5)
+        assert fine.attrs["tolerance"] == 1e-5
+        assert "tolerance" not in coarse.attrs
+    assert float(job.threshold(0.05, tolerance=1e-4).down[0]) == pytest.approx(0.553, abs=1e-3)
+
+
+def test_the_command_line_writes_as_many_digits_as_hold(address: str, job: Job):
+    def bounce(*arguments: str) -> str:
+        done = CliRunner().invoke(main, ["threshold", job.id, "--url", address, *arguments])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    assert bounce("--xi", "0.05", "--tolerance", "1e-5").splitlines()[:3] == [
+        "xi = 0.05, to 1e-05 in gamma",
+        "        OMEGA       EQ. 25           UP         DOWN",
+        "    0.6000000    0.7818201    0.7818213    0.5525000",
+    ]
+    assert bounce("--xi", "0.05").startswith("xi = 0.05, to the grid\n")
+    assert '"tolerance": 0.001' in bounce("--xi", "0.05", "--tolerance", "1e-3", "--json")
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, 1e-10])
+def test_a_tolerance_that_nothing_holds_is_refused(job: Job, tolerance: float):
+    with pytest.raises(BadRequest, match=r"tolerance: should be greater than or equal to 0.000000001"):
+        job.threshold(0.05, tolerance=tolerance)
+
+
+class Counting(Inline):
+    """Counts calls, and fails the first with `errors`."""
+
+    def __init__(self, *errors: Exception) -> None:
+        super().__init__()
+        self.errors, self.calls = list(errors), 0
+
+    def call(self, function: Any, *arguments: Any) -> Any:
+        self.calls += 1
+        if self.errors:
+            raise self.errors.pop(0)
+        return super().call(function, *arguments)
+
+
+def answered(client: TestClient, here: str, **query: float) -> dict[str, Any]:
+    """What is answered once the workers have computed it."""
+    wait_for(lambda: client.get(here, params=query).status_code == 200)
+    answer: dict[str, Any] = get(client, here, **query)
+    return answer
+
+
+def test_an_answer_is_remembered_and_one_that_was_lost_is_asked_for_again(tmp_path: Path):
+    with closing(Counting(ClusterLost("gone"))) as executor, service(tmp_path, executor) as client:
+        here = f"{finished(client, SWEEP)}/threshold"
+        fine = {"xi": 0.05, "tolerance": 1e-4}
+        refused = client.get(here, params=fine)
+        assert (refused.status_code, refused.headers["Retry-After"]) == (503, "2")
+        assert refused.json()["detail"] == "no worker is there to compute it (gone): ask again"
+        one, two = answered(client, here, **fine), answered(client, here, **fine)
+        assert one == two
+        assert one["tolerance"] == 1e-4
+        assert executor.calls == 2
+        assert answered(client, here, **fine | {"xi": 0.2}) != one
+        assert executor.calls == 3
+
+
+def test_more_computing_than_one_answer_may_take_is_refused(tmp_path: Path):
+    spec = SWEEP | {"gamma": [0.4, 1.2], "omega": {"start": 0.5, "stop": 1.0, "num": 2000}, "xi": 0.05}
+    with computing(tmp_path) as client:
+        here = client.post("/v1/jobs", json=spec | {"settle": 2000}).headers["Location"]
+        wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] > 0)
+        refused = client.get(f"{here}/threshold", params={"tolerance": 1e-4})
+        client.post(f"{here}/cancel")
+    assert refused.status_code == 413
+    detail = refused.json()["detail"]
+    assert re.search(
+        r"refining 2,000 values of omega takes some \d+ core-seconds, at most 60 are spent", detail
+    )
+    assert re.search(r"a sweep of \d+ would do$", detail)
