@@ -28,7 +28,7 @@ import psutil
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
 from service.jobs.ledger import Ledger, Writing
-from service.jobs.manager import Lifecycle
+from service.jobs.manager import JobManager
 from service.jobs.model import JobState
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -157,10 +157,10 @@ def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> Driven
     executor = Pretending(workers, seconds)
     before = psutil.Process().memory_info().rss
     with Counted(settings.ledger_path) as ledger:
-        lifecycle = Lifecycle(ledger, executor, settings)
-        lifecycle.start()
+        manager = JobManager(ledger, executor, settings)
+        manager.start()
         start = time.perf_counter()
-        job_id = lifecycle.submit(spec).job.id
+        job_id = manager.submit(spec).job.id
         marks, peak, processor = [], 0, time.process_time()
         while True:
             time.sleep(0.1)
@@ -172,7 +172,7 @@ def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> Driven
                 break
         wall, chunks = marks[-1]
         processor = time.process_time() - processor
-        lifecycle.stop()
+        manager.stop()
         executor.close()
         assert job.state is JobState.DONE, job.error
         commits = ledger.commits

@@ -32,7 +32,10 @@ Stack = tuple[str, ...]
 #: What a sample is for: the first of these that is in its stack, looked for in this order.
 PURPOSES = (
     ("kernel: the compiled physics", ("run_line (kernel",)),
-    ("store: compressing and writing chunks", ("write_chunk (worker", "harden (worker", "checksum (worker")),
+    (
+        "store: compressing and writing chunks",
+        ("write_chunk (worker", "fsync_files (worker", "checksum (worker"),
+    ),
     ("store: zarr's threads", ("(zarr/",)),
     ("task: everything else around the kernel", ("run_chunk (worker", "run_watched (worker")),
     ("ledger and supervisor", ("(service/supervisor", "(service/ledger")),

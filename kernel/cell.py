@@ -11,7 +11,7 @@ import numpy as np
 
 from kernel.interface import contact, flight, repeat
 from kernel.modes import REPEATS, TWO_PI, find_cycle
-from kernel.numerics.first_root import BROKEN, HORIZON, ROOT, Phase
+from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.params import Line, Outcome
 
@@ -185,7 +185,7 @@ def leave(run: Progress, state: Any) -> None:
 def classify(run: Progress, flights: Flights, first: int, micro_flight: float) -> tuple[int, int, int]:
     """Outcome, bounces and plate periods of a cell that has been run."""
     if run.ending != HORIZON:
-        return DIVERGED if run.ending == BROKEN else UNRESOLVED, 0, 0
+        return DIVERGED if run.ending == NON_FINITE else UNRESOLVED, 0, 0
     if not run.flew:
         return AT_REST, 0, 0
     bounces, periods = _cycle(flights, first, run.recorded, flights.size, micro_flight, REPEATS)

@@ -18,7 +18,7 @@ from kernel.models.lockstep import run_lockstep
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
 from kernel.models.stepped import SteppedPlate, stepped_plate
-from kernel.numerics.first_root import BROKEN
+from kernel.numerics.first_root import NON_FINITE
 from kernel.numerics.jit import jit
 from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
 from kernel.validation import check_arrays, check_window, checked_state
@@ -45,7 +45,7 @@ def _walk(
         leave(run, state)
         write(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
-        started = run.ending != BROKEN  # nothing can be carried on from there
+        started = run.ending != NON_FINITE  # nothing can be carried on from there
 
 
 @jit

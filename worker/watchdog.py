@@ -54,14 +54,14 @@ def run_watched(
         time.sleep(WORDS_SECONDS)
         os._exit(1)
 
-    with _last_resort(seconds + LAST_RESORT), _Watch(worker, store_url, seconds, end):
+    with _last_resort(seconds + LAST_RESORT), Watchdog(worker, store_url, seconds, end):
         try:
             return run_chunk(spec, chunk, store_url)
         except ChunkCancelled as cancelled:
             return cancelled
 
 
-class _Watch:
+class Watchdog:
     """A thread that looks after another one for as long as the block lasts."""
 
     def __init__(self, worker: Any, store_url: str, seconds: float, end: Callable[[str], None]) -> None:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from kernel.cell import Flights, Progress, Window, horizon_of, record
 from kernel.interface import contact, flies, flight, prepare, repeat, rest
-from kernel.models.chatter import collapse_time, collapses
+from kernel.models.chatter import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, lifted, state_after, takes_off
 from kernel.modes import TWO_PI
-from kernel.numerics.first_root import HORIZON, ROOT, SPENT, Phase
+from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit
 
 #: Phases after a take-off from rest that a cell remembers, the next take-off among them if it comes so soon.
@@ -69,7 +69,7 @@ def _settles(b: Ball, phi: float, hop: float, press: float, press1: float) -> bo
     """Whether a ball leaving the plate at velocity `hop`, pressed back with n = press, may count as on it."""
     if lifted(b.lift, phi):
         return False
-    return hop <= 0.0 or collapses(hop, press, press1, 1.0, b.restitution)
+    return hop <= 0.0 or chatter_completes(hop, press, press1, 1.0, b.restitution)
 
 
 @flies.register(Ball)
@@ -87,9 +87,9 @@ def _contact(
 ) -> Phase:
     """The rest of a cascade, if gap' > 0; else resting until take-off."""
     if budget <= 0:
-        return Phase(0.0, SPENT, False, 0.0, gap1, 0.0, 0.0, 0)
+        return Phase(0.0, BUDGET_EXHAUSTED, False, 0.0, gap1, 0.0, 0.0, 0)
     if gap1 > 0.0:
-        end = collapse_time(gap1, b.gravity - math.cos(phi), math.sin(phi), b.restitution)
+        end = chatter_time(gap1, b.gravity - math.cos(phi), math.sin(phi), b.restitution)
         if end >= horizon:  # the hops' velocities fall off evenly in time
             return Phase(horizon, HORIZON, False, 0.0, gap1 * (1.0 - horizon / end), 0.0, 0.0, 1)
         return Phase(end, ROOT, False, 0.0, 0.0, 0.0, 0.0, 1)
@@ -105,7 +105,7 @@ def _flight(
     b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
     if budget <= 0:
-        return Phase(0.0, SPENT, True, gap, gap1, 0.0, 0.0, 0)
+        return Phase(0.0, BUDGET_EXHAUSTED, True, gap, gap1, 0.0, 0.0, 0)
     p = drop(b.gravity, b.lift, b.slope, phi, gap, gap1)
     end = landing(p, horizon, budget)
     if end.ending != ROOT:

@@ -15,7 +15,7 @@ STEADY: Final = 1e-3
 
 
 @jit
-def collapses(hop: float, n: float, n1: float, n2: float, e: float) -> bool:
+def chatter_completes(hop: float, n: float, n1: float, n2: float, e: float) -> bool:
     """Whether the hops from velocity `hop` on may be summed up: STEADY holds, and they end on the plate.
 
     n > 0 presses the mass back, changing at the rate n1 per rad; n2 >= 0 bounds the rate of
@@ -28,7 +28,7 @@ def collapses(hop: float, n: float, n1: float, n2: float, e: float) -> bool:
 
 
 @jit
-def collapse_time(hop: float, n: float, n1: float, e: float) -> float:
-    """Rad from a hop that leaves at velocity `hop` until the last of those that follow, under `collapses`."""
+def chatter_time(hop: float, n: float, n1: float, e: float) -> float:
+    """Rad from a hop at velocity `hop` to the last of those that follow, under `chatter_completes`."""
     series = 2.0 * hop / (n * (1.0 - e))
     return series * (1.0 - n1 * series / (3.0 * n))

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from kernel.modes import TWO_PI
 from kernel.numerics.elementary import turned
-from kernel.numerics.first_root import EPS, HORIZON, ROOT, SPENT, householder
+from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, ROOT, householder
 from kernel.numerics.jit import jit
 
 #: Below this many rad the gap is summed as a power series, which keeps the digits of small hops.
@@ -53,7 +53,7 @@ class Landing(NamedTuple):
     """The end of a flight."""
 
     tau: float  # rad
-    ending: int  # ROOT, HORIZON or SPENT
+    ending: int  # ROOT, HORIZON or BUDGET_EXHAUSTED
     gap1: float  # the rest is 0 unless the ending is ROOT
     gap2: float
     gap3: float
@@ -180,7 +180,7 @@ def _guess(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: flo
 
 @jit
 def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
-    """The interval of the first landing, ROOT | HORIZON | SPENT, and evaluations used."""
+    """The interval of the first landing, ROOT | HORIZON | BUDGET_EXHAUSTED, and evaluations used."""
     a, fa, da = 0.0, p.gap, p.gap1
     b, convex = p.bend, p.convex
     sine = p.slope if convex else -p.slope
@@ -201,7 +201,7 @@ def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
         a, fa, da = b, fb, db
         b += TWO_PI - 2.0 * p.lift if convex else 2.0 * p.lift
         convex, sine = not convex, -sine
-    return Bracket(a, a, a), SPENT, budget
+    return Bracket(a, a, a), BUDGET_EXHAUSTED, budget
 
 
 @jit
@@ -234,7 +234,7 @@ def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
         tau += step
         if abs(tau - start) > NEARBY * tau:
             start, here = 0.0, p
-    return Landing(tau, SPENT, 0.0, 0.0, 0.0, budget)
+    return Landing(tau, BUDGET_EXHAUSTED, 0.0, 0.0, 0.0, budget)
 
 
 @jit

@@ -29,7 +29,7 @@ PATIENCE: Final = 60
 SEARCHING: Final = 0.0
 AT_ROOT: Final = 1.0  # the zero is MOVE away from TAU
 AT_HORIZON: Final = 2.0
-STRAYED: Final = 3.0  # patience ran out, or a number stopped being finite
+FALLBACK: Final = 3.0  # patience ran out, or a number stopped being finite
 
 # Rows of the table of lanes, each LANES wide: what a phase is, ...
 (PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0) = range(12)
@@ -168,7 +168,7 @@ def advance(table: Any) -> None:
         status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not found) else status
         count = table[COUNT * LANES + k] + 1.0
         lost_way = (count > PATIENCE) | (not (abs(f0) + f4 < math.inf))
-        status = STRAYED if lost_way else status
+        status = FALLBACK if lost_way else status
         onward = min(tau + (move if closing > 0.0 else step), horizon)
         table[TAU * LANES + k] = onward if status == SEARCHING else tau
         table[GUESS * LANES + k] = (2.0 if step >= guess else 1.5) * step

@@ -28,6 +28,7 @@ from kernel.models.lanes import (
     AT_ROOT,
     COS,
     COUNT,
+    FALLBACK,
     K0,
     K1,
     LANES,
@@ -36,7 +37,6 @@ from kernel.models.lanes import (
     SEARCHING,
     SIN,
     STATUS,
-    STRAYED,
     TAU,
     Y1,
     Y,
@@ -92,7 +92,7 @@ def _left_alone(table: Any, k: int, run: Progress) -> bool:
     """Whether lane k's phase is to be done again by itself: a brief flight, or a contact without an end."""
     if table[STATUS * LANES + k] == AT_ROOT:
         return run.in_flight and table[TAU * LANES + k] < BRIEF
-    return table[STATUS * LANES + k] == STRAYED or not run.in_flight
+    return table[STATUS * LANES + k] == FALLBACK or not run.in_flight
 
 
 @inlined
@@ -196,5 +196,5 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     left -= 1
                 else:
                     loaded = _load(table, k, springs[k], runs[k], sin, cos, window)
-                    table[STATUS * LANES + k] = SEARCHING if loaded else STRAYED
+                    table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
         advance(table)

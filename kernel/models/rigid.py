@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.interface import contact, flies, flight, prepare, rest
-from kernel.models.chatter import collapses
+from kernel.models.chatter import chatter_completes
 from kernel.models.flight import landing, state_after, take_off
 from kernel.numerics.elementary import turned
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
@@ -193,4 +193,4 @@ def _settles(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float)
     h4, h5, _ = derivatives(s.stuck, h2, h3)
     rate = h3 + s.n_re * sin + s.n_im * cos
     bound = abs(s.n_re) + abs(s.n_im) + envelope(s.stuck, h4, h5)
-    return collapses(hop, normal_force(s, cos, q, q1), rate, bound, s.restitution)
+    return chatter_completes(hop, normal_force(s, cos, q, q1), rate, bound, s.restitution)

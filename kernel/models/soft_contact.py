@@ -26,7 +26,7 @@ NEAREST_RESONANCE: Final = 1e-8
 NOTHING: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 
 
-class Tie(NamedTuple):
+class Coupling(NamedTuple):
     """Within one free motion, what follows is value * x + rate * x' where x leads."""
 
     value: float
@@ -37,10 +37,10 @@ class Tie(NamedTuple):
 class Free(NamedTuple):
     """The free motion in contact as two damped oscillators."""
 
-    led_by_gap: Oscillator
-    led_by_q: Oscillator
-    elongation: Tie  # how the elongation follows the gap in the first
-    gap: Tie  # how the gap follows the elongation in the second
+    gap_mode: Oscillator
+    elongation_mode: Oscillator
+    elongation: Coupling  # how the elongation follows the gap in the first
+    gap: Coupling  # how the gap follows the elongation in the second
 
 
 class SoftSpring(NamedTuple):
@@ -53,11 +53,11 @@ class SoftSpring(NamedTuple):
     beta: float  # contact damping 2 zeta/d
     adhesive: bool
     flight: Oscillator
-    led_by_gap: Oscillator
-    led_by_q: Oscillator
-    elongation: Tie  # how the elongation follows the gap
-    gap: Tie  # how the gap follows the elongation
-    untie: tuple[float, float, float, float]  # the inverse of 1 - gap * elongation, by rows
+    gap_mode: Oscillator
+    elongation_mode: Oscillator
+    elongation: Coupling  # how the elongation follows the gap
+    gap: Coupling  # how the gap follows the elongation
+    decoupling: tuple[float, float, float, float]  # the inverse of 1 - gap * elongation, by rows
     sag: float  # static elongation
     dent: float  # static gap, < 0
     q_re: float  # driven elongation Re(Q e^{i phi})
@@ -115,11 +115,11 @@ def soft_spring(
         beta=beta,
         adhesive=adhesive,
         flight=oscillator(b, 2.0 * w),
-        led_by_gap=free.led_by_gap,
-        led_by_q=free.led_by_q,
+        gap_mode=free.gap_mode,
+        elongation_mode=free.elongation_mode,
         elongation=free.elongation,
         gap=free.gap,
-        untie=_untie(free),
+        decoupling=_decoupling(free),
         sag=-1.0 / (gamma * w),
         dent=-2.0 / (gamma * kappa),
         q_re=driven_q.real,
@@ -130,7 +130,7 @@ def soft_spring(
 
 
 @jit
-def _tie(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> Tie:
+def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> Coupling:
     """The y of y'' + b y' + w y = c1 x' + c0 x where x, and so y, moves as the oscillator does."""
     a1, a0 = 2.0 * osc.damping, osc.stiffness
     # (value + rate s)(p + r s) = c0 + c1 s wherever s**2 + a1 s + a0 = 0
@@ -140,7 +140,7 @@ def _tie(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> Tie:
     size, spread = w + a0, b + a1
     trust = abs(det) / (size * size + size * spread * a1 + spread * spread * a0)
     value, rate = c0 * p + r * (c1 * a0 - c0 * a1), (c1 * w - c0 * b) + (c0 * a1 - c1 * a0)
-    return Tie(value / det, rate / det, trust)
+    return Coupling(value / det, rate / det, trust)
 
 
 @jit
@@ -152,34 +152,34 @@ def _told_apart(b: float, w: float, beta: float, kappa: float) -> Free:
     """
     c3, c2, c1, c0 = beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa
     z = roots(c3, c2, c1, c0)
-    most, best = -1.0, Free(NOTHING, NOTHING, Tie(0.0, 0.0, 0.0), Tie(0.0, 0.0, 0.0))
+    most, best = -1.0, Free(NOTHING, NOTHING, Coupling(0.0, 0.0, 0.0), Coupling(0.0, 0.0, 0.0))
     for partner in (1, 2, 3):
         apart, f = paired(c3, c2, c1, c0, z, partner)
         if apart == 0.0:
             continue
         slow, fast = oscillator(0.5 * f.a1, f.b1), oscillator(0.5 * f.a2, f.b2)
-        for led_by_gap, led_by_q in ((fast, slow), (slow, fast)):
-            elongation = _tie(led_by_gap, b, w, 2.0 * led_by_gap.damping, led_by_gap.stiffness)
-            gap = _tie(led_by_q, beta, kappa, b, w)
+        for gap_mode, elongation_mode in ((fast, slow), (slow, fast)):
+            elongation = _coupling(gap_mode, b, w, 2.0 * gap_mode.damping, gap_mode.stiffness)
+            gap = _coupling(elongation_mode, beta, kappa, b, w)
             trust = apart * elongation.trust * gap.trust
             if trust > most:
-                most, best = trust, Free(led_by_gap, led_by_q, elongation, gap)
+                most, best = trust, Free(gap_mode, elongation_mode, elongation, gap)
     return best
 
 
 @jit
-def _follow(tie: Tie, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
+def _follow(tie: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
     """What follows, and its velocity, where x leads in this oscillator."""
     x2 = -2.0 * osc.damping * x1 - osc.stiffness * x
     return tie.value * x + tie.rate * x1, tie.value * x1 + tie.rate * x2
 
 
 @jit
-def _untie(f: Free) -> tuple[float, float, float, float]:
-    q, q1 = _follow(f.elongation, f.led_by_gap, 1.0, 0.0)
-    m00, m10 = _follow(f.gap, f.led_by_q, q, q1)
-    q, q1 = _follow(f.elongation, f.led_by_gap, 0.0, 1.0)
-    m01, m11 = _follow(f.gap, f.led_by_q, q, q1)
+def _decoupling(f: Free) -> tuple[float, float, float, float]:
+    q, q1 = _follow(f.elongation, f.gap_mode, 1.0, 0.0)
+    m00, m10 = _follow(f.gap, f.elongation_mode, q, q1)
+    q, q1 = _follow(f.elongation, f.gap_mode, 0.0, 1.0)
+    m01, m11 = _follow(f.gap, f.elongation_mode, q, q1)
     m00, m01, m10, m11 = 1.0 - m00, -m01, -m10, 1.0 - m11
     det = m00 * m11 - m01 * m10
     return m11 / det, -m01 / det, -m10 / det, m00 / det
@@ -198,11 +198,11 @@ def split(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: floa
     q1 += s.q_re * sin + s.q_im * cos
     gap -= s.dent + s.g_re * cos - s.g_im * sin
     gap1 += s.g_re * sin + s.g_im * cos
-    follows, follows1 = _follow(s.gap, s.led_by_q, q, q1)
+    follows, follows1 = _follow(s.gap, s.elongation_mode, q, q1)
     left, left1 = gap - follows, gap1 - follows1
-    m00, m01, m10, m11 = s.untie
+    m00, m01, m10, m11 = s.decoupling
     led, led1 = m00 * left + m01 * left1, m10 * left + m11 * left1
-    follows, follows1 = _follow(s.elongation, s.led_by_gap, led, led1)
+    follows, follows1 = _follow(s.elongation, s.gap_mode, led, led1)
     return Split(led, led1, q - follows, q1 - follows1)
 
 
@@ -210,10 +210,10 @@ def split(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: floa
 def join(s: SoftSpring, m: Split, phi: float, tau: float) -> tuple[float, float, float, float]:
     """Gap, gap', q, q' tau rad after a split at phase phi."""
     sin, cos = turned(phi + tau)
-    led, led1 = motion(s.led_by_gap, m.gap, m.gap1, tau)
-    q, q1 = motion(s.led_by_q, m.q, m.q1, tau)
-    gap, gap1 = _follow(s.gap, s.led_by_q, q, q1)
-    follows, follows1 = _follow(s.elongation, s.led_by_gap, led, led1)
+    led, led1 = motion(s.gap_mode, m.gap, m.gap1, tau)
+    q, q1 = motion(s.elongation_mode, m.q, m.q1, tau)
+    gap, gap1 = _follow(s.gap, s.elongation_mode, q, q1)
+    follows, follows1 = _follow(s.elongation, s.gap_mode, led, led1)
     return (
         s.dent + s.g_re * cos - s.g_im * sin + gap + led,
         -(s.g_re * sin + s.g_im * cos) + gap1 + led1,
@@ -233,14 +233,14 @@ def _force(osc: Oscillator, kappa: float, c: float, gap: float, gap1: float) -> 
 def pressed(s: SoftSpring, m: Split, phi: float) -> Pressed:
     """-(kappa gap + c gap') from phi on, with c = 0 (adhesive) or beta (nonadhesive)."""
     c = 0.0 if s.adhesive else s.beta
-    gap, gap1 = _follow(s.gap, s.led_by_q, m.q, m.q1)
-    led, led1 = _force(s.led_by_gap, s.kappa, c, m.gap, m.gap1)
-    follows, follows1 = _force(s.led_by_q, s.kappa, c, gap, gap1)
-    gap_rings = s.led_by_gap.stiffness >= s.led_by_q.stiffness
+    gap, gap1 = _follow(s.gap, s.elongation_mode, m.q, m.q1)
+    led, led1 = _force(s.gap_mode, s.kappa, c, m.gap, m.gap1)
+    follows, follows1 = _force(s.elongation_mode, s.kappa, c, gap, gap1)
+    gap_rings = s.gap_mode.stiffness >= s.elongation_mode.stiffness
     slow, slow1, fast, fast1 = (follows, follows1, led, led1) if gap_rings else (led, led1, follows, follows1)
     return Pressed(
-        s.led_by_q if gap_rings else s.led_by_gap,
-        s.led_by_gap if gap_rings else s.led_by_q,
+        s.elongation_mode if gap_rings else s.gap_mode,
+        s.gap_mode if gap_rings else s.elongation_mode,
         phi,
         still=-s.kappa * s.dent,
         w_re=-(s.kappa * s.g_re - c * s.g_im),

@@ -22,7 +22,7 @@ from kernel.interface import contact, flies, flight, prepare, rest
 from kernel.models.contact_law import lets_go
 from kernel.models.time_stepping import Grid, Law, March, Point, before, law, march, outset, over, step
 from kernel.modes import TWO_PI
-from kernel.numerics.first_root import BROKEN, EPS, HORIZON, ROOT, SPENT, Phase
+from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import jit
 from kernel.params import KernelInputError
 from kernel.restitution import damping_ratio
@@ -146,7 +146,7 @@ def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[fl
         return n * s.grid.step - phi, ROOT, row.now
     part, end = _locate(s, law, before(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
     if not abs(end.gap) + abs(end.q) + abs(part) < LARGEST:
-        return n * s.grid.step - phi, BROKEN, end
+        return n * s.grid.step - phi, NON_FINITE, end
     return (n - 1) * s.grid.step - phi + part, ROOT, end
 
 
@@ -157,7 +157,7 @@ def _run(
     """Step until the contact or flight is over, or to the horizon: rad, ending and state."""
     steps, h, m = s.grid.steps, s.grid.step, s.grid.implicit
     if budget <= 0 or steps > MOST_STEPS_PER_PERIOD:
-        return 0.0, SPENT, x
+        return 0.0, BUDGET_EXHAUSTED, x
     last = math.floor((phi + horizon) / h + 0.5)
     n = math.floor(phi / h + SLIVER) + 1
     if n > last:
@@ -169,7 +169,7 @@ def _run(
         row = march(s.grid, law, s.gravity, c, d, row, min(BLOCK, last - n))
         n += row.taken
         if not abs(row.now.gap) + abs(row.now.q) < LARGEST:
-            return n * h - phi, BROKEN, row.now
+            return n * h - phi, NON_FINITE, row.now
         if row.over:
             break
         if n == last:

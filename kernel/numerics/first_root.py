@@ -18,8 +18,8 @@ from kernel.numerics.jit import by_type, inlined, jit
 #: How a search ends.
 ROOT: Final = 0
 HORIZON: Final = 1  # no zero before the horizon
-SPENT: Final = 2  # the budget of evaluations ran out
-BROKEN: Final = 3  # a number stopped being finite
+BUDGET_EXHAUSTED: Final = 2  # the budget of evaluations ran out
+NON_FINITE: Final = 3  # a number stopped being finite
 
 #: Rounding of one operation.
 EPS: Final = 2.3e-16
@@ -53,7 +53,7 @@ class Phase(NamedTuple):
     """The end of one contact or flight, and the state there."""
 
     tau: float  # rad since it began
-    ending: int  # ROOT, HORIZON, SPENT or BROKEN
+    ending: int  # ROOT, HORIZON, BUDGET_EXHAUSTED or NON_FINITE
     in_flight: bool  # what follows
     gap: float
     gap1: float
@@ -146,7 +146,7 @@ def close_in(phase: Any, low: float, high: float, tau: float, budget: int) -> tu
         tau = min(max(tau + step, low), high)
         if left <= EPS * tau or abs(f0) <= t.noise:
             return tau, ROOT, used + 1
-    return tau, SPENT, budget
+    return tau, BUDGET_EXHAUSTED, budget
 
 
 @jit
@@ -154,7 +154,7 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
     """First time after `start` at which the phase's function, positive just after it, falls to zero.
 
     Times in rad from the start of the phase. Returns
-    (tau, ROOT | HORIZON | SPENT | BROKEN, evaluations used).
+    (tau, ROOT | HORIZON | BUDGET_EXHAUSTED | NON_FINITE, evaluations used).
     """
     tau = start
     guess = 0.0
@@ -165,7 +165,7 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
         f0, f1 = t.smooth + t.ring, t.smooth1 + t.ring1
         f2, f3, f4 = t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
         if not math.isfinite(f0 + f1 + f4):
-            return tau, BROKEN, used
+            return tau, NON_FINITE, used
         if f0 <= max(t.noise, -f1 * 4.0 * EPS * tau) and (f1 < 0.0 or (f1 == 0.0 and f2 < 0.0)):
             # from F = F' = 0 about to fall no step could be told from none
             return max(tau - f0 / f1, start) if f1 < 0.0 else tau, ROOT, used
@@ -189,4 +189,4 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
             return tau, ROOT, used  # it never left zero
         guess = 2.0 * step
         tau += max(step, EPS * tau)
-    return tau, SPENT, budget
+    return tau, BUDGET_EXHAUSTED, budget

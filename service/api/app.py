@@ -9,13 +9,13 @@ from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service.api import problems
-from service.api.capacity import Turns
+from service.api.capacity import ConcurrencyLimit
 from service.api.damage import damaged
-from service.api.dependencies import Service, asked_once
+from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.metrics import Metrics
-from service.api.middleware.access_control import Gate
+from service.api.middleware.access_control import AccessControl
 from service.api.middleware.body_limit import BodyLimit
-from service.api.progress_stream import Watch
+from service.api.progress_stream import ProgressStream
 from service.api.readiness import Health
 from service.api.routers import docs, jobs, page, results, tradeoff
 from service.api.routers import health as probes
@@ -23,10 +23,10 @@ from service.api.routers import model as trajectories
 from service.api.routers.model import TrajectorySpec
 from service.api.schemas import ProblemDocument
 from service.jobs.ledger import Ledger
-from service.jobs.manager import Lifecycle
-from service.jobs.on_demand import Answers, Underway, underway
+from service.jobs.manager import JobManager
+from service.jobs.on_demand import OnDemandCache, Pending, underway
 from service.render import export
-from service.server.logging import Requests
+from service.server.logging import AccessLog
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.spec import SweepSpec
@@ -48,7 +48,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
         version="0.1.0",
         docs_url=None,  # /docs is our own: the usual ones fetch their scripts from elsewhere
         redoc_url=None,
-        dependencies=[Depends(asked_once)],
+        dependencies=[Depends(reject_repeated_parameters)],
         lifespan=partial(_lifespan, settings=settings, executor=executor, metrics=metrics),
     )
     app.include_router(jobs.router)
@@ -60,10 +60,10 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     page.install(app)
     problems.install(app)
     app.add_exception_handler(StoreDamaged, damaged)
-    app.add_exception_handler(Underway, underway)
+    app.add_exception_handler(Pending, underway)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
-    app.add_middleware(Gate, settings=settings)
-    app.add_middleware(Requests, metrics=metrics)  # the outermost: it tells of refusals too
+    app.add_middleware(AccessControl, settings=settings)
+    app.add_middleware(AccessLog, metrics=metrics)  # the outermost: it tells of refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app
 
@@ -77,12 +77,12 @@ async def _lifespan(
         export.sweep_leftovers(settings.exports_path)
         service = _service(settings, ledger, executor, metrics)
         app.state.service = service
-        service.lifecycle.start()
+        service.manager.start()
         try:
             yield
         finally:
             service.answers.close()
-            service.lifecycle.stop()
+            service.manager.stop()
 
 
 def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Metrics) -> Service:
@@ -91,13 +91,13 @@ def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Me
     return Service(
         settings=settings,
         ledger=ledger,
-        lifecycle=Lifecycle(ledger, executor, settings),
+        manager=JobManager(ledger, executor, settings),
         health=health,
-        watch=Watch(ledger, settings.max_listeners),
+        watch=ProgressStream(ledger, settings.max_listeners),
         metrics=metrics,
-        exports=Turns("files", settings.max_exports),
-        trajectories=Turns("trajectories", settings.max_trajectories),
-        answers=Answers(executor),
+        exports=ConcurrencyLimit("files", settings.max_exports),
+        trajectories=ConcurrencyLimit("trajectories", settings.max_trajectories),
+        answers=OnDemandCache(executor),
     )
 
 

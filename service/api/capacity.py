@@ -1,13 +1,13 @@
-"""Turns at what is costly: a few requests at a time, the next ones wait a moment or come back later."""
+"""Limits concurrent expensive requests; a caller over the limit waits up to 1 s, then gets 429."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from service.api.problems import Busy
+from service.errors import Busy
 
 
-class Turns:
+class ConcurrencyLimit:
     """At most `places` at a time; who waits longer than `seconds` is told to come back."""
 
     def __init__(self, what: str, places: int, seconds: float = 1.0) -> None:

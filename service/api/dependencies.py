@@ -9,16 +9,16 @@ from typing import Annotated
 from fastapi import Depends, Request, Response
 
 from service.api import schemas
-from service.api.capacity import Turns
+from service.api.capacity import ConcurrencyLimit
 from service.api.metrics import Metrics
-from service.api.problems import InvalidRequest, UnknownJob, WrongMediaType
-from service.api.progress_stream import Watch
+from service.api.progress_stream import ProgressStream
 from service.api.readiness import Health
+from service.errors import InvalidRequest, UnknownJob, WrongMediaType
 from service.jobs.ledger import Ledger
-from service.jobs.manager import Lifecycle
+from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
 from service.jobs.model_selection import computed_spec
-from service.jobs.on_demand import Answers
+from service.jobs.on_demand import OnDemandCache
 from service.results.diagram import Sweep
 from service.settings import Settings
 
@@ -29,13 +29,13 @@ class Service:
 
     settings: Settings
     ledger: Ledger
-    lifecycle: Lifecycle
+    manager: JobManager
     health: Health
-    watch: Watch
+    watch: ProgressStream
     metrics: Metrics
-    exports: Turns
-    trajectories: Turns
-    answers: Answers
+    exports: ConcurrencyLimit
+    trajectories: ConcurrencyLimit
+    answers: OnDemandCache
 
 
 async def _service(request: Request) -> Service:  # async: a plain one would take a thread for nothing
@@ -54,7 +54,7 @@ def job_of(job_id: str, service: TheService) -> JobRecord:
     return job
 
 
-async def asked_once(request: Request) -> None:
+async def reject_repeated_parameters(request: Request) -> None:
     """Refuse a parameter given twice, of which only the last would count. Raises InvalidRequest."""
     times = Counter(name for name, _ in request.query_params.multi_items())
     for name in times:

@@ -1,25 +1,5 @@
-"""What the service refuses, and the one table that turns it into HTTP.
+"""Errors as HTTP: one table from an error to its status, and the problem document that answers it.
 
-    ServiceError
-    ├── WrongMediaType         the body is declared as something else
-    ├── BodyTimeout            the body did not arrive in time
-    ├── InvalidRequest         a field breaks a rule; names both
-    ├── MustIdentify           no token came with the request, or a wrong one
-    ├── WrongHost              the Host header names no name of this service
-    ├── ForeignPage            a page from elsewhere asks for a change
-    ├── UnknownJob             no job has this id
-    ├── NotInStore             a job's store has nothing under this key
-    ├── KeyReused              an Idempotency-Key came again with another body
-    ├── IllegalTransition      the job is not in a state that allows this
-    ├── TooLarge               body, sweep or answer above a cap; says what would fit
-    ├── QueueFull              too many jobs wait already
-    ├── Busy                   too many costly requests are being answered already
-    ├── NotComputed            no worker is there to answer, or those that did were lost
-    ├── NoSpace                there is no room for a file of an answer
-    ├── DataFolderBusy         another service uses the data folder (only at start)
-    └── LedgerUnusable         the ledger was written by a newer version (only at start)
-
-A specification that cannot be used is the worker's `SpecError`, told in its own words.
 Errors travel as `application/problem+json` (RFC 9457) with an extension:
 `errors`, a list of `{"field", "rule"}`.
 """
@@ -36,99 +16,29 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
+from service.errors import (
+    BodyTimeout,
+    Busy,
+    CrossOriginRefused,
+    HostNotAllowed,
+    IllegalTransition,
+    InvalidRequest,
+    KeyReused,
+    NoSpace,
+    NotComputed,
+    NotInStore,
+    QueueFull,
+    TooLarge,
+    Unauthenticated,
+    UnknownJob,
+    WrongMediaType,
+)
 from worker import store
 from worker.spec.errors import Problem as Broken
 from worker.spec.errors import SpecError, SpecTooLarge, SpecUnreadable
 from worker.store import StoreError
 
 log = logging.getLogger(__name__)
-
-
-class ServiceError(Exception):
-    """Root of what the service refuses on purpose; the text is fit to show to a user."""
-
-    def __init__(self, detail: str, rules: Sequence[Broken] = ()) -> None:
-        super().__init__(detail)
-        self.problems = tuple(rules)
-
-
-class WrongMediaType(ServiceError):
-    """The body is declared as something else than JSON."""
-
-
-class BodyTimeout(ServiceError):
-    """The body did not arrive in time."""
-
-
-class InvalidRequest(ServiceError):
-    """A field of the request breaks a rule."""
-
-    @classmethod
-    def of(cls, field: str, rule: str) -> "InvalidRequest":
-        """The error for one field."""
-        return cls(f"{field}: {rule}", [Broken(field, rule)])
-
-
-class MustIdentify(ServiceError):
-    """No token came with the request, or a wrong one."""
-
-
-class WrongHost(ServiceError):
-    """The Host header names no name of this service."""
-
-
-class ForeignPage(ServiceError):
-    """A page from elsewhere asks for a change."""
-
-
-class NotInStore(ServiceError):
-    """A job's store has nothing under this key."""
-
-
-class KeyReused(ServiceError):
-    """An Idempotency-Key came again with another body."""
-
-
-class UnknownJob(ServiceError):
-    """No job has this id."""
-
-    @classmethod
-    def of(cls, job_id: str) -> "UnknownJob":
-        """The error for one id."""
-        return cls(f"no job has the id {job_id[:64]!a}")
-
-
-class IllegalTransition(ServiceError):
-    """The job is not in a state that allows this."""
-
-
-class TooLarge(ServiceError):
-    """Body, sweep or answer above a cap."""
-
-
-class QueueFull(ServiceError):
-    """Too many jobs wait already."""
-
-
-class Busy(ServiceError):
-    """Too many costly requests are being answered already."""
-
-
-class NotComputed(ServiceError):
-    """No worker is there to compute an answer, or those that did were lost."""
-
-
-class NoSpace(ServiceError):
-    """There is no room for a file of an answer."""
-
-
-class DataFolderBusy(ServiceError):
-    """Another service uses the data folder."""
-
-
-class LedgerUnusable(ServiceError):
-    """The ledger was written by a newer version."""
-
 
 #: The one table, the first that fits. What is not here is a defect of the service and answers 500.
 STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
@@ -138,9 +48,9 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     WrongMediaType: HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
     BodyTimeout: HTTPStatus.REQUEST_TIMEOUT,
     InvalidRequest: HTTPStatus.UNPROCESSABLE_ENTITY,
-    MustIdentify: HTTPStatus.UNAUTHORIZED,
-    WrongHost: HTTPStatus.MISDIRECTED_REQUEST,
-    ForeignPage: HTTPStatus.FORBIDDEN,
+    Unauthenticated: HTTPStatus.UNAUTHORIZED,
+    HostNotAllowed: HTTPStatus.MISDIRECTED_REQUEST,
+    CrossOriginRefused: HTTPStatus.FORBIDDEN,
     UnknownJob: HTTPStatus.NOT_FOUND,
     NotInStore: HTTPStatus.NOT_FOUND,
     KeyReused: HTTPStatus.CONFLICT,

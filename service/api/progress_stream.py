@@ -8,7 +8,7 @@ from typing import Final
 from starlette.concurrency import run_in_threadpool
 
 from service.api import schemas
-from service.api.problems import Busy
+from service.errors import Busy
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
 
@@ -16,7 +16,7 @@ from service.jobs.model import UNFINISHED, JobRecord
 LOOK_SECONDS: Final = 0.25
 
 
-class Watch:
+class ProgressStream:
     """Looks at jobs for those who listen. Used in the event loop, but for `close`."""
 
     def __init__(self, ledger: Ledger, most: int) -> None:

@@ -1,4 +1,4 @@
-"""Answers of the service as xarray Datasets, described as the CF conventions ask."""
+"""OnDemandCache of the service as xarray Datasets, described as the CF conventions ask."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeAlias

@@ -18,10 +18,10 @@ from typing import IO, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from service.api.problems import DataFolderBusy, LedgerUnusable
+from service.errors import DataFolderBusy, LedgerUnusable
 from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob, check_transition
-from service.jobs.transactions import ChunkReading, ChunkWriting
+from service.jobs.transactions import ChunkReads, ChunkWrites
 
 Column = str | float | bool | None
 
@@ -53,7 +53,7 @@ class Pace(NamedTuple):
     cells: int
 
 
-class Reading(ChunkReading):
+class ReadTransaction(ChunkReads):
     """Questions to the ledger, on one connection."""
 
     def find(self, job_id: str) -> JobRecord | None:
@@ -112,7 +112,7 @@ class Reading(ChunkReading):
         return [Pace(row["spec"], row["seconds"], row["cells"]) for row in rows]
 
 
-class Writing(Reading, ChunkWriting):
+class WriteTransaction(ReadTransaction, ChunkWrites):
     """Changes of the ledger, within one transaction."""
 
     def insert(self, job: NewJob, now: float) -> None:
@@ -214,18 +214,18 @@ class Ledger:
             self._opened.close()
 
     @contextmanager
-    def reading(self) -> Iterator[Reading]:
+    def reading(self) -> Iterator[ReadTransaction]:
         """Ask; never waits for a writer."""
         with self._read_lock:
-            yield Reading(self._reader)
+            yield ReadTransaction(self._reader)
 
     @contextmanager
-    def writing(self) -> Iterator[Writing]:
+    def writing(self) -> Iterator[WriteTransaction]:
         """Change, all or nothing; on the disk when it returns."""
         with self._write_lock:
             self._writer.execute("BEGIN IMMEDIATE")
             try:
-                yield Writing(self._writer)
+                yield WriteTransaction(self._writer)
                 self._writer.execute("COMMIT")
             except BaseException as error:
                 if self._writer.in_transaction:

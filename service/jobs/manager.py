@@ -8,11 +8,11 @@ import time
 from typing import Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
-from service.api.problems import IllegalTransition, KeyReused, QueueFull, UnknownJob
-from service.jobs.ledger import Ledger, Writing
+from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
+from service.jobs.ledger import Ledger, WriteTransaction
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
-from service.jobs.repair import Repairs
-from service.jobs.scrub import Housekeeper
+from service.jobs.repair import Repairer
+from service.jobs.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.settings import Settings
 from worker import store
@@ -33,7 +33,7 @@ class Submission(NamedTuple):
     accepted: bool
 
 
-class Lifecycle:
+class JobManager:
     """The jobs of one data folder. Its methods may be called from any thread."""
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
@@ -41,22 +41,22 @@ class Lifecycle:
         self._turn = threading.Lock()  # a sweep is not accepted again while its results are being deleted
         self._places = threading.Lock()  # no store is made while results are taken away
         self._supervisor = Supervisor(ledger, executor, settings, self._is_clear, self._places)
-        self.repairs = Repairs(ledger, settings, self._supervisor.undone)
-        self._housekeeper = Housekeeper(ledger, settings, self.repairs, self._supervisor.ring)
+        self.repairer = Repairer(ledger, settings, self._supervisor.invalidated)
+        self._scrubber = Scrubber(ledger, settings, self.repairer, self._supervisor.wake)
 
     def start(self) -> None:
         """Go on with every job that was queued or running when the service last stopped."""
-        self._housekeeper.start()
+        self._scrubber.start()
         self._supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs go on at the next start."""
         give_up = time.monotonic() + STOP_SECONDS
-        self._housekeeper.stop(STOP_SECONDS)
+        self._scrubber.stop(STOP_SECONDS)
         self._supervisor.stop(max(give_up - time.monotonic(), 0.1))
 
     def _is_clear(self, job_id: str) -> bool:
-        return self._housekeeper.is_clear(job_id)
+        return self._scrubber.is_clear(job_id)
 
     def submit(self, spec: SweepSpec, key: str | None = None) -> Submission:
         """Accept a sweep, or find the job that it is already; one that failed or was cancelled goes on.
@@ -73,7 +73,7 @@ class Lifecycle:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
             self._ledger.keep_reserve()
-            self._supervisor.ring()
+            self._supervisor.wake()
         return Submission(record, accepted)
 
     def check(self, spec: SweepSpec) -> None:
@@ -88,7 +88,7 @@ class Lifecycle:
         with self._ledger.writing() as ledger:
             _cancel(ledger, _found(ledger.find(job_id), job_id))
             record = _found(ledger.find(job_id), job_id)
-        self._supervisor.ring()
+        self._supervisor.wake()
         return record
 
     def resume(self, job_id: str) -> Submission:
@@ -104,7 +104,7 @@ class Lifecycle:
             record = _found(ledger.find(job_id), job_id)
         if accepted:
             self._ledger.keep_reserve()
-            self._supervisor.ring()
+            self._supervisor.wake()
         return Submission(record, accepted)
 
     def delete(self, job_id: str) -> None:
@@ -127,9 +127,9 @@ class Lifecycle:
         # description the store takes nothing any more.
         url = self._settings.store_of(job_id)
         store.set_cancelled(url)
-        return store.set_aside(url)
+        return store.rename_for_deletion(url)
 
-    def _repeats(self, ledger: Writing, job: NewJob, key: str | None) -> bool:
+    def _repeats(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this very request was made before under this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
         known = ledger.key(key) if key is not None else None
@@ -140,7 +140,7 @@ class Lifecycle:
             )
         return known is not None
 
-    def _accept(self, ledger: Writing, job: NewJob) -> bool:
+    def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
         known = ledger.find(job.id)
         if known is None:
             self._check_queue(ledger)
@@ -154,7 +154,7 @@ class Lifecycle:
             return False
         return True
 
-    def _check_queue(self, ledger: Writing) -> None:
+    def _check_queue(self, ledger: WriteTransaction) -> None:
         waiting = ledger.count(UNFINISHED)
         if waiting >= self._settings.max_queue:
             most = self._settings.max_queue
@@ -169,7 +169,7 @@ def _remove(url: str) -> None:
         log.warning("%s cannot be removed now: %s", url, error)
 
 
-def _cancel(ledger: Writing, job: JobRecord) -> None:
+def _cancel(ledger: WriteTransaction, job: JobRecord) -> None:
     if job.state is JobState.QUEUED:
         ledger.finish(job, JobState.CANCELLED, time.time())
     elif job.state is JobState.RUNNING:

@@ -8,7 +8,7 @@ from service.jobs.model import DoneChunk
 from worker.tasks import ChunkReport
 
 
-class Settled(NamedTuple):
+class ChunkFinished(NamedTuple):
     """A chunk's future has come to its end."""
 
     job_id: str
@@ -16,14 +16,14 @@ class Settled(NamedTuple):
     future: "Future[ChunkReport]"
 
 
-class Undone(NamedTuple):
+class ChunksInvalidated(NamedTuple):
     """Chunks are no longer marked: their stored bytes are not what they were."""
 
     job_id: str
     chunks: Sequence[int]
 
 
-News = Settled | Undone | None  # None: look at the ledger
+Message = ChunkFinished | ChunksInvalidated | None  # None: look at the ledger
 
 
 def error_of(future: "Future[ChunkReport]") -> BaseException | None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from service.api.problems import IllegalTransition
+from service.errors import IllegalTransition
 
 
 class JobState(StrEnum):

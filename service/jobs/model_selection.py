@@ -47,11 +47,11 @@ class ChoiceView(BaseModel):
     table: list[RungView]
 
 
-class Choosing:
-    """Choices under way; used by the supervisor's thread alone. `ring` is called when one has come in."""
+class ModelSelector:
+    """Choices under way; used by the supervisor's thread alone. `wake` is called when one has come in."""
 
-    def __init__(self, ledger: Ledger, executor: Executor, ring: Callable[[], None]) -> None:
-        self._ledger, self._executor, self._ring = ledger, executor, ring
+    def __init__(self, ledger: Ledger, executor: Executor, wake: Callable[[], None]) -> None:
+        self._ledger, self._executor, self._wake = ledger, executor, wake
         self._under_way: dict[str, Future[Choice]] = {}
         self._losses: Counter[str] = Counter()
 
@@ -79,7 +79,7 @@ class Choosing:
             log.warning("nobody can choose a model for job %s: %s", job.id, error)
             return  # until the next look
         self._under_way[job.id] = future
-        future.add_done_callback(lambda _: self._ring())
+        future.add_done_callback(lambda _: self._wake())
 
     def _answer(self, job: JobRecord, future: "Future[Choice]") -> Choice | None:
         """What was chosen; None if it is to be chosen again."""

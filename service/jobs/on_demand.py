@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 from fastapi import Request, Response
 from pydantic import BaseModel
 
-from service.api.problems import Busy, NotComputed
+from service.errors import Busy, NotComputed
 from worker.executors.base import Executor
 from worker.executors.errors import ExecutorError
 
@@ -35,7 +35,7 @@ class PartsView(BaseModel):
     percent: float
 
 
-class UnderwayView(BaseModel):
+class PendingView(BaseModel):
     """Workers are computing the answer: ask again after Retry-After."""
 
     state: Literal["running"] = "running"
@@ -44,11 +44,11 @@ class UnderwayView(BaseModel):
 
 #: What the API document says of calls that may answer so.
 RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
-    202: {"model": UnderwayView, "description": "Not computed yet: ask again after Retry-After"}
+    202: {"model": PendingView, "description": "Not computed yet: ask again after Retry-After"}
 }
 
 
-class Underway(Exception):
+class Pending(Exception):
     """Workers are computing the answer; raised to the one handler below."""
 
     def __init__(self, done: int, total: int) -> None:
@@ -58,15 +58,15 @@ class Underway(Exception):
 
 def underway(_: Request, error: Exception) -> Response:
     """202 with how far the workers are."""
-    assert isinstance(error, Underway)  # as it is registered
+    assert isinstance(error, Pending)  # as it is registered
     parts = PartsView(
         parts_done=error.done, parts_total=error.total, percent=round(100.0 * error.done / error.total, 1)
     )
-    content = UnderwayView(progress=parts).model_dump_json()
+    content = PendingView(progress=parts).model_dump_json()
     return Response(content, 202, {"Retry-After": str(RETRY_AFTER)}, "application/json")
 
 
-class Answers:
+class OnDemandCache:
     """What workers answer. A request that gives up waiting leaves the work going for the next one."""
 
     def __init__(self, executor: Executor, places: int = 4, patience: float = 2.0) -> None:
@@ -77,13 +77,13 @@ class Answers:
     def to(self, question: Hashable, begin: Begin) -> list[Any]:
         """The parts of the answer, as soon as all are there; `begin` is used if nobody asked before.
 
-        Raises Underway if it takes longer than a request may wait, Busy if many others are being computed,
+        Raises Pending if it takes longer than a request may wait, Busy if many others are being computed,
         NotComputed if the workers were lost, and what the work itself raised.
         """
         parts = self._parts(question, begin)
         done, left = wait(parts, timeout=self._patience)
         if left:
-            raise Underway(len(done), len(parts))
+            raise Pending(len(done), len(parts))
         try:
             return [part.result() for part in parts]
         except BaseException as error:

@@ -4,7 +4,7 @@ from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord
 from service.jobs.model_selection import attributes_of, computed_spec
-from service.jobs.run import Run
+from service.jobs.run import JobRun
 from service.settings import Settings
 from worker import store
 from worker.plan import make_plan
@@ -15,7 +15,7 @@ class KernelChanged(Exception):
     """A job was begun by a kernel whose numbers may differ."""
 
 
-def opened(job: JobRecord, ledger: Ledger, settings: Settings) -> Run:
+def opened(job: JobRecord, ledger: Ledger, settings: Settings) -> JobRun:
     """The run of a job whose model is decided, with nothing in flight.
 
     Raises KernelChanged, a StoreError, an OSError, or one of `store.UNREACHABLE`.
@@ -29,6 +29,6 @@ def opened(job: JobRecord, ledger: Ledger, settings: Settings) -> Run:
     url = settings.store_of(job.id)
     store.create(url, spec, plan, attributes_of(job))
     store.clear_cancelled(url)
-    run = Run(job, computed_spec(job), plan, url, ledger.done_mask(job))
+    run = JobRun(job, computed_spec(job), plan, url, ledger.done_mask(job))
     run.stopping = job.cancel_requested  # the service stopped before the job could
     return run

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 NONE: Final = -1
 
 
-class Frontier:
+class ReadyQueue:
     """The chunks between done and not yet possible.
 
     `after`: (n,) integers, the chunk that each chunk waits for, or NONE.
@@ -56,7 +56,7 @@ class Frontier:
         self._out.add(chunk)
         return chunk
 
-    def put_back(self, chunk: int) -> None:
+    def requeue(self, chunk: int) -> None:
         """A chunk that was taken was not computed; the others go first."""
         self._out.discard(chunk)
         if self._possible(chunk):
@@ -71,7 +71,7 @@ class Frontier:
                 self._left -= 1
                 self._freed.extend(one for one in self._waiting_for(chunk))
 
-    def reopen(self, chunks: Iterable[int]) -> None:
+    def invalidate(self, chunks: Iterable[int]) -> None:
         """Chunks that were done are to be computed again, and what waits for them waits again."""
         again = {chunk for chunk in chunks if self._done[chunk]}
         self._done[list(again)] = False

@@ -7,35 +7,35 @@ from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord
 from service.jobs.model_selection import attributes_of
-from service.jobs.run import place
+from service.jobs.run import describe_chunk
 from service.settings import Settings
 from worker import store
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
-from worker.store import Place
+from worker.store import ChunkCoords
 
 log = logging.getLogger(__name__)
 
 
-class Repairs:
-    """Undoes chunks that are damaged; `undone` lets the supervisor know."""
+class Repairer:
+    """Undoes chunks that are damaged; `invalidated` lets the supervisor know."""
 
     def __init__(
-        self, ledger: Ledger, settings: Settings, undone: Callable[[str, Sequence[int]], None]
+        self, ledger: Ledger, settings: Settings, invalidated: Callable[[str, Sequence[int]], None]
     ) -> None:
-        self._ledger, self._settings, self._undone = ledger, settings, undone
+        self._ledger, self._settings, self._undone = ledger, settings, invalidated
 
-    def found(self, job_id: str, places: Sequence[Place]) -> str:
+    def found(self, job_id: str, places: Sequence[ChunkCoords]) -> str:
         """Someone met damage, in these chunks or outside any. Says what it is and what becomes of it."""
         job = self._ledger.find(job_id)
         if job is None:
             return "the job was deleted"
         spec, plan = planned(job)
         if job.kernel_version == KERNEL_VERSION:
-            store.mend(self._settings.store_of(job_id), spec, plan, attributes_of(job))
+            store.repair_metadata(self._settings.store_of(job_id), spec, plan, attributes_of(job))
         chunks = [plan.number(*one) for one in places]
         self.undo(job, chunks)
-        named = "; ".join(place(spec, plan[chunk]) for chunk in chunks[:3])
+        named = "; ".join(describe_chunk(spec, plan[chunk]) for chunk in chunks[:3])
         more = f" and {len(chunks) - 3} more" if len(chunks) > 3 else ""
         what = f"{named}{more}" if chunks else "the store's description"
         return f"stored results are damaged and computed again: {what}"
@@ -50,7 +50,7 @@ class Repairs:
         log.error("job %s: chunks %s are damaged in the store and computed again", job.id, gone)
         spec, plan = planned(job)
         for chunk in gone:
-            where = store.place_of(plan[chunk], plan.chunk_shape)
+            where = store.chunk_coords(plan[chunk], plan.chunk_shape)
             store.discard(self._settings.store_of(job.id), spec, where)
         self._undone(job.id, gone)
 

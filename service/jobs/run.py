@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from service.jobs.model import DoneChunk, Failure, JobRecord, JobState
-from service.jobs.ready_queue import NONE, Frontier
+from service.jobs.ready_queue import NONE, ReadyQueue
 from worker.executors.errors import ExecutorError
 from worker.plan import Chunk, Plan, cell_seconds
 from worker.spec import SweepSpec
@@ -29,14 +29,14 @@ class Limits(NamedTuple):
 #: Stands for every failure after the first in the job's error.
 _AND_MORE: Final = " (and {} more chunks failed)"
 #: A chunk's neighbours may take its worker with them so often before it is suspected itself.
-_MISFORTUNES: Final = 10
+MAX_COLLATERAL_LOSSES: Final = 10
 #: Characters of a traceback that are kept, its end.
 _TRACEBACK: Final = 8_000
 #: Reasons why no other chunk of a job could be stored either.
-_HOPELESS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 
 
-class Run:
+class JobRun:
     """The state of a running job; used by the supervisor's thread alone."""
 
     def __init__(self, job: JobRecord, spec: SweepSpec, plan: Plan, url: str, done: np.ndarray) -> None:
@@ -44,22 +44,22 @@ class Run:
         self.stopping = False  # a cancel is being carried out
         self.in_flight: dict[int, Future[ChunkReport]] = {}
         self.written: list[DoneChunk] = []  # not yet marked in the ledger
-        self._frontier = Frontier(predecessors(plan), done)
+        self._ready_queue = ReadyQueue(predecessors(plan), done)
         self._cell_seconds = cell_seconds(spec)
         self._cells_in_flight = 0
         self._tries: Counter[int] = Counter()
-        self._misfortunes: Counter[int] = Counter()
+        self._collateral_losses: Counter[int] = Counter()
         self._failures: list[Failure] = []
         self._noted = 0  # of the failures, in the ledger
-        self._hopeless = False
+        self._fatal = False
 
     def may_submit(self, limits: Limits) -> bool:
         """Whether a chunk of this job may be given to a worker now."""
-        return self._goes_on(limits) and self._frontier.ready and not self.written
+        return self._goes_on(limits) and self._ready_queue.ready and not self.written
 
     def take(self) -> Chunk:
         """The next chunk to compute."""
-        return self.plan.chunks[self._frontier.take()]
+        return self.plan.chunks[self._ready_queue.take()]
 
     def seconds(self, chunk: Chunk, limits: Limits) -> float:
         """How long a chunk may take, from when it begins."""
@@ -80,15 +80,15 @@ class Run:
         del self.in_flight[chunk]
         self._cells_in_flight -= self.plan.chunks[chunk].cells
 
-    def put_back(self, chunk: int) -> None:
+    def requeue(self, chunk: int) -> None:
         """A chunk was not computed, through no fault of its own."""
-        self._frontier.put_back(chunk)
+        self._ready_queue.requeue(chunk)
 
     def unlucky(self, chunk: int, error: BaseException, limits: Limits) -> None:
         """A chunk's worker died of a neighbour; only if that happens again and again is it suspected."""
-        self._misfortunes[chunk] += 1
-        if self._misfortunes[chunk] < _MISFORTUNES:
-            self._frontier.put_back(chunk)
+        self._collateral_losses[chunk] += 1
+        if self._collateral_losses[chunk] < MAX_COLLATERAL_LOSSES:
+            self._ready_queue.requeue(chunk)
         else:
             self.failed(chunk, error, limits)
 
@@ -98,16 +98,16 @@ class Run:
         Given up, it keeps those that wait for it from being tried; the others go on.
         """
         self._tries[chunk] += 1
-        self._hopeless = self._hopeless or (isinstance(error, OSError) and error.errno in _HOPELESS)
-        if self._tries[chunk] < limits.chunk_tries and not self._hopeless:
-            self._frontier.put_back(chunk)
+        self._fatal = self._fatal or (isinstance(error, OSError) and error.errno in FATAL_ERRNOS)
+        if self._tries[chunk] < limits.chunk_tries and not self._fatal:
+            self._ready_queue.requeue(chunk)
         else:
-            where = place(self.spec, self.plan.chunks[chunk])
+            where = describe_chunk(self.spec, self.plan.chunks[chunk])
             self._failures.append(_failure(chunk, where, error, self._tries[chunk]))
 
-    def reopen(self, chunks: Iterable[int]) -> None:
+    def invalidate(self, chunks: Iterable[int]) -> None:
         """Chunks that were done are to be computed again."""
-        self._frontier.reopen(chunks)
+        self._ready_queue.invalidate(chunks)
 
     @property
     def news(self) -> bool:
@@ -121,7 +121,7 @@ class Run:
 
     def marked(self) -> None:
         """What is written, and what failed, is in the ledger now."""
-        self._frontier.complete(done.chunk for done in self.written)
+        self._ready_queue.complete(done.chunk for done in self.written)
         self.written.clear()
         self._noted = len(self._failures)
 
@@ -129,7 +129,7 @@ class Run:
         """The state the job ends in; None while there is something to wait for or to do."""
         if self.in_flight or self.news or self.may_submit(limits):
             return None
-        if self._frontier.finished:
+        if self._ready_queue.finished:
             return JobState.DONE
         return JobState.CANCELLED if self.stopping else JobState.FAILED
 
@@ -144,7 +144,7 @@ class Run:
         return f"{first.place}: {first.error}{tries}" + (_AND_MORE.format(more) if more else "")
 
     def _goes_on(self, limits: Limits) -> bool:
-        return not self.stopping and not self._hopeless and len(self._failures) < limits.failed_chunks
+        return not self.stopping and not self._fatal and len(self._failures) < limits.failed_chunks
 
 
 def _failure(chunk: int, where: str, error: BaseException, tries: int) -> Failure:
@@ -161,7 +161,7 @@ def predecessors(plan: Plan) -> np.ndarray:
     return np.maximum(np.arange(len(plan)) - plan.lines, NONE)
 
 
-def place(spec: SweepSpec, chunk: Chunk) -> str:
+def describe_chunk(spec: SweepSpec, chunk: Chunk) -> str:
     """Where a chunk lies, for an error's text: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""
     spans = [f"{axis} {_ends(spec, chunk, axis)}" for axis in ("gamma", "omega", "xi")]
     return f"chunk {chunk.index} ({', '.join([spec.directions[chunk.direction], *spans])})"

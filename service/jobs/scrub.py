@@ -17,7 +17,7 @@ from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
 from service.jobs.model_selection import attributes_of
-from service.jobs.repair import Repairs, planned
+from service.jobs.repair import Repairer, planned
 from service.settings import Settings
 from worker import store
 
@@ -31,13 +31,13 @@ JOBS: Final = 100
 _OURS: Final = re.compile(r"([0-9a-f]{32})\.zarr(\.cancelled|\.deleted-[0-9a-f]+)?")
 
 
-class Housekeeper:
-    """Verifies what was done before this start; `ring` is called whenever a job is cleared."""
+class Scrubber:
+    """Verifies what was done before this start; `wake` is called whenever a job is cleared."""
 
     def __init__(
-        self, ledger: Ledger, settings: Settings, repairs: Repairs, ring: Callable[[], None]
+        self, ledger: Ledger, settings: Settings, repairer: Repairer, wake: Callable[[], None]
     ) -> None:
-        self._ledger, self._settings, self._repairs, self._ring = ledger, settings, repairs, ring
+        self._ledger, self._settings, self._repairer, self._wake = ledger, settings, repairer, wake
         self._clear: set[str] = set()
         self._newest = 0  # jobs accepted later need no looking at
         self._stop = threading.Event()
@@ -111,7 +111,7 @@ class Housekeeper:
         except Exception:
             log.exception("job %s cannot be looked at; damage will be met when it is read", job.id)
         self._clear.add(job.id)
-        self._ring()
+        self._wake()
 
     def _verify(self, job: JobRecord) -> Iterator[None]:
         """Sweep, mend and verify a store, page by page."""
@@ -119,7 +119,7 @@ class Housekeeper:
         spec, plan = planned(job)
         store.sweep_leftovers(url)
         if job.chunks_done and job.kernel_version == KERNEL_VERSION:
-            store.mend(url, spec, plan, attributes_of(job))
+            store.repair_metadata(url, spec, plan, attributes_of(job))
         last = -1
         while True:
             with self._ledger.reading() as ledger:
@@ -127,9 +127,9 @@ class Housekeeper:
             if not page:
                 return
             marked = ((plan[chunk], checksum) for chunk, checksum in page)
-            damaged = [chunk.index for chunk in store.changed(url, spec, plan.chunk_shape, marked)]
+            damaged = [chunk.index for chunk in store.find_corrupt(url, spec, plan.chunk_shape, marked)]
             if damaged:
-                self._repairs.undo(job, damaged)
+                self._repairer.undo(job, damaged)
             last = page[-1][0]
             yield
 

@@ -15,11 +15,11 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from service.jobs.ledger import Ledger
-from service.jobs.messages import News, Settled, Undone, done_of, error_of
+from service.jobs.messages import ChunkFinished, ChunksInvalidated, Message, done_of, error_of
 from service.jobs.model import UNFINISHED, JobState
-from service.jobs.model_selection import Choosing
+from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import opened
-from service.jobs.run import Limits, Run
+from service.jobs.run import JobRun, Limits
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
@@ -58,9 +58,9 @@ class Supervisor:
         self._limits = Limits(
             settings.chunk_tries, settings.failed_chunks, settings.chunk_seconds, settings.chunk_slack
         )
-        self._inbox: SimpleQueue[News] = SimpleQueue()
-        self._choosing = Choosing(ledger, executor, self.ring)
-        self._runs: dict[str, Run] = {}
+        self._inbox: SimpleQueue[Message] = SimpleQueue()
+        self._selector = ModelSelector(ledger, executor, self.wake)
+        self._runs: dict[str, JobRun] = {}
         self._places = 0  # for chunks in flight, of each job
         self._next_look = time.monotonic()
         self._stop = threading.Event()
@@ -68,22 +68,22 @@ class Supervisor:
 
     def start(self) -> None:
         """Begin, with what the ledger has unfinished."""
-        self.ring()
+        self.wake()
         self._thread.start()
 
-    def ring(self) -> None:
+    def wake(self) -> None:
         """Say that the ledger has news. From any thread."""
         self._inbox.put(None)
 
-    def undone(self, job_id: str, chunks: Sequence[int]) -> None:
+    def invalidated(self, job_id: str, chunks: Sequence[int]) -> None:
         """Say that chunks are no longer marked in the ledger. From any thread."""
-        self._inbox.put(Undone(job_id, chunks))
-        self.ring()
+        self._inbox.put(ChunksInvalidated(job_id, chunks))
+        self.wake()
 
     def stop(self, seconds: float) -> None:
         """Let go of what is in flight and end, in at most so long; unfinished jobs stay so in the ledger."""
         self._stop.set()
-        self.ring()
+        self.wake()
         if self._thread.is_alive():
             self._thread.join(seconds)
 
@@ -94,11 +94,11 @@ class Supervisor:
             except Exception:  # the ledger may be out of reach; nothing is lost by trying again
                 log.exception("the supervisor stumbled; it goes on in %g s", self._settings.heartbeat_seconds)
                 self._stop.wait(self._settings.heartbeat_seconds)
-                self.ring()
+                self.wake()
         for run in self._runs.values():
-            self._let_go(run)
+            self.abandon(run)
 
-    def _let_go(self, run: Run) -> None:
+    def abandon(self, run: JobRun) -> None:
         """Take back what has not begun, and let the workers drop what has: it goes on at the next start."""
         for future in list(run.in_flight.values()):
             future.cancel()
@@ -108,33 +108,33 @@ class Supervisor:
             except Exception:
                 log.exception("job %s: its workers cannot be told to stop", run.job.id)
 
-    def _news(self) -> list[News]:
+    def _news(self) -> list[Message]:
         """All that has come in; sleeps until there is something or it is time to look round."""
         try:
-            news: list[News] = [self._inbox.get(timeout=max(self._next_look - time.monotonic(), 0))]
+            news: list[Message] = [self._inbox.get(timeout=max(self._next_look - time.monotonic(), 0))]
         except Empty:
             return [None]
         while not self._inbox.empty():
             news.append(self._inbox.get())
         return news if time.monotonic() < self._next_look else [*news, None]
 
-    def _turn(self, news: list[News]) -> None:
+    def _turn(self, news: list[Message]) -> None:
         for one in news:
-            if isinstance(one, Settled):
-                self._take_in(one)
-            elif isinstance(one, Undone) and one.job_id in self._runs:
-                self._runs[one.job_id].reopen(one.chunks)
+            if isinstance(one, ChunkFinished):
+                self.on_finished(one)
+            elif isinstance(one, ChunksInvalidated) and one.job_id in self._runs:
+                self._runs[one.job_id].invalidate(one.chunks)
         for run in list(self._runs.values()):
             self._mark(run)
         if None in news:
-            self._adopt()
+            self.sync()
         self._submit()
         for run in list(self._runs.values()):
             self._end(run)
 
     # What came back
 
-    def _take_in(self, settled: Settled) -> None:
+    def on_finished(self, settled: ChunkFinished) -> None:
         """Sort a chunk that came back into written, to be done again, or failed."""
         run, chunk = self._runs[settled.job_id], settled.chunk
         run.came_back(chunk)
@@ -142,22 +142,22 @@ class Supervisor:
         if error is None:
             run.written.append(done_of(settled.future))
         elif isinstance(error, ChunkCancelled | CancelledError):
-            run.put_back(chunk)
+            run.requeue(chunk)
         elif isinstance(error, ClusterLost):
-            run.put_back(chunk)
+            run.requeue(chunk)
             self._places = 0  # until the next look finds workers
         elif isinstance(error, WorkerLost):
             run.unlucky(chunk, error, self._limits)
         elif run.stopping:
-            run.put_back(chunk)
+            run.requeue(chunk)
         else:
             log.warning("job %s, chunk %d: %s: %s", run.job.id, chunk, type(error).__name__, error)
             before = run.plan.chunks[chunk].after
             if before is not None and isinstance(error, StoreDamaged | PredecessorMissing):
-                run.reopen(self._unmark(run, [before]))
+                run.invalidate(self._unmark(run, [before]))
             run.failed(chunk, error, self._limits)
 
-    def _mark(self, run: Run) -> None:
+    def _mark(self, run: JobRun) -> None:
         """Chunks are written; now say so, in one transaction."""
         if run.news:
             with self._ledger.writing() as ledger:
@@ -165,14 +165,14 @@ class Supervisor:
                 ledger.note_failures(run.job, run.failures)
             run.marked()
 
-    def _unmark(self, run: Run, chunks: Sequence[int]) -> Sequence[int]:
+    def _unmark(self, run: JobRun, chunks: Sequence[int]) -> Sequence[int]:
         """Note in the ledger that chunks are to be computed again."""
         with self._ledger.writing() as ledger:
             return ledger.unmark(run.job, chunks)
 
     # What the ledger wants
 
-    def _adopt(self) -> None:
+    def sync(self) -> None:
         """Pick up jobs that wait, stop those that shall stop, let go on those that after all shall."""
         self._places = self._settings.window * self._executor.workers()
         # Workers that come back shall not have to wait for work.
@@ -195,7 +195,7 @@ class Supervisor:
         if job is None:
             return
         try:
-            settled = self._choosing.settled(job)
+            settled = self._selector.settled(job)
             if settled is None:
                 return  # it rings
             run = opened(settled, self._ledger, self._settings)
@@ -219,7 +219,7 @@ class Supervisor:
             ledger.run(job, time.time())
             return True
 
-    def _stop_or_go_on(self, run: Run, stop: bool) -> None:
+    def _stop_or_go_on(self, run: JobRun, stop: bool) -> None:
         """Tell the workers of a job by the mark at its store.
 
         Every chunk in flight still comes back: only then is it sure that nothing writes any more.
@@ -237,7 +237,7 @@ class Supervisor:
             if not able or not self._send(min(able, key=lambda run: (run.load, run.job.seq))):
                 return
 
-    def _has_place(self, run: Run) -> bool:
+    def _has_place(self, run: JobRun) -> bool:
         """Whether a job may have one more chunk in flight: many small ones, or a job of such would wait for
         a huge one's chunk again and again.
         """
@@ -246,7 +246,7 @@ class Supervisor:
         enough = count >= self._places and (run.load >= seconds or count >= MOST_IN_FLIGHT)
         return self._places > 0 and not enough and run.may_submit(self._limits)
 
-    def _send(self, run: Run) -> bool:
+    def _send(self, run: JobRun) -> bool:
         """Give a job's next chunk to the executor; whether it took it."""
         priority, chunk = -run.load, run.take()
         seconds = run.seconds(chunk, self._limits)
@@ -254,7 +254,7 @@ class Supervisor:
             future = self._executor.submit(run.spec, chunk, run.url, seconds=seconds, priority=priority)
         except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
             log.warning("the executor takes no chunk: %s; it is tried again soon", error)
-            run.put_back(chunk.index)
+            run.requeue(chunk.index)
             self._places = 0  # until the next look
             return False
         run.sent(chunk, future)
@@ -262,9 +262,9 @@ class Supervisor:
         return True
 
     def _came_back(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
-        self._inbox.put(Settled(job_id, chunk, future))
+        self._inbox.put(ChunkFinished(job_id, chunk, future))
 
-    def _end(self, run: Run) -> None:
+    def _end(self, run: JobRun) -> None:
         """End a job that has nothing left to do or to wait for."""
         state = run.ending(self._limits)
         if state is None:
@@ -272,7 +272,7 @@ class Supervisor:
         if self._finish(run.job.id, state, run.error if state is JobState.FAILED else None):
             del self._runs[run.job.id]
             log.info("job %s is %s", run.job.id, state)
-        self.ring()  # one that waits may have its place; one whose cancel was taken back goes on
+        self.wake()  # one that waits may have its place; one whose cancel was taken back goes on
 
     def _finish(self, job_id: str, state: JobState, error: str | None) -> bool:
         """Write the end of a job down; False if it shall go on after all."""

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from service.jobs.model import DoneChunk, Failure, JobRecord
 
 
-class ChunkReading:
+class ChunkReads:
     """Questions about chunks, on one connection."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
@@ -40,7 +40,7 @@ class ChunkReading:
         return [Failure(*row) for row in rows]
 
 
-class ChunkWriting(ChunkReading):
+class ChunkWrites(ChunkReads):
     """Changes of chunks, within one transaction."""
 
     def mark_done(self, job: JobRecord, chunks: Iterable[DoneChunk]) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from kernel.params import KERNEL_VERSION, Outcome
-from service.api.problems import NoSpace, TooLarge
+from service.errors import NoSpace, TooLarge
 from service.results.diagram import Sweep
 from worker import schema as layout
 from worker import store
@@ -90,9 +90,9 @@ def _blocks(sweep: Sweep, plan: Plan, names: tuple[str, ...]) -> Iterator[tuple[
     """Every chunk and what the store holds of it, fill values where nothing is computed yet."""
     for chunk in plan:
         try:
-            yield chunk, store.read_chunk(sweep.url, chunk, names, promised=sweep.promised)
+            yield chunk, store.read_chunk(sweep.url, chunk, names, complete=sweep.complete)
         except store.StoreMissing as error:
-            if sweep.promised:
+            if sweep.complete:
                 raise store.StoreDamaged(str(error)) from error
             # The job is still queued.
             yield chunk, _nothing(sweep.spec, chunk)

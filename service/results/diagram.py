@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
-from service.api.problems import InvalidRequest, TooLarge
+from service.errors import InvalidRequest, TooLarge
 from worker import schema, store
 from worker.spec import AXES, SweepSpec
 from worker.spec.errors import one_of
@@ -35,7 +35,7 @@ class Sweep:
 
     spec: SweepSpec
     url: str
-    promised: bool = False  # all of them are there: the job is done
+    complete: bool = False  # all of them are there: the job is done
 
 
 @dataclass(frozen=True)
@@ -147,10 +147,10 @@ def fixed_places(
     """Place and value on every axis but `along`."""
     if given.get(along) is not None:
         raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
-    return {axis: place_of(spec, axis, given.get(axis)) for axis in reversed(AXES) if axis != along}
+    return {axis: nearest_index(spec, axis, given.get(axis)) for axis in reversed(AXES) if axis != along}
 
 
-def place_of(spec: SweepSpec, axis: str, value: float | None) -> tuple[int, float]:
+def nearest_index(spec: SweepSpec, axis: str, value: float | None) -> tuple[int, float]:
     """Index and value of the grid value nearest to the one given; the only one needs no giving."""
     values = spec.axis_values(axis)
     low, high = float(values[0]), float(values[-1])
@@ -180,9 +180,9 @@ def read(sweep: Sweep, names: Sequence[str], direction: str, places: Places) -> 
     """The named arrays at one direction and `places`, whole along the other axes."""
     where = {"direction": sweep.spec.directions.index(direction), **places}
     try:
-        return store.read_slice(sweep.url, names, **where, promised=sweep.promised)
+        return store.read_slice(sweep.url, names, **where, complete=sweep.complete)
     except store.StoreMissing as error:
-        if sweep.promised:
+        if sweep.complete:
             raise store.StoreDamaged(str(error)) from error
         # The job is still queued.
         wanted = [array for array in schema.arrays(sweep.spec) if array.name in names]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.api.problems import InvalidRequest
-from service.results.diagram import MAX_READ, Sweep, check_points, direction_of, place_of, read, thinning
+from service.errors import InvalidRequest
+from service.results.diagram import MAX_READ, Sweep, check_points, direction_of, nearest_index, read, thinning
 
 #: The arrays of a mode map.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
@@ -75,7 +75,7 @@ def plane(
     Raises InvalidRequest as `diagram`.
     """
     spec = sweep.spec
-    place, value = place_of(spec, "xi", xi)
+    place, value = nearest_index(spec, "xi", xi)
     arrays = read(sweep, names, direction, {"xi": place, "omega": omega, "gamma": gamma})
     return Plane(value, direction, spec.axis_values("omega")[omega], spec.axis_values("gamma")[gamma], arrays)
 
@@ -91,7 +91,7 @@ def thresholds(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
         raise InvalidRequest.of("protocol.axis", rule)
     omega = spec.axis_values("omega")
     check_points(len(omega), max_points, f"{len(omega):,} values of omega", None)
-    _, value = place_of(spec, "xi", xi)
+    _, value = nearest_index(spec, "xi", xi)
     nowhere = np.full(len(omega), np.nan)
     found, complete = {"up": nowhere, "down": nowhere}, True
     for direction in spec.directions:

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from service.api.problems import TooLarge
+from service.errors import TooLarge
 from service.jobs.model import JobRecord
-from service.jobs.on_demand import Answers
+from service.jobs.on_demand import OnDemandCache
 from service.results.diagram import Sweep
 from service.results.mode_map import Thresholds
 from worker.analysis.thresholds import USUAL_CELLS, Refined, refine
@@ -23,11 +23,11 @@ MOST_SECONDS: Final = 60.0
 
 
 def refined(
-    answers: Answers, job: JobRecord, sweep: Sweep, coarse: Thresholds, tolerance: float
+    answers: OnDemandCache, job: JobRecord, sweep: Sweep, coarse: Thresholds, tolerance: float
 ) -> Thresholds:
     """The thresholds of a job to `tolerance` in gamma, from those on its grid.
 
-    Raises TooLarge for more computing than one answer may take, and as `Answers.to`.
+    Raises TooLarge for more computing than one answer may take, and as `OnDemandCache.to`.
     """
     omegas = len(coarse.omega)
     if not job.chunks_done:

@@ -22,12 +22,12 @@ from pydantic import ValidationError
 from starlette.types import Receive, Scope, Send
 
 from service.api.app import create_app
-from service.api.problems import ServiceError
 from service.client.errors import BounceError
+from service.errors import ServiceError
 from service.jobs.ledger import Ledger
 from service.server import logging as logs
 from service.server.cluster import computing
-from service.server.head_timeout import impatient
+from service.server.head_timeout import with_head_timeout
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
@@ -149,7 +149,7 @@ class _Server(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 self._application,
-                http=impatient(settings.body_seconds),
+                http=with_head_timeout(settings.body_seconds),
                 lifespan="on",
                 log_config=None,
                 log_level=logging.CRITICAL,

@@ -8,7 +8,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 _TOO_SLOW = b"HTTP/1.1 408 Request Timeout\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
-class Impatient(H11Protocol):
+class HeadTimeout(H11Protocol):
     """A connection that is closed unless the head of a request is there within `seconds` from its first byte,
     or from when it was opened. The body is `BodyLimit`'s business.
     """
@@ -53,6 +53,6 @@ class Impatient(H11Protocol):
             self.transport.close()
 
 
-def impatient(seconds: float) -> type[H11Protocol]:
+def with_head_timeout(seconds: float) -> type[H11Protocol]:
     """The protocol for a web server that waits so long for the head of a request."""
-    return type("Impatient", (Impatient,), {"seconds": seconds})
+    return type("HeadTimeout", (HeadTimeout,), {"seconds": seconds})

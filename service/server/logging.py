@@ -65,7 +65,7 @@ def to_standard_error(level: str) -> Iterator[None]:
             logging.getLogger(ours).setLevel(logging.NOTSET)
 
 
-class Requests:
+class AccessLog:
     """Middleware: gives every request an id, and tells log and metrics what became of it."""
 
     def __init__(self, app: ASGIApp, metrics: Metrics) -> None:

@@ -110,9 +110,9 @@ def harmed(url: Path, chance: random.Random) -> str:
     return str(chunk.relative_to(url))
 
 
-def place_in(address: str) -> store.Place:
+def place_in(address: str) -> store.ChunkCoords:
     """The chunk that a file belongs to."""
-    return store.Place(*map(int, address.split("/")[2:6]))
+    return store.ChunkCoords(*map(int, address.split("/")[2:6]))
 
 
 def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
@@ -126,7 +126,7 @@ def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
     for _ in range(TRIALS):
         address = harmed(url, chance)
         with pytest.raises(store.StoreDamaged) as met:
-            store.read_chunk(str(url), plan[plan.number(*place_in(address))], names, promised=True)
+            store.read_chunk(str(url), plan[plan.number(*place_in(address))], names, complete=True)
         assert met.value.places == (place_in(address),)
         (url / address).write_bytes(intact[url / address])
 
@@ -180,7 +180,7 @@ def test_a_chunk_in_which_a_ramp_goes_on_is_computed_again_first(tmp_path: Path)
         spec = SweepSpec(**RAMP)
         plan = make_plan(spec)
         before = plan[plan[6].after or 0]
-        address = stored.key("end_state", store.place_of(before, plan.chunk_shape))
+        address = stored.key("end_state", store.chunk_coords(before, plan.chunk_shape))
         (service.store(here) / address).unlink()
         service.client.post("/v1/jobs", json=RAMP)
         service.wait(here)

@@ -84,7 +84,7 @@ def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(
 
 def test_a_limit_on_the_size_of_files_fails_the_job_and_no_more(tmp_path: Path, cluster: Dask):
     spec = sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
-    run = cluster._link.client.run
+    run = cluster._connection.client.run
     with running(tmp_path, cluster) as service:
         run(resource.setrlimit, resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
         try:

@@ -15,9 +15,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from scripted import Held, sweep, wait_for
 
 from kernel.params import Outcome
-from service.api.problems import IllegalTransition, UnknownJob
+from service.errors import IllegalTransition, UnknownJob
 from service.jobs.ledger import Ledger
-from service.jobs.manager import Lifecycle
+from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.results import diagram
 from service.settings import Settings
@@ -48,13 +48,13 @@ class Machine(RuleBasedStateMachine):
     def start(self) -> None:
         self.held = Held()
         self.ledger = Ledger(self._settings.ledger_path)
-        self.lifecycle = Lifecycle(self.ledger, self.held, self._settings)
-        self.lifecycle.start()
+        self.manager = JobManager(self.ledger, self.held, self._settings)
+        self.manager.start()
 
     @rule(number=jobs)
     def submit(self, number: int) -> None:
         known = self._find(number)
-        accepted = self.lifecycle.submit(SWEEPS[number]).accepted
+        accepted = self.manager.submit(SWEEPS[number]).accepted
         if known is None:
             assert accepted
         elif known.state is JobState.DONE:
@@ -82,7 +82,7 @@ class Machine(RuleBasedStateMachine):
     def cancel(self, number: int) -> None:
         job = self._find(number)
         try:
-            self.lifecycle.cancel(SWEEPS[number].job_id("1"))
+            self.manager.cancel(SWEEPS[number].job_id("1"))
         except UnknownJob:
             assert job is None
         except IllegalTransition:
@@ -92,7 +92,7 @@ class Machine(RuleBasedStateMachine):
     def delete(self, number: int) -> None:
         job = self._find(number)
         try:
-            self.lifecycle.delete(SWEEPS[number].job_id("1"))
+            self.manager.delete(SWEEPS[number].job_id("1"))
         except UnknownJob:
             assert job is None
         except IllegalTransition:
@@ -104,8 +104,8 @@ class Machine(RuleBasedStateMachine):
 
     def _stop(self) -> None:
         """As at the end of a process: none of its threads goes on."""
-        self.lifecycle.stop()
-        for part in (self.lifecycle._housekeeper, self.lifecycle._supervisor):
+        self.manager.stop()
+        for part in (self.manager._scrubber, self.manager._supervisor):
             part._thread.join()
 
     @rule()
@@ -167,7 +167,7 @@ class Machine(RuleBasedStateMachine):
         return self._settings.store_of(SWEEPS[number].job_id("1"))
 
     def _outcomes(self, number: int) -> Any:
-        return store.read_slice(self._url(number), ["outcome"], promised=True)["outcome"]
+        return store.read_slice(self._url(number), ["outcome"], complete=True)["outcome"]
 
 
 Machine.TestCase.settings = settings(

@@ -230,4 +230,4 @@ def check(data: Path, sweep: dict[str, Any]) -> None:
     plan = make_plan(spec, chunk_shape=tuple(json.loads(shape)))
     [url] = [path for path in (data / "stores").iterdir() if re.fullmatch(r"[0-9a-f]{32}\.zarr", path.name)]
     chunks = ((plan[chunk], checksum) for chunk, checksum in marked)
-    assert list(store.changed(str(url), spec, plan.chunk_shape, chunks)) == []
+    assert list(store.find_corrupt(str(url), spec, plan.chunk_shape, chunks)) == []

@@ -41,7 +41,7 @@ def fragile() -> Iterator[Dask]:
     warm(CACHE)
     with dask.config.set({"distributed.worker.memory.terminate": False}):  # it is our watch that is tried
         executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
-    executor._link.client.register_plugin(Harm())
+    executor._connection.client.register_plugin(Harm())
     yield executor
     executor.close()
 
@@ -51,7 +51,7 @@ BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
 
 
 def pids(executor: Dask) -> list[int]:
-    return list(executor._link.client.run(os.getpid).values())
+    return list(executor._connection.client.run(os.getpid).values())
 
 
 def whole(executor: Dask) -> None:
@@ -130,7 +130,7 @@ def test_nothing_waits_behind_a_chunk_that_hangs(tmp_path: Path, fragile: Dask):
         service.until(good, JobState.DONE)
         wait_for(lambda: service.job(hung).chunks_done == service.job(hung).chunks_total - 1)
         assert service.job(hung).state is JobState.RUNNING
-        service.lifecycle.cancel(hung.id)
+        service.manager.cancel(hung.id)
         service.until(hung, JobState.CANCELLED)
 
 
@@ -145,8 +145,8 @@ def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, f
         service.until(busy, JobState.RUNNING)
         time.sleep(1)  # in the middle of chunks
         began = time.monotonic()
-        service.lifecycle.cancel(hung.id)
-        service.lifecycle.cancel(busy.id)
+        service.manager.cancel(hung.id)
+        service.manager.cancel(busy.id)
         for job in (hung, busy):
             service.until(job, JobState.CANCELLED)
         assert time.monotonic() - began < (5 if STRICT else 30)
@@ -175,7 +175,7 @@ def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: P
             # One on each worker when it came, and one more as its last chunk was computed on the other.
             assert service.job(huge).chunks_done - first <= 3
         assert service.job(huge).state is JobState.RUNNING
-        service.lifecycle.cancel(huge.id)
+        service.manager.cancel(huge.id)
         service.until(huge, JobState.CANCELLED)
 
 
@@ -195,7 +195,7 @@ def test_a_small_job_beside_a_huge_one_is_hardly_delayed(
             time.sleep(0.4)
             beside.append(timed(service, small(0.8 + run / 100)))
         assert service.job(huge).state is JobState.RUNNING
-        service.lifecycle.cancel(huge.id)
+        service.manager.cancel(huge.id)
         service.until(huge, JobState.CANCELLED)
     with capsys.disabled():
         sys.stderr.write(f"\nalone {sorted(alone)[1]:.2f} s, beside at most {max(beside):.2f} s\n")

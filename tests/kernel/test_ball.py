@@ -234,16 +234,16 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
 def test_collapse_is_that_of_the_hops(epsilon: float, phi: float):
     gamma = 2.0
     press, press1 = 1.0 / gamma - math.cos(phi), math.sin(phi)
-    hop = bisect(lambda v: chatter.collapses(v, press, press1, 1.0, epsilon), 0.0, 0.1)
-    closed = chatter.collapse_time(hop, press, press1, epsilon)
+    hop = bisect(lambda v: chatter.chatter_completes(v, press, press1, 1.0, epsilon), 0.0, 0.1)
+    closed = chatter.chatter_time(hop, press, press1, epsilon)
     assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=chatter.STEADY**2)
     assert closed < 2e-3 * math.sqrt(press)
 
 
 def test_cascade_closes_only_on_a_plate_that_presses():
-    assert not chatter.collapses(1e-9, -1.0, 0.0, 1.0, 0.5)
-    assert not chatter.collapses(1e-9, 1e-9, -1.0, 1.0, 0.5)
-    assert not chatter.collapses(1e-9, 1.0, 0.0, 1.0, 1.0)
+    assert not chatter.chatter_completes(1e-9, -1.0, 0.0, 1.0, 0.5)
+    assert not chatter.chatter_completes(1e-9, 1e-9, -1.0, 1.0, 0.5)
+    assert not chatter.chatter_completes(1e-9, 1.0, 0.0, 1.0, 1.0)
 
 
 def test_flights_are_the_hops_one_by_one():

@@ -14,7 +14,7 @@ from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Sta
 ONE = np.ones(3)
 
 
-def call(**changed: Any) -> Line:
+def call(**find_corrupt: Any) -> Line:
     arguments: dict[str, Any] = {
         "gamma": 1.5 * ONE,
         "omega": 0.5 * ONE,
@@ -27,7 +27,7 @@ def call(**changed: Any) -> Line:
         "settle": 2,
         "observe": 3,
         "keep": 4,
-    } | changed
+    } | find_corrupt
     return run_line(arguments.pop("gamma"), arguments.pop("omega"), arguments.pop("xi"), **arguments)
 
 

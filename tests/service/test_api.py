@@ -17,7 +17,7 @@ from paths import GOLDEN
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
 
-from service.api.problems import DataFolderBusy
+from service.errors import DataFolderBusy
 from worker.executors.dask import Dask
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -179,7 +179,7 @@ def test_the_cluster_computes_what_inline_computes(
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
     """By the workers' own clocks; the seconds that pass on a quiet machine: `python -m benchmarks.figure`."""
-    pids = cluster._link.client.run(os.getpid).values()
+    pids = cluster._connection.client.run(os.getpid).values()
 
     def spent() -> float:
         return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids)

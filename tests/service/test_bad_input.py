@@ -20,7 +20,7 @@ from served import computing, finished, service
 
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
-from service.server.head_timeout import impatient
+from service.server.head_timeout import with_head_timeout
 from service.settings import Settings
 from worker.executors.inline import Inline
 
@@ -283,7 +283,7 @@ def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):
 def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor = Inline()
     settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
-    app, http = create_app(settings, executor), impatient(settings.body_seconds)
+    app, http = create_app(settings, executor), with_head_timeout(settings.body_seconds)
     server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
     thread = threading.Thread(target=server.run)
     thread.start()

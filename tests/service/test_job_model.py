@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.api.problems import IllegalTransition
+from service.errors import IllegalTransition
 from service.jobs.model import LEGAL, RESUMABLE, UNFINISHED, JobState, Progress, check_transition
 
 #: Every transition there is; anything else is illegal.

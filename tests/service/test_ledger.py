@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from paths import SUPPORT
 
-from service.api.problems import DataFolderBusy, IllegalTransition, LedgerUnusable
+from service.errors import DataFolderBusy, IllegalTransition, LedgerUnusable
 from service.jobs.ledger import MIGRATIONS, Ledger
 from service.jobs.model import UNFINISHED, DoneChunk, JobRecord, JobState, NewJob
 

@@ -20,7 +20,7 @@ from running import running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
-from service.api.problems import IllegalTransition, QueueFull, UnknownJob
+from service.errors import IllegalTransition, QueueFull, UnknownJob
 from service.jobs.model import JobRecord, JobState
 from worker import store
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
@@ -55,10 +55,10 @@ def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: P
 
 def test_the_same_sweep_is_the_same_job(tmp_path: Path, inline: Inline):
     with running(tmp_path, inline) as service:
-        job, accepted = service.lifecycle.submit(sweep("one name"))
+        job, accepted = service.manager.submit(sweep("one name"))
         assert accepted
         service.until(job, JobState.DONE)
-        again, accepted = service.lifecycle.submit(sweep("another name"))
+        again, accepted = service.manager.submit(sweep("another name"))
     assert not accepted
     assert (again.id, again.name, again.state) == (job.id, "one name", JobState.DONE)
 
@@ -67,14 +67,14 @@ def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inl
     with running(tmp_path, inline) as service:
         answers: list[bool] = []
         threads = [
-            threading.Thread(target=lambda: answers.append(service.lifecycle.submit(sweep()).accepted))
+            threading.Thread(target=lambda: answers.append(service.manager.submit(sweep()).accepted))
             for _ in range(8)
         ]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        service.until(service.lifecycle.submit(sweep()).job, JobState.DONE)
+        service.until(service.manager.submit(sweep()).job, JobState.DONE)
     assert sorted(answers) == [False] * 7 + [True]
 
 
@@ -157,7 +157,7 @@ def test_a_queued_job_is_cancelled_at_once(tmp_path: Path):
     with running(tmp_path, Held(), active_jobs=1) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
         waiting = service.submit(sweep(omega=0.6))
-        assert service.lifecycle.cancel(waiting.id).state is JobState.CANCELLED
+        assert service.manager.cancel(waiting.id).state is JobState.CANCELLED
 
 
 def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path):
@@ -167,10 +167,10 @@ def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path)
         wait_for(lambda: held.held() == 4)
         held.let_go()  # one is written before the cancel
         wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
-        service.lifecycle.cancel(job.id)
+        service.manager.cancel(job.id)
         url = service.settings.store_of(job.id)
         wait_for(lambda: store.is_cancelled(url))
-        assert service.lifecycle.cancel(job.id).state is JobState.RUNNING  # twice is once
+        assert service.manager.cancel(job.id).state is JobState.RUNNING  # twice is once
         for _ in range(4):
             assert service.job(job).state is JobState.RUNNING
             held.let_go()
@@ -186,11 +186,11 @@ def test_a_cancelled_job_resumes_with_what_it_had(tmp_path: Path):
         wait_for(lambda: held.held() > 1)
         held.let_go()
         wait_for(lambda: service.job(job).chunks_done == 1)
-        service.lifecycle.cancel(job.id)
+        service.manager.cancel(job.id)
         wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
         held.let_go_until(lambda: service.job(job).state is JobState.CANCELLED)
         began = len(held.order)
-        assert service.lifecycle.submit(spec).accepted
+        assert service.manager.submit(spec).accepted
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         assert not store.is_cancelled(service.settings.store_of(job.id))
         assert len(held.order) - began == service.job(job).chunks_total - 1
@@ -201,9 +201,9 @@ def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
     with running(tmp_path, held) as service:
         job = service.submit(spec)
         wait_for(held.held)
-        service.lifecycle.cancel(job.id)
+        service.manager.cancel(job.id)
         wait_for(lambda: store.is_cancelled(service.settings.store_of(job.id)))
-        again = service.lifecycle.submit(spec)
+        again = service.manager.submit(spec)
         assert again.accepted
         assert again.job.state is JobState.RUNNING
         wait_for(lambda: not store.is_cancelled(service.settings.store_of(job.id)))
@@ -224,8 +224,8 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
     with running(tmp_path, inline) as service:
         job = service.submit(sweep())
         assert making.wait(DEADLINE)
-        service.lifecycle.cancel(job.id)
-        deleting = threading.Thread(target=service.lifecycle.delete, args=[job.id])
+        service.manager.cancel(job.id)
+        deleting = threading.Thread(target=service.manager.delete, args=[job.id])
         deleting.start()
         go_on.set()
         deleting.join(DEADLINE)
@@ -239,7 +239,7 @@ def test_a_cancel_survives_the_service(tmp_path: Path, inline: Inline):
     with running(tmp_path, held) as service:
         job = service.submit(sweep())
         wait_for(held.held)
-        service.lifecycle.cancel(job.id)
+        service.manager.cancel(job.id)
     with running(tmp_path, inline) as service:
         assert service.until(job, JobState.CANCELLED).chunks_done == 0
 
@@ -248,9 +248,9 @@ def test_a_job_that_is_done_cannot_be_cancelled(tmp_path: Path, inline: Inline):
     with running(tmp_path, inline) as service:
         job = service.until(service.submit(sweep()), JobState.DONE)
         with pytest.raises(IllegalTransition, match="the job is done"):
-            service.lifecycle.cancel(job.id)
+            service.manager.cancel(job.id)
         with pytest.raises(UnknownJob, match="no job has the id 'nobody'"):
-            service.lifecycle.cancel("nobody")
+            service.manager.cancel("nobody")
 
 
 # What goes wrong
@@ -418,7 +418,7 @@ def test_a_full_queue_refuses(tmp_path: Path):
         service.submit(sweep(omega=0.6))
         with pytest.raises(QueueFull, match="2 jobs are queued or running already, at most 2"):
             service.submit(sweep(omega=0.7))
-        assert not service.lifecycle.submit(sweep(omega=0.5)).accepted  # what is there is no news
+        assert not service.manager.submit(sweep(omega=0.5)).accepted  # what is there is no news
 
 
 @pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}])
@@ -453,5 +453,5 @@ def test_stopping_is_prompt(tmp_path: Path):
     with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
         began = time.monotonic()
-        service.lifecycle.stop()
+        service.manager.stop()
         assert time.monotonic() - began < DEADLINE  # and not with the next heartbeat

@@ -9,7 +9,7 @@ from scripted import small as spec
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.api.problems import InvalidRequest, TooLarge
+from service.errors import InvalidRequest, TooLarge
 from service.results import diagram as queries
 from service.results import mode_map
 from service.results.diagram import Sweep

@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.jobs.ready_queue import NONE, Frontier
+from service.jobs.ready_queue import NONE, ReadyQueue
 from service.jobs.run import predecessors
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
 
-def frontier(after: list[int], done: tuple[int, ...] = ()) -> Frontier:
+def frontier(after: list[int], done: tuple[int, ...] = ()) -> ReadyQueue:
     mask = np.zeros(len(after), np.bool_)
     mask[list(done)] = True
-    return Frontier(np.array(after, np.int64), mask)
+    return ReadyQueue(np.array(after, np.int64), mask)
 
 
-def drain(frontier: Frontier) -> list[int]:
+def drain(frontier: ReadyQueue) -> list[int]:
     """Take and complete one chunk at a time."""
     order = []
     while frontier.ready:
@@ -50,7 +50,7 @@ def test_what_is_done_is_not_taken_and_frees_what_waits_for_it():
 
 def test_a_chunk_put_back_is_taken_again():
     two = frontier([NONE, NONE])
-    two.put_back(two.take())
+    two.requeue(two.take())
     assert [two.take(), two.take()] == [1, 0]
     assert not two.ready
     assert not two.finished
@@ -58,7 +58,7 @@ def test_a_chunk_put_back_is_taken_again():
 
 def test_what_waits_for_a_chunk_that_is_to_be_done_again_waits_again():
     chain = frontier([NONE, 0, 1, NONE], done=(0, 3))
-    chain.reopen([0, 3])
+    chain.invalidate([0, 3])
     assert sorted(drain(chain)) == [0, 1, 2, 3]
     assert chain.finished
 
@@ -66,7 +66,7 @@ def test_what_waits_for_a_chunk_that_is_to_be_done_again_waits_again():
 def test_a_chunk_in_work_is_not_taken_twice_when_its_predecessor_is_done_again():
     chain = frontier([NONE, 0, 1], done=(0,))
     assert chain.take() == 1
-    chain.reopen([0])
+    chain.invalidate([0])
     assert chain.take() == 0
     chain.complete([0])
     assert not chain.ready
@@ -77,8 +77,8 @@ def test_a_chunk_in_work_is_not_taken_twice_when_its_predecessor_is_done_again()
 def test_a_chunk_put_back_waits_for_a_predecessor_that_is_done_again():
     chain = frontier([NONE, 0], done=(0,))
     assert chain.take() == 1
-    chain.reopen([0])
-    chain.put_back(1)
+    chain.invalidate([0])
+    chain.requeue(1)
     assert drain(chain) == [0, 1]
 
 
@@ -120,7 +120,7 @@ def test_predecessors_are_what_the_plans_chunks_say(
 
 
 def test_a_million_chunks_take_a_few_bytes_each():
-    many = Frontier(np.full(1_000_000, NONE), np.zeros(1_000_000, np.bool_))
+    many = ReadyQueue(np.full(1_000_000, NONE), np.zeros(1_000_000, np.bool_))
     assert [many.take() for _ in range(3)] == [0, 1, 2]
     held = sum(array.nbytes for array in vars(many).values() if isinstance(array, np.ndarray))
     assert held <= 34e6

@@ -10,7 +10,7 @@ import numpy as np
 from scripted import DEADLINE, wait_for
 
 from service.jobs.ledger import Ledger
-from service.jobs.manager import Lifecycle
+from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.settings import Settings
 from worker import store
@@ -24,11 +24,11 @@ from worker.tasks import ChunkReport
 class Running:
     """A lifecycle on its ledger, and ways to wait for what it does."""
 
-    def __init__(self, ledger: Ledger, lifecycle: Lifecycle, settings: Settings) -> None:
-        self.ledger, self.lifecycle, self.settings = ledger, lifecycle, settings
+    def __init__(self, ledger: Ledger, manager: JobManager, settings: Settings) -> None:
+        self.ledger, self.manager, self.settings = ledger, manager, settings
 
     def submit(self, spec: SweepSpec) -> JobRecord:
-        return self.lifecycle.submit(spec).job
+        return self.manager.submit(spec).job
 
     def job(self, job: JobRecord) -> JobRecord:
         found = self.ledger.find(job.id)
@@ -47,12 +47,12 @@ class Running:
 def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]:
     settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
     with Ledger(settings.ledger_path) as ledger:
-        lifecycle = Lifecycle(ledger, executor, settings)
-        lifecycle.start()
+        manager = JobManager(ledger, executor, settings)
+        manager.start()
         try:
-            yield Running(ledger, lifecycle, settings)
+            yield Running(ledger, manager, settings)
         finally:
-            lifecycle.stop()
+            manager.stop()
 
 
 class Counting:

@@ -23,7 +23,7 @@ warm(sys.argv[3])
 
 from service.jobs import supervisor  # noqa: E402 - the cache comes first
 from service.jobs.ledger import Ledger, Writing  # noqa: E402
-from service.jobs.manager import Lifecycle  # noqa: E402
+from service.jobs.manager import JobManager  # noqa: E402
 from service.jobs.model import UNFINISHED  # noqa: E402
 from service.settings import Settings  # noqa: E402
 from worker import store, tasks  # noqa: E402
@@ -51,11 +51,11 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
     "chunk given out": lambda act: before(inline, "run_chunk", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
-    "chunk half written": lambda act: before(store, "harden", act),
+    "chunk half written": lambda act: before(store, "fsync_files", act),
     "chunk synced": lambda act: before(stored, "checksum", act),
     "chunk reported": lambda act: after(inline, "run_chunk", act),
     "in the transaction": lambda act: after(Writing, "mark_done", act),
-    "chunk marked": lambda act: after(supervisor.Run, "marked", act),
+    "chunk marked": lambda act: after(supervisor.JobRun, "marked", act),
     "job ends": lambda act: after(Writing, "finish", act),
 }
 
@@ -76,12 +76,12 @@ def live(folder: Path, spec: SweepSpec, step: str, times: int, said: int) -> Non
     settings = Settings(data=folder, heartbeat_seconds=0.1)
     executor = inline.Inline()
     with Ledger(settings.ledger_path) as ledger:
-        lifecycle = Lifecycle(ledger, executor, settings)
-        lifecycle.start()
-        job = lifecycle.submit(spec).job
+        manager = JobManager(ledger, executor, settings)
+        manager.start()
+        job = manager.submit(spec).job
         while (found := ledger.find(job.id)) is not None and found.state in UNFINISHED:
             time.sleep(0.005)
-        lifecycle.stop()
+        manager.stop()
     os.write(said, f"{found.state if found else 'gone'}\n".encode())
     assert tried is not None
 

@@ -85,7 +85,9 @@ def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tm
             time.sleep(0.01)
 
     def known() -> int:
-        return int(cluster._link.client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
+        return int(
+            cluster._connection.client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks))
+        )
 
     before = known()
     try:
@@ -105,13 +107,13 @@ def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tm
 
 
 def test_two_workers_never_share_a_kernel_cache(cluster):
-    caches = cluster._link.client.run(lambda: os.environ["NUMBA_CACHE_DIR"])
+    caches = cluster._connection.client.run(lambda: os.environ["NUMBA_CACHE_DIR"])
     assert len(set(caches.values())) == 2
     assert os.environ["NUMBA_CACHE_DIR"] not in caches.values()
 
 
 def test_workers_share_the_memory_however_many_cores_there_are(cluster):
-    limits = cluster._link.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
+    limits = cluster._connection.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
     assert set(limits.values()) == {system.MEMORY_LIMIT // 2}
 
 
@@ -129,7 +131,7 @@ def test_the_cluster_listens_on_loopback_only(cluster):
 def test_nothing_is_kept_of_a_chunk_that_is_done(cluster, planned):
     spec, plan, url = planned
     cluster.submit(spec, plan[0], url).result(PATIENCE)
-    wait_for(lambda: not cluster._link.client.futures)
+    wait_for(lambda: not cluster._connection.client.futures)
 
 
 def test_inline_after_close_is_not_ready(planned):
@@ -160,7 +162,7 @@ def test_no_scheduler_file_is_said(tmp_path):
 def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp_path):
     spec, plan, url = planned
     file = tmp_path / "scheduler.json"
-    writer = threading.Timer(0.3, cluster._link.client.write_scheduler_file, [str(file)])
+    writer = threading.Timer(0.3, cluster._connection.client.write_scheduler_file, [str(file)])
     writer.start()
     executor = Dask(scheduler_file=file, timeout=PATIENCE)
     writer.join()
@@ -182,7 +184,7 @@ def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worke
     store.create(other, quick, make_plan(quick))
     executor = Dask(workers=1)
     try:
-        [pid] = executor._link.client.run(os.getpid).values()
+        [pid] = executor._connection.client.run(os.getpid).values()
         future = executor.submit(spec, plan[0], url)
         wait_for(lambda: any(flight.worker for flight in executor._flights.values()))  # it has begun
         waiting = executor.submit(quick, make_plan(quick)[0], other)
@@ -201,9 +203,9 @@ def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worke
 def test_a_worker_that_is_still_starting_does_not_hold_up_the_end(tmp_path):
     executor = Dask(workers=1)
     try:
-        executor._link.client.register_plugin(Stuck(tmp_path / "stuck"))
+        executor._connection.client.register_plugin(Stuck(tmp_path / "stuck"))
         (tmp_path / "stuck").touch()
-        [pid] = executor._link.client.run(os.getpid).values()
+        [pid] = executor._connection.client.run(os.getpid).values()
         os.kill(pid, signal.SIGKILL)
         wait_for((tmp_path / "starting").exists, seconds=PATIENCE)
     finally:
@@ -221,7 +223,7 @@ def leave() -> None:
 def test_workers_that_are_gone_for_good_are_replaced():
     """Dask itself gives up a worker that is not back 15 s after any of its deaths."""
     executor = Dask(workers=2, kernel_cache=CACHE)
-    client, nannies = executor._link.client, executor._workers.cluster.workers
+    client, nannies = executor._connection.client, executor._workers.cluster.workers
     try:
         assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1000 days"
         before = set(nannies.values())

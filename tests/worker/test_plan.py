@@ -22,7 +22,7 @@ from worker.plan import (
 )
 from worker.spec import AXES, SweepSpec
 from worker.spec.errors import SpecTooLarge
-from worker.store.chunks import place_of
+from worker.store.chunks import chunk_coords
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
 
@@ -64,7 +64,7 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
 @given(grids, shapes)
 def test_a_chunk_is_found_by_its_place(spec, shape):
     plan = make_plan(spec, chunk_shape=shape)
-    assert [plan.number(*place_of(chunk, plan.chunk_shape)) for chunk in plan] == list(range(len(plan)))
+    assert [plan.number(*chunk_coords(chunk, plan.chunk_shape)) for chunk in plan] == list(range(len(plan)))
 
 
 @given(grids, st.integers(1, 2000))

@@ -162,7 +162,7 @@ def test_workers_of_a_cluster_write_to_the_bucket(
     bucket: str, both: dict[str, tuple[TestClient, str]], tmp_path: Path, cluster: Dask
 ):
     """Real ones, in processes of their own, told of the bucket as they always are: by their environment."""
-    run = cluster._link.client.run
+    run = cluster._connection.client.run
     known = {name: os.environ[name] for name in ENVIRONMENT}
     run(os.environ.update, known)
     try:

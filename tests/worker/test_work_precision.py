@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from fastapi.testclient import TestClient
 
 from service.api.app import create_app
-from service.api.problems import Busy, NotComputed
 from service.cli.main import main
 from service.client import Client
-from service.jobs.on_demand import Answers, Underway
+from service.errors import Busy, NotComputed
+from service.jobs.on_demand import OnDemandCache, Pending
 from service.render import work_precision as tradeoff_picture
 from service.results import work_precision as tradeoff_text
 from service.server.embedded import running
@@ -185,7 +185,7 @@ def test_another_format_is_refused(tmp_path: Path):
     assert refused.json()["errors"][0]["field"] == "format"
 
 
-# Answers that take a while
+# OnDemandCache that take a while
 
 
 class Hands:
@@ -205,9 +205,9 @@ def begin(executor: Any) -> list[Future[Any]]:
 
 def test_who_gives_up_waiting_loses_nothing():
     hands = Hands()
-    answers = Answers(hands, patience=0.01)
+    answers = OnDemandCache(hands, patience=0.01)
     for number in (0, 1):
-        with pytest.raises(Underway) as caught:
+        with pytest.raises(Pending) as caught:
             answers.to("question", begin)
         assert (caught.value.done, caught.value.total) == (number, 2)
         hands.futures[number].set_result(number)
@@ -216,7 +216,7 @@ def test_who_gives_up_waiting_loses_nothing():
 
 
 class Slow(Inline):
-    """Answers what is measured when a test says so, and all else at once."""
+    """OnDemandCache what is measured when a test says so, and all else at once."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -247,22 +247,22 @@ def test_a_request_is_told_how_far_the_workers_are(tmp_path: Path, monkeypatch: 
 def test_what_was_lost_or_failed_is_begun_again():
     for error, told in ((WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)):
         hands = Hands()
-        answers = Answers(hands, patience=0.01)
-        with pytest.raises(Underway):
+        answers = OnDemandCache(hands, patience=0.01)
+        with pytest.raises(Pending):
             answers.to("question", begin)
         hands.futures[0].set_exception(error)
         hands.futures[1].set_result(1)
         with pytest.raises(told):
             answers.to("question", begin)
-        with pytest.raises(Underway):
+        with pytest.raises(Pending):
             answers.to("question", begin)
         assert len(hands.futures) == 4
 
 
 def test_only_so_many_at_a_time():
-    answers = Answers(Hands(), places=2, patience=0.01)
+    answers = OnDemandCache(Hands(), places=2, patience=0.01)
     for question in ("one", "two"):
-        with pytest.raises(Underway):
+        with pytest.raises(Pending):
             answers.to(question, begin)
     with pytest.raises(Busy, match=r"^2 answers are being computed already"):
         answers.to("three", begin)
@@ -273,13 +273,13 @@ def test_nobody_there_to_compute():
         raise ClusterLost("gone")
 
     with pytest.raises(NotComputed, match=r"^no worker is there to compute it \(gone\): ask again$"):
-        Answers(Hands()).to("question", nobody)
+        OnDemandCache(Hands()).to("question", nobody)
 
 
 def test_closing_lets_go():
     hands = Hands()
-    answers = Answers(hands, patience=0.01)
-    with pytest.raises(Underway):
+    answers = OnDemandCache(hands, patience=0.01)
+    with pytest.raises(Pending):
         answers.to("question", begin)
     answers.close()
     assert all(future.cancelled() for future in hands.futures)

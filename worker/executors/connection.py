@@ -37,7 +37,7 @@ _NOBODY: Final = (OSError, ValueError, KeyError, TypeError)
 Target = Callable[[], Any]
 
 
-class Link:
+class SchedulerConnection:
     """A client of the scheduler that `target` gives (an address or a cluster), made anew when it is lost.
 
     Every scheduler is told of `plugin` for its workers, and `heard` gets what they say, in the client's own

@@ -15,7 +15,7 @@ from typing import Any, Final
 from distributed import KilledWorker
 
 from worker.executors.base import Answer
-from worker.executors.connection import Link, address_in
+from worker.executors.connection import SchedulerConnection, address_in
 from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, WorkerLost
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.worker_plugin import WarmKernels
@@ -83,7 +83,9 @@ class Dask:
                 return own.cluster
 
         try:
-            self._link = Link(target, plugin, self._hear, security=security, timeout=timeout)
+            self._connection = SchedulerConnection(
+                target, plugin, self._hear, security=security, timeout=timeout
+            )
         except BaseException:
             self._close_workers()
             raise
@@ -91,17 +93,17 @@ class Dask:
     def submit(
         self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        client = self._link.client
+        client = self._connection.client
         task = client.submit(run_watched, spec, chunk, store_url, seconds, pure=False, priority=priority)
         return asyncio.run_coroutine_threadsafe(self._outcome(task), client.loop.asyncio_loop)
 
     def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
-        client = self._link.client
+        client = self._connection.client
         task = client.submit(function, *arguments, pure=False, priority=CALL_PRIORITY)
         return asyncio.run_coroutine_threadsafe(self._outcome(task, watched=False), client.loop.asyncio_loop)
 
     def ready(self) -> bool:
-        self._counted = (time.monotonic(), self._link.threads())
+        self._counted = (time.monotonic(), self._connection.threads())
         return self._counted[1] > 0
 
     def workers(self) -> int:
@@ -112,7 +114,7 @@ class Dask:
         return number
 
     def close(self) -> None:
-        self._link.close()
+        self._connection.close()
         self._close_workers()
 
     def _close_workers(self) -> None:

@@ -3,11 +3,11 @@
 Everything outside this package uses what is listed here; only the modules behind it import zarr.
 """
 
-from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, set_aside
+from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, rename_for_deletion
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.store.chunks import changed, discard, place_of
+from worker.store.chunks import chunk_coords, discard, find_corrupt
 from worker.store.errors import (
-    Place,
+    ChunkCoords,
     PlaceUnusable,
     StoreConflict,
     StoreDamaged,
@@ -19,42 +19,42 @@ from worker.store.store import (
     checksum,
     chunk_shape,
     create,
-    mend,
     read_attrs,
     read_chunk,
     read_coordinates,
     read_slice,
+    repair_metadata,
     verify,
     write_chunk,
 )
 
 __all__ = [
     "UNREACHABLE",
-    "Place",
+    "ChunkCoords",
     "PlaceUnusable",
     "StoreConflict",
     "StoreDamaged",
     "StoreError",
     "StoreMissing",
-    "changed",
     "check_address",
     "check_chunk",
     "checksum",
+    "chunk_coords",
     "chunk_shape",
     "clear_cancelled",
     "create",
     "discard",
+    "find_corrupt",
     "in_bucket",
     "is_cancelled",
-    "mend",
-    "place_of",
     "read_attrs",
     "read_chunk",
     "read_coordinates",
     "read_key",
     "read_slice",
     "remove",
-    "set_aside",
+    "rename_for_deletion",
+    "repair_metadata",
     "set_cancelled",
     "sweep_leftovers",
     "verify",

@@ -80,7 +80,7 @@ def delete(url: str, key: str) -> None:
         pass
 
 
-def set_aside(url: str) -> str:
+def rename_for_deletion(url: str) -> str:
     """Make an address free at once, for its content to be removed where it is now; in a bucket, it stays."""
     if in_bucket(url) or not Path(url).exists():
         return url

@@ -16,7 +16,7 @@ from worker import schema
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.store.backend import delete, in_bucket, read_key
-from worker.store.errors import Place
+from worker.store.errors import ChunkCoords
 
 #: A disk's syncs and a bucket's answers come several at a time as fast as one.
 _THREADS: Final = 8
@@ -27,21 +27,21 @@ Shape = tuple[int, ...]
 Index = int | slice
 
 
-def place_of(chunk: Chunk, chunk_shape: Shape) -> Place:
+def chunk_coords(chunk: Chunk, chunk_shape: Shape) -> ChunkCoords:
     """Where a chunk lies; `chunk_shape` is (xi, omega, gamma)."""
     xi, omega, gamma = (
         span[0] // size for span, size in zip((chunk.xi, chunk.omega, chunk.gamma), chunk_shape, strict=True)
     )
-    return Place(chunk.direction, xi, omega, gamma)
+    return ChunkCoords(chunk.direction, xi, omega, gamma)
 
 
-def key(name: str, place: Place) -> str:
+def key(name: str, place: ChunkCoords) -> str:
     """Address of one array's chunk below the store's own."""
     extra = "/0" * (len(_DIMS[name]) - len(place))
     return f"{name}/c/{'/'.join(map(str, place))}{extra}"
 
 
-def checksum(url: str, names: Iterable[str], place: Place) -> str:
+def checksum(url: str, names: Iterable[str], place: ChunkCoords) -> str:
     """SHA-256 over the chunk's stored bytes in these arrays, 64 hex digits; absent ones count too."""
     digest = hashlib.sha256()
     for name in names:
@@ -51,24 +51,24 @@ def checksum(url: str, names: Iterable[str], place: Place) -> str:
     return digest.hexdigest()
 
 
-def changed(
+def find_corrupt(
     url: str, spec: SweepSpec, chunk_shape: Shape, chunks: Iterable[tuple[Chunk, str]]
 ) -> Iterator[Chunk]:
     """Those chunks whose stored bytes are not what their checksums say; a fraction of a millisecond each."""
     names = [array.name for array in schema.arrays(spec)]
     for chunk, expected in chunks:
-        if checksum(url, names, place_of(chunk, chunk_shape)) != expected:
+        if checksum(url, names, chunk_coords(chunk, chunk_shape)) != expected:
             yield chunk
 
 
-def discard(url: str, spec: SweepSpec, place: Place) -> None:
+def discard(url: str, spec: SweepSpec, place: ChunkCoords) -> None:
     """Remove a chunk, its outcomes first, so that its cells read as missing from then on."""
     names = [array.name for array in schema.arrays(spec)]
     for name in reversed(names):
         delete(url, key(name, place))
 
 
-def harden(url: str, keys: Sequence[str]) -> None:
+def fsync_files(url: str, keys: Sequence[str]) -> None:
     """Return when files just written, and the folders that name them, would survive a loss of power.
 
     A bucket has answered only then anyway.

@@ -10,7 +10,7 @@ StoreError              something about a store
 from typing import NamedTuple
 
 
-class Place(NamedTuple):
+class ChunkCoords(NamedTuple):
     """A chunk's address in the grid of chunks."""
 
     direction: int
@@ -38,4 +38,4 @@ class StoreConflict(StoreError):
 class StoreDamaged(StoreError):
     """Stored bytes cannot be read back, or are gone; `places` says which chunks, where it is a chunk."""
 
-    places: tuple[Place, ...] = ()
+    places: tuple[ChunkCoords, ...] = ()

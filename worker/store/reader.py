@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from worker import schema
 from worker.store.backend import in_bucket, read_key
 from worker.store.chunks import Index, Shape, key, threads
-from worker.store.errors import Place, StoreDamaged, StoreMissing
+from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
 
 ROOT: Final = "zarr.json"
 
@@ -37,13 +37,13 @@ class _Cut(NamedTuple):
 class _Part(NamedTuple):
     """What one chunk holds of the cells asked for: where in the chunk, and where among them."""
 
-    place: Place
+    place: ChunkCoords
     inside: tuple[slice, ...]
     among: tuple[slice, ...]
 
 
 def read_cells(
-    url: str, names: Iterable[str], where: Sequence[Index], promised: bool
+    url: str, names: Iterable[str], where: Sequence[Index], complete: bool
 ) -> dict[str, NDArray[Any]]:
     """As `store.read_slice`; `where` is the index along (direction, xi, omega, gamma)."""
     cuts = _described(_root(url))
@@ -51,7 +51,7 @@ def read_cells(
     parts = list(_parts(cuts[outcome], where))
     reading = _Reading(url, cuts, where)
     # Outcomes first: a cell that had one had everything else before, and one that has none has nothing.
-    there = reading.take([(outcome, part) for part in parts], lenient=not promised)
+    there = reading.take([(outcome, part) for part in parts], lenient=not complete)
     others = [name for name in wanted if name != outcome]
     reading.take([(name, part) for name in others for _, part in there], lenient=False)
     if reading.damaged:
@@ -67,7 +67,7 @@ class _Reading:
     def __init__(self, url: str, cuts: dict[str, _Cut], where: Sequence[Index]) -> None:
         self._url, self._cuts, self._where = url, cuts, where
         self._found: dict[str, NDArray[Any]] = {}
-        self.damaged: dict[Place, str] = {}
+        self.damaged: dict[ChunkCoords, str] = {}
 
     def take(self, asked: list[tuple[str, _Part]], lenient: bool) -> list[tuple[str, _Part]]:
         """Read parts of arrays; gives those that were there. The others are damage unless `lenient`."""
@@ -154,7 +154,7 @@ def _parts(cut: _Cut, where: Sequence[Index]) -> Iterator[_Part]:
     ]
     for found in product(*axes):
         places, inside, among = zip(*found, strict=True)
-        yield _Part(Place(*places), inside, among)
+        yield _Part(ChunkCoords(*places), inside, among)
 
 
 def _range(length: int, index: Index) -> range:

@@ -20,7 +20,7 @@ from worker.plan import Chunk, Plan
 from worker.spec import AXES, SweepSpec
 from worker.store import chunks
 from worker.store.backend import open_store, read_key
-from worker.store.chunks import Index, harden, key, place_of
+from worker.store.chunks import Index, chunk_coords, fsync_files, key
 from worker.store.errors import StoreConflict, StoreDamaged, StoreMissing
 from worker.store.metadata import identity, skeleton
 from worker.store.reader import ROOT, read_cells
@@ -36,10 +36,12 @@ def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | Non
     the same specification, `attrs` must hold no time of day.
     """
     if not _already_there(url, identity(spec, plan)):
-        mend(url, spec, plan, attrs)
+        repair_metadata(url, spec, plan, attrs)
 
 
-def mend(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> list[str]:
+def repair_metadata(
+    url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None
+) -> list[str]:
     """Put right everything in a store but its chunks: metadata, coordinates. Returns what was not right."""
     right = skeleton(spec, plan, attrs or {})
     wrong = [address for address, content in right.items() if read_key(url, address) != content.to_bytes()]
@@ -48,7 +50,7 @@ def mend(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None 
     store = open_store(url, read_only=False)
     for address in wrong:
         sync(store.set(address, right[address]))
-    harden(url, wrong)
+    fsync_files(url, wrong)
     return wrong
 
 
@@ -69,15 +71,15 @@ def write_chunk(url: str, chunk: Chunk, record: Mapping[str, NDArray[Any]]) -> s
         # Without this a chunk of nothing but fill values would have no file, and no checksum.
         array = _array(group, name).with_config({"write_empty_chunks": True})
         array[chunk.slices] = record[name][np.newaxis]
-    place = place_of(chunk, _chunk_shape(group))
-    harden(url, [key(name, place) for name in _names(group)])
+    place = chunk_coords(chunk, _chunk_shape(group))
+    fsync_files(url, [key(name, place) for name in _names(group)])
     return chunks.checksum(url, _names(group), place)
 
 
 def checksum(url: str, chunk: Chunk) -> str:
     """SHA-256 over the chunk's stored bytes in all arrays, 64 hex digits; absent ones count too."""
     group = _open(url, "r")
-    return chunks.checksum(url, _names(group), place_of(chunk, _chunk_shape(group)))
+    return chunks.checksum(url, _names(group), chunk_coords(chunk, _chunk_shape(group)))
 
 
 def verify(url: str, chunk: Chunk, expected: str) -> bool:
@@ -93,25 +95,25 @@ def read_slice(
     xi: Index = _EVERYTHING,
     omega: Index = _EVERYTHING,
     gamma: Index = _EVERYTHING,
-    promised: bool = False,
+    complete: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """Part of some arrays, by grid index; touches only the chunks it needs.
 
-    `promised`: everything was written, so what is not there is damage and not still to come.
+    `complete`: everything was written, so what is not there is damage and not still to come.
 
     A whole number drops its dimension, a slice (its step, if any, above 0) keeps it; flights (or state
     fields) come last. Cells without an outcome yet read as fill values throughout.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
-    return read_cells(url, names, (direction, xi, omega, gamma), promised)
+    return read_cells(url, names, (direction, xi, omega, gamma), complete)
 
 
 def read_chunk(
-    url: str, chunk: Chunk, names: Iterable[str], *, promised: bool = False
+    url: str, chunk: Chunk, names: Iterable[str], *, complete: bool = False
 ) -> dict[str, NDArray[Any]]:
     """A block of cells anywhere in the grid; each array is of chunk.shape + its extra dimension."""
     block = dict(zip(AXES, chunk.slices[1:], strict=True))
-    return read_slice(url, names, direction=chunk.direction, **block, promised=promised)
+    return read_slice(url, names, direction=chunk.direction, **block, complete=complete)
 
 
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:

@@ -11,7 +11,8 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import ForeignPage, MustIdentify, ServiceError, WrongHost, problem_of
+from service.api.problems import problem_of
+from service.errors import CrossOriginRefused, HostNotAllowed, ServiceError, Unauthenticated
 from service.settings import Settings
 
 #: What answers without a token: whether the service lives, and pages that hold nothing of anybody's.
@@ -34,7 +35,7 @@ HEADERS: Final = {
 _RAW_HEADERS: Final = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
 
 
-class Gate:
+class AccessControl:
     """Middleware: refuses requests from where, or without what, they must not come."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
@@ -63,7 +64,7 @@ class Gate:
     def _check_host(self, given: list[str]) -> None:
         name = host_name(given[0]) if len(given) == 1 else ""
         if "*" not in self._hosts and name not in self._hosts:
-            raise WrongHost(
+            raise HostNotAllowed(
                 f"Host: the service does not answer to the name {name[:80]!a}; "
                 "its operator may add it to BOUNCE_ALLOWED_HOSTS"
             )
@@ -73,7 +74,7 @@ class Gate:
         expected = self._token or b""
         if not hmac.compare_digest(token.strip().encode(), expected) or scheme.lower() != "bearer":
             came = "this is not the one" if given else "none came"
-            raise MustIdentify(f"Authorization: must hold the service's token (Bearer TOKEN); {came}")
+            raise Unauthenticated(f"Authorization: must hold the service's token (Bearer TOKEN); {came}")
 
 
 def _check_page(headers: Headers) -> None:
@@ -81,7 +82,7 @@ def _check_page(headers: Headers) -> None:
     origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
     ours = origin is None or urlsplit(origin).netloc == headers.get("host")
     if not ours or site not in ("none", "same-origin"):
-        raise ForeignPage("Origin: a page from elsewhere must not change anything here")
+        raise CrossOriginRefused("Origin: a page from elsewhere must not change anything here")
 
 
 def host_name(host: str) -> str:

@@ -5,7 +5,8 @@ import asyncio
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import BodyTimeout, ServiceError, TooLarge, problem_of
+from service.api.problems import problem_of
+from service.errors import BodyTimeout, ServiceError, TooLarge
 
 
 class BodyLimit:

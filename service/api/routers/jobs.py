@@ -60,7 +60,7 @@ def submit(
     spec = SweepSpec.from_json(body)
     if query.validate_only:
         return _cost(service, spec)
-    job, accepted = service.lifecycle.submit(spec, idempotency_key)
+    job, accepted = service.manager.submit(spec, idempotency_key)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(dependencies.seconds_to_wait(job) or 0)
@@ -68,7 +68,7 @@ def submit(
 
 
 def _cost(service: TheService, spec: SweepSpec) -> Response:
-    service.lifecycle.check(spec)
+    service.manager.check(spec)
     with service.ledger.reading() as ledger:
         paces = ledger.paces(estimates.RECENT_JOBS, estimates.LONGEST_SPEC)
     cost = schemas.Cost(**estimates.cost(spec, paces)._asdict())
@@ -113,7 +113,7 @@ def job(service: TheService, job_id: str, request: Request) -> Response:
 @router.delete("/jobs/{job_id}", status_code=204, responses=problem_responses(404, 409))
 def delete(service: TheService, job: TheJob) -> None:
     """Forget a job and remove all it has computed; one in work is to be cancelled first."""
-    service.lifecycle.delete(job.id)
+    service.manager.delete(job.id)
 
 
 @router.post(
@@ -121,7 +121,7 @@ def delete(service: TheService, job: TheJob) -> None:
 )
 def cancel(service: TheService, job: TheJob) -> Response:
     """Stop a job, keeping what is computed."""
-    return dependencies.view(service.lifecycle.cancel(job.id), 202)
+    return dependencies.view(service.manager.cancel(job.id), 202)
 
 
 @router.post(
@@ -132,7 +132,7 @@ def cancel(service: TheService, job: TheJob) -> Response:
 )
 def resume(service: TheService, job: TheJob) -> Response:
     """Let a job that failed or was cancelled go on where it stopped; 200 if it is in work anyway."""
-    found, accepted = service.lifecycle.resume(job.id)
+    found, accepted = service.manager.resume(job.id)
     return dependencies.view(found, 202 if accepted else 200)
 
 

@@ -14,8 +14,8 @@ from kernel.params import Cell, Contact, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.api import schemas
 from service.api.dependencies import JsonBody, TheService
-from service.api.problems import InvalidRequest, TooLarge
 from service.api.schemas import problem_responses
+from service.errors import InvalidRequest, TooLarge
 from worker.plan import cell_seconds
 from worker.spec import LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict

@@ -14,10 +14,10 @@ from pydantic import Field
 from kernel.params import Outcome
 from service.api import dependencies, schemas
 from service.api.dependencies import TheJob, TheService
-from service.api.problems import InvalidRequest
 from service.api.routers import model
 from service.api.routers.model import TrajectorySpec
 from service.api.schemas import LineQuery, Number, PlaneQuery, Trajectory, problem_responses
+from service.errors import InvalidRequest
 from service.render import binary
 from service.results import diagram, mode_map
 from service.results.density import Window, density
@@ -198,7 +198,9 @@ def _first(given: float | None, otherwise: float) -> float:
 def _cell(sweep: Sweep, query: CellQuery) -> tuple[TrajectorySpec, NDArray[np.float64] | None]:
     """What to compute of the cell nearest to the one asked for, and the state a ramp left it in."""
     spec = sweep.spec
-    places = {axis: diagram.place_of(spec, axis, getattr(query, axis)) for axis in ("xi", "omega", "gamma")}
+    places = {
+        axis: diagram.nearest_index(spec, axis, getattr(query, axis)) for axis in ("xi", "omega", "gamma")
+    }
     direction = diagram.direction_of(spec, query.direction)
     state = None
     if spec.ramp_axis is not None:

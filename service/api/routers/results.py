@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from service.api import dependencies, schemas
 from service.api.conditional import NOT_MODIFIED, Results, Tagged
 from service.api.dependencies import TheJob, TheService
-from service.api.problems import NotInStore
 from service.api.schemas import Format, problem_responses
+from service.errors import NotInStore
 from service.jobs import on_demand
 from service.jobs.model import UNFINISHED, JobState
 from service.render import bifurcation, text
