@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 from benchmarks.machine import describe
-from kernel.line import run_line
-from kernel.params import Line, Model
+from benchmarks.models import Model, run_line
+from kernel.params import Line
 from kernel.restitution import restitution_of
 
 PERIODS = 300

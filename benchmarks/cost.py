@@ -24,8 +24,8 @@ from matplotlib.figure import Figure
 from benchmarks.atlas import atlas, warm
 from benchmarks.kernel import NEIGHBOURS, cost_of, line
 from benchmarks.machine import describe
+from benchmarks.models import Model
 from benchmarks.tables import short, table
-from kernel.params import Model
 from service.client import Client
 from service.server import embedded
 

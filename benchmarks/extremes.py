@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.machine import describe
-from kernel.line import run_line
-from kernel.params import Model, Outcome
+from benchmarks.models import Model, run_line
+from kernel.params import Outcome
 
 #: What `xi` and `omega` are set to exactly, or nearly.
 EDGES_XI = (0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, math.sqrt(0.5) * (1.0 - 1e-12))

@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 from benchmarks.machine import describe
-from kernel.line import run_line
-from kernel.params import Line, Model, Outcome
+from benchmarks.models import Model, run_line
+from kernel.params import Line, Outcome
 from kernel.threshold import threshold
 
 OMEGA, XI = 0.6, 0.05

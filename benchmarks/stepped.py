@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import describe
-from kernel.line import run_line
-from kernel.params import Model
+from benchmarks.models import Model, run_line
 from kernel.restitution import damping_ratio
 from kernel.step_limits import Scheme, steps_per_period
 

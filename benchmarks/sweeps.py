@@ -26,9 +26,9 @@ import xsweep
 from benchmarks import scipy_rival
 from benchmarks.atlas import atlas, warm
 from benchmarks.machine import describe
+from benchmarks.models import Model, run_line
 from benchmarks.tables import short, table
-from kernel.line import run_line
-from kernel.params import Line, Model
+from kernel.params import Line
 from service.client import Client
 from service.server import embedded
 from worker.spec import SweepSpec

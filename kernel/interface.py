@@ -1,8 +1,9 @@
 """What a contact model answers. Each model registers its own functions, chosen by type.
 
 A model has a *plate*, the contact under each cell of a line, and a *cell*, one cell's
-constants. A state is (gap, gap', q, q'): the lower mass above the plate and the elongation
-with their velocities; phi is the plate's phase. Times are rad from the start of a phase.
+constants. Its module has a function `plate`, which makes the former from checked arrays (n,).
+A state is (gap, gap', q, q'): the lower mass above the plate and the elongation with their
+velocities; phi is the plate's phase. Times are rad from the start of a phase.
 """
 
 from typing import Any
@@ -38,6 +39,11 @@ def flight(  # type: ignore[empty-body]
     cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
     """In flight until landing, or to the horizon."""
+
+
+@by_type
+def contact_force(cell: Any, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:  # type: ignore[empty-body]
+    """The plate's force on the lower mass in contact, in m A omega**2; `cos` is of the plate's phase."""
 
 
 @by_type

@@ -6,21 +6,18 @@ amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities
 (Gamma_old/Gamma_new)(Omega_new/Omega_old) (MODEL section 4).
 """
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import Window, leave, room_for_flights, run_cell, write
 from kernel.interface import flies, prepare, rest
-from kernel.models.ball import BallPlate
 from kernel.models.lockstep import run_lockstep
 from kernel.models.rigid import RigidPlate
-from kernel.models.soft import SoftPlate
-from kernel.models.stepped import SteppedPlate, stepped_plate
 from kernel.numerics.first_root import NON_FINITE
 from kernel.numerics.jit import jit
-from kernel.params import STATE_FIELDS, KernelInputError, Line, Model, Start
+from kernel.params import STATE_FIELDS, KernelInputError, Line, Start
 from kernel.validation import check_arrays, check_window, checked_state
 
 
@@ -58,8 +55,13 @@ def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
     state[5] *= velocity
 
 
-#: The models there are.
-MODELS: Final = (Model.SOFT, Model.STEPPED, Model.RIGID, Model.BALL)
+def _check_plate(plate: Any, n: int) -> None:
+    """What a model's `plate` made, for n cells."""
+    if type(plate) not in prepare:
+        raise KernelInputError("plate", f"must be made by a model's `plate`, not a {type(plate).__name__}")
+    for name, array in plate._asdict().items():
+        if isinstance(array, np.ndarray) and array.shape != (n,):
+            raise KernelInputError(name, f"must have the shape of gamma, ({n},), got {array.shape}")
 
 
 def run_line(
@@ -67,10 +69,7 @@ def run_line(
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
     *,
-    model: Model,
-    restitution: NDArray[np.float64],
-    penetration: NDArray[np.float64],
-    adhesive: bool,
+    plate: Any,
     carry: bool,
     settle: int,
     observe: int,
@@ -78,29 +77,22 @@ def run_line(
     micro_flight: float = 0.0,
     settle_tolerance: float = 0.0,
     start: Start | None = None,
-    steps_per_contact: int = 20,
-    scheme: str = "verlet",
 ) -> Line:
     """Run n cells in the order given and return their record.
 
-    gamma, omega, xi, restitution, penetration: float64 (n,). With `carry` each cell goes on from
-    its predecessor's end, the first from `start` or from rest; without, every cell starts from
-    rest. settle, observe: plate periods; keep: flights stored; micro_flight: rad; with a
-    settle_tolerance (rad) > 0, flights that repeat within it end the settling early. The last two
-    are for `stepped` alone: see kernel.step_limits, which says what is stable.
+    gamma, omega, xi: float64 (n,). plate: what a model's `plate` makes of its own arrays (n,); its
+    type chooses the model. With `carry` each cell goes on from its predecessor's end, the first from
+    `start` or from rest; without, every cell starts from rest. settle, observe: plate periods; keep:
+    flights stored; micro_flight: rad; with a settle_tolerance (rad) > 0, flights that repeat within
+    it end the settling early.
 
     A trajectory that fails is an outcome. Raises KernelInputError for arguments no cell can have.
     """
-    arrays = {
-        "gamma": gamma,
-        "omega": omega,
-        "xi": xi,
-        "restitution": restitution,
-        "penetration": penetration,
-    }
+    arrays = {"gamma": gamma, "omega": omega, "xi": xi}
     check_arrays(arrays)
     check_window(settle, observe, keep, micro_flight, settle_tolerance)
-    gamma, omega, xi, restitution, penetration = (np.ascontiguousarray(a) for a in arrays.values())
+    _check_plate(plate, len(gamma))
+    gamma, omega, xi = (np.ascontiguousarray(a) for a in arrays.values())
     n = len(gamma)
     line = Line(
         np.full((n, keep), np.nan),
@@ -114,37 +106,8 @@ def run_line(
     state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     window = Window(int(settle), int(observe), float(micro_flight), float(settle_tolerance))
-    plate: RigidPlate | SoftPlate | BallPlate | SteppedPlate
-    if model == Model.STEPPED:
-        plate = stepped_plate(restitution, penetration, bool(adhesive), steps_per_contact, scheme)
-    else:
-        plate = _plate(model, restitution, penetration, bool(adhesive))
     if isinstance(plate, RigidPlate) and not carry:
         run_lockstep(plate, gamma, omega, xi, window, line)
         return line
     _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line)
     return line
-
-
-def _plate(
-    model: Model, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool
-) -> RigidPlate | SoftPlate | BallPlate:
-    if model == Model.RIGID:
-        return RigidPlate(restitution)
-    if model == Model.SOFT:
-        return SoftPlate(restitution, penetration, adhesive)
-    if model == Model.BALL:
-        return BallPlate(restitution)
-    raise KernelInputError(
-        "model", f"must be one of {', '.join(m.name.lower() for m in MODELS)}, got {model!r}"
-    )
-
-
-def warm() -> None:
-    """Compile every kernel a worker may be asked for."""
-    one = np.ones(1)
-    for model in MODELS:
-        run_line(
-            one, one, one, model=model, restitution=0.5 * one, penetration=1e-3 * one, adhesive=True,
-            carry=False, settle=0, observe=1, keep=1,
-        )  # fmt: skip

@@ -25,29 +25,6 @@ class Cell(NamedTuple):
     xi: float  # damping ratio of the spring
 
 
-class Contact(NamedTuple):
-    """How the lower mass meets the plate.
-
-    `restitution` is always the true restitution of an isolated impact under the
-    chosen law; `penetration` is d = delta_c/A, so that the contact stiffness is
-    1/d**2; `adhesive` chooses whether the contact may pull. The last two mean
-    nothing to models without a soft contact.
-    """
-
-    restitution: float = 0.0
-    penetration: float = 1e-3
-    adhesive: bool = True
-
-
-class Model(IntEnum):
-    """The contact models, cheapest last in fidelity order."""
-
-    SOFT = 0  # spring-dashpot contact, solved exactly
-    STEPPED = 1  # the same contact by fixed time steps, as the paper did
-    RIGID = 2  # ideal plate, restitution e
-    BALL = 3  # one rigid point mass
-
-
 class Outcome(IntEnum):
     """What became of a cell. A failed trajectory is data, not an error."""
 

@@ -6,22 +6,16 @@ compiled phases, fast enough for thousands of samples.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import BUDGET, SHORTEST_FLIGHT
-from kernel.interface import contact, flies, flight, prepare, rest
-from kernel.models.ball import Ball, BallPlate
-from kernel.models.rigid import RigidPlate, Spring, normal_force
-from kernel.models.soft import SoftPlate
-from kernel.models.soft_contact import SoftSpring
-from kernel.models.stepped import SteppedSpring, stepped_plate
+from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.modes import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
-from kernel.params import Cell, Contact, Model
+from kernel.params import Cell
 from kernel.validation import check_arrays
 
 #: Contacts and flights that are followed, so that a caller who waits has an answer in seconds.
@@ -61,40 +55,23 @@ class _Point(NamedTuple):
 
 def sample(
     cell: Cell,
-    law: Contact,
+    plate: Any,
     state: NDArray[np.float64] | None,
     *,
-    model: Model,
     periods: int,
     samples: int,
-    steps_per_contact: int = 20,
-    scheme: str = "verlet",
 ) -> Trajectory:
     """`samples` per plate period, over `periods` of them, from phase 0.
 
-    `state`: where it starts (see params.STATE_FIELDS), such as a cell's end state; None for rest.
+    `plate`: what a model's `plate` makes for this one cell. `state`: where it starts (see
+    params.STATE_FIELDS), such as a cell's end state; None for rest.
 
-    `stepped` is sampled at the nearest of its own steps. Raises KernelInputError as `ramp.run_line`.
+    `stepped` is sampled at the nearest of its own steps. Raises KernelInputError as `line.run_line`.
     """
-    plate = _plate(cell, law, model, steps_per_contact, scheme)
+    check_arrays({name: np.array([value], np.float64) for name, value in cell._asdict().items()})
     spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
     times = np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
     return _Walk(spring, times, periods).run(_begin(spring, state))
-
-
-def _plate(cell: Cell, law: Contact, model: Model, steps_per_contact: int, scheme: str) -> Any:
-    """The plate under this one cell."""
-    given = {**cell._asdict(), "restitution": law.restitution, "penetration": law.penetration}
-    arrays = {name: np.array([value], np.float64) for name, value in given.items()}
-    check_arrays(arrays)
-    restitution, penetration = arrays["restitution"], arrays["penetration"]
-    if model == Model.RIGID:
-        return RigidPlate(restitution)
-    if model == Model.BALL:
-        return BallPlate(restitution)
-    if model == Model.SOFT:
-        return SoftPlate(restitution, penetration, law.adhesive)
-    return stepped_plate(restitution, penetration, law.adhesive, steps_per_contact, scheme)
 
 
 def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
@@ -113,7 +90,6 @@ class _Walk:
 
     def __init__(self, spring: Any, times: NDArray[np.float64], periods: int) -> None:
         self._spring, self._times, self._periods = spring, times, periods
-        self._force = _FORCES[type(spring)]
         self._budget = BUDGET * periods
         self._phases = MOST_PHASES
         self._gap, self._q, self._n = (np.full(len(times), np.nan) for _ in range(3))
@@ -156,7 +132,7 @@ class _Walk:
             if here.in_flight:
                 self._n[i] = 0.0
             else:
-                self._n[i] = self._force(self._spring, math.cos(self._times[i]), x.gap, x.gap1, x.q, x.q1)
+                self._n[i] = contact_force(self._spring, math.cos(self._times[i]), x.gap, x.gap1, x.q, x.q1)
         self._next = max(self._next, last)
 
     def _trajectory(self) -> Trajectory:
@@ -172,28 +148,3 @@ class _Walk:
             flights[:, 1],
             self._next == len(self._times),
         )
-
-
-def _rigid_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return float(normal_force(s, cos, q, q1))
-
-
-def _soft_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return -(s.kappa * gap + s.beta * gap1)
-
-
-def _stepped_force(s: SteppedSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return -(s.contact.kappa * gap + s.contact.beta * gap1)
-
-
-def _ball_force(b: Ball, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return max(b.gravity - cos, 0.0)
-
-
-#: The plate's force in contact, by what a model prepares for a cell.
-_FORCES: Final[dict[type, Callable[..., float]]] = {
-    Spring: _rigid_force,
-    SoftSpring: _soft_force,
-    SteppedSpring: _stepped_force,
-    Ball: _ball_force,
-}

@@ -103,7 +103,7 @@ def test_every_dask_command_is_one():
 
 def test_tables_of_fields_and_models_are_those_of_the_specification():
     from worker.spec import SweepSpec
-    from worker.spec.contact_models import MODELS
+    from worker.spec.contact_models import CONTACT_MODELS
 
     section = re.search(r"^### What a sweep says\n\n(.*?)\n\n(.*?)\n\n", README, re.MULTILINE | re.DOTALL)
     assert section
@@ -111,7 +111,7 @@ def test_tables_of_fields_and_models_are_those_of_the_specification():
         " ".join(row.split(" | ")[0] for row in table.splitlines()) for table in section.groups()
     )
     assert sorted(re.findall(r"`(\w+)`", fields)) == sorted(SweepSpec.model_fields)
-    assert re.findall(r"`(\w+)`", models) == list(MODELS)
+    assert re.findall(r"`(\w+)`", models) == list(CONTACT_MODELS)
 
 
 def test_sweep_in_a_file_is_valid():

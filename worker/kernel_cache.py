@@ -44,17 +44,17 @@ def warm(root: str | Path | None = None) -> None:
     """
     slot = claim_cache(root)
     # Not at the top: the kernels' declarations look for the cache that was just claimed.
-    from kernel import line  # noqa: PLC0415
+    from worker.tasks import compile_kernels  # noqa: PLC0415
 
     if slot is None or (slot.parent / _READY).exists():
         if slot is not None:
             _seed(slot)  # it may have been claimed before there was anything to copy
-        line.warm()
+        compile_kernels()
         return
     with (slot.parent / "compiling").open("a") as turn:
         fcntl.flock(turn, fcntl.LOCK_EX)
         _seed(slot)
-        line.warm()
+        compile_kernels()
         _publish(slot)
 
 

@@ -1,7 +1,7 @@
-"""Room: how a sweep is cut into chunks, and which chunk waits for which.
+"""How a sweep is cut into chunks, and which chunk waits for which.
 
 Pure: computes no physics, touches no disk, holds no list of chunks, so that a plan of
-a million of them costs nothing. Imports numpy and its neighbours in worker.
+a million of them costs nothing.
 
 Chunks lie on a regular grid. They are numbered in the order they can be run: from rest
 that is the grid's own order; on a ramp all lines' first chunks come before any line's
@@ -17,22 +17,11 @@ from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, overload
+from typing import Final, overload
 
-import numpy as np
-
-from kernel.step_limits import steps_per_period
+from worker.cost import cell_seconds
 from worker.schema import bytes_per_cell
 from worker.spec import AXES, SweepSpec
-from worker.spec.contact_models import Rigid, Stepped, penetration_of
-from worker.spec.errors import Problem, SpecTooLarge
-
-#: Core-microseconds of one cell for one plate period, measured over cells of all kinds from rest; for
-#: `stepped` of one time step. `auto` costs at most what the exact contact does.
-COST_US: Final = {"ball": 0.06, "rigid": 0.16, "soft": 2.0, "auto": 2.0, "stepped": 0.0042}
-#: The same of `rigid` where cells cannot be computed side by side: on a ramp, and where it bounces back.
-ALONE_US: Final = 0.75
-ELASTIC_US: Final = 2.0
 
 #: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small enough to show
 #: progress, to lose little, and to let a small job that comes in between have its turn soon.
@@ -41,9 +30,6 @@ SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
 #: Before compression: who reads one cell reads its chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
-
-DEFAULT_MAX_CELLS: Final = 10_000_000
-DEFAULT_MAX_BYTES: Final = 64 * 2**30
 
 Span = tuple[int, int]
 
@@ -156,15 +142,6 @@ class Plan(Sequence[Chunk]):
         return xi, omega, gamma
 
 
-class Estimate(NamedTuple):
-    """What a sweep will take: `bytes` before compression, `core_seconds` of computing."""
-
-    cells: int
-    chunks: int
-    bytes: int
-    core_seconds: float
-
-
 def make_plan(
     spec: SweepSpec, *, chunk_cells: int | None = None, chunk_shape: tuple[int, int, int] | None = None
 ) -> Plan:
@@ -182,52 +159,6 @@ def make_plan(
         )
     xi, omega, gamma = (min(size, n) for size, n in zip(chunk_shape, grid, strict=True))
     return Plan(spec.directions, (grid[0], grid[1], grid[2]), (xi, omega, gamma), spec.ramp_axis)
-
-
-def cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds one cell of the sweep takes, from the table above."""
-    return _period_us(spec) * _steps(spec) * 1e-6 * (spec.settle + spec.observe)
-
-
-def _period_us(spec: SweepSpec) -> float:
-    if isinstance(spec.model, Rigid):
-        if spec.model.restitution > 0:
-            return ELASTIC_US
-        if spec.ramp_axis is not None:
-            return ALONE_US
-    return COST_US[spec.model.kind]
-
-
-def _steps(spec: SweepSpec) -> float:
-    """Time steps in a plate period, in the middle of the sweep; 1 for models that take none."""
-    model = spec.model
-    if not isinstance(model, Stepped):
-        return 1.0
-    gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
-    depths = penetration_of(model, gamma[[0, -1]], omega[[0, -1]])
-    steps = steps_per_period(model.restitution, depths, model.steps_per_contact, adhesive=model.adhesive)
-    return float(np.sqrt(np.prod(steps.astype(float))))
-
-
-def estimate(spec: SweepSpec, plan: Plan | None = None) -> Estimate:
-    """What a sweep will take, worked out without computing or storing any of it."""
-    cells = math.prod(spec.shape)
-    chunks = len(plan if plan is not None else make_plan(spec))
-    return Estimate(cells, chunks, cells * bytes_per_cell(spec), cells * cell_seconds(spec))
-
-
-def check_size(
-    spec: SweepSpec, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES
-) -> None:
-    """Raise `SpecTooLarge` for more cells or stored bytes than allowed; takes no memory itself."""
-    cells, per_cell = math.prod(spec.shape), bytes_per_cell(spec)
-    if cells > max_cells:
-        raise SpecTooLarge(
-            [Problem("", f"asks for {cells} cells; at most {max_cells} are allowed: take fewer values")]
-        )
-    if cells * per_cell > max_bytes:
-        rule = f"asks for {cells * per_cell} bytes, {per_cell} a cell; at most {max_bytes} are allowed"
-        raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
 
 
 def _cells_per_chunk(spec: SweepSpec) -> int:

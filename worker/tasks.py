@@ -8,6 +8,7 @@ again, it writes the same bytes. Imports the kernel and worker; nothing of the s
     └── PredecessorMissing  a ramp's chunk has nothing to carry on from
 """
 
+import importlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,9 +21,10 @@ from numpy.typing import NDArray
 from kernel.line import run_line
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
-from worker.plan import Chunk, cell_seconds
+from worker.cost import cell_seconds
+from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
-from worker.spec.contact_models import kernel_model, penetration_of, restitution_of, steps_of
+from worker.spec.contact_models import CONTACT_MODELS, Contact
 
 #: How much computing, by the cost table, goes between two looks at the cancel mark. The
 #: table can be wrong by a lot for hard cells, hence well below what a user would wait for.
@@ -123,25 +125,28 @@ def run_cells(
     start: Start | None,
 ) -> Line:
     """Cells (n,) one after the other as a sweep computes them; on a ramp from `start`, or from rest."""
-    carry, steps = spec.ramp_axis is not None, steps_of(spec.model)
+    carry = spec.ramp_axis is not None
     return run_line(
         np.ascontiguousarray(gamma),
         np.ascontiguousarray(omega),
         np.ascontiguousarray(xi),
-        model=kernel_model(spec.model),
-        restitution=restitution_of(spec.model, xi),
-        penetration=penetration_of(spec.model, gamma, omega),
-        adhesive=getattr(spec.model, "adhesive", True),
+        plate=plate_of(spec.model, gamma, omega, xi),
         carry=carry,
         settle=spec.settle,
         observe=spec.observe,
         keep=spec.keep,
         micro_flight=spec.micro_flight,
         settle_tolerance=spec.settle_tolerance,
-        steps_per_contact=steps.steps_per_contact,
-        scheme=steps.scheme,
         start=start if carry else None,
     )
+
+
+def plate_of(
+    model: Contact, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]
+) -> Any:
+    """The kernel's plate under these cells, (n,) each."""
+    kernel = importlib.import_module(CONTACT_MODELS[model.kind].kernel)
+    return kernel.plate(**model.plate_arguments(gamma, omega, xi))
 
 
 def _start(state: NDArray[np.float64], outcome: int, cell: Cell) -> Start | None:
@@ -210,3 +215,13 @@ def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> ND
         return array.reshape(1, 1, chunk.cells, *array.shape[3:])
     along = np.moveaxis(array, AXES.index(spec.ramp_axis), 2)
     return along[:, :, ::-1] if spec.directions[chunk.direction] == "down" else along
+
+
+def compile_kernels() -> None:
+    """Compile every kernel a worker may be asked for."""
+    one = np.ones(1)
+    for kind, model in CONTACT_MODELS.items():
+        contact: Any = model.fields(kind=kind)
+        run_line(
+            one, one, one, plate=plate_of(contact, one, one, one), carry=False, settle=0, observe=1, keep=1
+        )

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import Flights, Progress, Window, horizon_of, record
-from kernel.interface import contact, flies, flight, prepare, repeat, rest
+from kernel.interface import contact, contact_force, flies, flight, prepare, repeat, rest
 from kernel.models.chatter import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, lifted, state_after, takes_off
 from kernel.modes import TWO_PI
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit
+from kernel.validation import check_arrays
 
 #: Phases after a take-off from rest that a cell remembers, the next take-off among them if it comes so soon.
 KNOWN: Final = 18
@@ -39,6 +40,12 @@ class BallPlate(NamedTuple):
     restitution: NDArray[
         np.float64
     ]  # (n,) epsilon; kernel.restitution.restitution_of(xi) where none is given
+
+
+def plate(*, restitution: NDArray[np.float64]) -> BallPlate:
+    """The plate under n cells; restitution (n,) in [0, 1]. Raises KernelInputError."""
+    check_arrays({"restitution": restitution})
+    return BallPlate(np.ascontiguousarray(restitution))
 
 
 class Ball(NamedTuple):
@@ -116,6 +123,12 @@ def _flight(
     phi -= TWO_PI * math.floor(phi / TWO_PI)
     bounces = not _settles(b, phi, hop, -end.gap2, -end.gap3)
     return Phase(end.tau, ROOT, bounces, 0.0, hop, 0.0, 0.0, end.used)
+
+
+@contact_force.register(Ball)
+@jit
+def _contact_force(b: Ball, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return max(b.gravity - cos, 0.0)
 
 
 @jit

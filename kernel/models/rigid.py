@@ -15,13 +15,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.chatter import chatter_completes
 from kernel.models.flight import landing, state_after, take_off
 from kernel.numerics.elementary import turned
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, derivatives, envelope, motion, oscillator, quiet_after
+from kernel.validation import check_arrays
 
 #: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
 #: computed as one 5e-9 beside it, where the closed form still has eight digits.
@@ -32,6 +33,12 @@ class RigidPlate(NamedTuple):
     """The plate under each cell of a line."""
 
     restitution: NDArray[np.float64]  # (n,)
+
+
+def plate(*, restitution: NDArray[np.float64]) -> RigidPlate:
+    """The plate under n cells; restitution (n,) in [0, 1]. Raises KernelInputError."""
+    check_arrays({"restitution": restitution})
+    return RigidPlate(np.ascontiguousarray(restitution))
 
 
 class Spring(NamedTuple):
@@ -89,6 +96,12 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
 def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
     """n if the lower mass moved with the plate (Eq. 8), cos being the plate's position."""
     return s.gravity - cos - s.dashpot * q1 - s.stiffness * q
+
+
+@contact_force.register(Spring)
+@jit
+def _contact_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return normal_force(s, cos, q, q1)
 
 
 @rest.register(Spring)

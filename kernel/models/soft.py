@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.contact_law import lets_go
 from kernel.models.flight import Flight, flight_terms, landing, state_after, take_off
 from kernel.models.soft_contact import SoftSpring, join, pressed, soft_spring, split
@@ -23,6 +23,7 @@ from kernel.numerics.elementary import turned
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import jit
 from kernel.numerics.oscillator import derivatives, envelope, motion, quiet_after
+from kernel.validation import check_arrays
 
 
 class SoftPlate(NamedTuple):
@@ -31,6 +32,15 @@ class SoftPlate(NamedTuple):
     restitution: NDArray[np.float64]  # (n,) true restitution of an isolated impact
     penetration: NDArray[np.float64]  # (n,) d, plate amplitudes
     adhesive: bool
+
+
+def plate(*, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool) -> SoftPlate:
+    """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
+
+    Raises KernelInputError.
+    """
+    check_arrays({"restitution": restitution, "penetration": penetration})
+    return SoftPlate(np.ascontiguousarray(restitution), np.ascontiguousarray(penetration), bool(adhesive))
 
 
 class Recoil(NamedTuple):
@@ -51,6 +61,12 @@ class Dip(NamedTuple):
 @jit
 def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) -> SoftSpring:
     return soft_spring(gamma, omega, xi, plate.restitution[i], plate.penetration[i], plate.adhesive)
+
+
+@contact_force.register(SoftSpring)
+@jit
+def _contact_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return -(s.kappa * gap + s.beta * gap1)
 
 
 @rest.register(SoftSpring)

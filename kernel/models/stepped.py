@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.contact_law import lets_go
 from kernel.models.time_stepping import Grid, Law, March, Point, before, law, march, outset, over, step
 from kernel.modes import TWO_PI
@@ -27,6 +27,7 @@ from kernel.numerics.jit import jit
 from kernel.params import KernelInputError
 from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
+from kernel.validation import check_arrays
 
 #: Steps between two exact evaluations of the plate's phase; in between a rotation turns it on.
 BLOCK: Final = 1024
@@ -62,17 +63,19 @@ class SteppedSpring(NamedTuple):
     dent: float  # static gap, < 0
 
 
-def stepped_plate(
+def plate(
+    *,
     restitution: NDArray[np.float64],
     penetration: NDArray[np.float64],
     adhesive: bool,
     steps_per_contact: int,
     scheme: str,
 ) -> SteppedPlate:
-    """The plate under n cells, from arrays (n,).
+    """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
 
-    Raises KernelInputError for a scheme there is not and for what is no number of steps.
+    Raises KernelInputError, also for a scheme there is not and for what is no number of steps.
     """
+    check_arrays({"restitution": restitution, "penetration": penetration})
     names = [s.name.lower() for s in Scheme]
     if scheme not in names:
         raise KernelInputError("scheme", f"must be one of {', '.join(names)}, got {scheme!r}")
@@ -81,7 +84,15 @@ def stepped_plate(
         raise KernelInputError("steps_per_contact", f"must be an integer >= 1, got {steps_per_contact!r}")
     damping = damping_ratio(restitution, adhesive)
     steps = steps_per_period(restitution, penetration, int(steps_per_contact), adhesive=adhesive)
-    return SteppedPlate(damping, penetration, steps, adhesive, 0.5 if scheme == "verlet" else 0.0)
+    return SteppedPlate(
+        damping, np.ascontiguousarray(penetration), steps, bool(adhesive), 0.5 if scheme == "verlet" else 0.0
+    )
+
+
+@contact_force.register(SteppedSpring)
+@jit
+def _contact_force(s: SteppedSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return -(s.contact.kappa * gap + s.contact.beta * gap1)
 
 
 @prepare.register(SteppedPlate)

@@ -55,6 +55,10 @@ class by_type:  # noqa: N801 - a decorator
             raise TypeError(f"no model answers this for a {type(first).__name__}")
         return chosen(first, *rest)
 
+    def __contains__(self, kind: type) -> bool:
+        """Whether a function is registered for first arguments of this type."""
+        return kind in self._implementations
+
     def _chosen(self, kind: type) -> Callable[..., Any] | None:
         return self._implementations.get(kind, self._otherwise)
 

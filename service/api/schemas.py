@@ -141,18 +141,6 @@ class JobList(BaseModel):
     next: str | None = Field(description="cursor of the next page; null on the last")
 
 
-class Cost(BaseModel):
-    """What a sweep will take."""
-
-    cells: int
-    chunks: int
-    bytes: int = Field(description="of stored arrays before compression")
-    core_seconds: float
-    basis: Literal["measured", "table"] = Field(
-        description="measured: by the speed of this service's last jobs with the same contact model"
-    )
-
-
 class Modes(BaseModel):
     """Outcome and mode of every cell of a plane; rows are values of Ω, columns of Γ."""
 

@@ -6,10 +6,11 @@ contact model took, compared with the plan's cost table. Before there are any, f
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Final, Literal, NamedTuple
+from typing import Final
 
 from service.jobs.ledger import Pace
-from worker import plan
+from worker.cost import Cost, cell_seconds, estimate
+from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
 
@@ -21,27 +22,13 @@ LONGEST_SPEC: Final = 20_000
 LEAST_SECONDS: Final = 0.05
 
 
-class Cost(NamedTuple):
-    """What a sweep will take; `basis` says where the speed comes from."""
-
-    cells: int
-    chunks: int
-    bytes: int  # of stored arrays before compression
-    core_seconds: float
-    basis: Literal["measured", "table"]
-
-
 def cost(spec: SweepSpec, paces: Sequence[Pace]) -> Cost:
     """The cost of a sweep, by the speed of jobs before it."""
-    found = plan.estimate(spec)
+    found = estimate(spec, len(make_plan(spec)))
     ratio = _against_table(spec.model.kind, paces)
-    return Cost(
-        found.cells,
-        found.chunks,
-        found.bytes,
-        found.core_seconds * (1.0 if ratio is None else ratio),
-        "table" if ratio is None else "measured",
-    )
+    if ratio is None:
+        return found
+    return found.model_copy(update={"core_seconds": found.core_seconds * ratio, "basis": "measured"})
 
 
 def _against_table(kind: str, paces: Sequence[Pace]) -> float | None:
@@ -62,4 +49,4 @@ def _kind_and_cost(text: str) -> tuple[str, float] | None:
         spec = SweepSpec.from_json(text)
     except SpecError:  # an older version accepted it
         return None
-    return spec.model.kind, plan.cell_seconds(spec)
+    return spec.model.kind, cell_seconds(spec)

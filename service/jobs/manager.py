@@ -16,8 +16,9 @@ from service.jobs.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.settings import Settings
 from worker import store
+from worker.cost import check_size
 from worker.executors.base import Executor
-from worker.plan import check_size, make_plan
+from worker.plan import make_plan
 from worker.spec import SweepSpec
 
 log = logging.getLogger(__name__)

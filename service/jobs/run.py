@@ -11,8 +11,9 @@ import numpy as np
 
 from service.jobs.model import DoneChunk, Failure, JobRecord, JobState
 from service.jobs.ready_queue import NONE, ReadyQueue
+from worker.cost import cell_seconds
 from worker.executors.errors import ExecutorError
-from worker.plan import Chunk, Plan, cell_seconds
+from worker.plan import Chunk, Plan
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 

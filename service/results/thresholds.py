@@ -12,8 +12,8 @@ from service.jobs.on_demand import OnDemandCache
 from service.results.diagram import Sweep
 from service.results.mode_map import Thresholds
 from worker.analysis.thresholds import USUAL_CELLS, Refined, refine
+from worker.cost import cell_seconds
 from worker.executors.base import Executor
-from worker.plan import cell_seconds
 
 #: Values of omega in one call: small enough to share out, large enough to be worth it.
 BLOCK: Final = 16

@@ -10,15 +10,15 @@ from collections.abc import Callable
 import numpy as np
 import paths
 import pytest
+from kernel_runs import Model, run_line
 from scipy.optimize import brentq
 
 from kernel import interface, restitution
 from kernel.cell import MEMORY
-from kernel.line import run_line
 from kernel.models import ball, chatter, contact_law, free_fall
 from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import ROOT
-from kernel.params import Cell, Line, Model, Outcome, Start
+from kernel.params import Cell, Line, Outcome, Start
 
 TWO_PI = 2.0 * math.pi
 
@@ -411,8 +411,6 @@ def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
 INTERPRETED = """
 import json
 import numpy as np
-from kernel.params import Model
-from kernel.line import run_line
 for model, e in ((Model.BALL, 0.3), (Model.STEPPED, 0.5)):
     g = np.array([1.7, 2.9])
     line = run_line(g, 0.5 + 0 * g, 0.3 + 0 * g, model=model, restitution=e + 0 * g, penetration=0.05 + 0 * g,

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Step, examples, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, Model, Step, examples, phases, recorded, run, run_setting
 from naive import Setting
 from naive_exact import Exact, energy, exact, instants, work
 
 from kernel.line import warm
 from kernel.numerics.first_root import HORIZON, ROOT
-from kernel.params import Line, Model, Outcome
+from kernel.params import Line, Outcome
 from kernel.threshold import threshold
 
 #: (Gamma, Omega, xi)

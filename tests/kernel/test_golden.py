@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from kernel_runs import last_cycle, recorded, run
+from kernel_runs import Model, last_cycle, recorded, run
 from paths import GOLDEN
 
-from kernel.params import Model, Outcome
+from kernel.params import Outcome
 
 
 def read(name: str):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, examples, run
+from kernel_runs import TWO_PI, Model, examples, run
 from naive import cycle
 
 from kernel.modes import find_cycle
-from kernel.params import Model, Outcome
+from kernel.params import Outcome
 from kernel.threshold import threshold
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, assert_same_bytes, recorded, run
+from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
 from paths import ROOT, SUPPORT
 
-from kernel.params import STATE_FIELDS, Cell, Line, Model, Outcome, Start
+from kernel.params import STATE_FIELDS, Cell, Line, Outcome, Start
 from kernel.threshold import threshold
 
 MODELS = [

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, run
+from kernel_runs import TWO_PI, Model, run
 
 from kernel import interface
 from kernel.models.ball import BallPlate
@@ -12,7 +12,7 @@ from kernel.models.rigid import RigidPlate, Stuck
 from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import pressed, split
 from kernel.numerics.first_root import HORIZON, first_root
-from kernel.params import Line, Model, Outcome
+from kernel.params import Line, Outcome
 from kernel.threshold import threshold
 
 #: (Omega, xi): below and above resonance, hardly damped, slow, fast, and locked.

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, last_cycle, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, Model, last_cycle, phases, recorded, run, run_setting
 from naive import Setting, trajectory
 from naive_exact import flight
 
 from kernel.numerics.first_root import ROOT
-from kernel.params import Model, Outcome
+from kernel.params import Outcome
 from kernel.threshold import threshold
 
 CELLS = [

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from kernel_runs import Model, run_line
 
 from kernel.cell import Flights, Progress, Window, begin, record, settled
-from kernel.line import run_line
 from kernel.numerics.first_root import ROOT, Phase
-from kernel.params import Line, Model, Outcome
+from kernel.params import Line, Outcome
 
 
 def run(gamma, settle_tolerance, *, settle=400, carry=False, model=Model.RIGID) -> Line:

@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, constants, examples, last_cycle, one_phase, phases, recorded, run, run_setting
+from kernel_runs import (
+    TWO_PI,
+    Model,
+    constants,
+    examples,
+    last_cycle,
+    one_phase,
+    phases,
+    recorded,
+    run,
+    run_setting,
+)
 from mpmath import mp, mpf
 from naive import Setting, bounce, damping_for, restitution_of, trajectory
 from naive_exact import pressed
@@ -20,7 +31,6 @@ from kernel.models.soft_contact import pressed as in_contact
 from kernel.models.soft_liftoff import pressed_until
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.quartic import Factors, paired, roots
-from kernel.params import Model
 
 FACTS = json.loads((GOLDEN / "facts.json").read_text())["restitution"]
 

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from kernel_runs import Model, run_line
 
 from kernel import restitution, step_limits
-from kernel.line import run_line
 from kernel.models import time_stepping
 from kernel.modes import TWO_PI
 from kernel.numerics.first_root import EPS
-from kernel.params import Cell, KernelInputError, Line, Model, Outcome, Start
+from kernel.params import Cell, KernelInputError, Line, Outcome, Start
 from kernel.step_limits import Scheme, largest_stable_step, stable_steps_per_contact, steps_per_period
 
 SCHEMES = [s.name.lower() for s in Scheme]

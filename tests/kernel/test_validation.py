@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kernel_runs import assert_same_bytes
+from kernel_runs import Model, assert_same_bytes, run_line
 
-from kernel.line import run_line
-from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Model, Start
+from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Start
 
 ONE = np.ones(3)
 
 
-def call(**find_corrupt: Any) -> Line:
+def call(**changed: Any) -> Line:
     arguments: dict[str, Any] = {
         "gamma": 1.5 * ONE,
         "omega": 0.5 * ONE,
@@ -27,7 +26,7 @@ def call(**find_corrupt: Any) -> Line:
         "settle": 2,
         "observe": 3,
         "keep": 4,
-    } | find_corrupt
+    } | changed
     return run_line(arguments.pop("gamma"), arguments.pop("omega"), arguments.pop("xi"), **arguments)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, examples, phases, recorded, run
+from kernel_runs import TWO_PI, Model, examples, phases, recorded, run
 from naive import Setting
 from naive_ball import Fall, trajectory
 from naive_steps import Stepper
@@ -21,7 +21,7 @@ from kernel import interface
 from kernel.line import warm
 from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import HORIZON, ROOT
-from kernel.params import Model, Outcome
+from kernel.params import Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from kernel.threshold import threshold
 

@@ -51,11 +51,11 @@ DOUBTED = {"gamma": {**presets.DOUBTED, "num": 9}}
 
 def small(figure: Figure) -> Figure:
     """The figure with fewer cells."""
-    find_corrupt = SMALL[figure.number]
+    changed = SMALL[figure.number]
     return replace(
         figure,
         sweeps=tuple(
-            {**sweep, **(DOUBTED if sweep["gamma"] == presets.DOUBTED else find_corrupt)}
+            {**sweep, **(DOUBTED if sweep["gamma"] == presets.DOUBTED else changed)}
             for sweep in figure.sweeps
         ),
     )

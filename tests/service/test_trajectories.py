@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from kernel_runs import Model, run_line, sample
 from scripted import Held
 from served import service
 
-from kernel.line import run_line
-from kernel.params import Cell, Contact, KernelInputError, Model
-from kernel.trajectory import Trajectory, sample
+from kernel.params import Cell, KernelInputError
+from kernel.trajectory import Trajectory
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -38,8 +38,8 @@ def sampled(model: Model, restitution: float = 0.0, **given: Any) -> Trajectory:
         2.3 * one, 0.5 * one, 0.26 * one, model=model, restitution=restitution * one, penetration=1e-3 * one,
         adhesive=True, carry=False, settle=0, observe=60, keep=1,
     )  # fmt: skip
-    law = Contact(restitution, 1e-3, True)
-    return sample(Cell(2.3, 0.5, 0.26), law, line.end_state[0], model=model, **given)
+    contact = {"restitution": restitution}
+    return sample(Cell(2.3, 0.5, 0.26), contact, line.end_state[0], model=model, **given)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
@@ -143,9 +143,9 @@ def test_bad_trajectory(client: TestClient, case: str):
 
 def test_the_kernel_names_what_it_cannot_sample():
     with pytest.raises(KernelInputError, match="gamma"):
-        sample(Cell(float("nan"), 1, 1), Contact(), None, model=Model.RIGID, periods=1, samples=1)
+        sample(Cell(float("nan"), 1, 1), {}, None, model=Model.RIGID, periods=1, samples=1)
     with pytest.raises(KernelInputError, match="restitution"):
-        sample(Cell(1, 1, 1), Contact(restitution=2.0), None, model=Model.RIGID, periods=1, samples=1)
+        sample(Cell(1, 1, 1), {"restitution": 2.0}, None, model=Model.RIGID, periods=1, samples=1)
 
 
 def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
@@ -161,6 +161,6 @@ def test_a_ball_keeps_its_rhythm_over_hundreds_of_periods():
         1.5 * one, one, one, model=Model.BALL, restitution=0.0 * one, penetration=1e-3 * one, adhesive=True,
         carry=False, settle=0, observe=300, keep=400,
     )  # fmt: skip
-    path = sample(Cell(1.5, 1, 1), Contact(), None, model=Model.BALL, periods=300, samples=2)
+    path = sample(Cell(1.5, 1, 1), {}, None, model=Model.BALL, periods=300, samples=2)
     assert path.complete
     np.testing.assert_allclose(path.flight_time, line.flight_time[0, : line.flights[0]], atol=1e-9)

@@ -3,20 +3,69 @@
 import math
 import os
 from collections.abc import Iterator
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from hypothesis import settings
 from naive import Setting, State
 
-from kernel import interface
-from kernel.line import run_line
+from kernel import interface, line, trajectory
+from kernel.models import ball, rigid, soft, stepped
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
 from kernel.numerics.first_root import ROOT
-from kernel.params import Line, Model
+from kernel.params import Cell, Line
+from kernel.trajectory import Trajectory
 
 TWO_PI = 2.0 * math.pi
+
+
+class Model(IntEnum):
+    """The contact models by short names."""
+
+    SOFT = 0
+    STEPPED = 1
+    RIGID = 2
+    BALL = 3
+
+
+def plate_of(
+    model: Model,
+    restitution: np.ndarray,
+    penetration: np.ndarray,
+    adhesive: bool = True,
+    steps_per_contact: int = 20,
+    scheme: str = "verlet",
+) -> Any:
+    """The plate under n cells, from arrays (n,)."""
+    module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
+    given: dict[str, Any] = {"restitution": restitution}
+    if model in (Model.SOFT, Model.STEPPED):
+        given |= {"penetration": penetration, "adhesive": adhesive}
+    if model is Model.STEPPED:
+        given |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
+    return module.plate(**given)
+
+
+#: What `plate_of` takes beside the model.
+CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
+
+
+def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **given: Any) -> Line:
+    """`kernel.line.run_line` with the plate of a model in one call."""
+    contact = {name: given.pop(name) for name in CONTACT if name in given}
+    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **given)
+
+
+def sample(cell: Cell, contact: dict[str, Any], state: Any, *, model: Model, **given: Any) -> Trajectory:
+    """`kernel.trajectory.sample` with the plate of a model in one call; `contact` is of one cell."""
+    one = {"restitution": 0.0, "penetration": 1e-3} | contact
+    arrays = {
+        name: np.array([value]) if name in ("restitution", "penetration") else value
+        for name, value in one.items()
+    }
+    return trajectory.sample(cell, plate_of(model, **arrays), state, **given)
 
 
 def examples(count: int) -> settings:

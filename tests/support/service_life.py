@@ -26,10 +26,11 @@ from service.jobs.ledger import Ledger, Writing  # noqa: E402
 from service.jobs.manager import JobManager  # noqa: E402
 from service.jobs.model import UNFINISHED  # noqa: E402
 from service.settings import Settings  # noqa: E402
-from worker import store, tasks  # noqa: E402
+from worker import tasks  # noqa: E402
 from worker.executors import inline  # noqa: E402
 from worker.spec import SweepSpec  # noqa: E402
 from worker.store import chunks as stored  # noqa: E402
+from worker.store import store as zarr_store  # noqa: E402
 
 
 def die() -> None:
@@ -51,7 +52,7 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
     "chunk given out": lambda act: before(inline, "run_chunk", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
-    "chunk half written": lambda act: before(store, "fsync_files", act),
+    "chunk half written": lambda act: before(zarr_store, "fsync_files", act),
     "chunk synced": lambda act: before(stored, "checksum", act),
     "chunk reported": lambda act: after(inline, "run_chunk", act),
     "in the transaction": lambda act: after(Writing, "mark_done", act),

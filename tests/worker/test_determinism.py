@@ -156,8 +156,6 @@ from worker.kernel_cache import claim_cache
 print(claim_cache(sys.argv[1]))
 import hashlib
 import numpy as np
-from kernel.params import Model
-from kernel.line import run_line
 gamma, one = np.linspace(0.5, 5.0, 100), np.ones(100)
 line = run_line(
     gamma, one, 0.26 * one, model=Model.RIGID, restitution=0 * one, penetration=one, adhesive=True,

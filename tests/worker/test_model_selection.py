@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kernel_runs import run
+from kernel_runs import Model, run
 
-from kernel.params import KERNEL_VERSION, Line, Model
+from kernel.params import KERNEL_VERSION, Line
 from kernel.threshold import threshold
 from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, Choice, choose, resolved, sample

@@ -7,20 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from worker.cost import Cost, cell_seconds, check_size, estimate
 from worker.plan import (
-    ALONE_US,
-    COST_US,
-    ELASTIC_US,
     FEWEST_CHUNKS,
     TARGET_SECONDS,
     Chunk,
     Plan,
-    cell_seconds,
-    check_size,
-    estimate,
     make_plan,
 )
 from worker.spec import AXES, SweepSpec
+from worker.spec.contact_models import CONTACT_MODELS, RIGID_ELASTIC_US, RIGID_RAMP_US
 from worker.spec.errors import SpecTooLarge
 from worker.store.chunks import chunk_coords
 
@@ -35,6 +31,10 @@ def sweep(xi=1, omega=1, gamma=1, ramp=None, **more) -> SweepSpec:
     }
     protocol = {"kind": "ramp", "axis": ramp[0], "direction": ramp[1]} if ramp else {"kind": "rest"}
     return SweepSpec(**(axes | {"protocol": protocol, "model": {"kind": "rigid"}} | more))
+
+
+def cost_of(spec: SweepSpec) -> Cost:
+    return estimate(spec, len(make_plan(spec)))
 
 
 sizes = st.integers(2, 9)
@@ -236,38 +236,40 @@ def test_no_chunk_outside_the_plan(index):
 
 def test_estimate_counts_what_the_store_holds():
     spec = sweep(2, 3, 1000, ramp=("gamma", "both"), keep=10, settle=100, observe=200)
-    found = estimate(spec)
+    found = cost_of(spec)
     assert found.cells == 2 * 2 * 3 * 1000
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 2 + 2 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(found.cells * 300 * ALONE_US * 1e-6)
+    assert found.core_seconds == pytest.approx(found.cells * 300 * RIGID_RAMP_US * 1e-6)
 
 
 def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
-    assert cell_seconds(sweep()) == pytest.approx(300 * COST_US["rigid"] * 1e-6)
+    assert cell_seconds(sweep()) == pytest.approx(300 * CONTACT_MODELS["rigid"].cost_us * 1e-6)
     elastic = sweep(model={"kind": "rigid", "restitution": 0.5})
-    assert cell_seconds(elastic) == pytest.approx(300 * ELASTIC_US * 1e-6)
+    assert cell_seconds(elastic) == pytest.approx(300 * RIGID_ELASTIC_US * 1e-6)
 
 
 def test_time_steps_are_counted():
     """A contact of d = 1e-3 and e = 0.01 lasts 1.78 times pi*d; see kernel.restitution."""
     coarse, fine, deep = (
-        estimate(sweep(model={"kind": "stepped", "steps_per_contact": n, "penetration": d})).core_seconds
+        cost_of(sweep(model={"kind": "stepped", "steps_per_contact": n, "penetration": d})).core_seconds
         for n, d in ((20, 1e-3), (100, 1e-3), (20, 1e-2))
     )
     assert fine / coarse == pytest.approx(5.0, rel=1e-3)
     assert coarse / deep == pytest.approx(10.0, rel=1e-2)
-    assert coarse == pytest.approx(300 * 20 / (1.778 * 0.5e-3) * COST_US["stepped"] * 1e-6, rel=1e-2)
+    assert coarse == pytest.approx(
+        300 * 20 / (1.778 * 0.5e-3) * CONTACT_MODELS["stepped"].cost_us * 1e-6, rel=1e-2
+    )
 
 
 def test_a_model_to_be_chosen_costs_at_most_the_exact_one():
-    auto, exact = (estimate(sweep(gamma=100, model={"kind": kind})) for kind in ("auto", "soft"))
+    auto, exact = (cost_of(sweep(gamma=100, model={"kind": kind})) for kind in ("auto", "soft"))
     assert auto == exact
 
 
 def test_estimate_of_an_absurd_sweep_takes_neither_time_nor_memory():
-    assert estimate(sweep(100_000, 100_000, 100_000)).cells == 10**15
+    assert cost_of(sweep(100_000, 100_000, 100_000)).cells == 10**15
 
 
 def test_too_many_cells_are_refused_with_the_limit():

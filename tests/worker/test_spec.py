@@ -10,22 +10,19 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from kernel.params import Model
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES
 from worker.spec.contact_models import (
-    MODELS,
+    CONTACT_MODELS,
     Auto,
     Soft,
     Stepped,
-    kernel_model,
     penetration_of,
-    restitution_of,
-    steps_of,
 )
 from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
 from worker.spec.time_steps import corners
+from worker.tasks import plate_of
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
@@ -272,7 +269,7 @@ def test_unknown_model_names_the_ones_there_are():
     said = message(model={"kind": "rigit"})
     assert said.startswith("model.kind: must be ")
     assert said.endswith("not text 'rigit'; did you mean 'rigid'?")
-    assert all(f"'{kind}'" in said for kind in MODELS)
+    assert all(f"'{kind}'" in said for kind in CONTACT_MODELS)
     assert message(model={"kind": []}).endswith("not a list of 0")
 
 
@@ -511,11 +508,16 @@ def test_survives_pickling():
 # Models
 
 
+def arguments(model, xi):
+    """What the kernel's plate is given, at gamma = omega = 1."""
+    return model.plate_arguments(np.ones_like(xi), np.ones_like(xi), xi)
+
+
 def test_models_have_their_kernels():
-    assert kernel_model(sweep().model) is Model.SOFT
-    assert kernel_model(sweep(model={"kind": "rigid"}).model) is Model.RIGID
-    assert kernel_model(sweep(model={"kind": "stepped"}).model) is Model.STEPPED
-    assert kernel_model(sweep(model={"kind": "ball"}).model) is Model.BALL
+    gamma, omega, xi = np.ones(2), np.full(2, 0.5), np.full(2, 0.26)
+    for kind, model in CONTACT_MODELS.items():
+        plate = plate_of(sweep(model={"kind": kind}).model, gamma, omega, xi)
+        assert type(plate).__module__ == model.kernel
 
 
 def test_rest_length_sets_each_cells_depth():
@@ -529,22 +531,22 @@ def test_rest_length_sets_each_cells_depth():
 def test_given_depth_and_restitution_are_every_cells():
     model = sweep(model={"penetration": 1e-4, "restitution": 0.2}).model
     assert penetration_of(model, np.ones(3), np.ones(3)).tolist() == [1e-4] * 3
-    assert restitution_of(model, np.ones(2)).tolist() == [0.2] * 2
+    assert arguments(model, np.ones(2))["restitution"].tolist() == [0.2] * 2
 
 
 def test_a_ball_that_is_given_no_restitution_has_its_springs():
     """MODEL section 5: f(0.5) = 0.1492, f(10) = 0.0012."""
     xi = np.array([0.5, 10.0])
-    assert restitution_of(sweep(model={"kind": "ball"}).model, xi) == pytest.approx(
-        [0.1492, 0.0012], abs=5e-5
-    )
+    own = sweep(model={"kind": "ball"}).model
+    assert arguments(own, xi)["restitution"] == pytest.approx([0.1492, 0.0012], abs=5e-5)
     given = sweep(model={"kind": "ball", "restitution": 0.3}).model
-    assert restitution_of(given, xi).tolist() == [0.3, 0.3]
+    assert arguments(given, xi)["restitution"].tolist() == [0.3, 0.3]
 
 
 def test_only_stepped_says_how_it_steps():
     model = {"kind": "stepped", "steps_per_contact": 50, "scheme": "euler"}
-    assert steps_of(sweep(model=model).model) == (50, "euler")
+    stepped = arguments(sweep(model=model).model, np.ones(1))
+    assert (stepped["steps_per_contact"], stepped["scheme"]) == (50, "euler")
     assert "scheme" not in sweep().canonical()["model"]
 
 

@@ -5,10 +5,10 @@ import time
 
 import numpy as np
 import pytest
+from kernel_runs import Model, run_line
 from scripted import DEADLINE
 
-from kernel.line import run_line
-from kernel.params import STATE_FIELDS, Cell, Model, Outcome
+from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store, tasks
 from worker.plan import Plan, make_plan
 from worker.spec import AXES, SweepSpec

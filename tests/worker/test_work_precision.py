@@ -25,7 +25,7 @@ from worker.analysis.work_precision import CELLS_A_LINE, LINES, RUNGS, Measured,
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost, WorkerDied
 from worker.executors.inline import Inline
-from worker.plan import COST_US
+from worker.spec.contact_models import CONTACT_MODELS
 
 #: The cheap ones, and those that the advice speaks of.
 FEW = tuple(rung for rung in RUNGS if rung.model != "stepped" or
@@ -87,7 +87,7 @@ def test_the_plan_reckons_with_what_is_measured(measured: list[Measured]):
     """But for how fast this machine is."""
     which = {"ball": {"locked_only": False}, "rigid": {}, "soft": {"penetration": 1e-3}}
     told = {
-        model: found(measured, "plate", model, **given).cost / COST_US[model]
+        model: found(measured, "plate", model, **given).cost / CONTACT_MODELS[model].cost_us
         for model, given in which.items()
     }
     assert max(told.values()) < 12 * min(told.values()), told

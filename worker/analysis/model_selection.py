@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from kernel.params import Line as Record
 from kernel.params import Outcome
 from worker.analysis.deviation import deviations, percentile
-from worker.plan import COST_US
 from worker.spec import AXES, SweepSpec
 from worker.spec.axes import Strict
-from worker.spec.contact_models import Auto, Ball, Rigid, Soft
+from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.tasks import run_cells
 
 #: Cells of a sample from rest; of a ramp, lines and cells along each of them.
@@ -141,7 +140,9 @@ def _ladder(auto: Auto) -> dict[str, Soft | Rigid | Ball]:
     """The models to choose from, cheapest first."""
     ball, rigid = Ball(kind="ball"), Rigid(kind="rigid", restitution=auto.restitution)
     models: tuple[Soft | Rigid | Ball, ...] = (ball, rigid, auto.exact)
-    return {model.kind: model for model in sorted(models, key=lambda model: COST_US[model.kind])}
+    return {
+        model.kind: model for model in sorted(models, key=lambda model: CONTACT_MODELS[model.kind].cost_us)
+    }
 
 
 def _auto(spec: SweepSpec) -> Auto:
@@ -187,7 +188,7 @@ def _rung(spec: SweepSpec, model: Soft | Rigid | Ball, lines: list[Line], exact:
     resting = np.concatenate([record.outcome for record in records])[compared] == Outcome.AT_REST
     found = found[compared]
     median, most = (percentile(found, percent) for percent in (50.0, HOLDS))
-    cost = COST_US[model.kind]
+    cost = CONTACT_MODELS[model.kind].cost_us
     return Rung(
         model=model.kind, cost=cost, measured=round(microseconds, 3), median=median, percentile_95=most,
         cells=len(found), resting=int(np.count_nonzero(resting)),

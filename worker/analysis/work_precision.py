@@ -14,17 +14,18 @@ task like any other: it returns numbers, never data.
 
 import math
 import time
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.line import run_line
-from kernel.params import Line, Model, Outcome
-from kernel.restitution import restitution_of
+from kernel.params import Line, Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact
 from worker.analysis.deviation import deviations, percentile
 from worker.spec.axes import Strict
+from worker.spec.contact_models import CONTACT_MODELS
+from worker.tasks import plate_of
 
 SETTLE: Final = 100
 OBSERVE: Final = 50
@@ -197,11 +198,14 @@ def _timed(rung: Rung, cells: _Cells) -> tuple[Line, float]:
 
 
 def _run(rung: Rung, cells: _Cells, observe: int = OBSERVE) -> Line:
-    full = np.full_like
-    e = restitution_of(cells.xi) if rung.restitution is None else full(cells.xi, rung.restitution)
     return run_line(
-        cells.gamma, cells.omega, cells.xi, model=Model[rung.model.upper()], restitution=e,
-        penetration=full(cells.xi, rung.penetration or 1e-3), adhesive=True, carry=False,
+        cells.gamma, cells.omega, cells.xi, plate=plate_of(_contact(rung), *cells), carry=False,
         settle=SETTLE if observe == OBSERVE else 0, observe=observe, keep=KEEP, micro_flight=MICRO_FLIGHT,
-        steps_per_contact=rung.steps_per_contact or 20, scheme=rung.scheme or "verlet",
     )  # fmt: skip
+
+
+def _contact(rung: Rung) -> Any:
+    """What a specification would say of this rung."""
+    fields = CONTACT_MODELS[rung.model].fields
+    said = {name: value for name, value in rung.model_dump().items() if name in fields.model_fields}
+    return fields(kind=rung.model, **{name: value for name, value in said.items() if value is not None})

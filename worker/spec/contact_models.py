@@ -1,16 +1,18 @@
-"""Room: how a specification names its contact model, and what that means cell by cell.
+"""The contact models: what a specification says of each, what it means cell by cell, what it costs.
 
-Imports pydantic, numpy, what of the kernel needs no numba, and its neighbours in worker.
+Imports no numba: a model's kernel is named here and imported by the tasks that compute with it.
 """
 
-from typing import Annotated, Final, Literal, NamedTuple
+import functools
+import operator
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
 
-from kernel.params import Model
 from kernel.restitution import restitution_of as spring_restitution
+from kernel.step_limits import steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
 
@@ -28,13 +30,32 @@ MIN_TOLERANCE: Final = 1e-9
 
 MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
+#: Core-microseconds per cell per plate period of `rigid` where cells cannot be computed side by side:
+#: on a ramp, and where it bounces back.
+RIGID_RAMP_US: Final = 0.75
+RIGID_ELASTIC_US: Final = 2.0
+
+_Array = NDArray[np.float64]
 _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
 
 
-class _SoftContact(Strict):
-    """What every model with a spring-dashpot contact is told."""
+class ContactFields(Strict):
+    """What a specification says of its contact; `kind` names the row of CONTACT_MODELS."""
 
     kind: str
+
+    def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
+        """What the `plate` of the model's kernel is given for these cells, (n,) each."""
+        raise NotImplementedError
+
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
+        """Core-microseconds per cell per plate period; `base` is the table's, for cells from rest."""
+        return base
+
+
+class _SoftContact(ContactFields):
+    """What every model with a spring-dashpot contact is told."""
+
     restitution: _Restitution = 0.01
     penetration: Annotated[float, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION), NUMBER] | None = None
     rest_length: Annotated[float, Field(gt=0.0, le=1e12), NUMBER] | None = None
@@ -46,6 +67,13 @@ class _SoftContact(Strict):
         if isinstance(data, dict) and data.get("penetration") is None and data.get("rest_length") is None:
             return {**data, "penetration": DEFAULT_PENETRATION}
         return data
+
+    def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
+        return {
+            "restitution": np.full(np.shape(xi), self.restitution),
+            "penetration": penetration_of(self, gamma, omega),
+            "adhesive": self.adhesive,
+        }
 
     @model_validator(mode="after")
     def _rules(self) -> "_SoftContact":
@@ -74,6 +102,16 @@ class Stepped(_SoftContact):
     steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
     scheme: Literal["verlet", "euler"] = "verlet"
 
+    def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
+        steps = {"steps_per_contact": self.steps_per_contact, "scheme": self.scheme}
+        return super().plate_arguments(gamma, omega, xi) | steps
+
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
+        """`base` is of one time step: times their number in a plate period, in the middle of the sweep."""
+        depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
+        steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
+        return base * float(np.sqrt(np.prod(steps.astype(float))))
+
     @model_validator(mode="after")
     def _ends(self) -> "Stepped":
         if self.restitution < MIN_RESTITUTION:
@@ -85,18 +123,30 @@ class Stepped(_SoftContact):
         return self
 
 
-class Rigid(Strict):
+class Rigid(ContactFields):
     """Ideal plate; restitution 0 sticks at once."""
 
     kind: Literal["rigid"]
     restitution: _Restitution = 0.0
 
+    def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
+        return {"restitution": np.full(np.shape(xi), self.restitution)}
 
-class Ball(Strict):
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
+        if self.restitution > 0:
+            return RIGID_ELASTIC_US
+        return RIGID_RAMP_US if ramp else base
+
+
+class Ball(ContactFields):
     """One rigid point mass; restitution null takes the spring's own, f(xi)."""
 
     kind: Literal["ball"]
     restitution: Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None = None
+
+    def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
+        e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
+        return {"restitution": e}
 
 
 class Auto(_SoftContact):
@@ -121,10 +171,30 @@ class Auto(_SoftContact):
         return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
 
 
-MODELS: Final[dict[str, type[Strict]]] = {
-    "soft": Soft, "stepped": Stepped, "rigid": Rigid, "ball": Ball, "auto": Auto,
-}  # fmt: skip
-MODEL_FIELDS: Final = {f"<{kind}>": tuple(model.model_fields) for kind, model in MODELS.items()}
+class ContactModel(NamedTuple):
+    """One contact model. All that the project knows of its kinds of contact is in the table below."""
+
+    fields: type[ContactFields]
+    kernel: str  # the module whose `plate` it computes with
+    cost_us: float  # core-microseconds per cell per plate period, cells from rest; of `stepped` per time step
+    label: str  # for pictures and messages
+
+
+#: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
+#: docs/architecture.md). Costs: medians over cells of all kinds (`python -m benchmarks.kernel`).
+CONTACT_MODELS: Final[dict[str, ContactModel]] = {
+    "soft": ContactModel(Soft, "kernel.models.soft", 2.0, "soft contact"),
+    "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact"),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact"),
+    # Until a model is chosen, the exact one, which is the dearest of them.
+    "auto": ContactModel(Auto, "kernel.models.soft", 2.0, "auto contact"),
+}
+
+
+def model_fields() -> dict[str, tuple[str, ...]]:
+    """The field names of every contact model by its tag, for `errors.problems_of`."""
+    return {f"<{kind}>": tuple(model.fields.model_fields) for kind, model in CONTACT_MODELS.items()}
 
 
 def _kind_of(value: object) -> object:
@@ -135,60 +205,40 @@ def _check_kind(value: object) -> object:
     if not isinstance(value, dict | Strict):
         raise BrokenRuleError("", f'must be an object such as {{"kind": "soft"}}, not {describe(value)}')
     kind = _kind_of(value)
-    if isinstance(kind, str) and kind in MODELS:
+    if isinstance(kind, str) and kind in CONTACT_MODELS:
         return value
-    rule = f"must be {one_of(MODELS)}, not {describe(kind)}{did_you_mean(kind, MODELS)}"
+    rule = f"must be {one_of(CONTACT_MODELS)}, not {describe(kind)}{did_you_mean(kind, CONTACT_MODELS)}"
     raise BrokenRuleError("kind", rule)
 
 
-ContactModel = Annotated[
-    Annotated[Soft, Tag("<soft>")]
-    | Annotated[Stepped, Tag("<stepped>")]
-    | Annotated[Rigid, Tag("<rigid>")]
-    | Annotated[Ball, Tag("<ball>")]
-    | Annotated[Auto, Tag("<auto>")],
-    Discriminator(lambda value: f"<{_kind_of(value)}>"),
-    BeforeValidator(_check_kind),
-]
+class _Contact:
+    """Any of the table's contacts; the table is read when pydantic makes the schema of a specification."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        tagged: list[Any] = [
+            Annotated[model.fields, Tag(f"<{kind}>")] for kind, model in CONTACT_MODELS.items()
+        ]
+        discriminator = Discriminator(lambda value: f"<{_kind_of(value)}>")
+        return handler.generate_schema(
+            Annotated[functools.reduce(operator.or_, tagged), discriminator, BeforeValidator(_check_kind)]
+        )
 
 
-AnyContact = Soft | Stepped | Rigid | Ball | Auto
+#: A contact as a specification gives it: any of the table's.
+Contact = Soft | Stepped | Rigid | Ball | Auto
+if not TYPE_CHECKING:
+    Contact = _Contact
 
 
-def kernel_model(model: AnyContact) -> Model:
-    """The kernel's name for a specification's model; where none has been chosen yet, the exact one's."""
-    return Model.SOFT if isinstance(model, Auto) else Model[model.kind.upper()]
-
-
-def penetration_of(
-    model: AnyContact, gamma: NDArray[np.float64], omega: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def penetration_of(model: ContactFields, gamma: _Array, omega: _Array) -> _Array:
     """Contact depth d = delta_c/A of each cell, in plate amplitudes.
 
     A rest length L = Lambda*g/omega0**2 has l = L/A = Lambda*Omega**2/Gamma, of which the
-    paper takes 1e-4. Models without a soft contact ignore the number.
+    paper takes 1e-4. Models without a soft contact have the default's.
     """
     rest_length = getattr(model, "rest_length", None)
     if rest_length is not None:
         return np.asarray(1e-4 * rest_length * omega**2 / gamma, dtype=np.float64)
     depth = getattr(model, "penetration", None) or DEFAULT_PENETRATION
     return np.full(np.broadcast(gamma, omega).shape, depth, dtype=np.float64)
-
-
-def restitution_of(model: AnyContact, xi: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Restitution of an isolated impact in each cell; a ball that is given none has its spring's, f(xi)."""
-    if model.restitution is None:
-        return spring_restitution(xi)
-    return np.full(np.shape(xi), model.restitution, dtype=np.float64)
-
-
-class Steps(NamedTuple):
-    """What the kernel is told of time steps; models that take none ignore it."""
-
-    steps_per_contact: int = 20
-    scheme: str = "verlet"
-
-
-def steps_of(model: AnyContact) -> Steps:
-    """The time steps of a specification's model."""
-    return Steps(model.steps_per_contact, model.scheme) if isinstance(model, Stepped) else Steps()

@@ -26,10 +26,10 @@ from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, valu
 from worker.spec.contact_models import (
     MAX_PENETRATION,
     MIN_PENETRATION,
-    MODEL_FIELDS,
-    ContactModel,
+    Contact,
     Soft,
     Stepped,
+    model_fields,
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
@@ -106,7 +106,7 @@ class SweepSpec(Strict):
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
     protocol: Protocol = Rest()
-    model: ContactModel = Soft()
+    model: Contact = Soft()
     settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 200
     observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 100
     keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
@@ -117,7 +117,7 @@ class SweepSpec(Strict):
         try:
             super().__init__(**data)
         except ValidationError as error:
-            raise SpecInvalid(problems_of(error, _FIELDS)) from None
+            raise SpecInvalid(problems_of(error, _fields())) from None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -220,10 +220,12 @@ def _length(axis: AxisValue) -> int:
     return len(axis) if isinstance(axis, tuple) else 1
 
 
-_FIELDS: Final = {
-    "": tuple(SweepSpec.model_fields),
-    "<range>": tuple(Range.model_fields),
-    "<rest>": tuple(Rest.model_fields),
-    "<ramp>": tuple(Ramp.model_fields),
-    **MODEL_FIELDS,
-}
+def _fields() -> dict[str, tuple[str, ...]]:
+    """The field names of every object of a specification by its tag, for `errors.problems_of`."""
+    return {
+        "": tuple(SweepSpec.model_fields),
+        "<range>": tuple(Range.model_fields),
+        "<rest>": tuple(Rest.model_fields),
+        "<ramp>": tuple(Ramp.model_fields),
+        **model_fields(),
+    }

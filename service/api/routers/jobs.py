@@ -14,6 +14,7 @@ from service.api.routers.results import numbers
 from service.api.schemas import JobView, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.model import JobState
+from worker.cost import Cost
 from worker.spec import SweepSpec
 
 router = APIRouter(prefix="/v1")
@@ -41,7 +42,7 @@ IdempotencyKey = Annotated[
     status_code=202,
     response_model=JobView,
     responses={
-        200: {"model": JobView | schemas.Cost},
+        200: {"model": JobView | Cost},
         **problem_responses(400, 408, 409, 413, 415, 422, 429),
     },
     openapi_extra=_SPEC_BODY,
@@ -71,8 +72,8 @@ def _cost(service: TheService, spec: SweepSpec) -> Response:
     service.manager.check(spec)
     with service.ledger.reading() as ledger:
         paces = ledger.paces(estimates.RECENT_JOBS, estimates.LONGEST_SPEC)
-    cost = schemas.Cost(**estimates.cost(spec, paces)._asdict())
-    return Response(cost.model_dump_json(), media_type="application/json")
+    found = estimates.cost(spec, paces)
+    return Response(found.model_dump_json(), media_type="application/json")
 
 
 @router.get("/jobs", responses=problem_responses(422))

@@ -10,26 +10,23 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from kernel.modes import TWO_PI
-from kernel.params import Cell, Contact, Outcome
+from kernel.params import Cell, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.api import schemas
 from service.api.dependencies import JsonBody, TheService
 from service.api.schemas import problem_responses
 from service.errors import InvalidRequest, TooLarge
-from worker.plan import cell_seconds
+from worker.cost import cell_seconds
 from worker.spec import LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import (
-    MODEL_FIELDS,
-    ContactModel,
+    Contact,
     Soft,
-    kernel_model,
+    model_fields,
     penetration_of,
-    restitution_of,
-    steps_of,
 )
 from worker.spec.errors import Problem, SpecInvalid, describe, problems_of
-from worker.tasks import run_cells
+from worker.tasks import plate_of, run_cells
 
 router = APIRouter(prefix="/v1")
 
@@ -46,7 +43,7 @@ class TrajectorySpec(Strict):
     gamma: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
     omega: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
     xi: Annotated[float, Field(ge=0.0, le=LARGEST), NUMBER]
-    model: ContactModel = Soft()
+    model: Contact = Soft()
     settle: Annotated[int, Field(ge=0, le=1_000_000), WHOLE] = 200
     periods: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 200
@@ -55,7 +52,7 @@ class TrajectorySpec(Strict):
         try:
             super().__init__(**data)
         except ValidationError as error:
-            raise SpecInvalid(problems_of(error, _FIELDS)) from None
+            raise SpecInvalid(problems_of(error, _fields())) from None
 
     @classmethod
     def from_json(cls, text: bytes) -> Self:
@@ -76,7 +73,8 @@ class TrajectorySpec(Strict):
         )  # fmt: skip
 
 
-_FIELDS: Final = {"": tuple(TrajectorySpec.model_fields), **MODEL_FIELDS}
+def _fields() -> dict[str, tuple[str, ...]]:
+    return {"": tuple(TrajectorySpec.model_fields), **model_fields()}
 
 
 @dataclass(frozen=True)
@@ -138,14 +136,10 @@ def compute(spec: TrajectorySpec, sweep: SweepSpec, state: NDArray[np.float64] |
         state = _settled(sweep, gamma, omega, xi)
     found = sample(
         Cell(spec.gamma, spec.omega, spec.xi),
-        Contact(
-            float(restitution_of(spec.model, xi)[0]), float(depth[0]), getattr(spec.model, "adhesive", True)
-        ),
+        plate_of(spec.model, gamma, omega, xi),
         state,
-        model=kernel_model(spec.model),
         periods=spec.periods,
         samples=spec.samples,
-        **steps_of(spec.model)._asdict(),
     )
     return Found(spec, found, float(depth[0]) / DEPTH_OVER_LENGTH)
 

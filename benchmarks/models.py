@@ -1,0 +1,47 @@
+"""The kernel's models under short names, for what times them directly."""
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from kernel import line
+from kernel.models import ball, rigid, soft, stepped
+from kernel.params import Line
+
+
+class Model(IntEnum):
+    """The contact models by short names."""
+
+    SOFT = 0
+    STEPPED = 1
+    RIGID = 2
+    BALL = 3
+
+
+def plate_of(
+    model: Model,
+    restitution: np.ndarray,
+    penetration: np.ndarray,
+    adhesive: bool = True,
+    steps_per_contact: int = 20,
+    scheme: str = "verlet",
+) -> Any:
+    """The plate under n cells, from arrays (n,)."""
+    module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
+    given: dict[str, Any] = {"restitution": restitution}
+    if model in (Model.SOFT, Model.STEPPED):
+        given |= {"penetration": penetration, "adhesive": adhesive}
+    if model is Model.STEPPED:
+        given |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
+    return module.plate(**given)
+
+
+#: What `plate_of` takes beside the model.
+CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
+
+
+def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **given: Any) -> Line:
+    """`kernel.line.run_line` with the plate of a model in one call."""
+    contact = {name: given.pop(name) for name in CONTACT if name in given}
+    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **given)

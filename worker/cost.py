@@ -1,0 +1,60 @@
+"""What a sweep will take: cells, bytes and core-seconds, worked out without computing any of it."""
+
+import math
+from typing import Final, Literal
+
+from pydantic import Field
+
+from worker.schema import bytes_per_cell
+from worker.spec import SweepSpec
+from worker.spec.axes import Strict
+from worker.spec.contact_models import CONTACT_MODELS
+from worker.spec.errors import Problem, SpecTooLarge
+
+DEFAULT_MAX_CELLS: Final = 10_000_000
+DEFAULT_MAX_BYTES: Final = 64 * 2**30
+
+
+class Cost(Strict):
+    """What a sweep will take."""
+
+    cells: int
+    chunks: int
+    bytes: int = Field(description="of stored arrays before compression")
+    core_seconds: float
+    basis: Literal["measured", "table"] = Field(
+        "table", description="measured: by the speed of this service's last jobs with the same contact model"
+    )
+
+
+def cell_seconds(spec: SweepSpec) -> float:
+    """Core-seconds one cell of the sweep takes, by the table of contact models."""
+    gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
+    base = CONTACT_MODELS[spec.model.kind].cost_us
+    period_us = spec.model.cost_us(base, gamma, omega, ramp=spec.ramp_axis is not None)
+    return period_us * 1e-6 * (spec.settle + spec.observe)
+
+
+def estimate(spec: SweepSpec, chunks: int) -> Cost:
+    """What a sweep cut into so many chunks will take, by the table of contact models."""
+    cells = math.prod(spec.shape)
+    return Cost(
+        cells=cells,
+        chunks=chunks,
+        bytes=cells * bytes_per_cell(spec),
+        core_seconds=cells * cell_seconds(spec),
+    )
+
+
+def check_size(
+    spec: SweepSpec, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES
+) -> None:
+    """Raise `SpecTooLarge` for more cells or stored bytes than allowed; takes no memory itself."""
+    cells, per_cell = math.prod(spec.shape), bytes_per_cell(spec)
+    if cells > max_cells:
+        raise SpecTooLarge(
+            [Problem("", f"asks for {cells} cells; at most {max_cells} are allowed: take fewer values")]
+        )
+    if cells * per_cell > max_bytes:
+        rule = f"asks for {cells * per_cell} bytes, {per_cell} a cell; at most {max_bytes} are allowed"
+        raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
