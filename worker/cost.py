@@ -46,15 +46,13 @@ def estimate(spec: SweepSpec, chunks: int) -> Cost:
     )
 
 
-def check_size(
-    spec: SweepSpec, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES
-) -> None:
-    """Raise `SpecTooLarge` for more cells or stored bytes than allowed; takes no memory itself."""
-    cells, per_cell = math.prod(spec.shape), bytes_per_cell(spec)
-    if cells > max_cells:
+def check_size(cost: Cost, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
+    """Raise `SpecTooLarge` for more cells or stored bytes than allowed."""
+    if cost.cells > max_cells:
         raise SpecTooLarge(
-            [Problem("", f"asks for {cells} cells; at most {max_cells} are allowed: take fewer values")]
+            [Problem("", f"asks for {cost.cells} cells; at most {max_cells} are allowed: take fewer values")]
         )
-    if cells * per_cell > max_bytes:
-        rule = f"asks for {cells * per_cell} bytes, {per_cell} a cell; at most {max_bytes} are allowed"
+    if cost.bytes > max_bytes:
+        per_cell = cost.bytes // cost.cells
+        rule = f"asks for {cost.bytes} bytes, {per_cell} per cell; at most {max_bytes} are allowed"
         raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])

@@ -143,7 +143,7 @@ class Plan(Sequence[Chunk]):
 
 
 def make_plan(
-    spec: SweepSpec, *, chunk_cells: int | None = None, chunk_shape: tuple[int, int, int] | None = None
+    spec: SweepSpec, *, chunk_cells: int | None = None, chunk_shape: tuple[int, ...] | None = None
 ) -> Plan:
     """Cut a sweep into chunks of about `chunk_cells` cells, or of exactly `chunk_shape` (xi, omega, gamma).
 

@@ -1,17 +1,24 @@
-"""Room: every array a store holds, declared once: name, dimensions, type, units, meaning.
+"""What a store holds: every stored variable once, with its name, dimensions, type, units, meaning and fill.
 
-Imports numpy, kernel.params and worker.spec; knows nothing of zarr.
+A `Layout` is all that the store needs to know of a study: its dimensions and coordinates, how it is cut into
+chunks, its arrays and attributes. The variables of a sweep are declared here; another kind of study declares
+its own in its package.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kernel.params import STATE_FIELDS, Outcome
+from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker.spec import SweepSpec
+from worker.spec.contact_models import Stepped
+from worker.spec.time_steps import corners, stated
 
-#: The four dimensions that make a cell's address, slowest first.
+#: The four dimensions that make a cell's address in a sweep, slowest first.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
 
 
@@ -26,8 +33,8 @@ class Array(NamedTuple):
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
-        """The dimensions beyond the cell's own; a chunk spans them whole."""
-        return self.dims[len(CELL_DIMS) :]
+        """The dimensions of a sweep's array beyond the cell's own; a chunk spans them whole."""
+        return tuple(dim for dim in self.dims if dim not in CELL_DIMS)
 
 
 class Coordinate(NamedTuple):
@@ -37,12 +44,63 @@ class Coordinate(NamedTuple):
     attrs: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Layout:
+    """The arrays of a store, how they are cut, and what is said of them.
+
+    Every array has the cell dimensions first; a chunk spans the others whole. The last array is `outcome`,
+    over the cell dimensions alone: it is written last, and a cell without an outcome is missing.
+    """
+
+    chunk_sizes: Mapping[str, int]  # cells of a chunk along each cell dimension, slowest first
+    coordinates: Mapping[str, NDArray[Any]]  # the values along each cell dimension, (n,)
+    extra_sizes: Mapping[str, int]  # length of every other dimension
+    arrays: tuple[Array, ...]  # in the order they are written
+    coordinate_attrs: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store: what it is, whose it is
+    identity: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # attributes that tell this store from any other
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The arrays in the order they are written."""
+        return tuple(array.name for array in self.arrays)
+
+    def shape(self, array: Array) -> tuple[int, ...]:
+        """Length of an array along each of its dimensions."""
+        return tuple(self._length(dim) for dim in array.dims)
+
+    def chunk_shape(self, array: Array) -> tuple[int, ...]:
+        """Length of an array's chunk along each of its dimensions."""
+        return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
+
+    def coords(self, slices: Sequence[slice]) -> tuple[int, ...]:
+        """Where the chunk that spans these cells lies in the grid of chunks."""
+        return tuple(span.start // size for span, size in zip(slices, self.chunk_sizes.values(), strict=True))
+
+    def describe(self, slices: Sequence[slice]) -> str:
+        """These cells in words, the fastest dimension first: `up, gamma 1 to 1.5, omega 0.5, xi 0.26`."""
+        spans = {
+            dim: _ends(self.coordinates[dim][span])
+            for dim, span in zip(self.chunk_sizes, slices, strict=True)
+        }
+        numbers = [f"{dim} {span}" for dim, span in reversed(spans.items()) if dim != "direction"]
+        return ", ".join(([spans["direction"]] if "direction" in spans else []) + numbers)
+
+    def _length(self, dim: str) -> int:
+        return len(self.coordinates[dim]) if dim in self.coordinates else self.extra_sizes[dim]
+
+
+def _ends(values: NDArray[Any]) -> str:
+    first, last = (value if isinstance(value, str) else f"{value:g}" for value in (values[0], values[-1]))
+    return first if len(values) == 1 else f"{first} to {last}"
+
+
 _OUTCOMES: Final[dict[str, Any]] = {
     "flag_values": [int(outcome) for outcome in Outcome],
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
-
-
 _NAN: Final = float("nan")
 _COUNT: Final[dict[str, Any]] = {"units": "1"}
 _ANGLE: Final[dict[str, Any]] = {"units": "rad"}
@@ -84,14 +142,47 @@ def arrays(spec: SweepSpec) -> Iterator[Array]:
 
 
 def sizes(spec: SweepSpec) -> dict[str, int]:
-    """Length of every dimension."""
+    """Length of every dimension of a sweep."""
     return dict(zip(CELL_DIMS, spec.shape, strict=True)) | {"flight": spec.keep, "state": len(STATE_FIELDS)}
 
 
 def bytes_per_cell(spec: SweepSpec) -> int:
-    """Bytes one cell takes before compression."""
+    """Bytes one cell of a sweep takes before compression."""
     length = sizes(spec)
     return sum(
-        np.dtype(array.dtype).itemsize * int(np.prod([length[dim] for dim in array.extra_dims], dtype=int))
+        np.dtype(array.dtype).itemsize * math.prod(length[dim] for dim in array.extra_dims)
         for array in arrays(spec)
     )
+
+
+def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
+    """The store of a sweep that is cut into chunks of `chunk_shape` cells along (xi, omega, gamma)."""
+    length = sizes(spec)
+    # Variable-length text: zarr has no stable form for the fixed-length one.
+    directions = np.array(spec.directions, dtype=np.dtypes.StringDType())
+    return Layout(
+        chunk_sizes=dict(zip(CELL_DIMS, (1, *chunk_shape), strict=True)),
+        coordinates={
+            "direction": directions,
+            **{axis: spec.axis_values(axis).astype("<f8") for axis in CELL_DIMS[1:]},
+        },
+        extra_sizes={dim: n for dim, n in length.items() if dim not in CELL_DIMS},
+        arrays=tuple(arrays(spec)),
+        coordinate_attrs={coordinate.name: coordinate.attrs for coordinate in COORDINATES},
+        attributes=_attributes(spec),
+        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
+    )
+
+
+def _attributes(spec: SweepSpec) -> dict[str, Any]:
+    attributes: dict[str, Any] = {
+        "Conventions": "CF-1.11",
+        "title": spec.name or "bouncing spring",
+        "kernel_version": KERNEL_VERSION,
+        "model": spec.model.kind,
+        "spec": spec.as_submitted(),
+    }
+    if isinstance(spec.model, Stepped):
+        axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
+        attributes["time_steps"] = stated(spec.model, corners(*axes))
+    return attributes

@@ -19,7 +19,8 @@ from distributed import get_worker
 from worker import store
 from worker.plan import Chunk
 from worker.spec import SweepSpec
-from worker.tasks import ChunkCancelled, ChunkReport, run_chunk
+from worker.studies import run_task
+from worker.tasks import ChunkCancelled, ChunkReport
 
 #: Under this name a cluster's workers say what becomes of chunks.
 TOPIC: Final = "bouncing-spring"
@@ -41,9 +42,10 @@ LONGEST: Final = 1e6
 def run_watched(
     spec: SweepSpec, chunk: Chunk, store_url: str, seconds: float
 ) -> ChunkReport | ChunkCancelled:
-    """As `run_chunk`, but the process ends if that takes longer than `seconds`, grows beyond the worker's
-    memory limit, or does not heed the cancel mark. That a chunk was cancelled is returned: what is raised,
-    the worker logs as an error.
+    """As `studies.run_task`, but in a process that ends itself where the task cannot be stopped otherwise.
+
+    That is if it takes longer than `seconds`, grows beyond the worker's memory limit, or ignores the cancel
+    flag. `ChunkCancelled` is returned, not raised: the worker logs what is raised as an error.
     """
     worker = get_worker()
     said = {"key": worker.get_current_task(), "worker": worker.address}
@@ -56,7 +58,7 @@ def run_watched(
 
     with _last_resort(seconds + LAST_RESORT), Watchdog(worker, store_url, seconds, end):
         try:
-            return run_chunk(spec, chunk, store_url)
+            return run_task(spec, chunk, store_url)
         except ChunkCancelled as cancelled:
             return cancelled
 

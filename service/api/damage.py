@@ -9,5 +9,5 @@ from worker.store import StoreDamaged
 def damaged(request: Request, error: Exception) -> Response:
     """503 naming the chunks, which are unmarked and computed again; soon after, the job runs."""
     repairer = request.app.state.service.manager.repairer
-    places = error.places if isinstance(error, StoreDamaged) else ()
+    places = error.chunks if isinstance(error, StoreDamaged) else ()
     return Problem(503, repairer.found(request.path_params.get("job_id", ""), places))

@@ -16,7 +16,7 @@ from service.jobs.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.settings import Settings
 from worker import store
-from worker.cost import check_size
+from worker.cost import check_size, estimate
 from worker.executors.base import Executor
 from worker.plan import make_plan
 from worker.spec import SweepSpec
@@ -79,7 +79,11 @@ class JobManager:
 
     def check(self, spec: SweepSpec) -> None:
         """Raise SpecTooLarge for a sweep that would not be accepted."""
-        check_size(spec, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
+        check_size(
+            estimate(spec, len(make_plan(spec))),
+            max_cells=self._settings.max_cells,
+            max_bytes=self._settings.max_bytes,
+        )
 
     def cancel(self, job_id: str) -> JobRecord:
         """Stop a job: at once if it is queued, as soon as nothing writes any more if it is running.

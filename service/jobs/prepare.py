@@ -8,6 +8,7 @@ from service.jobs.run import JobRun
 from service.settings import Settings
 from worker import store
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 
 
@@ -27,7 +28,7 @@ def opened(job: JobRecord, ledger: Ledger, settings: Settings) -> JobRun:
     spec = SweepSpec.from_json(job.spec)
     plan = make_plan(spec, chunk_shape=job.chunk_shape)
     url = settings.store_of(job.id)
-    store.create(url, spec, plan, attributes_of(job))
+    store.create(url, layout(spec, plan.chunk_shape), attributes_of(job))
     store.clear_cancelled(url)
     run = JobRun(job, computed_spec(job), plan, url, ledger.done_mask(job))
     run.stopping = job.cancel_requested  # the service stopped before the job could

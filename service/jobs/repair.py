@@ -11,6 +11,7 @@ from service.jobs.run import describe_chunk
 from service.settings import Settings
 from worker import store
 from worker.plan import Plan, make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import ChunkCoords
 
@@ -32,7 +33,9 @@ class Repairer:
             return "the job was deleted"
         spec, plan = planned(job)
         if job.kernel_version == KERNEL_VERSION:
-            store.repair_metadata(self._settings.store_of(job_id), spec, plan, attributes_of(job))
+            store.repair_metadata(
+                self._settings.store_of(job_id), layout(spec, plan.chunk_shape), attributes_of(job)
+            )
         chunks = [plan.number(*one) for one in places]
         self.undo(job, chunks)
         named = "; ".join(describe_chunk(spec, plan[chunk]) for chunk in chunks[:3])
@@ -50,8 +53,7 @@ class Repairer:
         log.error("job %s: chunks %s are damaged in the store and computed again", job.id, gone)
         spec, plan = planned(job)
         for chunk in gone:
-            where = store.chunk_coords(plan[chunk], plan.chunk_shape)
-            store.discard(self._settings.store_of(job.id), spec, where)
+            store.discard(self._settings.store_of(job.id), layout(spec, plan.chunk_shape), plan[chunk])
         self._undone(job.id, gone)
 
 

@@ -20,6 +20,7 @@ from service.jobs.model_selection import attributes_of
 from service.jobs.repair import Repairer, planned
 from service.settings import Settings
 from worker import store
+from worker.schema import layout
 
 log = logging.getLogger(__name__)
 
@@ -119,7 +120,7 @@ class Scrubber:
         spec, plan = planned(job)
         store.sweep_leftovers(url)
         if job.chunks_done and job.kernel_version == KERNEL_VERSION:
-            store.repair_metadata(url, spec, plan, attributes_of(job))
+            store.repair_metadata(url, layout(spec, plan.chunk_shape), attributes_of(job))
         last = -1
         while True:
             with self._ledger.reading() as ledger:
@@ -127,7 +128,9 @@ class Scrubber:
             if not page:
                 return
             marked = ((plan[chunk], checksum) for chunk, checksum in page)
-            damaged = [chunk.index for chunk in store.find_corrupt(url, spec, plan.chunk_shape, marked)]
+            damaged = [
+                chunk.index for chunk in store.find_corrupt(url, layout(spec, plan.chunk_shape), marked)
+            ]
             if damaged:
                 self._repairer.undo(job, damaged)
             last = page[-1][0]

@@ -18,6 +18,7 @@ from service.api.app import create_app
 from service.settings import Settings
 from worker import schema, store
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import chunks as stored
 from worker.tasks import run_chunk
@@ -112,13 +113,13 @@ def harmed(url: Path, chance: random.Random) -> str:
 
 def place_in(address: str) -> store.ChunkCoords:
     """The chunk that a file belongs to."""
-    return store.ChunkCoords(*map(int, address.split("/")[2:6]))
+    return tuple(map(int, address.split("/")[2:6]))
 
 
 def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
     chance, spec = random.Random(3), SweepSpec(**RAMP | {"settle": 20})
     plan, url = make_plan(spec, chunk_shape=(1, 1, 4)), tmp_path / "sweep.zarr"
-    store.create(str(url), spec, plan)
+    store.create(str(url), layout(spec, plan.chunk_shape))
     for chunk in plan:
         run_chunk(spec, chunk, str(url))
     names = [array.name for array in schema.arrays(spec)]
@@ -127,7 +128,7 @@ def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
         address = harmed(url, chance)
         with pytest.raises(store.StoreDamaged) as met:
             store.read_chunk(str(url), plan[plan.number(*place_in(address))], names, complete=True)
-        assert met.value.places == (place_in(address),)
+        assert met.value.chunks == (place_in(address),)
         (url / address).write_bytes(intact[url / address])
 
 
@@ -180,7 +181,7 @@ def test_a_chunk_in_which_a_ramp_goes_on_is_computed_again_first(tmp_path: Path)
         spec = SweepSpec(**RAMP)
         plan = make_plan(spec)
         before = plan[plan[6].after or 0]
-        address = stored.key("end_state", store.chunk_coords(before, plan.chunk_shape))
+        address = stored.key("end_state", 5, layout(spec, plan.chunk_shape).coords(before.slices))
         (service.store(here) / address).unlink()
         service.client.post("/v1/jobs", json=RAMP)
         service.wait(here)

@@ -26,6 +26,7 @@ from scripted import DEADLINE, free_port, wait_for
 
 from worker import store
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
@@ -230,4 +231,4 @@ def check(data: Path, sweep: dict[str, Any]) -> None:
     plan = make_plan(spec, chunk_shape=tuple(json.loads(shape)))
     [url] = [path for path in (data / "stores").iterdir() if re.fullmatch(r"[0-9a-f]{32}\.zarr", path.name)]
     chunks = ((plan[chunk], checksum) for chunk, checksum in marked)
-    assert list(store.find_corrupt(str(url), spec, plan.chunk_shape, chunks)) == []
+    assert list(store.find_corrupt(str(url), layout(spec, plan.chunk_shape), chunks)) == []

@@ -23,6 +23,7 @@ from service.settings import Settings
 from worker import schema, store
 from worker.executors.inline import Inline
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 
 
@@ -149,7 +150,7 @@ def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
         here = client.post("/v1/jobs", json=spec.as_submitted()).headers["Location"]
         url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
         plan = make_plan(spec, chunk_shape=client.app.state.service.ledger.find(here[9:]).chunk_shape)  # type: ignore[attr-defined]
-        store.create(url, spec, plan)
+        store.create(url, layout(spec, plan.chunk_shape))
         for chunk in plan:
             record = {
                 array.name: np.ones((*chunk.shape, *(1 for _ in array.extra_dims)), array.dtype)

@@ -26,6 +26,7 @@ from worker import store
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
 from worker.executors.inline import Inline
 from worker.plan import Chunk, make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecTooLarge
 from worker.tasks import ChunkReport
@@ -50,7 +51,9 @@ def test_done_means_written_and_the_checksums_are_those_of_the_files(tmp_path: P
             rows = ledger._sql.execute("SELECT chunk, checksum, cells FROM chunks ORDER BY chunk").fetchall()
     plan = make_plan(spec, chunk_shape=job.chunk_shape)
     assert [row["cells"] for row in rows] == [chunk.cells for chunk in plan.chunks]
-    assert all(store.verify(service.settings.store_of(job.id), plan.chunks[row[0]], row[1]) for row in rows)
+    written = [(plan[row[0]], row[1]) for row in rows]
+    url = service.settings.store_of(job.id)
+    assert list(store.find_corrupt(url, layout(spec, plan.chunk_shape), written)) == []
 
 
 def test_the_same_sweep_is_the_same_job(tmp_path: Path, inline: Inline):

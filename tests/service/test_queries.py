@@ -15,6 +15,7 @@ from service.results import mode_map
 from service.results.diagram import Sweep
 from worker import schema, store
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import backend, reader
 from worker.tasks import run_chunk
@@ -26,7 +27,7 @@ def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Sweep:
     """A store of the sweep with its first `chunks` chunks (or all) computed, a cell or few each."""
     plan = make_plan(spec, chunk_shape=(1, 2, 5))
     url = str(folder / "store.zarr")
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
     for chunk in plan.chunks[:chunks]:
         run_chunk(spec, chunk, url)
     return Sweep(spec, url)
@@ -47,7 +48,7 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
     """A store whose outcomes, (direction, xi, omega, gamma), are as given."""
     plan = make_plan(spec, chunk_shape=spec.shape[1:])
     url = str(folder / "made.zarr")
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
     length = schema.sizes(spec)
     for chunk in plan.chunks:
         record = {
@@ -246,7 +247,7 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
         xi={"start": 0.1, "stop": 5.0, "num": 10},
     )
     plan, url = make_plan(large), str(tmp_path / "large.zarr")
-    store.create(url, large, plan)
+    store.create(url, layout(large, plan.chunk_shape))
     point = {"gamma": 2.0, "omega": 0.5, "xi": 0.5}
     for along, chunks in zip(("xi", "omega", "gamma"), plan.counts, strict=True):
         reads.clear()

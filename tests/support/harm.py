@@ -82,4 +82,4 @@ class Harm(WorkerPlugin):
     name = "harm"
 
     def setup(self, worker: Any) -> None:
-        watchdog.run_chunk = run_harmed
+        watchdog.run_task = run_harmed

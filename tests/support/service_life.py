@@ -50,11 +50,11 @@ def after(owner: Any, name: str, act: Callable[[], None]) -> None:
 #: From accepting a job to its end: where the process stops.
 STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
-    "chunk given out": lambda act: before(inline, "run_chunk", act),
+    "chunk given out": lambda act: before(inline, "run_task", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
     "chunk half written": lambda act: before(zarr_store, "fsync_files", act),
     "chunk synced": lambda act: before(stored, "checksum", act),
-    "chunk reported": lambda act: after(inline, "run_chunk", act),
+    "chunk reported": lambda act: after(inline, "run_task", act),
     "in the transaction": lambda act: after(Writing, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "marked", act),
     "job ends": lambda act: after(Writing, "finish", act),
@@ -64,13 +64,13 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
 def live(folder: Path, spec: SweepSpec, step: str, times: int, said: int) -> None:
     """One life, in a forked child: until the job has ended, or the step is reached."""
     tried: list[int] = []
-    real = inline.run_chunk
+    real = inline.run_task
 
     def run_chunk(spec: SweepSpec, chunk: Any, url: str) -> Any:
         os.write(said, f"{chunk.index}\n".encode())
         return real(spec, chunk, url)
 
-    inline.run_chunk = run_chunk
+    inline.run_task = run_chunk
     if step in STEPS:
         left = iter(range(times - 1, -1, -1))
         STEPS[step](lambda: die() if next(left, 0) == 0 else None)

@@ -17,6 +17,7 @@ from worker import store, tasks
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
 from worker.plan import Plan, make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
 
@@ -41,7 +42,7 @@ def expected(spec, tmp_path) -> dict[str, bytes]:
 
 def make(spec: SweepSpec, url: Path, shape=None) -> Plan:
     plan = make_plan(spec, chunk_shape=shape)
-    store.create(str(url), spec, plan)
+    store.create(str(url), layout(spec, plan.chunk_shape))
     return plan
 
 
@@ -156,11 +157,11 @@ from worker.kernel_cache import claim_cache
 print(claim_cache(sys.argv[1]))
 import hashlib
 import numpy as np
+from kernel.line import run_line
+from kernel.models import rigid
 gamma, one = np.linspace(0.5, 5.0, 100), np.ones(100)
-line = run_line(
-    gamma, one, 0.26 * one, model=Model.RIGID, restitution=0 * one, penetration=one, adhesive=True,
-    carry=False, settle=20, observe=20, keep=8,
-)
+plate = rigid.plate(restitution=0 * one)
+line = run_line(gamma, one, 0.26 * one, plate=plate, carry=False, settle=20, observe=20, keep=8)
 print(hashlib.sha256(line.flight_time.tobytes() + line.end_state.tobytes()).hexdigest())
 """
 

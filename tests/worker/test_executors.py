@@ -24,6 +24,7 @@ from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
 from worker.executors.inline import Inline
 from worker.plan import Plan, make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.tasks import ChunkCancelled, ChunkReport
 
@@ -40,7 +41,7 @@ def executor(request) -> Executor:
 def planned(small_spec, tmp_path) -> tuple[SweepSpec, Plan, str]:
     spec = small_spec()
     plan, url = make_plan(spec, chunk_shape=(1, 3, 5)), str(tmp_path / "sweep.zarr")
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
     return spec, plan, url
 
 
@@ -50,7 +51,8 @@ def test_every_chunk_comes_back_with_a_report(executor, planned):
     reports = [future.result(PATIENCE) for future in futures]
     assert [report.index for report in reports] == [0, 1, 2, 3]
     assert all(isinstance(report, ChunkReport) and report.cells == 15 for report in reports)
-    assert all(store.verify(url, chunk, report.checksum) for chunk, report in zip(plan, reports, strict=True))
+    written = [(chunk, report.checksum) for chunk, report in zip(plan, reports, strict=True)]
+    assert list(store.find_corrupt(url, layout(spec, plan.chunk_shape), written)) == []
 
 
 def test_is_ready_and_counts_its_workers(executor):
@@ -78,7 +80,7 @@ def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tm
     """Both workers have something else to do until it is taken back."""
     spec, gate = small_spec(), tmp_path / "gate"
     plan, url = make_plan(spec, chunk_shape=(2, 3, 5)), str(tmp_path / "sweep.zarr")
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
 
     def wait_at(gate: Path) -> None:
         while not gate.exists():
@@ -178,10 +180,10 @@ def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worke
 ):
     spec = small_spec(gamma=[3.0, 3.5], settle=10_000_000)
     plan, url = make_plan(spec, chunk_shape=(2, 3, 2)), str(tmp_path / "sweep.zarr")
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
     quick = small_spec()
     other = str(tmp_path / "other.zarr")
-    store.create(other, quick, make_plan(quick))
+    store.create(other, layout(quick, make_plan(quick).chunk_shape))
     executor = Dask(workers=1)
     try:
         [pid] = executor._connection.client.run(os.getpid).values()

@@ -15,10 +15,10 @@ from worker.plan import (
     Plan,
     make_plan,
 )
+from worker.schema import layout
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, RIGID_ELASTIC_US, RIGID_RAMP_US
 from worker.spec.errors import SpecTooLarge
-from worker.store.chunks import chunk_coords
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
 
@@ -64,7 +64,8 @@ def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
 @given(grids, shapes)
 def test_a_chunk_is_found_by_its_place(spec, shape):
     plan = make_plan(spec, chunk_shape=shape)
-    assert [plan.number(*chunk_coords(chunk, plan.chunk_shape)) for chunk in plan] == list(range(len(plan)))
+    coords = layout(spec, plan.chunk_shape).coords
+    assert [plan.number(*coords(chunk.slices)) for chunk in plan] == list(range(len(plan)))
 
 
 @given(grids, st.integers(1, 2000))
@@ -276,19 +277,19 @@ def test_too_many_cells_are_refused_with_the_limit():
     with pytest.raises(
         SpecTooLarge, match=r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"
     ):
-        check_size(sweep(gamma=1000), max_cells=999)
-    check_size(sweep(gamma=1000), max_cells=1000)
+        check_size(cost_of(sweep(gamma=1000)), max_cells=999)
+    check_size(cost_of(sweep(gamma=1000)), max_cells=1000)
 
 
 def test_too_many_bytes_are_refused_with_the_limit():
     spec = sweep(gamma=1000, keep=64)
     with pytest.raises(
-        SpecTooLarge, match=r"^keep: asks for 1033000 bytes, 1033 a cell; at most 1032999 are"
+        SpecTooLarge, match=r"^keep: asks for 1033000 bytes, 1033 per cell; at most 1032999 are"
     ):
-        check_size(spec, max_bytes=1_032_999)
-    check_size(spec, max_bytes=1_033_000)
+        check_size(cost_of(spec), max_bytes=1_032_999)
+    check_size(cost_of(spec), max_bytes=1_033_000)
 
 
 def test_absurd_sweep_is_refused_by_default():
     with pytest.raises(SpecTooLarge):
-        check_size(sweep(100_000, 100_000, 100_000))
+        check_size(cost_of(sweep(100_000, 100_000, 100_000)))

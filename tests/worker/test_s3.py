@@ -13,12 +13,14 @@ from fastapi.testclient import TestClient
 from moto.server import ThreadedMotoServer
 from scripted import DEADLINE, Held, wait_for
 from served import RAMP, finished, get, service
+from stores import checksum, is_sound
 
 from service.server import embedded
 from worker import store
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import backend
 
@@ -103,16 +105,17 @@ def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClie
     parts = client.app.state.service  # type: ignore[attr-defined]
     job = parts.ledger.find(here.rsplit("/", 1)[1])
     url = parts.settings.store_of(job.id)
-    chunk = make_plan(SweepSpec.from_json(job.spec), chunk_shape=job.chunk_shape)[0]
-    sound = store.checksum(url, chunk)
-    assert store.verify(url, chunk, sound)
+    spec = SweepSpec.from_json(job.spec)
+    cut, chunk = layout(spec, job.chunk_shape), make_plan(spec, chunk_shape=job.chunk_shape)[0]
+    sound = checksum(url, cut, chunk)
+    assert is_sound(url, cut, chunk, sound)
     key = "flights/c/0/0/0/0"
     before = backend.read_key(url, key)
     assert before is not None
     backend.delete(url, key)
-    assert not store.verify(url, chunk, sound)
+    assert not is_sound(url, cut, chunk, sound)
     backend._bucket(url).put(key, before)
-    assert store.verify(url, chunk, sound)
+    assert is_sound(url, cut, chunk, sound)
 
 
 def test_the_store_opens_with_xarray_from_the_bucket_and_over_http(bucket: str, tmp_path: Path):

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 from scripted import DEADLINE
+from stores import is_sound
 
 from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store, tasks
 from worker.plan import Plan, make_plan
+from worker.schema import layout
 from worker.spec import AXES, SweepSpec
 from worker.tasks import ChunkCancelled, PredecessorMissing, run_chunk
 
@@ -20,7 +22,7 @@ RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "peri
 def stored(tmp_path, spec: SweepSpec, shape=None) -> tuple[Plan, str]:
     plan = make_plan(spec, chunk_shape=shape)
     url = str(tmp_path / "sweep.zarr")
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
     return plan, url
 
 
@@ -139,7 +141,7 @@ def test_report_counts_what_became_of_the_cells(tmp_path, small_spec):
     assert report.outcomes[Outcome.MISSING] == 0
     assert report.outcomes[Outcome.AT_REST] > 0
     assert report.outcomes[Outcome.PERIODIC] > 0
-    assert store.verify(url, plan[0], report.checksum)
+    assert is_sound(url, layout(spec, plan.chunk_shape), plan[0], report.checksum)
     assert 0 < report.kernel_seconds <= report.seconds
 
 

@@ -24,6 +24,7 @@ from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
 from worker.executors.inline import Inline
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk
 
@@ -40,7 +41,7 @@ def computed(folder: Path, **fields: Any) -> tuple[SweepSpec, str]:
     """A sweep and its finished store."""
     spec = SweepSpec(**{"model": {"kind": "rigid"}, "keep": 1, "observe": 20} | fields)
     url, plan = str(folder / "sweep.zarr"), make_plan(spec)
-    store.create(url, spec, plan)
+    store.create(url, layout(spec, plan.chunk_shape))
     for chunk in plan:
         run_chunk(spec, chunk, url)
     return spec, url
@@ -143,7 +144,7 @@ def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(tmp_path: Path):
     spec, url = computed(tmp_path / "b", gamma=[0.1, 0.2], omega=[0.5], xi=0.26, protocol=ramp("both"))
     assert np.isnan(thresholds(spec, url, 1e-3)).all()
     spec = SweepSpec(gamma=[0.5, 1.5], omega=[0.5], xi=0.26, protocol=ramp("up"), model={"kind": "rigid"})
-    store.create(str(tmp_path / "c"), spec, make_plan(spec))
+    store.create(str(tmp_path / "c"), layout(spec, make_plan(spec).chunk_shape))
     assert np.isnan(thresholds(spec, str(tmp_path / "c"), 1e-3)).all()
 
 

@@ -8,7 +8,8 @@ from typing import Any
 from worker.executors.base import Answer
 from worker.plan import Chunk
 from worker.spec import SweepSpec
-from worker.tasks import ChunkReport, run_chunk
+from worker.studies import run_task
+from worker.tasks import ChunkReport
 
 
 class Inline:
@@ -21,7 +22,7 @@ class Inline:
     def submit(
         self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        return self._thread.submit(run_chunk, spec, chunk, store_url)
+        return self._thread.submit(run_task, spec, chunk, store_url)
 
     def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
         return self._thread.submit(function, *arguments)

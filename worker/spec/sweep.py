@@ -7,16 +7,13 @@ client that holds a specification loads no kernel, no cluster and no store.
 import hashlib
 import json
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
-    Discriminator,
     Field,
-    Tag,
     ValidationError,
     model_validator,
 )
@@ -33,58 +30,17 @@ from worker.spec.contact_models import (
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
+from worker.spec.protocols import Protocol, Ramp, Rest
 from worker.spec.time_steps import check_steps, corners
 
 #: The sweep's axes in the order the store keeps them, slowest first.
 AXES: Final = ("xi", "omega", "gamma")
-
-AxisName = Literal["gamma", "omega", "xi"]
 
 #: Far beyond what physics asks for, well inside what double precision carries.
 SMALLEST: Final = 1e-6
 LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
-
-
-class Rest(Strict):
-    """Every cell starts from rest."""
-
-    kind: Literal["rest"] = "rest"
-
-
-class Ramp(Strict):
-    """One parameter moves along its axis and the state is carried over."""
-
-    kind: Literal["ramp"]
-    axis: AxisName
-    direction: Literal["up", "down", "both"]
-
-
-def _kind_of(value: object) -> object:
-    return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-
-
-def _check_protocol(value: object) -> object:
-    if not isinstance(value, dict | Strict):
-        raise BrokenRuleError("", f'must be an object such as {{"kind": "rest"}}, not {describe(value)}')
-    if _kind_of(value) not in ("rest", "ramp"):
-        rule = f"must be {one_of(('rest', 'ramp'))}, not {describe(_kind_of(value))}"
-        raise BrokenRuleError(
-            "kind", rule if "kind" in _keys(value) else f"is required: {one_of(('rest', 'ramp'))}"
-        )
-    return value
-
-
-def _keys(value: object) -> list[str]:
-    return list(value) if isinstance(value, dict) else ["kind"]
-
-
-Protocol = Annotated[
-    Annotated[Rest, Tag("<rest>")] | Annotated[Ramp, Tag("<ramp>")],
-    Discriminator(lambda value: f"<{_kind_of(value)}>"),
-    BeforeValidator(_check_protocol),
-]
 
 
 def _label(name: str) -> str:

@@ -1,11 +1,11 @@
-"""Room: what a sweep has found, on disk as zarr v3: the one public face of the store.
+"""Results on disk as zarr v3: the public face of the store.
 
 Everything outside this package uses what is listed here; only the modules behind it import zarr.
 """
 
 from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, rename_for_deletion
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.store.chunks import chunk_coords, discard, find_corrupt
+from worker.store.chunks import discard, find_corrupt
 from worker.store.errors import (
     ChunkCoords,
     PlaceUnusable,
@@ -16,7 +16,6 @@ from worker.store.errors import (
 )
 from worker.store.store import (
     check_chunk,
-    checksum,
     chunk_shape,
     create,
     read_attrs,
@@ -24,7 +23,6 @@ from worker.store.store import (
     read_coordinates,
     read_slice,
     repair_metadata,
-    verify,
     write_chunk,
 )
 
@@ -38,8 +36,6 @@ __all__ = [
     "StoreMissing",
     "check_address",
     "check_chunk",
-    "checksum",
-    "chunk_coords",
     "chunk_shape",
     "clear_cancelled",
     "create",
@@ -57,6 +53,5 @@ __all__ = [
     "repair_metadata",
     "set_cancelled",
     "sweep_leftovers",
-    "verify",
     "write_chunk",
 ]

@@ -1,26 +1,18 @@
 """What can be wrong with a store.
 
-StoreError              something about a store
+StoreError              something is wrong with a store
 ├── PlaceUnusable       no store can be kept at this address
-├── StoreMissing        there is none at that place
-├── StoreConflict       another sweep, or another cut of this one, is there already
-└── StoreDamaged        what is there cannot be read back
+├── StoreMissing        there is no store at this address
+├── StoreConflict       another study, or another cut of this one, is stored there already
+└── StoreDamaged        stored bytes cannot be read back
 """
 
-from typing import NamedTuple
-
-
-class ChunkCoords(NamedTuple):
-    """A chunk's address in the grid of chunks."""
-
-    direction: int
-    xi: int
-    omega: int
-    gamma: int
+#: Where a chunk lies in the grid of chunks, one number for each cell dimension.
+ChunkCoords = tuple[int, ...]
 
 
 class StoreError(Exception):
-    """Something about a store."""
+    """Something is wrong with a store."""
 
 
 class PlaceUnusable(StoreError):
@@ -28,7 +20,7 @@ class PlaceUnusable(StoreError):
 
 
 class StoreMissing(StoreError):
-    """There is no store at that place."""
+    """There is no store at this address."""
 
 
 class StoreConflict(StoreError):
@@ -36,6 +28,6 @@ class StoreConflict(StoreError):
 
 
 class StoreDamaged(StoreError):
-    """Stored bytes cannot be read back, or are gone; `places` says which chunks, where it is a chunk."""
+    """Stored bytes cannot be read back, or are gone; `chunks` says where, if in chunks."""
 
-    places: tuple[ChunkCoords, ...] = ()
+    chunks: tuple[ChunkCoords, ...] = ()

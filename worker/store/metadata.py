@@ -1,82 +1,49 @@
-"""Room: a store without chunks: its metadata and coordinates, the same bytes every time."""
+"""An empty store: its metadata and coordinates, the same bytes every time."""
 
 import threading
 import warnings
 from collections.abc import Mapping
 from typing import Any, Final
 
-import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 from zarr.core.buffer import Buffer
 from zarr.errors import ZarrUserWarning
 from zarr.storage import MemoryStore
 
-from kernel.params import KERNEL_VERSION
-from worker import schema
-from worker.plan import Plan
-from worker.spec import SweepSpec
-from worker.spec.contact_models import Stepped
-from worker.spec.time_steps import corners, stated
+from worker.schema import Array, Layout
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
 _consolidating = threading.Lock()
 
 
-def skeleton(spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
-    """Every file or object of an empty store by its address, with `attrs` beside our own."""
+def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
+    """Every file or object of a store without chunks by its address, with `attrs` beside the layout's own."""
     content: dict[str, Buffer] = {}
     store = MemoryStore(content)
     group = zarr.open_group(store, mode="w", zarr_format=3)
-    for coordinate in schema.COORDINATES:
-        _create_coordinate(group, coordinate, spec)
-    for array in schema.arrays(spec):
-        _create_array(group, array, spec, plan)
-    group.attrs.put({**_provenance(spec), **attrs, **identity(spec, plan)})
+    for dim in layout.coordinates:
+        _create_coordinate(group, dim, layout)
+    for array in layout.arrays:
+        _create_array(group, array, layout)
+    group.attrs.put({**layout.attributes, **attrs, **layout.identity})
     with _consolidating, warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)
         zarr.consolidate_metadata(store, zarr_format=3)
     return content
 
 
-def identity(spec: SweepSpec, plan: Plan) -> dict[str, Any]:
-    """What tells this store from any other."""
-    return {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(plan.chunk_shape)}
-
-
-def _provenance(spec: SweepSpec) -> dict[str, Any]:
-    said = {
-        "Conventions": "CF-1.11",
-        "title": spec.name or "bouncing spring",
-        "kernel_version": KERNEL_VERSION,
-        "model": spec.model.kind,
-        "spec": spec.as_submitted(),
-    }
-    if isinstance(spec.model, Stepped):
-        axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-        said["time_steps"] = stated(spec.model, corners(*axes))
-    return said
-
-
-def _create_coordinate(group: zarr.Group, coordinate: schema.Coordinate, spec: SweepSpec) -> None:
-    name = coordinate.name
-    # Variable-length text: zarr has no stable form for the fixed-length one.
-    values = (
-        np.array(spec.directions, dtype=np.dtypes.StringDType())
-        if name == "direction"
-        else spec.axis_values(name).astype("<f8")
-    )
+def _create_coordinate(group: zarr.Group, dim: str, layout: Layout) -> None:
+    values = layout.coordinates[dim]
     array = group.create_array(
-        name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
-        dimension_names=(name,), attributes=coordinate.attrs,
+        dim, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
+        dimension_names=(dim,), attributes=dict(layout.coordinate_attrs.get(dim, {})),
     )  # fmt: skip
     array[:] = values
 
 
-def _create_array(group: zarr.Group, array: schema.Array, spec: SweepSpec, plan: Plan) -> None:
-    length = schema.sizes(spec)
-    extra = tuple(length[dim] for dim in array.extra_dims)
+def _create_array(group: zarr.Group, array: Array, layout: Layout) -> None:
     group.create_array(
-        array.name, shape=(*spec.shape, *extra), chunks=(1, *plan.chunk_shape, *extra), dtype=array.dtype,
+        array.name, shape=layout.shape(array), chunks=layout.chunk_shape(array), dtype=array.dtype,
         fill_value=array.fill, compressors=_CODEC, dimension_names=array.dims, attributes=array.attrs,
     )  # fmt: skip

@@ -1,13 +1,13 @@
-"""Room: what a sweep has found, on disk as zarr v3; the only importer of zarr.
+"""What a study has computed, on disk as zarr v3.
 
 A store opens with plain `xarray.open_zarr(url)`. One task owns one chunk of every array
 and writes it whole, so two writers never meet; a file appears by renaming, never half
-written; every byte is under a checksum. Whether a cell is there is said by its outcome,
+written; every byte is under a checksum. Whether a cell is there is told by its outcome,
 never by a file's existence.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 import zarr
@@ -15,35 +15,29 @@ from numpy.typing import NDArray
 from zarr.core.sync import sync
 from zarr.errors import GroupNotFoundError
 
-from worker import schema
-from worker.plan import Chunk, Plan
-from worker.spec import AXES, SweepSpec
+from worker.schema import Layout
 from worker.store import chunks
 from worker.store.backend import open_store, read_key
-from worker.store.chunks import Index, chunk_coords, fsync_files, key
-from worker.store.errors import StoreConflict, StoreDamaged, StoreMissing
-from worker.store.metadata import identity, skeleton
-from worker.store.reader import ROOT, read_cells
-
-_EVERYTHING: Final = slice(None)
+from worker.store.chunks import HasSlices, Index, fsync_files, key
+from worker.store.errors import ChunkCoords, StoreConflict, StoreDamaged, StoreMissing
+from worker.store.metadata import empty_store
+from worker.store.reader import OUTCOME, ROOT, read_cells
 
 
-def create(url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None) -> None:
-    """Lay out an empty store for `spec`, cut as `plan` says, with `attrs` beside our own.
+def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
+    """Lay out an empty store, with `attrs` beside the layout's own attributes.
 
-    Does nothing if this very store is complete already, and mends one whose creation was
+    Does nothing if this very store is complete already, and repairs one whose creation was
     interrupted. Raises `StoreConflict` if something else is there. For the same bytes from
-    the same specification, `attrs` must hold no time of day.
+    the same layout, `attrs` must hold no time of day.
     """
-    if not _already_there(url, identity(spec, plan)):
-        repair_metadata(url, spec, plan, attrs)
+    if not _already_there(url, layout.identity):
+        repair_metadata(url, layout, attrs)
 
 
-def repair_metadata(
-    url: str, spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any] | None = None
-) -> list[str]:
+def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> list[str]:
     """Put right everything in a store but its chunks: metadata, coordinates. Returns what was not right."""
-    right = skeleton(spec, plan, attrs or {})
+    right = empty_store(layout, attrs or {})
     wrong = [address for address, content in right.items() if read_key(url, address) != content.to_bytes()]
     # The root comes last: whoever finds consolidated metadata finds a complete store.
     wrong.sort(key=lambda address: address == ROOT)
@@ -54,50 +48,37 @@ def repair_metadata(
     return wrong
 
 
-def check_chunk(url: str, chunk: Chunk) -> None:
+def check_chunk(url: str, chunk: HasSlices) -> None:
     """Raise what `write_chunk` would raise for a store that is missing, damaged or cut otherwise."""
-    _check_owns(_open(url, "r"), url, chunk)
+    _owned_coords(_open(url, "r"), url, chunk)
 
 
-def write_chunk(url: str, chunk: Chunk, record: Mapping[str, NDArray[Any]]) -> str:
+def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> str:
     """Store one chunk of every array and return the checksum of the bytes now stored.
 
-    record: an array of shape chunk.shape + (flights or state fields, if it has them) by name.
-    Writing the same record again gives the same bytes.
+    record: every array of the store by name, in the order of its layout (`outcome` last), each of shape
+    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes.
     """
     group = _open(url, "r+")
-    _check_owns(group, url, chunk)
-    for name in _names(group):
+    coords = _owned_coords(group, url, chunk)
+    names = [(name, len(_array(group, name).shape)) for name in record]
+    for name, array in record.items():
         # Without this a chunk of nothing but fill values would have no file, and no checksum.
-        array = _array(group, name).with_config({"write_empty_chunks": True})
-        array[chunk.slices] = record[name][np.newaxis]
-    place = chunk_coords(chunk, _chunk_shape(group))
-    fsync_files(url, [key(name, place) for name in _names(group)])
-    return chunks.checksum(url, _names(group), place)
-
-
-def checksum(url: str, chunk: Chunk) -> str:
-    """SHA-256 over the chunk's stored bytes in all arrays, 64 hex digits; absent ones count too."""
-    group = _open(url, "r")
-    return chunks.checksum(url, _names(group), chunk_coords(chunk, _chunk_shape(group)))
-
-
-def verify(url: str, chunk: Chunk, expected: str) -> bool:
-    """Whether the chunk's stored bytes are still those `write_chunk` reported."""
-    return checksum(url, chunk) == expected
+        stored = _array(group, name).with_config({"write_empty_chunks": True})
+        lengths = [span.stop - span.start for span in chunk.slices]
+        stored[chunk.slices] = array.reshape(*lengths, *stored.shape[len(lengths) :])
+    fsync_files(url, [key(name, dims, coords) for name, dims in names])
+    return chunks.checksum(url, names, coords)
 
 
 def read_slice(
     url: str,
     names: Iterable[str],
     *,
-    direction: Index = _EVERYTHING,
-    xi: Index = _EVERYTHING,
-    omega: Index = _EVERYTHING,
-    gamma: Index = _EVERYTHING,
     complete: bool = False,
+    **where: Index,
 ) -> dict[str, NDArray[Any]]:
-    """Part of some arrays, by grid index; touches only the chunks it needs.
+    """Part of some arrays, by index along the cell dimensions; touches only the chunks it needs.
 
     `complete`: everything was written, so what is not there is damage and not still to come.
 
@@ -105,21 +86,23 @@ def read_slice(
     fields) come last. Cells without an outcome yet read as fill values throughout.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
-    return read_cells(url, names, (direction, xi, omega, gamma), complete)
+    return read_cells(url, names, where, complete)
 
 
 def read_chunk(
-    url: str, chunk: Chunk, names: Iterable[str], *, complete: bool = False
+    url: str, chunk: HasSlices, names: Iterable[str], *, complete: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """A block of cells anywhere in the grid; each array is of chunk.shape + its extra dimension."""
-    block = dict(zip(AXES, chunk.slices[1:], strict=True))
-    return read_slice(url, names, direction=chunk.direction, **block, complete=complete)
+    """A block of cells anywhere in the grid; each array is of chunk.shape + its extra dimensions."""
+    block = read_cells(url, names, chunk.slices, complete)
+    return {
+        name: array.reshape(*chunk.shape, *array.shape[len(chunk.slices) :]) for name, array in block.items()
+    }
 
 
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
-    """`xi`, `omega`, `gamma` as float64 and `direction` as text, each (n,)."""
+    """The values along every dimension of a cell, each (n,): numbers as float64, `direction` as text."""
     group = _open(url, "r")
-    return {coordinate.name: _read(_array(group, coordinate.name)) for coordinate in schema.COORDINATES}
+    return {dim: _read(_array(group, dim)) for dim in _cell_dims(group)}
 
 
 def read_attrs(url: str) -> dict[str, Any]:
@@ -127,10 +110,9 @@ def read_attrs(url: str) -> dict[str, Any]:
     return dict(_open(url, "r").attrs)
 
 
-def chunk_shape(url: str) -> tuple[int, int, int]:
-    """Cells of a chunk along (xi, omega, gamma), for planning the same cut again."""
-    xi, omega, gamma = _chunk_shape(_open(url, "r"))
-    return xi, omega, gamma
+def chunk_shape(url: str) -> tuple[int, ...]:
+    """Cells of a chunk along every dimension that is cut, for planning the same cut again."""
+    return tuple(read_attrs(url)["chunk_shape"])
 
 
 def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
@@ -172,10 +154,9 @@ def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
     return found
 
 
-def _names(group: zarr.Group) -> list[str]:
-    """The stored arrays in the order they are written."""
-    order = (*schema.RECORD, schema.END_STATE, schema.OUTCOME)
-    return [array.name for array in order if array.name in group]
+def _cell_dims(group: zarr.Group) -> tuple[str, ...]:
+    metadata: Any = _array(group, OUTCOME).metadata
+    return tuple(metadata.dimension_names)
 
 
 def _read(array: zarr.Array[Any]) -> NDArray[Any]:
@@ -186,15 +167,15 @@ def _read(array: zarr.Array[Any]) -> NDArray[Any]:
     raise StoreDamaged(f"{array.path}: cannot be read back: {trouble}")
 
 
-def _chunk_shape(group: zarr.Group) -> tuple[int, ...]:
-    return _array(group, schema.OUTCOME.name).chunks[1:]
+def _owned_coords(group: zarr.Group, url: str, chunk: HasSlices) -> ChunkCoords:
+    """Where a task's chunk lies in the grid of chunks.
 
-
-def _check_owns(group: zarr.Group, url: str, chunk: Chunk) -> None:
-    """Two tasks in one stored chunk would lose data: a task's chunk is exactly one of the store's."""
-    grid = _array(group, schema.OUTCOME.name).shape[1:]
-    spans = (chunk.xi, chunk.omega, chunk.gamma)
-    for axis, (low, high), size, n in zip(AXES, spans, _chunk_shape(group), grid, strict=True):
-        if low % size or high != min(low + size, n):
-            rule = f"chunk {chunk.index} spans {axis} {low} to {high}, but chunks here are {size} long"
+    Raises StoreConflict unless it is one of the store's: two tasks in one stored chunk would lose data.
+    """
+    outcome = _array(group, OUTCOME)
+    dims = zip(_cell_dims(group), chunk.slices, outcome.chunks, outcome.shape, strict=True)
+    for dim, span, size, n in dims:
+        if span.start % size or span.stop != min(span.start + size, n):
+            rule = f"a chunk spans {dim} {span.start} to {span.stop}, but chunks here are {size} long"
             raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
+    return tuple(span.start // size for span, size in zip(chunk.slices, outcome.chunks, strict=True))

@@ -1,0 +1,86 @@
+"""A contact model that nobody needs: what a new one has to bring. The spring never leaves the plate.
+
+Its module (this one) with the functions a kernel needs, its fields, and its row of the table.
+"""
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.interface import contact, contact_force, flies, flight, prepare, rest
+from kernel.numerics.first_root import HORIZON, Phase
+from kernel.numerics.jit import jit
+from kernel.validation import check_arrays
+from worker.spec.contact_models import ContactFields, ContactModel
+
+
+class GluedPlate(NamedTuple):
+    """The plate under each cell of a line."""
+
+    restitution: NDArray[np.float64]  # (n,) without meaning here
+
+
+class Glued(NamedTuple):
+    """One cell's constants."""
+
+    gravity: float  # 1/Gamma
+
+
+def plate(*, restitution: NDArray[np.float64]) -> GluedPlate:
+    check_arrays({"restitution": restitution})
+    return GluedPlate(restitution)
+
+
+@prepare.register(GluedPlate)
+@jit
+def _prepare(plate: GluedPlate, i: int, gamma: float, omega: float, xi: float) -> Glued:
+    return Glued(1.0 / gamma)
+
+
+@rest.register(Glued)
+@jit
+def _rest(g: Glued) -> tuple[float, float, float, float]:
+    return 0.0, 0.0, 0.0, 0.0
+
+
+@flies.register(Glued)
+@jit
+def _flies(g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
+    return False
+
+
+@contact.register(Glued)
+@jit
+def _contact(
+    g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
+) -> Phase:
+    return Phase(horizon, HORIZON, False, 0.0, 0.0, math.cos(phi), 0.0, 1)
+
+
+@flight.register(Glued)
+@jit
+def _flight(
+    g: Glued, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
+) -> Phase:
+    return Phase(horizon, HORIZON, False, 0.0, 0.0, 0.0, 0.0, 1)
+
+
+@contact_force.register(Glued)
+@jit
+def _contact_force(g: Glued, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    return g.gravity - cos
+
+
+class GluedFields(ContactFields):
+    """What a specification says of it."""
+
+    kind: Literal["glued"]
+    colour: Literal["red", "blue"] = "red"
+
+    def plate_arguments(self, gamma: Any, omega: Any, xi: Any) -> dict[str, Any]:
+        return {"restitution": np.zeros_like(xi)}
+
+
+ROW = ContactModel(GluedFields, "toy_model", 0.01, "glued contact")

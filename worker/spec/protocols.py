@@ -1,0 +1,52 @@
+"""How the cells of a sweep are started: each from rest, or each from the end of the one before."""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import BeforeValidator, Discriminator, Tag
+
+from worker.spec.axes import Strict
+from worker.spec.errors import BrokenRuleError, describe, one_of
+
+AxisName = Literal["gamma", "omega", "xi"]
+
+
+class Rest(Strict):
+    """Every cell starts from rest."""
+
+    kind: Literal["rest"] = "rest"
+
+
+class Ramp(Strict):
+    """One parameter moves along its axis and the state is carried over."""
+
+    kind: Literal["ramp"]
+    axis: AxisName
+    direction: Literal["up", "down", "both"]
+
+
+#: The protocols of a sweep by kind.
+PROTOCOLS: Final[dict[str, type[Strict]]] = {"rest": Rest, "ramp": Ramp}
+
+
+def _kind_of(value: object) -> object:
+    return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+
+
+def _check_protocol(value: object) -> object:
+    if not isinstance(value, dict | Strict):
+        raise BrokenRuleError("", f'must be an object such as {{"kind": "rest"}}, not {describe(value)}')
+    if _kind_of(value) not in PROTOCOLS:
+        rule = f"must be {one_of(PROTOCOLS)}, not {describe(_kind_of(value))}"
+        raise BrokenRuleError("kind", rule if "kind" in _keys(value) else f"is required: {one_of(PROTOCOLS)}")
+    return value
+
+
+def _keys(value: object) -> list[str]:
+    return list(value) if isinstance(value, dict) else ["kind"]
+
+
+Protocol = Annotated[
+    Annotated[Rest, Tag("<rest>")] | Annotated[Ramp, Tag("<ramp>")],
+    Discriminator(lambda value: f"<{_kind_of(value)}>"),
+    BeforeValidator(_check_protocol),
+]
