@@ -29,8 +29,8 @@ def glued(monkeypatch: pytest.MonkeyPatch):
 
 
 GLUED: dict[str, Any] = {
-    "gamma": {"start": 1.0, "stop": 3.0, "num": 5}, "omega": 0.5, "xi": [0.1, 0.2], "model": {"kind": "glued"},
-    "settle": 3, "observe": 2,
+    "gamma": {"start": 1.0, "stop": 3.0, "num": 5}, "omega": 0.5, "xi": [0.1, 0.2],
+    "model": {"kind": "glued"}, "settle": 3, "observe": 2,
 }  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """A kind of study that nobody needs: what a new one has to bring. It counts the divisors of whole numbers.
 
-Its package (this module): a specification, a plan, a task, its variables and its cost. Beside it only a row of
-`worker.studies.STUDIES` is needed for it to run as a job; queries and routes of its own would come on top.
+Its package (this module): a specification, a plan, a task, its variables and its cost. Beside it only a row
+of `worker.studies.STUDIES` is needed for it to run as a job; queries and routes of its own would come on top.
 """
 
 import hashlib
@@ -122,7 +122,7 @@ class ToyStudy:
         divisors = [[d for d in range(1, n + 1, spec.protocol.step) if n % d == 0] for n in numbers]
         record = {
             "count": np.array([len(found) for found in divisors], np.int32),
-            "divisor": np.array([(found + [0])[:2] for found in divisors], np.int32),
+            "divisor": np.array([[*found, 0][:2] for found in divisors], np.int32),
             "outcome": np.full(chunk.cells, Outcome.PERIODIC, np.uint8),
         }
         checksum = store.write_chunk(store_url, chunk, record)
