@@ -71,8 +71,8 @@ def submit(
 def _cost(service: TheService, spec: SweepSpec) -> Response:
     service.manager.check(spec)
     with service.ledger.reading() as ledger:
-        paces = ledger.paces(estimates.RECENT_JOBS, estimates.LONGEST_SPEC)
-    found = estimates.cost(spec, paces)
+        paces = ledger.paces(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
+    found = estimates.cost(spec, paces, service.manager.preparer)
     return Response(found.model_dump_json(), media_type="application/json")
 
 
