@@ -132,7 +132,9 @@ class JobManager:
         with self._ledger.writing() as ledger:
             job = _existing(ledger.find(job_id), job_id)
             if job.state in UNFINISHED:
-                raise IllegalTransition(f"the job is {job.state}: cancel it first, and wait until it is")
+                raise IllegalTransition(
+                    f"the job is {job.state}: cancel it first, and wait until it is cancelled"
+                )
             ledger.delete(job)
         # A worker that lost its connection may still be computing: the cancel flag stops it, and without
         # its metadata the store accepts no chunk.

@@ -55,7 +55,9 @@ class OnDemandCache:
         except BaseException as error:
             self._forget(key)
             if isinstance(error, ExecutorError):
-                raise NotComputed(f"the workers that computed it were lost ({error}): ask again") from error
+                raise NotComputed(
+                    f"the workers that computed it were lost ({error}): repeat the request"
+                ) from error
             raise
 
     def close(self) -> None:
@@ -71,13 +73,11 @@ class OnDemandCache:
                 self._results.move_to_end(key)
                 return self._results[key]
             if sum(not _done(parts) for parts in self._results.values()) >= self._max_pending:
-                raise Busy(
-                    f"{self._max_pending} answers are being computed already, at most so many at a time"
-                )
+                raise Busy(f"{self._max_pending} results are being computed already, which is the limit")
             try:
                 parts = self._results[key] = submit(self._executor)
             except ExecutorError as error:
-                raise NotComputed(f"no worker is there to compute it ({error}): ask again") from error
+                raise NotComputed(f"no worker can compute it now ({error}): repeat the request") from error
             done = (other for other, parts in self._results.items() if _done(parts) and other != key)
             for other in list(done)[: max(len(self._results) - MAX_RESULTS, 0)]:
                 del self._results[other]

@@ -89,4 +89,5 @@ class ReadyQueue:
     def _pending_successors(self, chunk: int) -> Iterator[int]:
         low, high = np.searchsorted(self._sorted_predecessors, [chunk, chunk + 1])
         successors = self._by_predecessor[low:high]
-        return (int(one) for one in successors if not self._done[one] and one not in self._popped)
+        pending = ~self._done[successors]
+        return (int(chunk) for chunk in successors[pending] if chunk not in self._popped)

@@ -223,11 +223,11 @@ class Supervisor:
                 return  # the selector wakes this thread when the model is chosen
             run = self._open(selected)
         except store.UNREACHABLE as error:
-            log.warning("job %s cannot begin yet, its bucket does not answer: %s", job_id, error)
+            log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
             return  # the next sync tries again
         except Exception as error:
-            log.exception("job %s cannot begin", job_id)
-            self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
+            log.exception("job %s cannot start", job_id)
+            self._finish(job_id, JobState.FAILED, f"the job cannot start: {type(error).__name__}: {error}")
             return
         if self._mark_running(job_id):
             self._runs[job_id] = run
@@ -240,7 +240,8 @@ class Supervisor:
         """
         if job.kernel_version != KERNEL_VERSION:
             raise KernelChanged(
-                f"kernel {job.kernel_version} began it, this is {KERNEL_VERSION}: submit it again"
+                f"kernel version {job.kernel_version} started it, this service has version {KERNEL_VERSION}: "
+                "submit the sweep again"
             )
         prepared = self._preparer.prepare(job)
         store.create(prepared.store_url, prepared.submitted, prepared.plan, prepared.attributes)

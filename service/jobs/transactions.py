@@ -52,10 +52,10 @@ class ReadTransaction:
 
     def newest(self, state: JobState | None, limit: int, before: int | None = None) -> list[JobRecord]:
         """Jobs, the last accepted first; only those in `state` and with a `seq` below `before`."""
-        rules = {"state = ?": state, "seq < ?": before}
-        given = {rule: value for rule, value in rules.items() if value is not None}
-        where = f"WHERE {' AND '.join(given)}" if given else ""
-        values = [*given.values(), limit]
+        optional = {"state = ?": state, "seq < ?": before}
+        conditions = {sql: value for sql, value in optional.items() if value is not None}
+        where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+        values = [*conditions.values(), limit]
         rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", values)
         return [_record(row) for row in rows]
 

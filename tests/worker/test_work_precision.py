@@ -264,7 +264,7 @@ def test_only_so_many_at_a_time():
     for question in ("one", "two"):
         with pytest.raises(Pending):
             answers.get(question, begin)
-    with pytest.raises(Busy, match=r"^2 answers are being computed already"):
+    with pytest.raises(Busy, match=r"^2 results are being computed already"):
         answers.get("three", begin)
 
 
@@ -272,7 +272,7 @@ def test_nobody_there_to_compute():
     def nobody(_: Any) -> list[Future[Any]]:
         raise ClusterLost("gone")
 
-    with pytest.raises(NotComputed, match=r"^no worker is there to compute it \(gone\): ask again$"):
+    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\): repeat the request$"):
         OnDemandCache(Hands()).get("question", nobody)
 
 
