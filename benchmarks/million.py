@@ -27,9 +27,10 @@ import psutil
 
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
-from service.jobs.ledger import Ledger, Writing
+from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobState
+from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
 from worker.executors.dask import Dask
 from worker.plan import Chunk, make_plan
@@ -95,7 +96,7 @@ class Counted(Ledger):
     commits = 0
 
     @contextmanager
-    def writing(self) -> Iterator[Writing]:
+    def writing(self) -> Iterator[WriteTransaction]:
         """As the ledger's."""
         with super().writing() as ledger:
             yield ledger

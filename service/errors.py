@@ -17,7 +17,8 @@
     ├── NotComputed            no worker is there to answer, or those that did were lost
     ├── NoSpace                there is no room for a file of an answer
     ├── DataFolderBusy         another service uses the data folder (only at start)
-    └── LedgerUnusable         the ledger was written by a newer version (only at start)
+    ├── LedgerUnusable         the ledger is none, or was written by a newer version (only at start)
+    └── LedgerUnavailable      the ledger's file cannot be read or written now
 
 A specification that cannot be used is the worker's `SpecError`, told in its own words.
 """
@@ -110,4 +111,8 @@ class DataFolderBusy(ServiceError):
 
 
 class LedgerUnusable(ServiceError):
-    """The ledger was written by a newer version."""
+    """The ledger was written by a newer version, or the file is no ledger."""
+
+
+class LedgerUnavailable(ServiceError):
+    """The ledger's file cannot be read or written now."""

@@ -1,4 +1,4 @@
-"""Everything a person running the service may set, from `BOUNCE_*` variables or options of the same names."""
+"""The service's settings, from `BOUNCE_*` environment variables or command-line options of the same names."""
 
 from ipaddress import ip_address
 from pathlib import Path
@@ -15,96 +15,152 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from worker import store
 
 Port = Annotated[int, Field(ge=0, le=65535)]
-#: As much as the system's clocks and SQLite can count.
+#: The upper limits are what the system's clocks and SQLite can represent.
 Positive = Annotated[float, Field(gt=0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=2**62)]
 
-#: Names under which this machine reaches itself.
+#: Host names and addresses of this machine's loopback interface.
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
-#: Fewer characters can be guessed.
-SHORTEST_TOKEN: Final = 16
+#: Characters of an access token; a shorter one could be guessed.
+MIN_TOKEN_LENGTH: Final = 16
 
 
 class Settings(BaseSettings):
-    """Where to listen, where to keep data, where to compute, and how much one request may ask for."""
+    """Where the service listens, keeps data and computes, and how much one request may ask for."""
 
     model_config = SettingsConfigDict(env_prefix="BOUNCE_", frozen=True, extra="forbid")
 
-    host: str = "127.0.0.1"
-    port: Port = 8000  # 0: any free port
-    token: SecretStr | None = None  # what callers must know; needed to listen on more than loopback
-    allowed_hosts: Annotated[frozenset[str], NoDecode] = frozenset()  # more names to answer to; *: any
-    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    # The web server
 
-    data: Path = Path("bounce-data")
-    stores: str | None = None  # folder, or s3://BUCKET/PREFIX, of the stores; data/stores if left out
+    host: str = Field("127.0.0.1", description="Address to listen on.")
+    port: Port = Field(8000, description="Port to listen on; 0 takes any free one.")
+    token: SecretStr | None = Field(
+        None, description="Access token that callers must send; required to listen beyond loopback."
+    )
+    allowed_hosts: Annotated[frozenset[str], NoDecode] = Field(
+        frozenset(),
+        description="Host names accepted beside loopback and `host`, separated by commas; `*` accepts any.",
+    )
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="Messages below this level are not logged."
+    )
 
-    workers: Count = 2  # processes of the embedded cluster; unused with a scheduler
-    scheduler: str | None = None  # address of a Dask scheduler
-    scheduler_file: Path | None = None  # written by `dask scheduler --scheduler-file`
-    cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = None  # module:function that makes one
-    scheduler_ca: Path | None = None  # TLS to the scheduler (tls://...): who vouches for it,
-    scheduler_cert: Path | None = None  # and what we show it
-    scheduler_key: Path | None = None
+    # Data
 
-    max_body_bytes: Count = 1_000_000
-    body_seconds: Positive = 10.0  # for a request's head to arrive, and for its body
-    max_cells: Count = 20_000_000  # of one sweep
-    max_bytes: Count = 32 * 2**30  # of one sweep's stored arrays before compression
-    max_queue: Count = 1_000  # jobs queued or running
-    max_points: Count = 1_000_000  # flights, or cells of a map, in one answer
-    max_export_bytes: Count = 2 * 2**30  # of the sweep behind one file
-    max_exports: Count = 2  # files being written at a time
-    max_trajectories: Count = 2  # being computed at a time
-    trajectory_seconds: Positive = 5.0  # of computing for one of them
-    max_listeners: Count = 1_000  # to events
-    key_seconds: Positive = 24 * 3600.0  # for which an Idempotency-Key is remembered
+    data: Path = Field(
+        Path("bounce-data"), description="Folder of the ledger, the stores and files being exported."
+    )
+    stores: str | None = Field(
+        None, description="Folder, or s3://BUCKET/PREFIX, of the stores; `data`/stores if not given."
+    )
 
-    active_jobs: Count = 32  # jobs whose plans are held in memory; the rest stay queued
-    window: Count = 2  # chunks in flight per worker and job, or more if they are small:
-    window_seconds: Annotated[float, Field(ge=0, le=1e9)] = 0.5  # of work in flight per worker and job
-    chunk_tries: Count = 3  # for a chunk that fails, or whose worker dies of it
-    chunk_seconds: Positive = 60.0  # that any chunk may take before its worker is replaced
-    chunk_slack: Positive = 300.0  # times what the plan says: a cell may cost 150 times the usual
-    worker_memory: Count | None = None  # bytes, of an embedded worker; its share of the machine's if unset
-    failed_chunks: Count = 8  # after so many a job submits no more
-    heartbeat_seconds: Positive = 2.0  # how often the supervisor looks round with nothing to wake it
-    shutdown_seconds: Positive = 2.0  # for requests under way to finish
+    # The cluster
+
+    workers: Count = Field(
+        2, description="Worker processes of the embedded cluster; not used with another cluster."
+    )
+    scheduler: str | None = Field(None, description="Address of a Dask scheduler to compute with.")
+    scheduler_file: Path | None = Field(
+        None, description="File written by `dask scheduler --scheduler-file`, in place of its address."
+    )
+    cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = Field(
+        None, description="`module:function` that returns a Dask cluster to compute with."
+    )
+    scheduler_ca: Path | None = Field(
+        None, description="CA certificate that the scheduler's TLS certificate is checked against."
+    )
+    scheduler_cert: Path | None = Field(
+        None, description="TLS certificate that the service presents to the scheduler."
+    )
+    scheduler_key: Path | None = Field(None, description="Private key of `scheduler_cert`.")
+    worker_memory: Count | None = Field(
+        None, description="Bytes of memory of an embedded worker; its share of the machine's if not given."
+    )
+
+    # Limits on requests
+
+    max_body_bytes: Count = Field(1_000_000, description="Bytes of a request body.")
+    body_seconds: Positive = Field(
+        10.0, description="Seconds for a request's headers to arrive, and for its body."
+    )
+    max_cells: Count = Field(20_000_000, description="Cells of one sweep.")
+    max_bytes: Count = Field(32 * 2**30, description="Bytes of one sweep's stored arrays before compression.")
+    max_queue: Count = Field(1_000, description="Jobs that may be queued or running.")
+    max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
+    max_export_bytes: Count = Field(
+        2 * 2**30, description="Bytes of a sweep that may be exported as one file, before compression."
+    )
+    max_exports: Count = Field(2, description="Files exported at a time.")
+    max_trajectories: Count = Field(2, description="Trajectories computed at a time.")
+    trajectory_seconds: Positive = Field(
+        5.0, description="Estimated seconds that computing one trajectory may take."
+    )
+    max_listeners: Count = Field(1_000, description="Connections to progress streams.")
+    key_seconds: Positive = Field(
+        24 * 3600.0, description="Seconds for which an Idempotency-Key is remembered."
+    )
+
+    # Running jobs
+
+    active_jobs: Count = Field(
+        32, description="Jobs that run at a time, their plans in memory; the others stay queued."
+    )
+    window: Count = Field(2, description="Chunks in flight per worker and job.")
+    window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
+        0.5,
+        description="Core-seconds in flight per worker and job: jobs of short chunks exceed `window`.",
+    )
+    chunk_tries: Count = Field(
+        3, description="Tries of a chunk that fails or whose worker dies of it, before it is given up."
+    )
+    chunk_seconds: Positive = Field(
+        60.0, description="Seconds that any chunk may take before its worker is replaced."
+    )
+    # One cell may cost 150 times what the table of costs says.
+    chunk_slack: Positive = Field(
+        300.0, description="Times its estimate that a chunk may take, if that is longer than `chunk_seconds`."
+    )
+    failed_chunks: Count = Field(8, description="Chunks given up after which a job submits no further ones.")
+    heartbeat_seconds: Positive = Field(
+        2.0, description="Seconds between two syncs of the supervisor with the ledger if nothing wakes it."
+    )
+    shutdown_seconds: Positive = Field(
+        2.0, description="Seconds for open requests to finish when the service stops."
+    )
 
     @field_validator("allowed_hosts", mode="before")
     @classmethod
-    def _names(cls, given: Any) -> Any:
-        """A text is names with commas between, as a variable of the environment has to be."""
-        names = given.split(",") if isinstance(given, str) else given
+    def _split_hosts(cls, value: Any) -> Any:
+        """Split a text at its commas, as an environment variable gives it."""
+        names = value.split(",") if isinstance(value, str) else value
         return frozenset(str(name).strip().lower() for name in names) - {""}
 
     @field_validator("stores")
     @classmethod
-    def _place(cls, given: str | None) -> str | None:
-        if given is not None:
+    def _check_stores(cls, value: str | None) -> str | None:
+        if value is not None:
             try:
-                store.check_address(given)
+                store.check_address(value)
             except store.StoreError as error:
                 raise ValueError(str(error)) from error
-        return given
+        return value
 
     @field_validator("token", mode="before")
     @classmethod
-    def _no_token(cls, given: Any) -> Any:
-        """An empty variable is none."""
-        return given or None
+    def _empty_token_is_none(cls, value: Any) -> Any:
+        return value or None
 
     @field_validator("token")
     @classmethod
-    def _long_token(cls, given: SecretStr | None) -> SecretStr | None:
-        text = given.get_secret_value() if given else "x" * SHORTEST_TOKEN
-        if len(text) < SHORTEST_TOKEN or not (text.isascii() and text.isprintable()) or " " in text:
-            raise ValueError(f"must be at least {SHORTEST_TOKEN} ASCII characters without spaces")
-        return given
+    def _check_token(cls, value: SecretStr | None) -> SecretStr | None:
+        text = value.get_secret_value() if value else "x" * MIN_TOKEN_LENGTH
+        if len(text) < MIN_TOKEN_LENGTH or not (text.isascii() and text.isprintable()) or " " in text:
+            raise ValueError(f"must be at least {MIN_TOKEN_LENGTH} ASCII characters without spaces")
+        return value
 
     @model_validator(mode="after")
-    def _closed_to_strangers(self) -> Self:
+    def _require_token_beyond_loopback(self) -> Self:
         if self.token is None and not is_loopback(self.host):
             raise ValueError(
                 f"to listen on {self.host}, where others can reach it, needs a token: set BOUNCE_TOKEN"
@@ -112,13 +168,13 @@ class Settings(BaseSettings):
         return self
 
     @model_validator(mode="after")
-    def _one_cluster(self) -> Self:
+    def _check_one_cluster(self) -> Self:
         if sum(map(bool, (self.scheduler, self.scheduler_file, self.cluster))) > 1:
-            raise ValueError("only one of scheduler, scheduler_file and cluster can be computed with")
+            raise ValueError("only one of scheduler, scheduler_file and cluster can be given")
         return self
 
     @model_validator(mode="after")
-    def _whole_tls(self) -> Self:
+    def _check_tls_files(self) -> Self:
         files = (self.scheduler_ca, self.scheduler_cert, self.scheduler_key)
         if any(files) and not all(files):
             raise ValueError("TLS to the scheduler needs scheduler_ca, scheduler_cert and scheduler_key")
@@ -126,22 +182,22 @@ class Settings(BaseSettings):
 
     @property
     def hosts(self) -> frozenset[str]:
-        """The names that the service answers to."""
-        anywhere = {"0.0.0.0", "::", ""}
-        return LOOPBACK_NAMES | self.allowed_hosts | ({self.host.lower()} - anywhere)
+        """The Host names that the service accepts."""
+        any_address = {"0.0.0.0", "::", ""}
+        return LOOPBACK_NAMES | self.allowed_hosts | ({self.host.lower()} - any_address)
 
     @property
     def ledger_path(self) -> Path:
-        """The SQLite file that says what is done."""
+        """The ledger's SQLite file."""
         return self.data / "ledger.sqlite"
 
     @property
     def exports_path(self) -> Path:
-        """Where files lie while they are written."""
+        """The folder of files being exported."""
         return self.data.absolute() / "exports"
 
     def store_of(self, job_id: str) -> str:
-        """Where a job's zarr store is."""
+        """The address of a job's zarr store: an absolute path or an s3:// URL."""
         if self.stores is not None and store.in_bucket(self.stores):
             return f"{self.stores.rstrip('/')}/{job_id}.zarr"
         folder = self.data / "stores" if self.stores is None else Path(self.stores)
@@ -149,7 +205,7 @@ class Settings(BaseSettings):
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach what listens on `host`."""
+    """Whether `host` is an address that only this machine can reach."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

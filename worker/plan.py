@@ -119,9 +119,10 @@ class Plan(Sequence[Chunk]):
         first, second, third = (self._span(axis, place) for axis, place in enumerate(block))
         return Chunk(index, direction, first, second, third, index - self.lines if wave else None)
 
-    def number(self, direction: int, xi: int, omega: int, gamma: int) -> int:
-        """The number of the chunk at this place in the grid of chunks; the inverse of `chunk`."""
-        block, wave = [xi, omega, gamma], 0
+    def number(self, *coords: int) -> int:
+        """The number of the chunk at (direction, xi, omega, gamma) in the grid of chunks."""
+        direction, *block = coords
+        wave = 0
         if self.ramp_axis is not None:
             ramp = AXES.index(self.ramp_axis)
             steps = self.counts[ramp]

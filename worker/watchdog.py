@@ -17,9 +17,7 @@ from typing import Any, Final
 from distributed import get_worker
 
 from worker import store
-from worker.plan import Chunk
-from worker.spec import SweepSpec
-from worker.studies import run_task
+from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkCancelled, ChunkReport
 
 #: Under this name a cluster's workers say what becomes of chunks.
@@ -39,9 +37,7 @@ LAST_RESORT: Final = 5.0
 LONGEST: Final = 1e6
 
 
-def run_watched(
-    spec: SweepSpec, chunk: Chunk, store_url: str, seconds: float
-) -> ChunkReport | ChunkCancelled:
+def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> ChunkReport | ChunkCancelled:
     """As `studies.run_task`, but in a process that ends itself where the task cannot be stopped otherwise.
 
     That is if it takes longer than `seconds`, grows beyond the worker's memory limit, or ignores the cancel

@@ -15,6 +15,7 @@ from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.metrics import Metrics
 from service.api.middleware.access_control import AccessControl
 from service.api.middleware.body_limit import BodyLimit
+from service.api.pending import underway
 from service.api.progress_stream import ProgressStream
 from service.api.readiness import Health
 from service.api.routers import docs, jobs, page, results, tradeoff
@@ -24,7 +25,7 @@ from service.api.routers.model import TrajectorySpec
 from service.api.schemas import ProblemDocument
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.on_demand import OnDemandCache, Pending, underway
+from service.jobs.on_demand import OnDemandCache, Pending
 from service.render import export
 from service.server.logging import AccessLog
 from service.settings import Settings

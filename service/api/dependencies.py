@@ -17,10 +17,10 @@ from service.errors import InvalidRequest, UnknownJob, WrongMediaType
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
-from service.jobs.model_selection import computed_spec
 from service.jobs.on_demand import OnDemandCache
 from service.results.diagram import Sweep
 from service.settings import Settings
+from worker.spec import SweepSpec
 
 
 @dataclass(frozen=True)
@@ -93,4 +93,8 @@ def seconds_to_wait(job: JobRecord) -> int | None:
 
 def sweep(service: Service, job: JobRecord) -> Sweep:
     """What a job was asked and where its results are."""
-    return Sweep(computed_spec(job), service.settings.store_of(job.id), job.state is JobState.DONE)
+    prepared = service.manager.preparer.prepare(job)
+    if not isinstance(prepared.spec, SweepSpec):
+        kind = prepared.spec.protocol.kind
+        raise InvalidRequest.of("job_id", f"must be of a sweep; this job's protocol is {kind}")
+    return Sweep(prepared.spec, prepared.store_url, job.state is JobState.DONE)

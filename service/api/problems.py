@@ -6,7 +6,6 @@ Errors travel as `application/problem+json` (RFC 9457) with an extension:
 
 import json
 import logging
-import sqlite3
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any, Final, cast
@@ -24,6 +23,7 @@ from service.errors import (
     IllegalTransition,
     InvalidRequest,
     KeyReused,
+    LedgerUnavailable,
     NoSpace,
     NotComputed,
     NotInStore,
@@ -62,7 +62,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
     **dict.fromkeys(store.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
-    sqlite3.OperationalError: HTTPStatus.SERVICE_UNAVAILABLE,
+    LedgerUnavailable: HTTPStatus.SERVICE_UNAVAILABLE,
     OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is gone, or not ours to use
 }
 
@@ -107,9 +107,8 @@ def install(app: FastAPI) -> None:
 def problem_of(error: Exception) -> Problem:
     """The problem document of an error in STATUS."""
     status = next(status for kind, status in STATUS.items() if isinstance(error, kind))
-    if isinstance(error, sqlite3.OperationalError):
-        log.error("the ledger does not answer: %s", error)
-        return Problem(status, f"the ledger does not answer: {error}")
+    if isinstance(error, LedgerUnavailable):
+        log.error("%s", error)
     if isinstance(error, store.UNREACHABLE):
         log.error("the bucket of the results does not answer: %s", error)
         return Problem(status, "the place of the results does not answer")

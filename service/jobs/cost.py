@@ -1,52 +1,55 @@
-"""What a sweep will cost before anything of it is computed.
+"""The estimated cost of a sweep, before anything of it is computed.
 
-Core-seconds come from the speed measured here: what the finished chunks of the last jobs with the same
-contact model took, compared with the plan's cost table. Before there are any, from that table alone.
+Core-seconds come from the speed measured here: what the done chunks of recent jobs with the same contact
+model took, relative to the cost table. Where there are none, from the table alone.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
-from service.jobs.ledger import Pace
-from worker.cost import Cost, cell_seconds, estimate
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from service.jobs.prepare import JobPreparer
+from service.jobs.transactions import Pace
+from worker.cost import Cost
 from worker.spec.errors import SpecError
+from worker.studies import Plan, Study, study_of
 
-#: The finished jobs whose speed counts, and the longest specification read for it.
+#: The recent jobs whose speed counts, and the longest specification parsed for it.
 RECENT_JOBS: Final = 20
-LONGEST_SPEC: Final = 20_000
+MAX_SPEC_CHARS: Final = 20_000
 
-#: Fewer core-seconds of the kind than this say nothing: starting up is most of them.
-LEAST_SECONDS: Final = 0.05
+#: Core-seconds of a contact model that make a measurement: of less, starting up is the larger part.
+MIN_SECONDS: Final = 0.05
 
 
-def cost(spec: SweepSpec, paces: Sequence[Pace]) -> Cost:
-    """The cost of a sweep, by the speed of jobs before it."""
-    found = estimate(spec, len(make_plan(spec)))
-    ratio = _against_table(spec.model.kind, paces)
+def cost(spec: Any, plan: Plan, paces: Sequence[Pace], preparer: JobPreparer) -> Cost:
+    """The cost of a study, by the speed of the jobs in `paces`."""
+    by_table = study_of(spec).estimate(spec, plan)
+    ratio = _measured_to_table(_kind(spec), paces, preparer)
     if ratio is None:
-        return found
-    return found.model_copy(update={"core_seconds": found.core_seconds * ratio, "basis": "measured"})
+        return by_table
+    return by_table.model_copy(update={"core_seconds": by_table.core_seconds * ratio, "basis": "measured"})
 
 
-def _against_table(kind: str, paces: Sequence[Pace]) -> float | None:
-    """Seconds taken over seconds expected; None where nothing of the kind has been computed."""
+def _kind(spec: Any) -> tuple[Study, str | None]:
+    """What has a speed of its own: a kind of study, and its contact model if it has one."""
+    return study_of(spec), getattr(getattr(spec, "model", None), "kind", None)
+
+
+def _measured_to_table(
+    kind: tuple[Study, str | None], paces: Sequence[Pace], preparer: JobPreparer
+) -> float | None:
+    """Seconds taken over seconds by the table; None where too little of the kind has been computed."""
     taken = expected = 0.0
     for pace in paces:
-        known = _kind_and_cost(pace.spec)
-        if known is not None and known[0] == kind:
+        try:
+            job = preparer.prepare(pace.job)
+        except SpecError:  # an older version accepted it
+            continue
+        if _kind(job.submitted) == kind:
             taken += pace.seconds
-            expected += pace.cells * known[1]
-    return taken / expected if min(taken, expected) >= LEAST_SECONDS else None
-
-
-@lru_cache(maxsize=4 * RECENT_JOBS)
-def _kind_and_cost(text: str) -> tuple[str, float] | None:
-    """A specification's contact model and the table's seconds for one cell."""
-    try:
-        spec = SweepSpec.from_json(text)
-    except SpecError:  # an older version accepted it
-        return None
-    return spec.model.kind, cell_seconds(spec)
+            expected += (
+                pace.cells
+                * study_of(job.submitted).estimate(job.submitted, job.plan).core_seconds
+                / job.plan.cells
+            )
+    return taken / expected if min(taken, expected) >= MIN_SECONDS else None

@@ -1,34 +1,35 @@
-"""What people ask of jobs: submit, cancel, resume, delete. Changes the ledger, rings for the supervisor."""
+"""Jobs as users change them: submit, cancel, resume, delete. Changes the ledger and wakes the supervisor."""
 
 import hashlib
 import json
 import logging
 import threading
 import time
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
-from service.jobs.ledger import Ledger, WriteTransaction
+from service.jobs.ledger import Ledger
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
+from service.jobs.prepare import JobPreparer
 from service.jobs.repair import Repairer
 from service.jobs.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
+from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
 from worker import store
-from worker.cost import check_size, estimate
+from worker.cost import check_size
 from worker.executors.base import Executor
-from worker.plan import make_plan
-from worker.spec import SweepSpec
+from worker.studies import Plan, study_of
 
 log = logging.getLogger(__name__)
 
-#: A bucket that does not answer may hold up the end, but not for longer.
+#: Seconds that the threads may take to end: a bucket that does not answer must not hold up the exit.
 STOP_SECONDS: Final = 4.0
 
 
 class Submission(NamedTuple):
-    """What became of a submitted sweep; `accepted`: there is something to compute that was not asked for."""
+    """The job of a submitted sweep; `accepted`: the submission made or resumed work."""
 
     job: JobRecord
     accepted: bool
@@ -39,37 +40,43 @@ class JobManager:
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._settings = ledger, settings
-        self._turn = threading.Lock()  # a sweep is not accepted again while its results are being deleted
-        self._places = threading.Lock()  # no store is made while results are taken away
-        self._supervisor = Supervisor(ledger, executor, settings, self._is_clear, self._places)
-        self.repairer = Repairer(ledger, settings, self._supervisor.invalidated)
-        self._scrubber = Scrubber(ledger, settings, self.repairer, self._supervisor.wake)
+        self._delete_lock = threading.Lock()  # a sweep is not accepted again while its results are deleted
+        self._store_lock = threading.Lock()  # no store is created while results are deleted
+        self.preparer = JobPreparer(settings)
+        self._supervisor = Supervisor(
+            ledger, executor, settings, self.preparer, self._is_verified, self._store_lock
+        )
+        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate)
+        self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self._supervisor.wake)
 
     def start(self) -> None:
-        """Go on with every job that was queued or running when the service last stopped."""
+        """Continue every job that was queued or running when the service last stopped."""
         self._scrubber.start()
         self._supervisor.start()
 
     def stop(self) -> None:
-        """Stop computing; unfinished jobs go on at the next start."""
-        give_up = time.monotonic() + STOP_SECONDS
+        """Stop computing; unfinished jobs continue at the next start."""
+        deadline = time.monotonic() + STOP_SECONDS
         self._scrubber.stop(STOP_SECONDS)
-        self._supervisor.stop(max(give_up - time.monotonic(), 0.1))
+        self._supervisor.stop(max(deadline - time.monotonic(), 0.1))
 
-    def _is_clear(self, job_id: str) -> bool:
-        return self._scrubber.is_clear(job_id)
+    def _is_verified(self, job_id: str) -> bool:
+        return self._scrubber.is_verified(job_id)
 
-    def submit(self, spec: SweepSpec, key: str | None = None) -> Submission:
-        """Accept a sweep, or find the job that it is already; one that failed or was cancelled goes on.
+    def submit(self, spec: Any, key: str | None = None) -> Submission:
+        """Accept a study, or return the job that it already is; a failed or cancelled one is resumed.
 
-        A request repeated under an idempotency key changes nothing, whatever became of the job since.
-        Raises SpecTooLarge, QueueFull, KeyReused.
+        `key`: an idempotency key; a repeated request with the same key changes nothing, whatever has
+        become of the job since. Raises SpecTooLarge, QueueFull, KeyReused.
         """
-        self.check(spec)
-        job = _new_job(spec)
-        with self._turn, self._ledger.writing() as ledger:
-            accepted = not self._repeats(ledger, job, key) and self._accept(ledger, job)
-            record = _found(ledger.find(job.id), job.id)
+        plan = self.check(spec)
+        job = _new_job(spec, plan)
+        with self._delete_lock, self._ledger.writing() as ledger:
+            new = ledger.find(job.id) is None
+            accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
+            record = _existing(ledger.find(job.id), job.id)
+            if new:  # before the commit: the supervisor finds the job prepared
+                self.preparer.seed(record, spec, plan)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
@@ -77,65 +84,68 @@ class JobManager:
             self._supervisor.wake()
         return Submission(record, accepted)
 
-    def check(self, spec: SweepSpec) -> None:
-        """Raise SpecTooLarge for a sweep that would not be accepted."""
-        check_size(
-            estimate(spec, len(make_plan(spec))),
-            max_cells=self._settings.max_cells,
-            max_bytes=self._settings.max_bytes,
-        )
+    def check(self, spec: Any) -> Plan:
+        """The plan of a study. Raises SpecTooLarge for one that would not be accepted."""
+        study = study_of(spec)
+        plan: Plan = study.plan(spec)
+        cost = study.estimate(spec, plan)
+        check_size(cost, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
+        return plan
 
     def cancel(self, job_id: str) -> JobRecord:
-        """Stop a job: at once if it is queued, as soon as nothing writes any more if it is running.
+        """Stop a job: at once if it is queued; if it is running, as soon as no worker writes any more.
 
-        Cancelling twice is once. Raises UnknownJob, and IllegalTransition if it is done or failed.
+        Cancelling a cancelled job changes nothing. Raises UnknownJob, and IllegalTransition if the job is
+        done or failed.
         """
         with self._ledger.writing() as ledger:
-            _cancel(ledger, _found(ledger.find(job_id), job_id))
-            record = _found(ledger.find(job_id), job_id)
+            _cancel(ledger, _existing(ledger.find(job_id), job_id))
+            record = _existing(ledger.find(job_id), job_id)
         self._supervisor.wake()
         return record
 
     def resume(self, job_id: str) -> Submission:
-        """Let a job that failed or was cancelled go on where it stopped; one in work stays as it is.
+        """Continue a failed or cancelled job where it stopped; an unfinished one stays as it is.
 
-        Raises UnknownJob, QueueFull, and IllegalTransition if it is done.
+        Raises UnknownJob, QueueFull, and IllegalTransition if the job is done.
         """
         with self._ledger.writing() as ledger:
-            job = _found(ledger.find(job_id), job_id)
+            job = _existing(ledger.find(job_id), job_id)
             if job.state is JobState.DONE:
                 raise IllegalTransition("the job is done: there is nothing to resume")
             accepted = self._accept(ledger, job)
-            record = _found(ledger.find(job_id), job_id)
+            record = _existing(ledger.find(job_id), job_id)
         if accepted:
             self._ledger.keep_reserve()
             self._supervisor.wake()
         return Submission(record, accepted)
 
     def delete(self, job_id: str) -> None:
-        """Forget a job and remove what it computed; large results go on vanishing for a while.
+        """Remove a job and its results; the files are removed in the background.
 
-        Raises UnknownJob, and IllegalTransition while workers may write: cancel it first.
+        Raises UnknownJob, and IllegalTransition while workers may write: cancel the job first.
         """
-        with self._turn, self._places:
-            doomed = self._forget(job_id)
-        threading.Thread(target=_remove, args=[doomed], name="remove", daemon=True).start()
+        with self._delete_lock, self._store_lock:
+            renamed = self._forget(job_id)
+        threading.Thread(target=_remove, args=[renamed], name="remove", daemon=True).start()
 
     def _forget(self, job_id: str) -> str:
-        """Take a job out of the ledger and its results out of sight; gives where they are now."""
+        """Remove a job from the ledger and rename its store for deletion; returns the store's new address."""
         with self._ledger.writing() as ledger:
-            job = _found(ledger.find(job_id), job_id)
+            job = _existing(ledger.find(job_id), job_id)
             if job.state in UNFINISHED:
-                raise IllegalTransition(f"the job is {job.state}: cancel it first, and wait until it is")
+                raise IllegalTransition(
+                    f"the job is {job.state}: cancel it first, and wait until it is cancelled"
+                )
             ledger.delete(job)
-        # A worker that was lost sight of may still compute: the mark stops it, and without its
-        # description the store takes nothing any more.
+        # A worker that lost its connection may still be computing: the cancel flag stops it, and without
+        # its metadata the store accepts no chunk.
         url = self._settings.store_of(job_id)
         store.set_cancelled(url)
         return store.rename_for_deletion(url)
 
-    def _repeats(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
-        """Whether this very request was made before under this key."""
+    def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
+        """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
         known = ledger.key(key) if key is not None else None
         if known is not None and known.body != _fingerprint(job):
@@ -146,6 +156,7 @@ class JobManager:
         return known is not None
 
     def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
+        """Insert or resume a job, or revoke its cancel request; whether there was anything to do."""
         known = ledger.find(job.id)
         if known is None:
             self._check_queue(ledger)
@@ -154,23 +165,22 @@ class JobManager:
             self._check_queue(ledger)
             ledger.queue(known)
         elif known.cancel_requested:
-            ledger.request_cancel(known, wanted=False)
+            ledger.set_cancel_requested(known, False)
         else:
             return False
         return True
 
     def _check_queue(self, ledger: WriteTransaction) -> None:
-        waiting = ledger.count(UNFINISHED)
-        if waiting >= self._settings.max_queue:
-            most = self._settings.max_queue
-            raise QueueFull(f"{waiting} jobs are queued or running already, at most {most} may be")
+        unfinished, limit = ledger.count(UNFINISHED), self._settings.max_queue
+        if unfinished >= limit:
+            raise QueueFull(f"{unfinished} jobs are queued or running already, at most {limit} may be")
 
 
 def _remove(url: str) -> None:
-    """Remove what a deleted job leaves; what cannot be is swept at the next start."""
+    """Remove a deleted job's store; the scrub of the next start removes what cannot be removed now."""
     try:
         store.remove(url)
-    except Exception as error:  # noqa: BLE001 - a bucket out of reach, a folder gone already
+    except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that is gone
         log.warning("%s cannot be removed now: %s", url, error)
 
 
@@ -178,24 +188,23 @@ def _cancel(ledger: WriteTransaction, job: JobRecord) -> None:
     if job.state is JobState.QUEUED:
         ledger.finish(job, JobState.CANCELLED, time.time())
     elif job.state is JobState.RUNNING:
-        ledger.request_cancel(job, wanted=True)
+        ledger.set_cancel_requested(job, True)
     elif job.state is not JobState.CANCELLED:
         raise IllegalTransition(f"the job is {job.state}: only a queued or running job can be cancelled")
 
 
-def _found(job: JobRecord | None, job_id: str) -> JobRecord:
+def _existing(job: JobRecord | None, job_id: str) -> JobRecord:
     if job is None:
         raise UnknownJob.of(job_id)
     return job
 
 
 def _fingerprint(job: NewJob) -> str:
-    """Of what was submitted, its label too, and not of how the JSON was laid out."""
+    """Of what was submitted, its name included, however the JSON was laid out."""
     return hashlib.sha256(job.spec.encode()).hexdigest()
 
 
-def _new_job(spec: SweepSpec) -> NewJob:
-    plan = make_plan(spec)
+def _new_job(spec: Any, plan: Plan) -> NewJob:
     return NewJob(
         id=spec.job_id(KERNEL_VERSION),
         name=spec.name,

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-#: Script n takes a ledger from version n to n + 1; `user_version` remembers how many have run.
+#: Script n brings a ledger from version n to n + 1; SQLite's `user_version` counts the scripts that have run.
 MIGRATIONS: Final = (
     """
     CREATE TABLE jobs (

@@ -1,6 +1,6 @@
-"""What a job is, its states, and which may follow which. Pure."""
+"""A job, its states, the transitions between them, and its progress. Pure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -9,32 +9,32 @@ from service.errors import IllegalTransition
 
 
 class JobState(StrEnum):
-    """Where a job is in its life."""
+    """The state of a job."""
 
-    QUEUED = "queued"  # accepted, no chunk of it given to a worker since
-    RUNNING = "running"  # chunks of it may be at the workers, also while a cancel is being carried out
-    DONE = "done"  # every chunk is written and marked
-    FAILED = "failed"  # it cannot go on by itself; the error says why; submitting it again resumes it
-    CANCELLED = "cancelled"  # someone stopped it and nothing writes any more; submitting it again resumes it
+    QUEUED = "queued"  # accepted or resumed, no chunk submitted to a worker since
+    RUNNING = "running"  # workers may be computing its chunks, also while it is being cancelled
+    DONE = "done"  # every chunk is stored and marked
+    FAILED = "failed"  # a chunk was given up; `error` has the reason; submitting it again resumes it
+    CANCELLED = "cancelled"  # stopped by a user, and no worker writes; submitting it again resumes it
 
 
-#: What may follow each state.
+#: The states that may follow each state.
 LEGAL: Final[Mapping[JobState, frozenset[JobState]]] = {
-    # picked up | its plan or store cannot be made | cancelled before it began
+    # started | its plan or store cannot be made | cancelled before it started
     JobState.QUEUED: frozenset({JobState.RUNNING, JobState.FAILED, JobState.CANCELLED}),
-    # all chunks done | a chunk failed for good | cancelled and nothing writes any more
+    # all chunks done | a chunk given up | cancelled, and no worker writes
     JobState.RUNNING: frozenset({JobState.DONE, JobState.FAILED, JobState.CANCELLED}),
-    # what is done stays done, unless stored bytes are lost: then their chunks are computed again
+    # stored bytes were damaged or lost: their chunks are computed again
     JobState.DONE: frozenset({JobState.RUNNING}),
-    # resumed: what is done is kept
+    # resumed: done chunks are kept
     JobState.FAILED: frozenset({JobState.QUEUED}),
     JobState.CANCELLED: frozenset({JobState.QUEUED}),
 }
 
-#: A job in one of these is the supervisor's business.
+#: The supervisor works on jobs in these states.
 UNFINISHED: Final = (JobState.QUEUED, JobState.RUNNING)
 
-#: A job in one of these starts again when its sweep is submitted again.
+#: Submitting the sweep of a job in one of these states again resumes the job.
 RESUMABLE: Final = (JobState.FAILED, JobState.CANCELLED)
 
 
@@ -46,7 +46,11 @@ def check_transition(old: JobState, new: JobState) -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a job is; `run_*` count from when it was last picked up, so that a pause is no slowness."""
+    """The progress of a job.
+
+    `run_seconds` and `run_cells` count from when the job last started or continued, so that time in which
+    it was stopped does not slow the estimate of the remaining time.
+    """
 
     chunks_done: int
     chunks_total: int
@@ -57,12 +61,12 @@ class Progress:
 
     @property
     def percent(self) -> float:
-        """Cells done in percent, rounded down to a tenth: 100 means all."""
+        """Cells done in percent, rounded down to a tenth, so that 100 means all."""
         return 1000 * self.cells_done // max(self.cells_total, 1) / 10
 
     @property
     def eta_seconds(self) -> float | None:
-        """Seconds to go at the pace of this run; None while there is no pace to go by."""
+        """Estimated remaining seconds at the rate of this run; None while there is no rate."""
         if self.run_cells <= 0 or self.run_seconds <= 0:
             return None
         return (self.cells_total - self.cells_done) * self.run_seconds / self.run_cells
@@ -70,13 +74,13 @@ class Progress:
 
 @dataclass(frozen=True)
 class NewJob:
-    """What is known of a job when it is accepted."""
+    """A job to accept."""
 
     id: str
     name: str
     spec: str  # JSON, as `SweepSpec.as_submitted` gives it
     kernel_version: str
-    chunk_shape: tuple[int, int, int]  # cells of a chunk along xi, omega, gamma
+    chunk_shape: tuple[int, ...]  # how the study is cut; of a sweep, cells of a chunk along xi, omega, gamma
     chunks_total: int
     cells_total: int
 
@@ -85,23 +89,21 @@ class NewJob:
 class JobRecord(NewJob):
     """A job as the ledger has it; times in seconds since 1970."""
 
-    seq: int  # jobs in the order they were accepted
+    seq: int  # numbers jobs in the order they were accepted; never used twice
     state: JobState
     cancel_requested: bool
     error: str | None
     created: float
     started: float | None
     finished: float | None
-    run_started: float | None  # when it was last picked up
-    run_cells: int  # cells done then
+    run_started: float | None  # when it last started or continued
+    run_cells: int  # cells done at that time
     chunks_done: int
     cells_done: int
-    choice: (
-        str | None
-    )  # JSON of a worker.analysis.model_selection.Choice, once an `auto` sweep's model is chosen
+    choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.Choice, once chosen
 
     def progress(self, now: float) -> Progress:
-        """How far the job is at `now`; a job that is not running has no pace."""
+        """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""
         running = self.state is JobState.RUNNING and self.run_started is not None
         return Progress(
             self.chunks_done,
@@ -114,20 +116,10 @@ class JobRecord(NewJob):
 
 
 class Failure(NamedTuple):
-    """A chunk that could not be computed, for good or until the job is resumed."""
+    """A chunk that was given up; resuming the job tries it again."""
 
     chunk: int
-    place: str  # which cells, in words
+    place: str  # the chunk's number and cells, as `run.describe_chunk` gives them
     error: str
-    traceback: str | None  # None where a process died instead
-    tries: int
-
-
-class DoneChunk(NamedTuple):
-    """A chunk that is written: what the worker reported of it."""
-
-    chunk: int
-    cells: int
-    seconds: float
-    checksum: str
-    outcomes: Sequence[int]  # cells of each Outcome
+    traceback: str | None  # None where a worker process died
+    tries: int  # failed ones

@@ -1,41 +1,41 @@
-"""Jobs whose model is `auto`: a worker chooses it, and the ledger remembers the choice.
+"""Jobs whose model is `auto`: a worker chooses the model, and the ledger keeps the choice.
 
-It is made before the first chunk is given to anybody and never again, so that all of a job is
-computed by one model. A choice lost on the way is made anew, and comes out the same.
+The choice is made before the first chunk is submitted and never again, so that one model computes the
+whole job. A choice that is lost with its worker is made again, with the same result.
 """
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
-from typing import Any, Final
+from typing import Final
 
 from pydantic import BaseModel, Field
 
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord
-from worker.analysis.model_selection import Choice, choose, resolved
+from service.jobs.prepare import JobPreparer
+from worker.analysis.model_selection import Choice, choose, is_open, resolved
 from worker.executors.base import Executor
 from worker.executors.errors import ExecutorError, WorkerDied
 from worker.plan import make_plan
-from worker.spec import SweepSpec
 
 log = logging.getLogger(__name__)
 
-#: Workers that may be lost over one choice.
-TRIES: Final = 3
+#: Workers that may die while choosing one model, before the job fails.
+MAX_WORKER_DEATHS: Final = 3
 
 
 class RungView(BaseModel):
-    """One model beside the exact contact, over a sample of the sweep's cells; deviations in rad."""
+    """One model compared with the exact contact, over a sample of the sweep's cells; deviations in rad."""
 
     model: str
-    cost: float = Field(description="core-µs a cell and plate period, by the table that decides")
-    measured: float | None = Field(description="the same, as it went while choosing")
+    cost: float = Field(description="core-µs per cell per plate period, by the table that decides")
+    measured: float | None = Field(description="core-µs per cell per plate period, measured while choosing")
     median: float | None = Field(description="deviation of flight times; null where some cell has none")
     percentile_95: float | None
     cells: int
-    resting: int = Field(0, description="of them on the plate throughout, which a closed form answers")
+    resting: int = Field(0, description="cells at rest on the plate throughout, which a closed form answers")
 
 
 class ChoiceView(BaseModel):
@@ -48,71 +48,63 @@ class ChoiceView(BaseModel):
 
 
 class ModelSelector:
-    """Choices under way; used by the supervisor's thread alone. `wake` is called when one has come in."""
+    """Chooses models on the executor; used by the supervisor's thread alone.
 
-    def __init__(self, ledger: Ledger, executor: Executor, wake: Callable[[], None]) -> None:
-        self._ledger, self._executor, self._wake = ledger, executor, wake
-        self._under_way: dict[str, Future[Choice]] = {}
-        self._losses: Counter[str] = Counter()
+    `wake` is called, in any thread, when a worker has made a choice.
+    """
 
-    def settled(self, job: JobRecord) -> JobRecord | None:
-        """The job, its model decided; None while a worker is choosing, or nobody is there to.
+    def __init__(
+        self, ledger: Ledger, executor: Executor, preparer: JobPreparer, wake: Callable[[], None]
+    ) -> None:
+        self._ledger, self._executor, self._preparer, self._wake = ledger, executor, preparer, wake
+        self._pending: dict[str, Future[Choice]] = {}  # by job id
+        self._worker_deaths: Counter[str] = Counter()
+
+    def select(self, job: JobRecord) -> JobRecord | None:
+        """The job, its model chosen; None until a worker has chosen one.
 
         Raises what choosing raised.
         """
-        if job.choice is not None or SweepSpec.from_json(job.spec).model.kind != "auto":
+        if job.choice is not None or not is_open(self._preparer.prepare(job).submitted):
             return job
-        future = self._under_way.get(job.id)
+        future = self._pending.get(job.id)
         if future is None:
-            self._ask(job)
+            self._begin(job)
             return None
         if not future.done():
             return None
-        del self._under_way[job.id]
-        choice = self._answer(job, future)
-        return None if choice is None else self._remember(job, choice)
+        del self._pending[job.id]
+        choice = self._result(job, future)
+        return None if choice is None else self._save(job, choice)
 
-    def _ask(self, job: JobRecord) -> None:
+    def _begin(self, job: JobRecord) -> None:
         try:
-            future = self._executor.call(choose, SweepSpec.from_json(job.spec))
+            future = self._executor.call(choose, self._preparer.prepare(job).submitted)
         except ExecutorError as error:
-            log.warning("nobody can choose a model for job %s: %s", job.id, error)
-            return  # until the next look
-        self._under_way[job.id] = future
+            log.warning("job %s: no worker can choose its model: %s", job.id, error)
+            return  # the next sync tries again
+        self._pending[job.id] = future
         future.add_done_callback(lambda _: self._wake())
 
-    def _answer(self, job: JobRecord, future: "Future[Choice]") -> Choice | None:
-        """What was chosen; None if it is to be chosen again."""
+    def _result(self, job: JobRecord, future: "Future[Choice]") -> Choice | None:
+        """The choice; None if it has to be made again."""
         try:
             return future.result()
         except (ExecutorError, CancelledError) as error:
-            log.warning("choosing a model for job %s: %s", job.id, error)
-            self._losses[job.id] += isinstance(error, WorkerDied)
-            if self._losses[job.id] < TRIES:
+            log.warning("job %s: choosing its model failed: %s", job.id, error)
+            self._worker_deaths[job.id] += isinstance(error, WorkerDied)
+            if self._worker_deaths[job.id] < MAX_WORKER_DEATHS:
                 return None
-            del self._losses[job.id]
+            del self._worker_deaths[job.id]
             raise
 
-    def _remember(self, job: JobRecord, choice: Choice) -> JobRecord | None:
-        spec = resolved(SweepSpec.from_json(job.spec), choice)
-        plan = make_plan(spec)
+    def _save(self, job: JobRecord, choice: Choice) -> JobRecord | None:
+        """Write the choice to the ledger, with chunks for the cost of the chosen model."""
+        submitted = self._preparer.prepare(job).submitted
+        plan = make_plan(resolved(submitted, choice))
         with self._ledger.writing() as ledger:
             ledger.choose(job, choice.model_dump_json(), plan.chunk_shape, len(plan))
-            return ledger.find(job.id)
-
-
-def choice_of(job: JobRecord) -> Choice | None:
-    """What was chosen for a job; None for one that names its model, and while nothing is chosen."""
-    return None if job.choice is None else Choice.model_validate_json(job.choice)
-
-
-def computed_spec(job: JobRecord) -> SweepSpec:
-    """The sweep as it is computed: a chosen model in the place of `auto`."""
-    spec, choice = SweepSpec.from_json(job.spec), choice_of(job)
-    return spec if choice is None else resolved(spec, choice)
-
-
-def attributes_of(job: JobRecord) -> Mapping[str, Any]:
-    """What a store says of the choice, the same for the same sweep."""
-    choice = choice_of(job)
-    return {} if choice is None else {"model": choice.model, "choice": choice.lasting()}
+            chosen = ledger.find(job.id)
+        if chosen is not None:
+            self._preparer.seed(chosen, submitted, plan)
+        return chosen

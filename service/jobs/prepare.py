@@ -1,35 +1,125 @@
-"""A job made ready to run: its store laid out, its workers' cancel mark gone, what is done counted."""
+"""A job prepared to run or to be read: its specification parsed, its plan made, once per job.
 
-from kernel.params import KERNEL_VERSION
-from service.jobs.ledger import Ledger
+The supervisor, the scrubber, the repairer and every request that reads results need the same four values
+of a job. `JobPreparer` makes them once and keeps them; a submission hands it the specification and the
+plan that it has made already.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
 from service.jobs.model import JobRecord
-from service.jobs.model_selection import attributes_of, computed_spec
-from service.jobs.run import JobRun
 from service.settings import Settings
-from worker import store
-from worker.plan import make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
+from worker.analysis.model_selection import Choice, resolved
+from worker.schema import Layout
+from worker.studies import Chunk, Plan, Study, from_json, study_of
+
+#: Prepared jobs kept, those used last; and characters of their specifications, which may hold long axes.
+MAX_JOBS: Final = 128
+MAX_SPEC_CHARS: Final = 8_000_000
+
+#: What a prepared job depends on. `seq` tells a job from a deleted one of the same id; the chunk shape and
+#: the choice change when the model of an `auto` sweep is chosen.
+_Key = tuple[str, int, tuple[int, ...], str | None]
 
 
-class KernelChanged(Exception):
-    """A job was begun by a kernel whose numbers may differ."""
+@dataclass(frozen=True)
+class PreparedJob:
+    """A job's specification and plan, and where its results are."""
+
+    job_id: str
+    submitted: Any  # the study's specification: the job's identity, and what the store records
+    spec: Any  # what is computed: `submitted`, in a sweep with the chosen model in place of `auto`
+    plan: Plan
+    store_url: str
+    attributes: Mapping[str, Any]  # of the store: the chosen model, the same for the same sweep
+
+    @property
+    def study(self) -> Study:
+        """The kind of study that the job is of."""
+        return study_of(self.submitted)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """What is stored, and how it is cut."""
+        return self.study.variables(self.submitted, self.plan.chunk_shape)
+
+    @cached_property
+    def cell_seconds(self) -> float:
+        """Core-seconds that a cell takes, by the cost table."""
+        cost = self.study.estimate(self.spec, self.plan)
+        return cost.core_seconds / cost.cells
+
+    def describe(self, chunk: Chunk) -> str:
+        """A chunk's number and cells: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""
+        return f"chunk {chunk.index} ({self.layout.describe(chunk.slices)})"
 
 
-def opened(job: JobRecord, ledger: Ledger, settings: Settings) -> JobRun:
-    """The run of a job whose model is decided, with nothing in flight.
+class JobPreparer:
+    """Prepares jobs and keeps the last ones. Its methods may be called from any thread."""
 
-    Raises KernelChanged, a StoreError, an OSError, or one of `store.UNREACHABLE`.
-    """
-    if job.kernel_version != KERNEL_VERSION:
-        raise KernelChanged(
-            f"kernel {job.kernel_version} began it, this is {KERNEL_VERSION}: submit it again"
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._jobs: OrderedDict[_Key, tuple[PreparedJob, int]] = OrderedDict()  # with the characters
+        self._chars = 0
+
+    def prepare(self, job: JobRecord) -> PreparedJob:
+        """The job, prepared; made anew after it was accepted again or its model was chosen.
+
+        Raises SpecError for a specification that this version does not accept.
+        """
+        with self._lock:  # held while preparing, so that simultaneous requests prepare a job once
+            known = self._jobs.get(_key(job))
+            if known is not None:
+                self._jobs.move_to_end(_key(job))
+                return known[0]
+            return self._keep(job, _parse(job), None)
+
+    def seed(self, job: JobRecord, submitted: Any, plan: Plan) -> None:
+        """Keep what the caller has made of the job already.
+
+        `submitted`: what `job.spec` holds; `plan`: cut in chunks of `job.chunk_shape`.
+        """
+        with self._lock:
+            self._keep(job, submitted, plan)
+
+    def _keep(self, job: JobRecord, submitted: Any, plan: Plan | None) -> PreparedJob:
+        choice = choice_of(job)
+        prepared = PreparedJob(
+            job_id=job.id,
+            submitted=submitted,
+            spec=submitted if choice is None else resolved(submitted, choice),
+            plan=_plan(job, submitted) if plan is None else plan,
+            store_url=self._settings.store_of(job.id),
+            attributes={} if choice is None else {"model": choice.model, "choice": choice.lasting()},
         )
-    spec = SweepSpec.from_json(job.spec)
-    plan = make_plan(spec, chunk_shape=job.chunk_shape)
-    url = settings.store_of(job.id)
-    store.create(url, layout(spec, plan.chunk_shape), attributes_of(job))
-    store.clear_cancelled(url)
-    run = JobRun(job, computed_spec(job), plan, url, ledger.done_mask(job))
-    run.stopping = job.cancel_requested  # the service stopped before the job could
-    return run
+        _, replaced = self._jobs.pop(_key(job), (None, 0))
+        self._jobs[_key(job)] = (prepared, len(job.spec))
+        self._chars += len(job.spec) - replaced
+        while len(self._jobs) > 1 and (len(self._jobs) > MAX_JOBS or self._chars > MAX_SPEC_CHARS):
+            _, (_, chars) = self._jobs.popitem(last=False)
+            self._chars -= chars
+        return prepared
+
+
+def choice_of(job: JobRecord) -> Choice | None:
+    """The model chosen for a job; None for one that names its model, and until the choice is made."""
+    return None if job.choice is None else Choice.model_validate_json(job.choice)
+
+
+def _key(job: JobRecord) -> _Key:
+    return job.id, job.seq, job.chunk_shape, job.choice
+
+
+def _parse(job: JobRecord) -> Any:
+    return from_json(job.spec)
+
+
+def _plan(job: JobRecord, spec: Any) -> Plan:
+    plan: Plan = study_of(spec).plan(spec, job.chunk_shape)
+    return plan

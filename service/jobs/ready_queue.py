@@ -1,6 +1,6 @@
-"""Which chunks of one job may be computed next, each after the one whose end it takes over. Pure.
+"""Which chunks of one job can be computed next, each after its predecessor on a ramp. Pure.
 
-Lean enough for a million chunks: a few numbers a chunk.
+Holds a few numbers per chunk, so that a job of a million chunks fits in memory.
 """
 
 from collections import deque
@@ -10,85 +10,84 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-#: Stands for no chunk, where a chunk waits for no other.
+#: The predecessor of a chunk that depends on no other.
 NONE: Final = -1
 
 
 class ReadyQueue:
-    """The chunks between done and not yet possible.
+    """The chunks of one job that are not done, in the order they can be computed.
 
-    `after`: (n,) integers, the chunk that each chunk waits for, or NONE.
+    `predecessors`: (n,) integers, the chunk that each chunk depends on, or NONE.
     `done`: (n,) which chunks are done already.
     """
 
-    def __init__(self, after: NDArray[np.int64], done: NDArray[np.bool_]) -> None:
+    def __init__(self, predecessors: NDArray[np.int64], done: NDArray[np.bool_]) -> None:
         self._done = done.copy()
-        self._by_predecessor = np.argsort(after, kind="stable")
-        self._predecessors = after[self._by_predecessor]
-        free = (after == NONE) | self._done[after]
-        self._free = np.flatnonzero(free & ~self._done)  # from the start, taken up to `_taken`
-        self._after = after
-        self._taken = 0
-        self._out: set[int] = set()  # taken, and neither put back nor complete
-        self._freed: deque[int] = deque()  # since then, and what was put back
-        self._left = int(np.count_nonzero(~self._done))
+        self._predecessors = predecessors
+        # Successors of chunk i: the entries of `_by_predecessor` where `_sorted_predecessors` is i.
+        self._by_predecessor = np.argsort(predecessors, kind="stable")
+        self._sorted_predecessors = predecessors[self._by_predecessor]
+        ready = (predecessors == NONE) | self._done[predecessors]
+        self._initial = np.flatnonzero(ready & ~self._done)  # ready from the start
+        self._initial_popped = 0  # how many of them are popped
+        self._later: deque[int] = deque()  # ready since then: successors and requeued chunks
+        self._popped: set[int] = set()  # neither requeued nor complete
+        self._remaining = int(np.count_nonzero(~self._done))
 
     @property
     def finished(self) -> bool:
         """Whether every chunk is done."""
-        return self._left == 0
+        return self._remaining == 0
 
     @property
     def ready(self) -> bool:
-        """Whether there is a chunk to take."""
-        return self._taken < len(self._free) or bool(self._freed)
+        """Whether there is a chunk to pop."""
+        return self._initial_popped < len(self._initial) or bool(self._later)
 
-    def take(self) -> int:
-        """A chunk that may be computed now; raises IndexError if none is ready.
+    def pop(self) -> int:
+        """A chunk that can be computed now; raises IndexError if none is ready.
 
-        All chains move on together, so that the last one does not run alone at the end.
+        All chains of a ramp advance together: a long one left to the end would occupy a single worker.
         """
-        if self._taken == len(self._free):
-            chunk = self._freed.popleft()
+        if self._initial_popped == len(self._initial):
+            chunk = self._later.popleft()
         else:
-            self._taken += 1
-            chunk = int(self._free[self._taken - 1])
-        self._out.add(chunk)
+            self._initial_popped += 1
+            chunk = int(self._initial[self._initial_popped - 1])
+        self._popped.add(chunk)
         return chunk
 
     def requeue(self, chunk: int) -> None:
-        """A chunk that was taken was not computed; the others go first."""
-        self._out.discard(chunk)
-        if self._possible(chunk):
-            self._freed.append(chunk)
+        """Put a popped chunk that was not computed at the end of the queue."""
+        self._popped.discard(chunk)
+        if self._can_run(chunk):
+            self._later.append(chunk)
 
     def complete(self, chunks: Iterable[int]) -> None:
-        """Chunks that were taken are done; those that waited for them become ready."""
+        """Popped chunks are done; their successors become ready."""
         for chunk in chunks:
-            self._out.discard(chunk)
+            self._popped.discard(chunk)
             if not self._done[chunk]:
                 self._done[chunk] = True
-                self._left -= 1
-                self._freed.extend(one for one in self._waiting_for(chunk))
+                self._remaining -= 1
+                self._later.extend(self._pending_successors(chunk))
 
     def invalidate(self, chunks: Iterable[int]) -> None:
-        """Chunks that were done are to be computed again, and what waits for them waits again."""
-        again = {chunk for chunk in chunks if self._done[chunk]}
-        self._done[list(again)] = False
-        self._left += len(again)
-        waiting = [*(int(chunk) for chunk in self._free[self._taken :]), *self._freed, *again]
-        self._free, self._taken = np.empty(0, np.int64), 0
-        self._freed = deque(chunk for chunk in dict.fromkeys(waiting) if self._possible(chunk))
+        """Chunks that were done are queued again; their successors wait for them again."""
+        undone = {chunk for chunk in chunks if self._done[chunk]}
+        self._done[list(undone)] = False
+        self._remaining += len(undone)
+        queued = [*(int(chunk) for chunk in self._initial[self._initial_popped :]), *self._later, *undone]
+        self._initial, self._initial_popped = np.empty(0, np.int64), 0
+        self._later = deque(chunk for chunk in dict.fromkeys(queued) if self._can_run(chunk))
 
-    def _possible(self, chunk: int) -> bool:
-        before = self._after[chunk]
-        return (
-            not self._done[chunk] and chunk not in self._out and (before == NONE or bool(self._done[before]))
-        )
+    def _can_run(self, chunk: int) -> bool:
+        predecessor = self._predecessors[chunk]
+        ready = predecessor == NONE or bool(self._done[predecessor])
+        return ready and not self._done[chunk] and chunk not in self._popped
 
-    def _waiting_for(self, chunk: int) -> Iterator[int]:
-        return (int(one) for one in self._successors(chunk) if not self._done[one] and one not in self._out)
-
-    def _successors(self, chunk: int) -> NDArray[np.int64]:
-        low, high = np.searchsorted(self._predecessors, [chunk, chunk + 1])
-        return self._by_predecessor[low:high]
+    def _pending_successors(self, chunk: int) -> Iterator[int]:
+        low, high = np.searchsorted(self._sorted_predecessors, [chunk, chunk + 1])
+        successors = self._by_predecessor[low:high]
+        pending = ~self._done[successors]
+        return (int(chunk) for chunk in successors[pending] if chunk not in self._popped)

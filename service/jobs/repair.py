@@ -1,63 +1,67 @@
-"""What is marked as done but is not in the store as it was written: named, unmarked, computed again."""
+"""Repair of stored results: damaged chunks are unmarked and computed again, damaged metadata rewritten."""
 
 import logging
 from collections.abc import Callable, Sequence
+from typing import Final
 
 from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord
-from service.jobs.model_selection import attributes_of
-from service.jobs.run import describe_chunk
-from service.settings import Settings
+from service.jobs.prepare import JobPreparer
 from worker import store
-from worker.plan import Plan, make_plan
-from worker.schema import layout
-from worker.spec import SweepSpec
 from worker.store import ChunkCoords
 
 log = logging.getLogger(__name__)
 
+#: Damaged chunks that a message describes; of more it gives the number.
+MAX_DESCRIBED: Final = 3
+
 
 class Repairer:
-    """Undoes chunks that are damaged; `invalidated` lets the supervisor know."""
+    """Repairs stores. Its methods may be called from any thread.
+
+    `on_invalidated` is called with a job's id and its chunks when chunks are to be computed again.
+    """
 
     def __init__(
-        self, ledger: Ledger, settings: Settings, invalidated: Callable[[str, Sequence[int]], None]
+        self, ledger: Ledger, preparer: JobPreparer, on_invalidated: Callable[[str, Sequence[int]], None]
     ) -> None:
-        self._ledger, self._settings, self._undone = ledger, settings, invalidated
+        self._ledger, self._preparer, self._on_invalidated = ledger, preparer, on_invalidated
 
-    def found(self, job_id: str, places: Sequence[ChunkCoords]) -> str:
-        """Someone met damage, in these chunks or outside any. Says what it is and what becomes of it."""
+    def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> str:
+        """Repair a store in which a reader met damage, in these chunks or outside any.
+
+        Returns what is damaged and what becomes of it, fit to show to a user.
+        """
         job = self._ledger.find(job_id)
         if job is None:
             return "the job was deleted"
-        spec, plan = planned(job)
-        if job.kernel_version == KERNEL_VERSION:
-            store.repair_metadata(
-                self._settings.store_of(job_id), layout(spec, plan.chunk_shape), attributes_of(job)
-            )
-        chunks = [plan.number(*one) for one in places]
-        self.undo(job, chunks)
-        named = "; ".join(describe_chunk(spec, plan[chunk]) for chunk in chunks[:3])
-        more = f" and {len(chunks) - 3} more" if len(chunks) > 3 else ""
-        what = f"{named}{more}" if chunks else "the store's description"
-        return f"stored results are damaged and computed again: {what}"
+        prepared = self._preparer.prepare(job)
+        self.repair_metadata(job)
+        chunks = [prepared.plan.number(*coords) for coords in damaged]
+        self.invalidate(job, chunks)
+        described = [prepared.describe(prepared.plan[i]) for i in chunks[:MAX_DESCRIBED]]
+        more = f" and {len(chunks) - MAX_DESCRIBED} more" if len(chunks) > MAX_DESCRIBED else ""
+        subject = f"{'; '.join(described)}{more}" if chunks else "the store's metadata"
+        return f"stored results are damaged and computed again: {subject}"
 
-    def undo(self, job: JobRecord, chunks: Sequence[int]) -> None:
+    def repair_metadata(self, job: JobRecord) -> None:
+        """Rewrite damaged metadata and coordinates; not those of another kernel version, which differ."""
+        if job.kernel_version == KERNEL_VERSION:
+            prepared = self._preparer.prepare(job)
+            store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
+
+    def invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
         """Have chunks of a job computed again; until then their cells read as missing."""
         with self._ledger.writing() as ledger:
-            known = ledger.find(job.id)
-            gone = ledger.unmark(known, chunks) if known is not None and known.seq == job.seq else []
-        if not gone:
+            current = ledger.find(job.id)
+            if current is None or current.seq != job.seq:
+                return  # deleted, and perhaps accepted again
+            unmarked = ledger.unmark(current, chunks)
+        if not unmarked:
             return
-        log.error("job %s: chunks %s are damaged in the store and computed again", job.id, gone)
-        spec, plan = planned(job)
-        for chunk in gone:
-            store.discard(self._settings.store_of(job.id), layout(spec, plan.chunk_shape), plan[chunk])
-        self._undone(job.id, gone)
-
-
-def planned(job: JobRecord) -> tuple[SweepSpec, Plan]:
-    """What a job computes and how it is cut."""
-    spec = SweepSpec.from_json(job.spec)
-    return spec, make_plan(spec, chunk_shape=job.chunk_shape)
+        log.error("job %s: chunks %s are damaged in the store and computed again", job.id, unmarked)
+        prepared = self._preparer.prepare(job)
+        for chunk in unmarked:
+            store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
+        self._on_invalidated(job.id, unmarked)

@@ -1,8 +1,8 @@
-"""What an earlier life of the service may have left: results that no longer are what was written, litter.
+"""Startup scrub: verifies stored checksums, repairs metadata, removes orphaned files.
 
-A thread of its own looks through every job that was there at the start: first, one that goes on, which
-waits for it; then the others, the last accepted first. It reads each stored chunk once, a fraction of a
-millisecond for each.
+A thread goes once through the jobs that the ledger had at the start: first the unfinished ones, which wait
+for it, then the others, the last accepted first. It reads every stored chunk once, which takes a fraction
+of a millisecond per chunk. Damage in a job it has not reached is met when the job is read.
 """
 
 import logging
@@ -13,52 +13,56 @@ from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
-from service.jobs.model_selection import attributes_of
-from service.jobs.repair import Repairer, planned
+from service.jobs.prepare import JobPreparer
+from service.jobs.repair import Repairer
 from service.settings import Settings
 from worker import store
-from worker.schema import layout
 
 log = logging.getLogger(__name__)
 
-#: Chunks looked at between two looks at whether to stop, or whether a job waits.
-PAGE: Final = 500
+#: Chunks verified before the thread checks whether to stop, and whether a job waits for it.
+CHUNKS_PER_PAGE: Final = 500
 #: Jobs read from the ledger at once.
-JOBS: Final = 100
-#: What lies in the folder of the stores: stores, their marks, and what is being removed.
-_OURS: Final = re.compile(r"([0-9a-f]{32})\.zarr(\.cancelled|\.deleted-[0-9a-f]+)?")
+JOBS_PER_PAGE: Final = 100
+#: The names in the folder of the stores: stores, their cancel flags, and stores being removed.
+_OWN_NAME: Final = re.compile(r"([0-9a-f]{32})\.zarr(\.cancelled|\.deleted-[0-9a-f]+)?")
 
 
 class Scrubber:
-    """Verifies what was done before this start; `wake` is called whenever a job is cleared."""
+    """Verifies what was stored before this start; `wake` is called whenever a job is verified."""
 
     def __init__(
-        self, ledger: Ledger, settings: Settings, repairer: Repairer, wake: Callable[[], None]
+        self,
+        ledger: Ledger,
+        settings: Settings,
+        preparer: JobPreparer,
+        repairer: Repairer,
+        wake: Callable[[], None],
     ) -> None:
-        self._ledger, self._settings, self._repairer, self._wake = ledger, settings, repairer, wake
-        self._clear: set[str] = set()
-        self._newest = 0  # jobs accepted later need no looking at
+        self._ledger, self._settings, self._wake = ledger, settings, wake
+        self._preparer, self._repairer = preparer, repairer
+        self._verified: set[str] = set()
+        self._newest = 0  # the last job there was at the start; later ones need no verification
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="housekeeper", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="scrubber", daemon=True)
 
     def start(self) -> None:
-        """Begin. Until then no job is clear."""
+        """Start the thread; until then no job is verified."""
         with self._ledger.reading() as ledger:
             self._newest = ledger.newest_seq()
         self._thread.start()
 
     def stop(self, seconds: float) -> None:
-        """End, in at most so long; what was not looked at is looked at after the next start."""
+        """End the thread, within `seconds`; the next start scrubs what was not reached."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(seconds)
 
-    def is_clear(self, job_id: str) -> bool:
-        """Whether everything marked as done of this job was found to be there since the start."""
-        if job_id in self._clear:
+    def is_verified(self, job_id: str) -> bool:
+        """Whether every chunk marked as done of this job has been found intact since the start."""
+        if job_id in self._verified:
             return True
         job = self._ledger.find(job_id)
         return job is not None and job.seq > self._newest
@@ -66,41 +70,42 @@ class Scrubber:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._sweep()
-                for job in chain(self._waiting(), self._others()):
+                self._remove_orphans()
+                for job in chain(self._waiting(), self._all()):
                     if self._stop.is_set():
                         return
-                    self._look_at(job)
+                    self._scrub(job)
                 return
-            except Exception:  # the ledger may be out of reach
-                log.exception("housekeeping stumbled; it begins again soon")
-                self._stop.wait(self._settings.heartbeat_seconds)
+            except Exception:  # such as a ledger that does not answer
+                pause = self._settings.heartbeat_seconds
+                log.exception("scrub failed; starting again in %g s", pause)
+                self._stop.wait(pause)
 
-    def _others(self) -> Iterator[JobRecord]:
+    def _all(self) -> Iterator[JobRecord]:
         """Every job there was at the start, the last accepted first; before each, those that wait."""
         before = self._newest + 1
         while True:
             with self._ledger.reading() as ledger:
-                found = ledger.newest(None, JOBS, before)
-            if not found:
+                page = ledger.newest(None, JOBS_PER_PAGE, before)
+            if not page:
                 return
-            for job in found:
+            for job in page:
                 yield from self._waiting()
-                if job.id not in self._clear:
+                if job.id not in self._verified:
                     yield job
-            before = found[-1].seq
+            before = page[-1].seq
 
     def _waiting(self) -> Iterator[JobRecord]:
-        """Jobs that shall go on and have not been looked at."""
+        """Unfinished jobs that are not verified: the supervisor waits for them."""
         with self._ledger.reading() as ledger:
-            wanted = [one.id for one in ledger.unfinished(self._settings.max_queue)]
-        for job_id in wanted:
+            unfinished = [job.id for job in ledger.unfinished(self._settings.max_queue)]
+        for job_id in unfinished:
             job = self._ledger.find(job_id)
-            if job is not None and not self.is_clear(job_id) and job.state in UNFINISHED:
+            if job is not None and not self.is_verified(job_id) and job.state in UNFINISHED:
                 yield job
 
-    def _look_at(self, job: JobRecord) -> None:
-        """Clear one job; those that begin to wait meanwhile go before one that has ended."""
+    def _scrub(self, job: JobRecord) -> None:
+        """Verify one job; a finished one is interrupted for those that are resumed meanwhile."""
         try:
             for _ in self._verify(job):
                 if self._stop.is_set():
@@ -108,40 +113,42 @@ class Scrubber:
                 if job.state not in UNFINISHED:
                     for other in self._waiting():
                         if other.id != job.id:
-                            self._look_at(other)
+                            self._scrub(other)
         except Exception:
-            log.exception("job %s cannot be looked at; damage will be met when it is read", job.id)
-        self._clear.add(job.id)
+            log.exception("job %s cannot be verified; damage will be met when it is read", job.id)
+        self._verified.add(job.id)
         self._wake()
 
     def _verify(self, job: JobRecord) -> Iterator[None]:
-        """Sweep, mend and verify a store, page by page."""
-        url = self._settings.store_of(job.id)
-        spec, plan = planned(job)
-        store.sweep_leftovers(url)
-        if job.chunks_done and job.kernel_version == KERNEL_VERSION:
-            store.repair_metadata(url, layout(spec, plan.chunk_shape), attributes_of(job))
+        """Remove leftovers of interrupted writes, repair metadata, verify chunks; yields after each page."""
+        prepared = self._preparer.prepare(job)
+        store.sweep_leftovers(prepared.store_url)
+        if job.chunks_done:
+            self._repairer.repair_metadata(job)
         last = -1
         while True:
             with self._ledger.reading() as ledger:
-                page = ledger.checksums(job, last, PAGE)
+                page = ledger.checksums(job, last, CHUNKS_PER_PAGE)
             if not page:
                 return
-            marked = ((plan[chunk], checksum) for chunk, checksum in page)
-            damaged = [
-                chunk.index for chunk in store.find_corrupt(url, layout(spec, plan.chunk_shape), marked)
-            ]
+            marked = ((prepared.plan[chunk], checksum) for chunk, checksum in page)
+            corrupt = store.find_corrupt(prepared.store_url, prepared.layout, marked)
+            damaged = [chunk.index for chunk in corrupt]
             if damaged:
-                self._repairer.undo(job, damaged)
+                self._repairer.invalidate(job, damaged)
             last = page[-1][0]
             yield
 
-    def _sweep(self) -> None:
-        """Remove stores and marks of jobs that are not in the ledger, as an interrupted deletion leaves."""
+    def _remove_orphans(self) -> None:
+        """Remove stores and cancel flags without a job in the ledger, as an interrupted deletion leaves them.
+
+        Not beside an empty ledger, nor in a folder that the settings name: those may belong to another
+        service.
+        """
         if self._newest == 0 or self._settings.stores is not None:
-            return  # stores beside an empty ledger, or in a folder of their own, may be somebody else's
+            return
         for path in list(Path(self._settings.store_of("")).parent.glob("*")):
-            ours = _OURS.fullmatch(path.name)
-            if ours and (".deleted-" in path.name or self._ledger.find(ours[1]) is None):
+            own = _OWN_NAME.fullmatch(path.name)
+            if own and (".deleted-" in path.name or self._ledger.find(own[1]) is None):
                 log.warning("removing %s, which belongs to no job", path.name)
                 store.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)

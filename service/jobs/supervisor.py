@@ -1,6 +1,6 @@
-"""The one thread that moves jobs on: picks them up, keeps workers supplied, marks what is written.
+"""The thread that advances jobs: starts them, keeps workers supplied with chunks, marks what is stored.
 
-It sleeps until it is rung for (a submission, a cancel, a chunk that came back) or a heartbeat has passed.
+It sleeps until it is woken (a submission, a cancel, a chunk that came back) or a heartbeat has passed.
 Whatever it holds in memory can be rebuilt from the ledger.
 """
 
@@ -12,37 +12,65 @@ from concurrent.futures import CancelledError, Future
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
-from service.jobs.messages import ChunkFinished, ChunksInvalidated, Message, done_of, error_of
-from service.jobs.model import UNFINISHED, JobState
+from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
-from service.jobs.prepare import opened
-from service.jobs.run import JobRun, Limits
+from service.jobs.prepare import JobPreparer
+from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
+from service.jobs.run import JobRun
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
-from worker.executors.errors import ClusterLost, WorkerLost
-from worker.store import StoreDamaged
-from worker.tasks import ChunkCancelled, ChunkReport, PredecessorMissing
+from worker.studies import Chunk
+from worker.tasks import ChunkReport
 
 log = logging.getLogger(__name__)
 
-
-#: Chunks of one job, however small.
-MOST_IN_FLIGHT: Final = 64
-#: Of a heartbeat, from one look for workers to the next while there are none.
+#: Chunks in flight of one job, however small they are.
+MAX_IN_FLIGHT: Final = 64
+#: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
+#: chunks soon.
 IDLE_SHARE: Final = 0.25
+
+
+class KernelChanged(Exception):
+    """A job was started by a kernel version whose numbers may differ."""
+
+
+class ChunkFinished(NamedTuple):
+    """A chunk's future is done, with a report, an error or a cancellation."""
+
+    job_id: str
+    chunk: int
+    future: "Future[ChunkReport]"
+
+
+class ChunksInvalidated(NamedTuple):
+    """Chunks were unmarked in the ledger: their stored bytes are damaged."""
+
+    job_id: str
+    chunks: Sequence[int]
+
+
+class Sync(NamedTuple):
+    """The ledger has changed."""
+
+
+Message = ChunkFinished | ChunksInvalidated | Sync
 
 
 class Supervisor:
     """Computes the ledger's unfinished jobs on an executor until it is stopped.
 
-    Each job has a small window of chunks in flight, and of those that wait at the workers the
-    ones begin first whose job has the least work in flight, so that a small job passes a huge one.
-    A job from an earlier life of the service goes on when `cleared` says that what is marked as
-    done of it is really there. Stores are made under the lock `making`.
+    Each job has a bounded number of chunks in flight. Workers start first the waiting chunks of the job
+    with the least work in flight, so that a small job overtakes a huge one.
+    A job accepted before this start of the service runs once `is_verified` confirms that its stored chunks
+    are what the ledger has marked. Stores are created under `store_lock`.
+
+    `start`, `wake`, `invalidate` and `stop` may be called from any thread; all else runs in its own.
     """
 
     def __init__(
@@ -50,38 +78,38 @@ class Supervisor:
         ledger: Ledger,
         executor: Executor,
         settings: Settings,
-        cleared: Callable[[str], bool] = lambda job_id: True,
-        making: AbstractContextManager[Any] | None = None,
+        preparer: JobPreparer,
+        is_verified: Callable[[str], bool] = lambda job_id: True,
+        store_lock: AbstractContextManager[Any] | None = None,
     ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
-        self._cleared, self._making = cleared, making or nullcontext()
-        self._limits = Limits(
-            settings.chunk_tries, settings.failed_chunks, settings.chunk_seconds, settings.chunk_slack
-        )
+        self._preparer, self._is_verified = preparer, is_verified
+        self._store_lock = store_lock or nullcontext()
+        self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
+        self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
-        self._selector = ModelSelector(ledger, executor, self.wake)
         self._runs: dict[str, JobRun] = {}
-        self._places = 0  # for chunks in flight, of each job
-        self._next_look = time.monotonic()
+        self._slots = 0  # chunks that each job may have in flight
+        self._next_sync = time.monotonic()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
 
     def start(self) -> None:
-        """Begin, with what the ledger has unfinished."""
+        """Start the thread, with the ledger's unfinished jobs."""
         self.wake()
         self._thread.start()
 
     def wake(self) -> None:
-        """Say that the ledger has news. From any thread."""
-        self._inbox.put(None)
+        """Have the ledger synced now. Call it after a change of the ledger."""
+        self._inbox.put(Sync())
 
-    def invalidated(self, job_id: str, chunks: Sequence[int]) -> None:
-        """Say that chunks are no longer marked in the ledger. From any thread."""
+    def invalidate(self, job_id: str, chunks: Sequence[int]) -> None:
+        """Have chunks computed again that were unmarked in the ledger."""
         self._inbox.put(ChunksInvalidated(job_id, chunks))
         self.wake()
 
     def stop(self, seconds: float) -> None:
-        """Let go of what is in flight and end, in at most so long; unfinished jobs stay so in the ledger."""
+        """Abandon what is in flight and end the thread, within `seconds`; unfinished jobs stay unfinished."""
         self._stop.set()
         self.wake()
         if self._thread.is_alive():
@@ -90,128 +118,138 @@ class Supervisor:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._turn(self._news())
-            except Exception:  # the ledger may be out of reach; nothing is lost by trying again
-                log.exception("the supervisor stumbled; it goes on in %g s", self._settings.heartbeat_seconds)
-                self._stop.wait(self._settings.heartbeat_seconds)
+                self._step(self._receive())
+            except Exception:  # such as a ledger that does not answer; the next step starts from its state
+                pause = self._settings.heartbeat_seconds
+                log.exception("supervisor step failed; retrying in %g s", pause)
+                self._stop.wait(pause)
                 self.wake()
         for run in self._runs.values():
-            self.abandon(run)
+            self._abandon(run)
 
-    def abandon(self, run: JobRun) -> None:
-        """Take back what has not begun, and let the workers drop what has: it goes on at the next start."""
-        for future in list(run.in_flight.values()):
-            future.cancel()
-        if run.in_flight:
-            try:
-                store.set_cancelled(run.url)
-            except Exception:
-                log.exception("job %s: its workers cannot be told to stop", run.job.id)
-
-    def _news(self) -> list[Message]:
-        """All that has come in; sleeps until there is something or it is time to look round."""
+    def _receive(self) -> list[Message]:
+        """All messages that have arrived; waits for the first, or until the next sync is due."""
         try:
-            news: list[Message] = [self._inbox.get(timeout=max(self._next_look - time.monotonic(), 0))]
+            messages = [self._inbox.get(timeout=max(self._next_sync - time.monotonic(), 0))]
         except Empty:
-            return [None]
+            return [Sync()]
         while not self._inbox.empty():
-            news.append(self._inbox.get())
-        return news if time.monotonic() < self._next_look else [*news, None]
+            messages.append(self._inbox.get())
+        return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
 
-    def _turn(self, news: list[Message]) -> None:
-        for one in news:
-            if isinstance(one, ChunkFinished):
-                self.on_finished(one)
-            elif isinstance(one, ChunksInvalidated) and one.job_id in self._runs:
-                self._runs[one.job_id].invalidate(one.chunks)
+    def _step(self, messages: list[Message]) -> None:
+        for message in messages:
+            if isinstance(message, ChunkFinished):
+                self._on_finished(message)
+            elif isinstance(message, ChunksInvalidated) and message.job_id in self._runs:
+                self._runs[message.job_id].invalidate(message.chunks)
         for run in list(self._runs.values()):
-            self._mark(run)
-        if None in news:
-            self.sync()
+            self._save(run)
+        if any(isinstance(message, Sync) for message in messages):
+            self._sync()
         self._submit()
         for run in list(self._runs.values()):
             self._end(run)
 
-    # What came back
+    # Chunks that came back
 
-    def on_finished(self, settled: ChunkFinished) -> None:
-        """Sort a chunk that came back into written, to be done again, or failed."""
-        run, chunk = self._runs[settled.job_id], settled.chunk
-        run.came_back(chunk)
-        error = error_of(settled.future)
+    def _on_finished(self, finished: ChunkFinished) -> None:
+        """Keep a chunk's report, or carry out what the retry policy decides about its error."""
+        run, chunk = self._runs[finished.job_id], finished.chunk
+        run.remove_in_flight(chunk)
+        error = _error_of(finished.future)
         if error is None:
-            run.written.append(done_of(settled.future))
-        elif isinstance(error, ChunkCancelled | CancelledError):
-            run.requeue(chunk)
-        elif isinstance(error, ClusterLost):
-            run.requeue(chunk)
-            self._places = 0  # until the next look finds workers
-        elif isinstance(error, WorkerLost):
-            run.unlucky(chunk, error, self._limits)
-        elif run.stopping:
-            run.requeue(chunk)
-        else:
+            run.unsaved_reports.append(finished.future.result())
+            return
+        action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
+        if action in FAILED_TRIES:
             log.warning("job %s, chunk %d: %s: %s", run.job.id, chunk, type(error).__name__, error)
-            before = run.plan.chunks[chunk].after
-            if before is not None and isinstance(error, StoreDamaged | PredecessorMissing):
-                run.invalidate(self._unmark(run, [before]))
-            run.failed(chunk, error, self._limits)
+        if action is Action.PAUSE:
+            self._slots = 0
+        predecessor = run.prepared.plan[chunk].after
+        if recompute_predecessor and predecessor is not None:
+            run.invalidate(self._unmark(run, [predecessor]))
+        run.apply(chunk, action, error)
 
-    def _mark(self, run: JobRun) -> None:
-        """Chunks are written; now say so, in one transaction."""
-        if run.news:
+    def _save(self, run: JobRun) -> None:
+        """Write reports and failures to the ledger, in one transaction."""
+        if run.has_unsaved:
             with self._ledger.writing() as ledger:
-                ledger.mark_done(run.job, run.written)
-                ledger.note_failures(run.job, run.failures)
-            run.marked()
+                ledger.mark_done(run.job, run.unsaved_reports)
+                ledger.note_failures(run.job, run.unsaved_failures)
+            run.mark_saved()
 
     def _unmark(self, run: JobRun, chunks: Sequence[int]) -> Sequence[int]:
-        """Note in the ledger that chunks are to be computed again."""
+        """Have the ledger forget that chunks are done; returns those that were."""
         with self._ledger.writing() as ledger:
             return ledger.unmark(run.job, chunks)
 
-    # What the ledger wants
+    def _abandon(self, run: JobRun) -> None:
+        """Cancel chunks that wait and make workers stop those they compute; the next start computes them."""
+        for future in list(run.in_flight.values()):
+            future.cancel()
+        if run.in_flight:
+            try:
+                store.set_cancelled(run.prepared.store_url)
+            except Exception:
+                log.exception("job %s: cannot set the cancel flag of its store", run.job.id)
 
-    def sync(self) -> None:
-        """Pick up jobs that wait, stop those that shall stop, let go on those that after all shall."""
-        self._places = self._settings.window * self._executor.workers()
-        # Workers that come back shall not have to wait for work.
-        pause = self._settings.heartbeat_seconds * (1.0 if self._places else IDLE_SHARE)
-        self._next_look = time.monotonic() + pause
+    # Jobs in the ledger
+
+    def _sync(self) -> None:
+        """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
+        self._slots = self._settings.window * self._executor.workers()
+        pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
+        self._next_sync = time.monotonic() + pause
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.active_jobs)
-        for brief in unfinished:
-            run = self._runs.get(brief.id)
+        for job in unfinished:
+            run = self._runs.get(job.id)
             if run is None:
-                if self._cleared(brief.id):
-                    with self._making:
-                        self._pick_up(brief.id)
-            elif run.stopping != brief.cancel_requested:
-                self._stop_or_go_on(run, stop=brief.cancel_requested)
+                if self._is_verified(job.id):
+                    with self._store_lock:
+                        self._start_job(job.id)
+            elif run.stopping != job.cancel_requested:
+                self._set_stopping(run, job.cancel_requested)
 
-    def _pick_up(self, job_id: str) -> None:
-        """Make a job's store and give it a place among the running."""
+    def _start_job(self, job_id: str) -> None:
+        """Create a job's store and add the job to those that run; a job that cannot start fails."""
         job = self._ledger.find(job_id)
         if job is None:
             return
         try:
-            settled = self._selector.settled(job)
-            if settled is None:
-                return  # it rings
-            run = opened(settled, self._ledger, self._settings)
+            selected = self._selector.select(job)
+            if selected is None:
+                return  # the selector wakes this thread when the model is chosen
+            run = self._open(selected)
         except store.UNREACHABLE as error:
-            log.warning("job %s cannot begin yet, its bucket does not answer: %s", job_id, error)
-            return  # until the next look
+            log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
+            return  # the next sync tries again
         except Exception as error:
-            log.exception("job %s cannot begin", job_id)
-            self._finish(job_id, JobState.FAILED, f"the job cannot begin: {type(error).__name__}: {error}")
+            log.exception("job %s cannot start", job_id)
+            self._finish(job_id, JobState.FAILED, f"the job cannot start: {type(error).__name__}: {error}")
             return
         if self._mark_running(job_id):
             self._runs[job_id] = run
-            log.info("job %s runs, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
+            log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
+
+    def _open(self, job: JobRecord) -> JobRun:
+        """A job whose model is chosen, its store created, nothing in flight.
+
+        Raises KernelChanged, SpecError, StoreError, OSError, or one of `store.UNREACHABLE`.
+        """
+        if job.kernel_version != KERNEL_VERSION:
+            raise KernelChanged(
+                f"kernel version {job.kernel_version} started it, this service has version {KERNEL_VERSION}: "
+                "submit the sweep again"
+            )
+        prepared = self._preparer.prepare(job)
+        store.create(prepared.store_url, prepared.layout, prepared.attributes)
+        store.clear_cancelled(prepared.store_url)
+        return JobRun(job, prepared, self._ledger.done_mask(job), self._policy)
 
     def _mark_running(self, job_id: str) -> bool:
-        """Whether the job may run: it may have been cancelled since it was seen in the queue."""
+        """Whether the job may run: it may have been cancelled since the sync read the ledger."""
         with self._ledger.writing() as ledger:
             job = ledger.find(job_id)
             if job is None or job.state not in UNFINISHED:
@@ -219,63 +257,27 @@ class Supervisor:
             ledger.run(job, time.time())
             return True
 
-    def _stop_or_go_on(self, run: JobRun, stop: bool) -> None:
-        """Tell the workers of a job by the mark at its store.
+    def _set_stopping(self, run: JobRun, stopping: bool) -> None:
+        """Apply or revoke a cancel request, by the flag at the store that workers look at.
 
-        Every chunk in flight still comes back: only then is it sure that nothing writes any more.
+        The job ends when every chunk in flight has come back: only then can nothing write any more.
         """
-        mark = store.set_cancelled if stop else store.clear_cancelled
-        mark(run.url)
-        run.stopping = stop
-
-    # What comes next
-
-    def _submit(self) -> None:
-        """Fill the free places, the job with the least work in flight first."""
-        while True:
-            able = [run for run in self._runs.values() if self._has_place(run)]
-            if not able or not self._send(min(able, key=lambda run: (run.load, run.job.seq))):
-                return
-
-    def _has_place(self, run: JobRun) -> bool:
-        """Whether a job may have one more chunk in flight: many small ones, or a job of such would wait for
-        a huge one's chunk again and again.
-        """
-        seconds = self._settings.window_seconds * self._places / self._settings.window
-        count = len(run.in_flight)
-        enough = count >= self._places and (run.load >= seconds or count >= MOST_IN_FLIGHT)
-        return self._places > 0 and not enough and run.may_submit(self._limits)
-
-    def _send(self, run: JobRun) -> bool:
-        """Give a job's next chunk to the executor; whether it took it."""
-        priority, chunk = -run.load, run.take()
-        seconds = run.seconds(chunk, self._limits)
-        try:
-            future = self._executor.submit(run.spec, chunk, run.url, seconds=seconds, priority=priority)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
-            log.warning("the executor takes no chunk: %s; it is tried again soon", error)
-            run.requeue(chunk.index)
-            self._places = 0  # until the next look
-            return False
-        run.sent(chunk, future)
-        future.add_done_callback(partial(self._came_back, run.job.id, chunk.index))
-        return True
-
-    def _came_back(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
-        self._inbox.put(ChunkFinished(job_id, chunk, future))
+        set_flag = store.set_cancelled if stopping else store.clear_cancelled
+        set_flag(run.prepared.store_url)
+        run.stopping = stopping
 
     def _end(self, run: JobRun) -> None:
-        """End a job that has nothing left to do or to wait for."""
-        state = run.ending(self._limits)
+        """End a job that has nothing in flight, nothing unsaved and nothing to submit."""
+        state = run.final_state
         if state is None:
             return
         if self._finish(run.job.id, state, run.error if state is JobState.FAILED else None):
             del self._runs[run.job.id]
             log.info("job %s is %s", run.job.id, state)
-        self.wake()  # one that waits may have its place; one whose cancel was taken back goes on
+        self.wake()  # a queued job may start, or a job whose cancel was revoked continue
 
     def _finish(self, job_id: str, state: JobState, error: str | None) -> bool:
-        """Write the end of a job down; False if it shall go on after all."""
+        """Write a job's final state to the ledger; False if the job continues after all."""
         with self._ledger.writing() as ledger:
             job = ledger.find(job_id)
             if job is None or job.state not in UNFINISHED:
@@ -283,6 +285,55 @@ class Supervisor:
             if state is JobState.CANCELLED and not job.cancel_requested:
                 return False
             if state is JobState.DONE and job.chunks_done < job.chunks_total:
-                return False  # a chunk was found damaged just now
+                return False  # a damaged chunk has just been unmarked
             ledger.finish(job, state, time.time(), error)
             return True
+
+    # Chunks to compute
+
+    def _submit(self) -> None:
+        """Fill the free slots, the job with the least work in flight first."""
+        while True:
+            runs = [run for run in self._runs.values() if self._has_free_slot(run)]
+            if not runs or not self._send(min(runs, key=lambda run: (run.seconds_in_flight, run.job.seq))):
+                return
+
+    def _has_free_slot(self, run: JobRun) -> bool:
+        """Whether a job may have one more chunk in flight.
+
+        A job of short chunks gets more slots, up to `window_seconds` of work: with few, it would wait for
+        a chunk of a huge job again and again.
+        """
+        seconds = self._settings.window_seconds * self._slots / self._settings.window
+        count = len(run.in_flight)
+        full = count >= self._slots and (run.seconds_in_flight >= seconds or count >= MAX_IN_FLIGHT)
+        return self._slots > 0 and not full and run.may_submit
+
+    def _send(self, run: JobRun) -> bool:
+        """Submit a job's next chunk to the executor; whether it was taken."""
+        priority, chunk = -run.seconds_in_flight, run.pop()
+        seconds = self._time_limit(run, chunk)
+        try:
+            future = self._executor.submit(
+                run.prepared.spec, chunk, run.prepared.store_url, seconds=seconds, priority=priority
+            )
+        except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
+            log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
+            run.requeue(chunk.index)
+            self._slots = 0
+            return False
+        run.add_in_flight(chunk, future)
+        future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
+        return True
+
+    def _time_limit(self, run: JobRun, chunk: Chunk) -> float:
+        """Seconds that a chunk may take from when it starts, before its worker is replaced."""
+        return max(self._settings.chunk_seconds, self._settings.chunk_slack * run.estimated_seconds(chunk))
+
+    def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
+        self._inbox.put(ChunkFinished(job_id, chunk, future))
+
+
+def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
+    """Why a future that is done has no report; None if it has one."""
+    return CancelledError() if future.cancelled() else future.exception()

@@ -1,30 +1,116 @@
-"""What the ledger says of single chunks: which are done, what their bytes should be, which failed.
+"""What can be read from the ledger and changed in it, within one transaction.
 
-Only finished chunks have a row; a chunk without one is to be computed.
+Only chunks that are done have a row; a chunk without one is to be computed.
 """
 
 import json
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from typing import Final, NamedTuple
 
-from service.jobs.model import DoneChunk, Failure, JobRecord
+from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState, NewJob, check_transition
+from worker.tasks import ChunkReport
+
+Column = str | float | bool | None
 
 
-class ChunkReads:
-    """Questions about chunks, on one connection."""
+class Unfinished(NamedTuple):
+    """What the supervisor reads of an unfinished job at every sync."""
+
+    id: str
+    cancel_requested: bool
+
+
+class Key(NamedTuple):
+    """What an idempotency key was used for."""
+
+    body: str  # the body's fingerprint
+    job_id: str
+
+
+class Pace(NamedTuple):
+    """How long the done chunks of a job took."""
+
+    job: JobRecord
+    seconds: float
+    cells: int
+
+
+class ReadTransaction:
+    """Reads the ledger on one connection."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._sql = connection
 
+    # Jobs
+
+    def find(self, job_id: str) -> JobRecord | None:
+        """The job, if there is one."""
+        row = self._sql.execute("SELECT * FROM jobs WHERE id = ?", (job_id,)).fetchone()
+        return _record(row) if row else None
+
+    def newest(self, state: JobState | None, limit: int, before: int | None = None) -> list[JobRecord]:
+        """Jobs, the last accepted first; only those in `state` and with a `seq` below `before`."""
+        optional = {"state = ?": state, "seq < ?": before}
+        conditions = {sql: value for sql, value in optional.items() if value is not None}
+        where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
+        values = [*conditions.values(), limit]
+        rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", values)
+        return [_record(row) for row in rows]
+
+    def count(self, states: Sequence[JobState]) -> int:
+        """Number of jobs in any of `states`."""
+        marks = ",".join("?" * len(states))
+        row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE state IN ({marks})", states).fetchone()
+        return int(row[0])
+
+    def totals(self) -> tuple[int, int]:
+        """Chunks and cells done, over all jobs."""
+        row = self._sql.execute("SELECT total(chunks_done), total(cells_done) FROM jobs").fetchone()
+        return int(row[0]), int(row[1])
+
+    def unfinished(self, limit: int) -> list[Unfinished]:
+        """Running jobs, then queued ones, each in the order they were accepted."""
+        rows = self._sql.execute(
+            "SELECT id, cancel_requested FROM jobs WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?",
+            (*UNFINISHED, JobState.QUEUED, limit),
+        )
+        return [Unfinished(row["id"], bool(row["cancel_requested"])) for row in rows]
+
+    def newest_seq(self) -> int:
+        """The number of the last job ever accepted, deleted ones included; 0 if there was none."""
+        row = self._sql.execute("SELECT seq FROM sqlite_sequence WHERE name = 'jobs'").fetchone()
+        return int(row[0]) if row else 0
+
+    def key(self, key: str) -> Key | None:
+        """What an idempotency key was used for, if it is remembered."""
+        row = self._sql.execute(
+            "SELECT keys.body, jobs.id FROM keys JOIN jobs ON keys.job = jobs.seq WHERE key = ?", (key,)
+        ).fetchone()
+        return Key(row["body"], row["id"]) if row else None
+
+    def paces(self, jobs: int, max_spec_chars: int) -> list[Pace]:
+        """How long done chunks took, for each of the last `jobs` with a specification of limited length."""
+        rows = self._sql.execute(
+            "SELECT recent.*, sum(seconds) AS seconds, sum(cells) AS cells FROM chunks JOIN ("
+            "SELECT * FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? ORDER BY seq DESC LIMIT ?"
+            ") AS recent ON job = recent.seq GROUP BY job",
+            (max_spec_chars, jobs),
+        )
+        return [Pace(_record(row), row["seconds"], row["cells"]) for row in rows]
+
+    # Chunks
+
     def done_chunks(self, job: JobRecord, first: int, last: int) -> list[int]:
-        """Indices of the finished chunks from `first` up to but without `last`."""
+        """Indices of the done chunks with first <= index < last."""
         rows = self._sql.execute(
             "SELECT chunk FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?", (job.seq, first, last)
         )
         return [row[0] for row in rows]
 
     def checksums(self, job: JobRecord, after: int, limit: int) -> list[tuple[int, str]]:
-        """Finished chunks beyond number `after`, in order, each with what its stored bytes should give."""
+        """Done chunks with index > after, in order, each with the checksum of its stored bytes."""
         rows = self._sql.execute(
             "SELECT chunk, checksum FROM chunks WHERE job = ? AND chunk > ? ORDER BY chunk LIMIT ?",
             (job.seq, after, limit),
@@ -32,7 +118,7 @@ class ChunkReads:
         return [(row[0], row[1]) for row in rows]
 
     def failures(self, job: JobRecord) -> list[Failure]:
-        """Chunks that could not be computed since the job was last started."""
+        """Chunks that were given up since the job was last accepted or resumed."""
         rows = self._sql.execute(
             "SELECT chunk, place, error, traceback, tries FROM failures WHERE job = ? ORDER BY chunk",
             (job.seq,),
@@ -40,45 +126,123 @@ class ChunkReads:
         return [Failure(*row) for row in rows]
 
 
-class ChunkWrites(ChunkReads):
-    """Changes of chunks, within one transaction."""
+class WriteTransaction(ReadTransaction):
+    """Changes the ledger, within one transaction."""
 
-    def mark_done(self, job: JobRecord, chunks: Iterable[DoneChunk]) -> None:
-        """Mark chunks that are written; one that is marked already stays as it is."""
-        fresh = [chunk for chunk in chunks if self._insert_chunk(job, chunk)]
+    # Jobs
+
+    def insert(self, job: NewJob, now: float) -> None:
+        """Accept a job."""
         self._sql.execute(
-            "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ? WHERE seq = ?",
-            (len(fresh), sum(chunk.cells for chunk in fresh), job.seq),
+            "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
+            " cells_total) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
+                JobState.QUEUED, now, job.chunks_total, job.cells_total,
+            ),
+        )  # fmt: skip
+
+    def queue(self, job: JobRecord) -> None:
+        """Resume a failed or cancelled job; its done chunks are kept."""
+        self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False)
+        self._sql.execute("DELETE FROM failures WHERE job = ?", (job.seq,))
+
+    def run(self, job: JobRecord, now: float) -> None:
+        """The supervisor starts the job, or continues it after a restart of the service."""
+        if job.state is not JobState.RUNNING:
+            check_transition(job.state, JobState.RUNNING)
+        self._update(
+            job,
+            state=JobState.RUNNING,
+            started=job.started or now,
+            run_started=now,
+            run_cells=job.cells_done,
         )
 
-    def unmark_chunks(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
-        """Chunks are to be computed again. Returns those that were marked."""
-        gone = [(chunk, cells) for chunk in chunks for cells in self._delete_chunk(job, chunk)]
-        if gone:
+    def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
+        """End the job as done, failed or cancelled."""
+        self._move(job, state, finished=now, error=error, cancel_requested=False)
+
+    def choose(self, job: JobRecord, choice: str, chunk_shape: Sequence[int], chunks_total: int) -> None:
+        """Record the model chosen for a queued job, and the job's chunks for that model."""
+        self._update(job, choice=choice, chunk_shape=json.dumps(chunk_shape), chunks_total=chunks_total)
+
+    def set_cancel_requested(self, job: JobRecord, cancel_requested: bool) -> None:
+        """Request that a running job stops, or revoke the request."""
+        self._update(job, cancel_requested=cancel_requested)
+
+    def delete(self, job: JobRecord) -> None:
+        """Forget a job, its chunks and its keys."""
+        self._sql.execute("DELETE FROM jobs WHERE seq = ?", (job.seq,))
+
+    def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
+        """Remember what an idempotency key was used for."""
+        self._sql.execute("INSERT INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
+
+    def forget_keys(self, before: float) -> None:
+        """Forget the keys that were used before that time, in seconds since 1970."""
+        self._sql.execute("DELETE FROM keys WHERE created < ?", (before,))
+
+    def _move(self, job: JobRecord, state: JobState, **columns: Column) -> None:
+        check_transition(job.state, state)
+        self._update(job, state=state, **columns)
+
+    def _update(self, job: JobRecord, **columns: Column) -> None:
+        settings = ", ".join(f"{name} = ?" for name in columns)
+        self._sql.execute(f"UPDATE jobs SET {settings} WHERE seq = ?", [*columns.values(), job.seq])
+
+    # Chunks
+
+    def mark_done(self, job: JobRecord, reports: Iterable[ChunkReport]) -> None:
+        """Mark stored chunks as done; one that is marked already stays as it is."""
+        marked = [report for report in reports if self._insert_chunk(job, report)]
+        self._sql.execute(
+            "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ? WHERE seq = ?",
+            (len(marked), sum(report.cells for report in marked), job.seq),
+        )
+
+    def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
+        """Have chunks computed again; a job that was done runs again. Returns those that were marked."""
+        unmarked = [(chunk, cells) for chunk in chunks for cells in self._delete_chunk(job, chunk)]
+        if unmarked:
             self._sql.execute(
                 "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ? WHERE seq = ?",
-                (len(gone), sum(cells for _, cells in gone), job.seq),
+                (len(unmarked), sum(cells for _, cells in unmarked), job.seq),
             )
-        return [chunk for chunk, _ in gone]
+            if job.state is JobState.DONE:
+                self._move(job, JobState.RUNNING, finished=None)
+        return [chunk for chunk, _ in unmarked]
 
     def note_failures(self, job: JobRecord, failures: Iterable[Failure]) -> None:
-        """Note chunks that could not be computed."""
+        """Record chunks that were given up."""
         for failure in failures:
             self._sql.execute(
                 "INSERT OR REPLACE INTO failures VALUES (?, ?, ?, ?, ?, ?)", (job.seq, *failure)
             )
 
-    def _insert_chunk(self, job: JobRecord, done: DoneChunk) -> bool:
-        counts = json.dumps(list(done.outcomes))
+    def _insert_chunk(self, job: JobRecord, report: ChunkReport) -> bool:
+        """Whether the chunk was not marked before."""
+        outcomes = json.dumps(list(report.outcomes))
         inserted = self._sql.execute(
             "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?)",
-            (job.seq, done.chunk, done.cells, done.seconds, done.checksum, counts),
+            (job.seq, report.index, report.cells, report.seconds, report.checksum, outcomes),
         )
         return inserted.rowcount == 1
 
     def _delete_chunk(self, job: JobRecord, chunk: int) -> list[int]:
-        """The cells of the chunk, if it was marked."""
+        """The chunk's number of cells, if it was marked."""
         rows = self._sql.execute(
             "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING cells", (job.seq, chunk)
         )
         return [row[0] for row in rows]
+
+
+_COLUMNS: Final = frozenset(field.name for field in fields(JobRecord))
+
+
+def _record(row: sqlite3.Row) -> JobRecord:
+    columns = {name: row[name] for name in _COLUMNS}
+    columns["state"] = JobState(columns["state"])
+    columns["cancel_requested"] = bool(columns["cancel_requested"])
+    columns["chunk_shape"] = tuple(json.loads(columns["chunk_shape"]))
+    return JobRecord(**columns)

@@ -27,7 +27,7 @@ def refined(
 ) -> Thresholds:
     """The thresholds of a job to `tolerance` in gamma, from those on its grid.
 
-    Raises TooLarge for more computing than one answer may take, and as `OnDemandCache.to`.
+    Raises TooLarge for more computing than one answer may take, and as `OnDemandCache.get`.
     """
     omegas = len(coarse.omega)
     if not job.chunks_done:
@@ -40,7 +40,7 @@ def refined(
         blocks = [tuple(range(low, min(low + BLOCK, omegas))) for low in range(0, omegas, BLOCK)]
         return [executor.call(refine, sweep.spec, sweep.url, place, block, tolerance) for block in blocks]
 
-    parts = answers.to((job.id, job.chunks_done, place, tolerance), begin)
+    parts = answers.get((job.id, job.chunks_done, place, tolerance), begin)
     up, down = (np.concatenate([getattr(part, name) for part in parts]) for name in Refined._fields)
     return replace(coarse, up=up, down=down)
 

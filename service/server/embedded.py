@@ -9,7 +9,6 @@ import logging
 import math
 import signal
 import socket
-import sqlite3
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -206,8 +205,6 @@ def _not_started(error: Exception | None) -> Exception:
     """What a user should read, or the error itself if it is a defect."""
     if isinstance(error, ServiceError):
         return NotStarted(str(error))
-    if isinstance(error, sqlite3.DatabaseError):
-        return NotStarted(f"the data folder's ledger.sqlite cannot be used: {error}")
     if isinstance(error, OSError):
         return NotStarted(f"{error.filename or 'the data folder'}: {error.strerror or error}")
     return error or NotStarted("the service was stopped before it had started")
@@ -238,7 +235,7 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
 def _try_data_folder(settings: Settings) -> None:
     try:
         Ledger(settings.ledger_path).close()
-    except (ServiceError, OSError, sqlite3.DatabaseError) as error:
+    except (ServiceError, OSError) as error:
         raise _not_started(error) from error
 
 

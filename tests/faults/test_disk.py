@@ -73,7 +73,7 @@ def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(
         service.settings.ledger_path.with_suffix(".reserve").unlink()
         fill(ballast)
         held.let_go()
-        wait_for(lambda: "the supervisor stumbled" in caplog.text)
+        wait_for(lambda: "supervisor step failed" in caplog.text)
         assert service.job(job).state is JobState.RUNNING
         ballast.unlink()
         held.let_go_until(lambda: service.job(job).state is JobState.FAILED)

@@ -153,7 +153,7 @@ def test_a_failed_job_tells_why(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
         wait_for(lambda: client.get(here).json()["state"] == "failed")
-        assert "cannot begin" in client.get(here).json()["error"]
+        assert "cannot start" in client.get(here).json()["error"]
 
 
 def test_jobs_outlive_the_service(tmp_path: Path):

@@ -13,8 +13,10 @@ import pytest
 from paths import SUPPORT
 
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnusable
-from service.jobs.ledger import MIGRATIONS, Ledger
-from service.jobs.model import UNFINISHED, DoneChunk, JobRecord, JobState, NewJob
+from service.jobs.ledger import Ledger
+from service.jobs.migrations import MIGRATIONS
+from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
+from worker.tasks import ChunkReport
 
 
 @pytest.fixture
@@ -39,8 +41,8 @@ def found(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
     return job
 
 
-def done(*chunks: int) -> list[DoneChunk]:
-    return [DoneChunk(chunk, 10, 0.5, f"sum {chunk}", (0, 10, 0, 0, 0, 0)) for chunk in chunks]
+def reports(*chunks: int) -> list[ChunkReport]:
+    return [ChunkReport(chunk, 10, 0.5, 0.4, f"sum {chunk}", (0, 10, 0, 0, 0, 0)) for chunk in chunks]
 
 
 def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
@@ -51,13 +53,13 @@ def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
 
 def mark_and_finish(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
-        writing.mark_done(job, done(0))
+        writing.mark_done(job, reports(0))
         writing.finish(job, JobState.DONE, 300.0)
 
 
 def mark_and_break_off(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
-        writing.mark_done(job, done(0))
+        writing.mark_done(job, reports(0))
         raise KeyboardInterrupt
 
 
@@ -92,7 +94,7 @@ def test_a_job_runs_and_ends(ledger: Ledger):
 def test_a_resumed_job_keeps_its_chunks_and_loses_its_error(ledger: Ledger):
     job = run(ledger, accept(ledger))
     with ledger.writing() as writing:
-        writing.mark_done(job, done(0, 1))
+        writing.mark_done(job, reports(0, 1))
         writing.finish(job, JobState.FAILED, 300.0, "because")
     with ledger.writing() as writing:
         writing.queue(found(ledger))
@@ -111,7 +113,7 @@ def test_an_illegal_step_changes_nothing(ledger: Ledger):
 
 def test_chunks_are_marked_once(ledger: Ledger):
     job = run(ledger, accept(ledger))
-    for chunks in (done(0, 2), done(2, 3)):
+    for chunks in (reports(0, 2), reports(2, 3)):
         with ledger.writing() as writing:
             writing.mark_done(job, chunks)
     assert found(ledger).chunks_done == 3
@@ -122,7 +124,7 @@ def test_chunks_are_marked_once(ledger: Ledger):
 def test_jobs_do_not_share_chunks(ledger: Ledger):
     one, two = accept(ledger, "a" * 32), accept(ledger, "b" * 32)
     with ledger.writing() as writing:
-        writing.mark_done(one, done(0, 1))
+        writing.mark_done(one, reports(0, 1))
     assert not ledger.done_mask(two).any()
 
 
@@ -144,7 +146,7 @@ def test_unfinished_are_the_running_ones_and_then_the_queue(ledger: Ledger):
     run(ledger, found(ledger, "c" * 32))
     with ledger.writing() as writing:
         writing.finish(found(ledger, "a" * 32), JobState.CANCELLED, 1.0)
-        writing.request_cancel(found(ledger, "c" * 32), wanted=True)
+        writing.set_cancel_requested(found(ledger, "c" * 32), True)
     with ledger.reading() as reading:
         assert [(job.id[0], job.cancel_requested) for job in reading.unfinished(9)] == [
             ("c", True),
@@ -160,14 +162,14 @@ def test_a_transaction_is_all_or_nothing(ledger: Ledger):
         mark_and_break_off(ledger, job)
     assert found(ledger).chunks_done == 0
     with ledger.writing() as writing:  # and the next one works
-        writing.mark_done(job, done(1))
+        writing.mark_done(job, reports(1))
     assert found(ledger).chunks_done == 1
 
 
 def test_a_reader_does_not_wait_for_a_writer(ledger: Ledger):
     job = accept(ledger)
     with ledger.writing() as writing:
-        writing.mark_done(job, done(0))
+        writing.mark_done(job, reports(0))
         assert found(ledger).chunks_done == 0
 
 
@@ -177,7 +179,7 @@ def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
     def mark(first: int) -> None:
         for chunk in range(first, 200, 8):
             with ledger.writing() as writing:
-                writing.mark_done(job, done(chunk))
+                writing.mark_done(job, reports(chunk))
 
     threads = [threading.Thread(target=mark, args=(first,)) for first in range(8)]
     for thread in threads:
@@ -201,10 +203,10 @@ def test_it_says_what_was_said_last_before_a_kill(tmp_path: Path):
     """A process that marks chunks one by one and tells us of each is killed in the middle."""
     program = (
         "import sys; from pathlib import Path; sys.path[:0] = sys.argv[2:]\n"
-        "from service.jobs.ledger import Ledger; from test_ledger import accept, done\n"
+        "from service.jobs.ledger import Ledger; from test_ledger import accept, reports\n"
         "ledger = Ledger(Path(sys.argv[1])); job = accept(ledger, chunks=100000)\n"
         "for chunk in range(100000):\n"
-        "    with ledger.writing() as writing: writing.mark_done(job, done(chunk))\n"
+        "    with ledger.writing() as writing: writing.mark_done(job, reports(chunk))\n"
         "    print(chunk, flush=True)\n"
     )
     path = tmp_path / "ledger.sqlite"
@@ -240,7 +242,7 @@ def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     path.write_bytes(b"not a database, and not one line of it " * 99)
     for _ in range(2):  # the folder is let go of, too
-        with pytest.raises(sqlite3.DatabaseError, match="not a database"):
+        with pytest.raises(LedgerUnusable, match=r"ledger\.sqlite cannot be used: file is not a database"):
             Ledger(path)
     assert path.read_bytes().startswith(b"not a database")
 
@@ -250,7 +252,7 @@ def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
     began = time.process_time()
     for first in range(0, 100_000, 1000):
         with ledger.writing() as writing:
-            writing.mark_done(job, done(*range(first, first + 1000)))
+            writing.mark_done(job, reports(*range(first, first + 1000)))
     assert ledger.done_mask(job).all()
     assert time.process_time() - began < 10
     assert (tmp_path / "ledger.sqlite").stat().st_size < 100_000 * 100

@@ -395,7 +395,7 @@ def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline:
         place.write_text("in the way")
         job = service.until(service.submit(spec), JobState.FAILED)
         assert job.error is not None
-        assert job.error.startswith("the job cannot begin: ")
+        assert job.error.startswith("the job cannot start: ")
         service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
         place.unlink()
         service.until(service.submit(spec), JobState.DONE)
@@ -409,7 +409,7 @@ def test_a_job_begun_by_another_kernel_is_not_finished_by_this_one(tmp_path: Pat
     with running(tmp_path, inline) as service:
         job = service.until(job, JobState.FAILED)
     assert job.error is not None
-    assert "kernel 0 began it" in job.error
+    assert "kernel version 0 started it" in job.error
 
 
 # Limits

@@ -132,7 +132,7 @@ def test_a_choice_that_kills_every_worker_fails_the_job_which_may_be_tried_again
     errors = [WorkerDied("out of memory")] * 3
     with closing(Unlucky(*errors)) as executor, service(tmp_path, executor) as client:
         job = ended(client)
-        assert (job["state"], job["error"]) == ("failed", "the job cannot begin: WorkerDied: out of memory")
+        assert (job["state"], job["error"]) == ("failed", "the job cannot start: WorkerDied: out of memory")
         assert ended(client)["state"] == "done"
 
 

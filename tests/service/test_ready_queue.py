@@ -13,61 +13,61 @@ from worker.plan import make_plan
 from worker.spec import SweepSpec
 
 
-def frontier(after: list[int], done: tuple[int, ...] = ()) -> ReadyQueue:
+def queue(after: list[int], done: tuple[int, ...] = ()) -> ReadyQueue:
     mask = np.zeros(len(after), np.bool_)
     mask[list(done)] = True
     return ReadyQueue(np.array(after, np.int64), mask)
 
 
-def drain(frontier: ReadyQueue) -> list[int]:
+def drain(queue: ReadyQueue) -> list[int]:
     """Take and complete one chunk at a time."""
     order = []
-    while frontier.ready:
-        order.append(frontier.take())
-        frontier.complete(order[-1:])
+    while queue.ready:
+        order.append(queue.pop())
+        queue.complete(order[-1:])
     return order
 
 
 def test_independent_chunks_come_in_their_order():
-    assert drain(frontier([NONE] * 5)) == [0, 1, 2, 3, 4]
+    assert drain(queue([NONE] * 5)) == [0, 1, 2, 3, 4]
 
 
 def test_a_chunk_waits_for_the_one_before_it():
-    chain = frontier([NONE, 0, 1])
-    assert chain.take() == 0
+    chain = queue([NONE, 0, 1])
+    assert chain.pop() == 0
     assert not chain.ready
     chain.complete([0])
-    assert chain.take() == 1
+    assert chain.pop() == 1
 
 
 def test_chains_move_on_together():
-    assert drain(frontier([NONE, NONE, 0, 1, 2, 3])) == [0, 1, 2, 3, 4, 5]
+    assert drain(queue([NONE, NONE, 0, 1, 2, 3])) == [0, 1, 2, 3, 4, 5]
 
 
 def test_what_is_done_is_not_taken_and_frees_what_waits_for_it():
-    assert drain(frontier([NONE, 0, 1, NONE], done=(0, 3))) == [1, 2]
+    assert drain(queue([NONE, 0, 1, NONE], done=(0, 3))) == [1, 2]
 
 
 def test_a_chunk_put_back_is_taken_again():
-    two = frontier([NONE, NONE])
-    two.requeue(two.take())
-    assert [two.take(), two.take()] == [1, 0]
+    two = queue([NONE, NONE])
+    two.requeue(two.pop())
+    assert [two.pop(), two.pop()] == [1, 0]
     assert not two.ready
     assert not two.finished
 
 
 def test_what_waits_for_a_chunk_that_is_to_be_done_again_waits_again():
-    chain = frontier([NONE, 0, 1, NONE], done=(0, 3))
+    chain = queue([NONE, 0, 1, NONE], done=(0, 3))
     chain.invalidate([0, 3])
     assert sorted(drain(chain)) == [0, 1, 2, 3]
     assert chain.finished
 
 
 def test_a_chunk_in_work_is_not_taken_twice_when_its_predecessor_is_done_again():
-    chain = frontier([NONE, 0, 1], done=(0,))
-    assert chain.take() == 1
+    chain = queue([NONE, 0, 1], done=(0,))
+    assert chain.pop() == 1
     chain.invalidate([0])
-    assert chain.take() == 0
+    assert chain.pop() == 0
     chain.complete([0])
     assert not chain.ready
     chain.complete([1])
@@ -75,21 +75,21 @@ def test_a_chunk_in_work_is_not_taken_twice_when_its_predecessor_is_done_again()
 
 
 def test_a_chunk_put_back_waits_for_a_predecessor_that_is_done_again():
-    chain = frontier([NONE, 0], done=(0,))
-    assert chain.take() == 1
+    chain = queue([NONE, 0], done=(0,))
+    assert chain.pop() == 1
     chain.invalidate([0])
     chain.requeue(1)
     assert drain(chain) == [0, 1]
 
 
 def test_it_is_finished_when_all_are_done():
-    assert frontier([NONE, 0], done=(0, 1)).finished
-    assert not frontier([NONE, 0], done=(0, 1)).ready
+    assert queue([NONE, 0], done=(0, 1)).finished
+    assert not queue([NONE, 0], done=(0, 1)).ready
 
 
 def test_taking_from_nothing_is_an_error():
     with pytest.raises(IndexError):
-        frontier([NONE], done=(0,)).take()
+        queue([NONE], done=(0,)).pop()
 
 
 @given(st.data())
@@ -97,7 +97,7 @@ def test_every_chunk_comes_once_and_after_its_predecessor(data: st.DataObject):
     size = data.draw(st.integers(1, 30))
     after = [data.draw(st.integers(NONE, index - 1)) for index in range(size)]
     done = data.draw(st.sets(st.integers(0, size - 1)))
-    order = drain(frontier(after, tuple(done)))
+    order = drain(queue(after, tuple(done)))
     assert sorted(order) == [index for index in range(size) if index not in done]
     place = {index: position for position, index in enumerate(order)}
     assert all(
@@ -121,6 +121,6 @@ def test_predecessors_are_what_the_plans_chunks_say(
 
 def test_a_million_chunks_take_a_few_bytes_each():
     many = ReadyQueue(np.full(1_000_000, NONE), np.zeros(1_000_000, np.bool_))
-    assert [many.take() for _ in range(3)] == [0, 1, 2]
+    assert [many.pop() for _ in range(3)] == [0, 1, 2]
     held = sum(array.nbytes for array in vars(many).values() if isinstance(array, np.ndarray))
     assert held <= 34e6

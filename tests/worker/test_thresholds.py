@@ -233,7 +233,7 @@ def test_an_answer_is_remembered_and_one_that_was_lost_is_asked_for_again(tmp_pa
         fine = {"xi": 0.05, "tolerance": 1e-4}
         refused = client.get(here, params=fine)
         assert (refused.status_code, refused.headers["Retry-After"]) == (503, "2")
-        assert refused.json()["detail"] == "no worker is there to compute it (gone): ask again"
+        assert refused.json()["detail"] == "no worker can compute it now (gone): repeat the request"
         one, two = answered(client, here, **fine), answered(client, here, **fine)
         assert one == two
         assert one["tolerance"] == 1e-4

@@ -205,13 +205,13 @@ def begin(executor: Any) -> list[Future[Any]]:
 
 def test_who_gives_up_waiting_loses_nothing():
     hands = Hands()
-    answers = OnDemandCache(hands, patience=0.01)
+    answers = OnDemandCache(hands, timeout=0.01)
     for number in (0, 1):
         with pytest.raises(Pending) as caught:
-            answers.to("question", begin)
+            answers.get("question", begin)
         assert (caught.value.done, caught.value.total) == (number, 2)
         hands.futures[number].set_result(number)
-    assert answers.to("question", begin) == [0, 1]
+    assert answers.get("question", begin) == [0, 1]
     assert len(hands.futures) == 2
 
 
@@ -247,39 +247,39 @@ def test_a_request_is_told_how_far_the_workers_are(tmp_path: Path, monkeypatch: 
 def test_what_was_lost_or_failed_is_begun_again():
     for error, told in ((WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)):
         hands = Hands()
-        answers = OnDemandCache(hands, patience=0.01)
+        answers = OnDemandCache(hands, timeout=0.01)
         with pytest.raises(Pending):
-            answers.to("question", begin)
+            answers.get("question", begin)
         hands.futures[0].set_exception(error)
         hands.futures[1].set_result(1)
         with pytest.raises(told):
-            answers.to("question", begin)
+            answers.get("question", begin)
         with pytest.raises(Pending):
-            answers.to("question", begin)
+            answers.get("question", begin)
         assert len(hands.futures) == 4
 
 
 def test_only_so_many_at_a_time():
-    answers = OnDemandCache(Hands(), places=2, patience=0.01)
+    answers = OnDemandCache(Hands(), max_pending=2, timeout=0.01)
     for question in ("one", "two"):
         with pytest.raises(Pending):
-            answers.to(question, begin)
-    with pytest.raises(Busy, match=r"^2 answers are being computed already"):
-        answers.to("three", begin)
+            answers.get(question, begin)
+    with pytest.raises(Busy, match=r"^2 results are being computed already"):
+        answers.get("three", begin)
 
 
 def test_nobody_there_to_compute():
     def nobody(_: Any) -> list[Future[Any]]:
         raise ClusterLost("gone")
 
-    with pytest.raises(NotComputed, match=r"^no worker is there to compute it \(gone\): ask again$"):
-        OnDemandCache(Hands()).to("question", nobody)
+    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\): repeat the request$"):
+        OnDemandCache(Hands()).get("question", nobody)
 
 
 def test_closing_lets_go():
     hands = Hands()
-    answers = OnDemandCache(hands, patience=0.01)
+    answers = OnDemandCache(hands, timeout=0.01)
     with pytest.raises(Pending):
-        answers.to("question", begin)
+        answers.get("question", begin)
     answers.close()
     assert all(future.cancelled() for future in hands.futures)

@@ -95,6 +95,11 @@ def choose(spec: SweepSpec) -> Choice:
     return _choice(auto, table, table[-1])
 
 
+def is_open(spec: object) -> bool:
+    """Whether a study is a sweep whose model has to be chosen."""
+    return isinstance(spec, SweepSpec) and isinstance(spec.model, Auto)
+
+
 def resolved(spec: SweepSpec, choice: Choice) -> SweepSpec:
     """The sweep with the model that was chosen for it; not the sweep's identity, which stays `auto`."""
     return spec.model_copy(update={"model": _ladder(_auto(spec))[choice.model]})

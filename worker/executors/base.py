@@ -5,8 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, Protocol, TypeVar
 
-from worker.plan import Chunk
-from worker.spec import SweepSpec
+from worker.studies import Chunk, Spec
 from worker.tasks import ChunkReport
 
 Answer = TypeVar("Answer")
@@ -16,7 +15,7 @@ class Executor(Protocol):
     """What computes chunks. Safe to call from any thread."""
 
     def submit(
-        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+        self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
         """Have `run_chunk(spec, chunk, store_url)` done, in at most `seconds` from when it begins.
 

@@ -19,8 +19,7 @@ from worker.executors.connection import SchedulerConnection, address_in
 from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, WorkerLost
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.worker_plugin import WarmKernels
-from worker.plan import Chunk
-from worker.spec import SweepSpec
+from worker.studies import Chunk, Spec
 from worker.tasks import ChunkCancelled, ChunkReport
 from worker.watchdog import run_watched
 
@@ -91,7 +90,7 @@ class Dask:
             raise
 
     def submit(
-        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+        self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
         client = self._connection.client
         task = client.submit(run_watched, spec, chunk, store_url, seconds, pure=False, priority=priority)

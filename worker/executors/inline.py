@@ -6,9 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from worker.executors.base import Answer
-from worker.plan import Chunk
-from worker.spec import SweepSpec
-from worker.studies import run_task
+from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkReport
 
 
@@ -20,7 +18,7 @@ class Inline:
         self._open = True
 
     def submit(
-        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+        self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
         return self._thread.submit(run_task, spec, chunk, store_url)
 

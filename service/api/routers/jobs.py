@@ -1,7 +1,7 @@
 """The calls that hand in, list and change jobs, and Eq. 25: each asks the right room and wraps the answer."""
 
 import time
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
@@ -15,7 +15,7 @@ from service.api.schemas import JobView, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.model import JobState
 from worker.cost import Cost
-from worker.spec import SweepSpec
+from worker.studies import from_json
 
 router = APIRouter(prefix="/v1")
 
@@ -58,7 +58,7 @@ def submit(
     One that failed or was cancelled goes on where it stopped. With `validate_only` nothing is accepted: the
     answer is what the sweep would cost.
     """
-    spec = SweepSpec.from_json(body)
+    spec = from_json(body)
     if query.validate_only:
         return _cost(service, spec)
     job, accepted = service.manager.submit(spec, idempotency_key)
@@ -68,11 +68,11 @@ def submit(
     return dependencies.view(job, 202 if accepted else 200, headers)
 
 
-def _cost(service: TheService, spec: SweepSpec) -> Response:
-    service.manager.check(spec)
+def _cost(service: TheService, spec: Any) -> Response:
+    plan = service.manager.check(spec)
     with service.ledger.reading() as ledger:
-        paces = ledger.paces(estimates.RECENT_JOBS, estimates.LONGEST_SPEC)
-    found = estimates.cost(spec, paces)
+        paces = ledger.paces(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
+    found = estimates.cost(spec, plan, paces, service.manager.preparer)
     return Response(found.model_dump_json(), media_type="application/json")
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from service.api import dependencies, schemas
 from service.api.conditional import NOT_MODIFIED, Results, Tagged
 from service.api.dependencies import TheJob, TheService
+from service.api.pending import RESPONSES as PENDING
 from service.api.schemas import Format, problem_responses
 from service.errors import NotInStore
-from service.jobs import on_demand
 from service.jobs.model import UNFINISHED, JobState
 from service.render import bifurcation, text
 from service.render import export as export_files
@@ -23,7 +23,6 @@ from service.results import diagram as diagrams
 from service.results import mode_map
 from service.results.thresholds import refined
 from worker import schema, store
-from worker.plan import make_plan
 from worker.spec import SweepSpec
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=Tagged)
@@ -81,7 +80,7 @@ def diagram(service: TheService, job: Results, query: Annotated[schemas.DiagramQ
 
 @router.get(
     "/threshold",
-    responses={**on_demand.RESPONSES, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
+    responses={**PENDING, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
 )
 def job_threshold(
     service: TheService, job: Results, query: Annotated[schemas.JobThresholdQuery, Query()]
@@ -126,7 +125,7 @@ def export(service: TheService, job: TheJob, query: Annotated[schemas.ExportQuer
     sweep = dependencies.sweep(service, job)
     export_files.check_size(sweep.spec, service.settings.max_export_bytes)
     with service.exports.turn():
-        plan = make_plan(sweep.spec, chunk_shape=job.chunk_shape)
+        plan: Any = service.manager.preparer.prepare(job).plan
         file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),

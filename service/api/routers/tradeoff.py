@@ -9,8 +9,8 @@ from pydantic import BaseModel, Field
 
 from service.api import schemas
 from service.api.dependencies import TheService
+from service.api.pending import RESPONSES as PENDING
 from service.api.schemas import problem_responses
-from service.jobs import on_demand
 from service.render import work_precision
 from service.results.work_precision import advice
 from worker.analysis import work_precision as measuring
@@ -59,7 +59,7 @@ _PICTURES: Final = {Form.PNG: "image/png", Form.SVG: "image/svg+xml"}
     response_model=Tradeoff,
     responses={
         200: {"content": {"image/png": {}, "image/svg+xml": {}}},
-        **on_demand.RESPONSES,
+        **PENDING,
         **problem_responses(422, 429, 503),
     },
 )
@@ -68,7 +68,7 @@ def tradeoff(service: TheService, query: Annotated[TradeoffQuery, Query()]) -> R
 
     Measured once while the service runs, by a minute of computing: until then 202 with how far it is.
     """
-    found = table(service.answers.to("tradeoff", _begin))
+    found = table(service.answers.get("tradeoff", _begin))
     if query.format is Form.JSON:
         return Response(found.model_dump_json(), media_type="application/json")
     return Response(work_precision.draw(found.rows, query.format), media_type=_PICTURES[query.format])

@@ -1,0 +1,91 @@
+"""What follows a chunk that came back without a report. The only module that classifies errors.
+
+A chunk can come back for four reasons, which count differently:
+
+- it was cancelled, or the cluster was lost: the chunk is requeued and nothing is counted;
+- its worker died while computing another chunk: a collateral loss, counted on its own;
+- it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
+- no chunk of the job can be stored, as on a full disk: the job stops at once.
+"""
+
+import errno
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, NamedTuple
+
+from worker.executors.errors import ClusterLost, WorkerLost
+from worker.store import StoreDamaged
+from worker.tasks import ChunkCancelled, PredecessorMissing
+
+#: A worker's death often takes innocent chunks with it. After this many such losses a chunk is a suspect
+#: itself, and each further one counts as a failed try.
+MAX_COLLATERAL_LOSSES: Final = 10
+
+#: Operating-system errors that every other chunk of the job would meet too: disk full, quota used up,
+#: file size limit, read-only file system.
+FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+
+
+class Action(Enum):
+    """What the supervisor does with the chunk."""
+
+    REQUEUE = "requeue"  # nothing is counted
+    PAUSE = "pause"  # requeue, and submit nothing until a sync finds workers
+    COLLATERAL = "collateral"  # requeue, and count a collateral loss
+    RETRY = "retry"  # requeue, and count a failed try
+    GIVE_UP = "give up"  # record the failure; chunks that depend on this one are not tried
+    FATAL = "fatal"  # record the failure, and submit no further chunk of the job
+
+
+#: The actions that record a failed try.
+FAILED_TRIES: Final = frozenset({Action.RETRY, Action.GIVE_UP, Action.FATAL})
+
+
+class Decision(NamedTuple):
+    """What follows a chunk that came back without a report."""
+
+    action: Action
+    recompute_predecessor: bool = False  # its stored end states are missing or damaged
+
+
+class History(NamedTuple):
+    """What is known of a chunk, and of its job, before the error."""
+
+    tries: int = 0  # failed ones of this chunk
+    collateral_losses: int = 0  # of this chunk
+    has_predecessor: bool = False  # it continues a ramp
+    stopping: bool = False  # the job is being cancelled
+    fatal: bool = False  # another chunk of the job met a fatal error
+
+
+@dataclass(frozen=True)
+class RetryPolicy:
+    """Decides after an error whether a chunk is tried again, and when a job stops trying."""
+
+    chunk_tries: int  # for a chunk that fails, or whose worker dies of it
+    failed_chunks: int  # a job with so many given up submits no more
+
+    def decide(self, error: BaseException, history: History) -> Decision:
+        """What follows `error` for a chunk with this history."""
+        if isinstance(error, ChunkCancelled | CancelledError):
+            return Decision(Action.REQUEUE)
+        if isinstance(error, ClusterLost):
+            return Decision(Action.PAUSE)
+        if isinstance(error, WorkerLost):
+            if history.collateral_losses + 1 < MAX_COLLATERAL_LOSSES:
+                return Decision(Action.COLLATERAL)
+            return Decision(self._after_failed_try(error, history))
+        if history.stopping:
+            return Decision(Action.REQUEUE)  # it will not be tried unless the job is resumed
+        damaged = history.has_predecessor and isinstance(error, StoreDamaged | PredecessorMissing)
+        return Decision(self._after_failed_try(error, history), recompute_predecessor=damaged)
+
+    def stops_job(self, given_up: int, fatal: bool) -> bool:
+        """Whether a job with so many chunks given up submits no further ones."""
+        return fatal or given_up >= self.failed_chunks
+
+    def _after_failed_try(self, error: BaseException, history: History) -> Action:
+        if history.fatal or (isinstance(error, OSError) and error.errno in FATAL_ERRNOS):
+            return Action.FATAL
+        return Action.RETRY if history.tries + 1 < self.chunk_tries else Action.GIVE_UP

@@ -1,0 +1,175 @@
+"""A job's specification is parsed once and its plan made once, however many requests need them."""
+
+import json
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scripted import Held, small, sweep
+from served import computing, finished, get, service
+
+from kernel.params import KERNEL_VERSION
+from service.jobs import prepare
+from service.jobs.model import JobRecord, JobState
+from service.jobs.prepare import JobPreparer
+from service.settings import Settings
+from worker import plan as planning
+from worker.analysis.model_selection import Choice
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecError
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Counts specifications parsed and plans made outside the tasks of an Inline executor."""
+    count: Counter[str] = Counter()
+
+    def counted(name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            count[name] += not threading.current_thread().name.startswith("chunks")
+            return real(*arguments, **options)
+
+        return call
+
+    monkeypatch.setattr(SweepSpec, "from_json", counted("parsed", SweepSpec.from_json))
+    real = planning.make_plan
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("service.", "worker.")) and getattr(module, "make_plan", None) is real:
+            monkeypatch.setattr(module, "make_plan", counted("planned", real))
+    return count
+
+
+def test_from_submission_to_export_a_job_is_parsed_once_and_planned_once(tmp_path: Path, calls: Counter[str]):
+    with computing(tmp_path) as client:
+        here = finished(client, small().as_submitted())
+        for _ in range(3):
+            get(client, here)
+        for style in ("json", "csv", "svg"):
+            line = {"along": "gamma", "omega": 0.5, "xi": 0.26, "format": style}
+            assert client.get(f"{here}/diagram", params=line).status_code == 200
+        get(client, f"{here}/threshold", xi=0.26)
+        assert client.get(f"{here}/threshold", params={"xi": 0.26, "tolerance": 0.01}).status_code in (
+            200,
+            202,
+        )
+        get(client, f"{here}/modes", xi=0.26)
+        for kind in ("nc", "parquet"):
+            assert client.get(f"{here}/export", params={"format": kind}).status_code == 200
+        assert calls == {"parsed": 1, "planned": 1}
+
+
+def test_an_estimate_parses_the_request_alone(tmp_path: Path, calls: Counter[str]):
+    """Its speed comes from jobs that the service has prepared already."""
+    with computing(tmp_path) as client:
+        finished(client, small().as_submitted())
+        calls.clear()
+        answer = client.post("/v1/jobs", json=small(xi=0.1).as_submitted(), params={"validate_only": "true"})
+        assert answer.status_code == 200
+        assert calls == {"parsed": 1, "planned": 1}
+
+
+def test_a_service_that_starts_again_prepares_a_job_once(tmp_path: Path, calls: Counter[str]):
+    with service(tmp_path, Held()) as client:
+        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
+    calls.clear()
+    with computing(tmp_path) as client:
+        assert finished(client, sweep().as_submitted()) == here  # the request itself: one of each
+        get(client, f"{here}/diagram", along="gamma")
+    assert calls == {"parsed": 2, "planned": 2}
+
+
+# The preparer alone
+
+
+def record(spec: SweepSpec, seq: int = 1, choice: Choice | None = None) -> JobRecord:
+    plan = make_plan(spec)
+    return JobRecord(
+        id=spec.job_id(KERNEL_VERSION), name=spec.name, spec=json.dumps(spec.as_submitted()),
+        kernel_version=KERNEL_VERSION, chunk_shape=plan.chunk_shape, chunks_total=len(plan),
+        cells_total=plan.cells, seq=seq, state=JobState.QUEUED, cancel_requested=False, error=None,
+        created=0.0, started=None, finished=None, run_started=None, run_cells=0, chunks_done=0, cells_done=0,
+        choice=None if choice is None else choice.model_dump_json(),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def preparer(tmp_path: Path) -> JobPreparer:
+    return JobPreparer(Settings(data=tmp_path))
+
+
+def test_a_prepared_job_is_what_the_record_says(preparer: JobPreparer, tmp_path: Path):
+    spec = small()
+    prepared = preparer.prepare(record(spec))
+    assert prepared.job_id == spec.job_id(KERNEL_VERSION)
+    assert prepared.submitted == prepared.spec == spec
+    assert prepared.plan == make_plan(spec)
+    assert prepared.store_url == str(tmp_path / "stores" / f"{prepared.job_id}.zarr")
+    assert prepared.attributes == {}
+
+
+def test_it_is_the_same_value_until_the_job_changes(preparer: JobPreparer):
+    job = record(small())
+    prepared = preparer.prepare(job)
+    assert preparer.prepare(replace(job, state=JobState.DONE, chunks_done=3)) is prepared
+    assert preparer.prepare(replace(job, seq=2)) is not prepared  # deleted and accepted again
+    assert preparer.prepare(replace(job, chunk_shape=(1, 1, 1))).plan.chunk_shape == (1, 1, 1)
+
+
+def test_a_chosen_model_takes_the_place_of_auto_in_what_is_computed(preparer: JobPreparer):
+    spec = small(model={"kind": "auto", "restitution": 0.0})
+    before = preparer.prepare(record(spec))
+    choice = Choice(model="rigid", reason="because", tolerance=1e-3, table=())
+    after = preparer.prepare(record(spec, choice=choice))
+    assert before.spec.model.kind == before.submitted.model.kind == after.submitted.model.kind == "auto"
+    assert after.spec.model.kind == "rigid"
+    assert after.attributes == {"model": "rigid", "choice": choice.lasting()}
+
+
+def test_what_a_submission_has_made_is_kept(preparer: JobPreparer, calls: Counter[str]):
+    spec = small()
+    plan, job = make_plan(spec), record(spec)
+    preparer.seed(job, spec, plan)
+    assert preparer.prepare(job).submitted is spec
+    assert preparer.prepare(job).plan is plan
+    assert not calls
+
+
+def test_many_at_once_get_one_value(preparer: JobPreparer, calls: Counter[str]):
+    job, prepared = record(small()), []
+    threads = [threading.Thread(target=lambda: prepared.append(preparer.prepare(job))) for _ in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(prepared) == 16
+    assert len({id(value) for value in prepared}) == 1
+    assert calls == {"parsed": 1, "planned": 1}
+
+
+@pytest.mark.parametrize(("limit", "value"), [("MAX_JOBS", 3), ("MAX_SPEC_CHARS", 3 * 400)])
+def test_only_the_jobs_used_last_are_kept(
+    preparer: JobPreparer, calls: Counter[str], monkeypatch: pytest.MonkeyPatch, limit: str, value: int
+):
+    jobs = [replace(record(small()), seq=seq, spec=record(small()).spec.ljust(400)) for seq in range(5)]
+    assert {len(job.spec) for job in jobs} == {400}
+    monkeypatch.setattr(prepare, limit, value)
+    for job in jobs[:3]:
+        preparer.prepare(job)
+    preparer.prepare(jobs[0])  # now the one used last
+    preparer.prepare(jobs[3])
+    assert calls["parsed"] == 4
+    preparer.prepare(jobs[0])
+    assert calls["parsed"] == 4
+    preparer.prepare(jobs[1])
+    assert calls["parsed"] == 5
+
+
+def test_a_specification_of_an_older_version_raises(preparer: JobPreparer):
+    with pytest.raises(SpecError):
+        preparer.prepare(replace(record(small()), spec='{"gamma": 1.0}'))

@@ -1,0 +1,91 @@
+"""What follows a chunk that failed, as a table."""
+
+import errno
+from concurrent.futures import CancelledError
+
+import pytest
+
+from service.jobs.retry import MAX_COLLATERAL_LOSSES, Action, Decision, History, RetryPolicy
+from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.store import StoreDamaged, StoreMissing
+from worker.tasks import ChunkCancelled, PredecessorMissing
+
+POLICY = RetryPolicy(chunk_tries=3, failed_chunks=8)
+
+FRESH = History()
+LAST_TRY = History(tries=2)
+STOPPING = History(tries=2, stopping=True)
+FATAL = History(fatal=True)
+ON_A_RAMP = History(has_predecessor=True)
+LAST_LOSS = History(collateral_losses=MAX_COLLATERAL_LOSSES - 1)
+SUSPECT = History(tries=2, collateral_losses=MAX_COLLATERAL_LOSSES - 1)
+
+DISK_FULL = OSError(errno.ENOSPC, "No space left on device")
+INTERRUPTED = OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.parametrize(("error", "history", "action"), [
+    # cancelled: nothing is counted, whatever happened before
+    (ChunkCancelled("cancelled"), FRESH, Action.REQUEUE),
+    (ChunkCancelled("cancelled"), LAST_TRY, Action.REQUEUE),
+    (ChunkCancelled("cancelled"), STOPPING, Action.REQUEUE),
+    (CancelledError(), FRESH, Action.REQUEUE),
+    (CancelledError(), FATAL, Action.REQUEUE),
+    # the cluster is gone
+    (ClusterLost("gone"), FRESH, Action.PAUSE),
+    (ClusterLost("gone"), LAST_TRY, Action.PAUSE),
+    (ClusterLost("gone"), STOPPING, Action.PAUSE),
+    # the worker died on another chunk
+    (WorkerLost("gone"), FRESH, Action.COLLATERAL),
+    (WorkerLost("gone"), LAST_TRY, Action.COLLATERAL),
+    (WorkerLost("gone"), STOPPING, Action.COLLATERAL),
+    (WorkerLost("gone"), LAST_LOSS, Action.RETRY),
+    (WorkerLost("gone"), SUSPECT, Action.GIVE_UP),
+    # the chunk failed, or its worker died of it
+    (ValueError("no"), FRESH, Action.RETRY),
+    (ValueError("no"), LAST_TRY, Action.GIVE_UP),
+    (ValueError("no"), STOPPING, Action.REQUEUE),
+    (MemoryError(), FRESH, Action.RETRY),
+    (WorkerDied("gone"), FRESH, Action.RETRY),
+    (WorkerDied("gone"), LAST_TRY, Action.GIVE_UP),
+    (StoreMissing("no store"), FRESH, Action.RETRY),
+    # no chunk of the job can be stored
+    (DISK_FULL, FRESH, Action.FATAL),
+    (OSError(errno.EDQUOT, "quota"), FRESH, Action.FATAL),
+    (OSError(errno.EFBIG, "too big"), FRESH, Action.FATAL),
+    (OSError(errno.EROFS, "read-only"), FRESH, Action.FATAL),
+    (DISK_FULL, STOPPING, Action.REQUEUE),
+    (INTERRUPTED, FRESH, Action.RETRY),
+    (INTERRUPTED, LAST_TRY, Action.GIVE_UP),
+    (OSError("no number"), FRESH, Action.RETRY),
+    (ValueError("no"), FATAL, Action.FATAL),
+])  # fmt: skip
+def test_what_follows_an_error(error: BaseException, history: History, action: Action):
+    assert POLICY.decide(error, history) == Decision(action)
+
+
+@pytest.mark.parametrize("error", [StoreDamaged("damaged"), PredecessorMissing("missing")])
+def test_a_predecessor_whose_end_state_cannot_be_read_is_computed_again(error: Exception):
+    assert POLICY.decide(error, ON_A_RAMP) == Decision(Action.RETRY, recompute_predecessor=True)
+    last = ON_A_RAMP._replace(tries=2)
+    assert POLICY.decide(error, last) == Decision(Action.GIVE_UP, recompute_predecessor=True)
+    assert not POLICY.decide(error, FRESH).recompute_predecessor
+    assert not POLICY.decide(error, ON_A_RAMP._replace(stopping=True)).recompute_predecessor
+
+
+def test_only_a_damaged_predecessor_is_computed_again():
+    assert not POLICY.decide(ValueError("no"), ON_A_RAMP).recompute_predecessor
+    assert not POLICY.decide(WorkerLost("gone"), ON_A_RAMP).recompute_predecessor
+
+
+def test_a_single_try_is_not_repeated():
+    policy = RetryPolicy(chunk_tries=1, failed_chunks=8)
+    assert policy.decide(ValueError("no"), FRESH) == Decision(Action.GIVE_UP)
+    assert policy.decide(WorkerLost("gone"), LAST_LOSS) == Decision(Action.GIVE_UP)
+
+
+@pytest.mark.parametrize(
+    ("given_up", "fatal", "stops"), [(0, False, False), (7, False, False), (8, False, True), (1, True, True)]
+)
+def test_a_job_stops_after_so_many_chunks_or_a_fatal_error(given_up: int, fatal: bool, stops: bool):
+    assert POLICY.stops_job(given_up, fatal) is stops

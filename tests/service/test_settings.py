@@ -1,0 +1,36 @@
+"""Settings: every one is described, and values that cannot be used are refused with the rule."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from service.settings import Settings
+
+
+@pytest.mark.parametrize("name", sorted(Settings.model_fields))
+def test_every_setting_is_described_in_one_sentence(name: str):
+    description = Settings.model_fields[name].description or ""
+    assert description.endswith(".")
+    assert description[0].isupper() or description[0] == "`"
+
+
+@pytest.mark.parametrize(("given", "rule"), [
+    ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_file"),
+    ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
+    ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN"),
+    ({"token": "short"}, "must be at least 16 ASCII characters without spaces"),
+    ({"stores": "ftp://somewhere"}, "stores"),
+    ({"cluster": "no colon"}, "cluster"),
+    ({"port": 65536}, "port"),
+    ({"workers": 0}, "workers"),
+])  # fmt: skip
+def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: str):
+    with pytest.raises(ValidationError, match=rule):
+        Settings(**given)
+
+
+def test_host_names_come_as_a_text_from_the_environment(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_ALLOWED_HOSTS", "One.example, two.example,")
+    assert Settings().allowed_hosts == {"one.example", "two.example"}
