@@ -6,6 +6,7 @@ its own in its package.
 """
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
@@ -20,6 +21,10 @@ from worker.spec.time_steps import corners, stated
 
 #: The four dimensions that make a cell's address in a sweep, slowest first.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
+
+
+_METADATA_KEY: Final = "zarr.json"
+_CHUNK_KEY: Final = re.compile("c(?:/(?:0|[1-9][0-9]{0,8})){1,8}")
 
 
 class Array(NamedTuple):
@@ -87,6 +92,13 @@ class Layout:
         }
         numbers = [f"{dim} {span}" for dim, span in reversed(spans.items()) if dim != "direction"]
         return ", ".join(([spans["direction"]] if "direction" in spans else []) + numbers)
+
+    def has_key(self, key: str) -> bool:
+        """Whether a key of the store can be one of this layout's files: metadata or chunks, nothing else."""
+        name, _, rest = key.partition("/")
+        if name not in self.coordinates and name not in self.names:
+            return key == _METADATA_KEY
+        return rest == _METADATA_KEY or _CHUNK_KEY.fullmatch(rest) is not None
 
     def _length(self, dim: str) -> int:
         return len(self.coordinates[dim]) if dim in self.coordinates else self.extra_sizes[dim]

@@ -37,7 +37,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
         return call
 
-    monkeypatch.setattr(SweepSpec, "from_json", counted("parsed", SweepSpec.from_json))
+    monkeypatch.setattr(SweepSpec, "parse", counted("parsed", SweepSpec.parse))
     real = planning.make_plan
     for name, module in list(sys.modules.items()):
         if name.startswith(("service.", "worker.")) and getattr(module, "make_plan", None) is real:

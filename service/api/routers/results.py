@@ -1,6 +1,5 @@
 """The calls that read what a job has found, also while it is still running."""
 
-import re
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Final
 
@@ -22,7 +21,7 @@ from service.render import export as export_files
 from service.results import diagram as diagrams
 from service.results import mode_map
 from service.results.thresholds import refined
-from worker import schema, store
+from worker import store
 from worker.spec import SweepSpec
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=Tagged)
@@ -136,23 +135,14 @@ def export(service: TheService, job: TheJob, query: Annotated[schemas.ExportQuer
     return StreamingResponse(export_files.pieces(file), 200, headers, export_files.MEDIA_TYPES[query.format])
 
 
-_STORED: Final = "|".join(
-    [*(array.name for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)),
-     *(coordinate.name for coordinate in schema.COORDINATES)]
-)  # fmt: skip
-#: The keys that a store of ours has, and no others: nothing else ever reaches the disk.
-STORE_KEY: Final = re.compile(
-    rf"(?:(?:{_STORED})/)?zarr\.json|(?:{_STORED})/c(?:/(?:0|[1-9][0-9]{{0,8}})){{1,5}}"
-)
-
-
 @router.get(
     "/zarr/{key:path}",
     responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
 )
 def zarr(service: TheService, job: Results, key: str) -> Response:
     """The store itself, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
-    found = store.read_key(service.settings.store_of(job.id), key) if STORE_KEY.fullmatch(key) else None
+    prepared = service.manager.preparer.prepare(job)
+    found = store.read_key(prepared.store_url, key) if prepared.layout.has_key(key) else None
     if found is None:
         raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
