@@ -5,6 +5,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any, Final
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -49,7 +50,7 @@ def as_picture(diagrams: Sequence[Diagram], spec: SweepSpec, format: str) -> byt
 
     A cell at rest has no flight and so no point. Missing cells are told on the picture.
     """
-    with drawing:
+    with drawing, mpl.rc_context({"svg.hashsalt": "bouncing-spring"}):  # the same diagram is the same file
         figure = Figure(figsize=(6.8, 4.2), dpi=DPI, layout="constrained")
         _draw(figure.subplots(), diagrams, spec)
         file = io.BytesIO()

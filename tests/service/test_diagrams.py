@@ -149,8 +149,9 @@ def test_a_picture_shows_its_points():
     assert dark(as_picture([long(300, 8)], spec(), "png")) > dark(as_picture([blank], spec(), "png")) + 1000
 
 
-def test_a_picture_is_the_same_for_the_same_diagram():
-    assert as_picture([long(100, 4)], spec(), "png") == as_picture([long(100, 4)], spec(), "png")
+@pytest.mark.parametrize("format", ["png", "svg"])
+def test_a_picture_is_the_same_for_the_same_diagram(format: str):
+    assert as_picture([long(100, 4)], spec(), format) == as_picture([long(100, 4)], spec(), format)
 
 
 def test_few_points_are_drawn_and_many_become_an_image():
