@@ -19,7 +19,7 @@ from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
 from service.jobs.model_selection import computed_spec
 from service.jobs.on_demand import OnDemandCache
-from service.results.diagram import Sweep
+from service.results.selection import Sweep
 from service.settings import Settings
 
 
