@@ -18,15 +18,14 @@ from service.api.middleware.body_limit import BodyLimit
 from service.api.pending import underway
 from service.api.progress_stream import ProgressStream
 from service.api.readiness import Health
-from service.api.routers import docs, jobs, page, results, tradeoff
+from service.api.routers import docs, jobs, model, page, results
 from service.api.routers import health as probes
-from service.api.routers import model as trajectories
-from service.api.routers.model import TrajectorySpec
 from service.api.schemas import ProblemDocument
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import OnDemandCache, Pending
 from service.render import export
+from service.results.trajectory import TrajectorySpec
 from service.server.logging import AccessLog
 from service.settings import Settings
 from worker.executors.base import Executor
@@ -54,8 +53,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     )
     app.include_router(jobs.router)
     app.include_router(results.router)
-    app.include_router(trajectories.router)
-    app.include_router(tradeoff.router)
+    app.include_router(model.router)
     app.include_router(probes.router)
     app.include_router(docs.router)
     page.install(app)
@@ -75,7 +73,7 @@ async def _lifespan(
 ) -> AsyncIterator[None]:
     """Open the ledger and compute what it has unfinished until the application stops."""
     with Ledger(settings.ledger_path) as ledger:
-        export.sweep_leftovers(settings.exports_path)
+        export.remove_unfinished(settings.exports_path)
         service = _service(settings, ledger, executor, metrics)
         app.state.service = service
         service.manager.start()
@@ -107,8 +105,8 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for model in (SweepSpec, TrajectorySpec, ProblemDocument):
-            schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
-            schemas |= schema.pop("$defs", {}) | {model.__name__: schema}
+        for kind in (SweepSpec, TrajectorySpec, ProblemDocument):
+            schema = kind.model_json_schema(ref_template="#/components/schemas/{model}")
+            schemas |= schema.pop("$defs", {}) | {kind.__name__: schema}
         app.openapi_schema = document
     return app.openapi_schema

@@ -18,7 +18,7 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
-from service.results.diagram import Sweep
+from service.results.selection import Sweep
 from service.settings import Settings
 from worker.spec import SweepSpec
 

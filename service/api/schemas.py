@@ -4,30 +4,20 @@ import hashlib
 import json
 import time
 from datetime import UTC, datetime
-from enum import StrEnum
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.api.failures import FailureView, failures_view
+from service.formats import DiagramFormat, ExportFormat
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.model_selection import ChoiceView
-from service.render.export import FileFormat
 
 #: A specification longer than this (in characters of JSON) is left out of lists.
 LONG_SPEC: Final = 10_000
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: take every n-th value only")]
-
-
-class Format(StrEnum):
-    """What a diagram comes as."""
-
-    JSON = "json"
-    CSV = "csv"
-    PNG = "png"
-    SVG = "svg"
 
 
 class Query(BaseModel):
@@ -66,7 +56,7 @@ class LineQuery(Query):
 class DiagramQuery(LineQuery):
     """A line and the form it comes in."""
 
-    format: Format = Format.JSON
+    format: DiagramFormat = "json"
     every: Every = 1
 
 
@@ -102,7 +92,7 @@ class ModesQuery(PlaneQuery):
 class ExportQuery(Query):
     """What the file is."""
 
-    format: FileFormat
+    format: ExportFormat
 
 
 class ProgressView(BaseModel):
@@ -161,18 +151,6 @@ class Threshold(BaseModel):
     omega: float
     xi: float
     threshold: float | None = Field(description="the lowest Γ that bounces from rest; null where none does")
-
-
-class Thresholds(BaseModel):
-    """Per Ω of a sweep, at one xi: where bouncing begins and ends."""
-
-    xi: float
-    omega: list[float]
-    analytic: list[float | None] = Field(description="Eq. 25")
-    up: list[float | None] = Field(description="lowest Γ that bounces, ascending or from rest")
-    down: list[float | None] = Field(description="lowest Γ that bounces, descending")
-    tolerance: float | None = Field(None, description="to which up and down hold; null: to the grid in Γ")
-    complete: bool
 
 
 class FlightsView(BaseModel):

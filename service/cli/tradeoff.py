@@ -1,7 +1,7 @@
 """The command `bounce tradeoff`. Light to import: what takes long is imported when it runs."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -10,6 +10,15 @@ import click
 from service.cli.options import connected, format_of, write_file
 
 PICTURES: Final = ("png", "svg")
+
+Row = Mapping[str, Any]
+
+_TITLES: Final = {
+    "contact": "This very contact is meant: errors from exact soft with d = 1e-3, e = 0.01",
+    "plate": "A hard plate is meant: errors from exact soft with d = 1e-7, e = 0",
+}
+_HEADER: Final = ("", "µs", "dearest", "error", "95%", "mode")
+COSTS: Final = ("cost", "cost_most")
 
 
 @click.command()
@@ -28,7 +37,6 @@ def tradeoff(
     take for which purpose.
     """
     from service.cli import output as listing
-    from service.results import work_precision
 
     format = format_of(output, PICTURES) if output else None
     with _service(url, workers) as address, connected(address, token) as client:
@@ -36,10 +44,10 @@ def tradeoff(
         found = client.tradeoff()
         if output and format:
             write_file(output, client.tradeoff_picture(format))
-    click.echo(listing.as_json(found) if as_json else report(found, work_precision.lines(found["rows"])))
+    click.echo(listing.as_json(found) if as_json else report(found))
 
 
-def report(found: dict[str, Any], lines: list[str]) -> str:
+def report(found: dict[str, Any]) -> str:
     """The table and how to read it."""
     notes = (
         "µs: of one core, a cell and plate period, median over lines of cells; dearest: of the dearest line.",
@@ -47,7 +55,43 @@ def report(found: dict[str, Any], lines: list[str]) -> str:
         f"mode: share of all {found['cells']} cells with the reference's outcome and mode; "
         f"{found['periods']} periods from rest, flights over {found['micro_flight']:g} rad.",
     )
-    return "\n".join([*lines, *notes, "", found["advice"]])
+    return "\n".join([*lines(found["rows"]), *notes, "", found["advice"]])
+
+
+def setting(row: Row) -> str:
+    """A model and its settings: `stepped 20 verlet, d = 0.001`."""
+    words = [row["model"]]
+    if row["steps_per_contact"]:
+        words.append(f"{row['steps_per_contact']} {row['scheme']}")
+    text = " ".join(words)
+    if row["penetration"]:
+        text += f", d = {row['penetration']:g}"
+    if row["model"] == "ball":
+        text += ", e = f(xi)" + (", locked dashpot" if row["locked_only"] else "")
+    return text
+
+
+def lines(rows: Sequence[Row]) -> list[str]:
+    """The table: core-µs a cell and plate period (median and dearest line of cells), error of flight times
+    (median and 95th percentile, rad), and how many cells have the reference's mode."""
+    text = []
+    for purpose, title in _TITLES.items():
+        text += [title, "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
+        text += [_line(row) for row in rows if row["purpose"] == purpose]
+        text.append("")
+    return text
+
+
+def _line(row: Row) -> str:
+    errors = "".join(f"{_error(row[name], row):>10}" for name in ("error", "error_95"))
+    costs = "".join(f"{'refused' if row[name] is None else f'{row[name]:.3g}':>10}" for name in COSTS)
+    return f"{setting(row):>36}{costs}{errors}{row['agree']:10.0%}"
+
+
+def _error(error: float | None, row: Row) -> str:
+    if error is None:
+        return "-"
+    return "exact" if error == 0.0 and row["model"] == "soft" else f"{error:.1e}"
 
 
 @contextmanager

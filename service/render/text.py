@@ -1,4 +1,4 @@
-"""Diagrams and mode maps as JSON and as tables."""
+"""Diagrams, mode maps and trajectories as JSON, diagrams as CSV."""
 
 import csv
 import io
@@ -9,45 +9,50 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from kernel.modes import TWO_PI
 from kernel.params import Outcome
-from service.results.diagram import Diagram
+from service.results.diagram import DIAGRAM_ARRAYS, Diagram
 from service.results.mode_map import Plane
+from service.results.trajectory import Motion
+from worker import schema
+from worker.spec import AXES
 
-#: The columns of the table, with units where there are any. One row is one flight.
+#: Arrays of a diagram with a value per flight, and the counts per cell that a table repeats in each row.
+_PER_FLIGHT: Final = [array for array in DIAGRAM_ARRAYS if array.extra_dims]
+_PER_CELL: Final = [array for array in schema.RECORD if not array.extra_dims and array.name != "flights"]
+
+#: The columns of a table, with units where there are any. One row is one flight.
 COLUMNS: Final = (
     "direction",
-    "gamma",
-    "omega",
-    "xi",
+    *reversed(AXES),
     "flight",
-    "flight_time_rad",
-    "takeoff_phase_rad",
-    "outcome",
-    "bounces",
-    "periods",
+    *(f"{array.name}_{array.attrs['units']}" for array in _PER_FLIGHT),
+    schema.OUTCOME.name,
+    *(array.name for array in _PER_CELL),
 )
 
-#: A value as JSON, ten times as fast as the standard library does it; null for NaN, which JSON has not.
+#: A value as JSON, ten times as fast as the standard library; NaN and infinities as null.
 to_json: Final = TypeAdapter(Any).dump_json
 
-#: Cells written as JSON at a time; other threads get their turn in between.
-CELLS: Final = 4096
+#: Numbers converted at a time: other threads run in between.
+NUMBERS: Final = 4096
 
 
-def as_json(diagram: Diagram) -> bytes:
-    """The diagram as a JSON document; every list of flights is as long as there are flights to show."""
-    whole = {"along": diagram.along, "fixed": diagram.fixed, "direction": diagram.direction}
-    members = {name: to_json(value) for name, value in whole.items()}
-    members |= {
+def diagram_json(diagram: Diagram) -> bytes:
+    """The diagram as a JSON document; the lists per flight hold the flights that `shown` tells."""
+    members = {
+        "along": to_json(diagram.along),
+        "fixed": to_json(diagram.fixed),
+        "direction": to_json(diagram.direction),
         "values": _list(diagram.values),
-        "flight_time": _lists(diagram.flight_time, diagram.shown),
-        "takeoff_phase": _lists(diagram.takeoff_phase, diagram.shown),
     }
-    members |= {name: _list(getattr(diagram, name)) for name in ("flights", "outcome", "bounces", "periods")}
+    for array in DIAGRAM_ARRAYS:
+        values = diagram.arrays[array.name]
+        members[array.name] = _lists(values, diagram.shown) if array.extra_dims else _list(values)
     return _object(members, diagram.complete, diagram.every)
 
 
-def modes_as_json(plane: Plane) -> bytes:
+def mode_map_json(plane: Plane) -> bytes:
     """A mode map as a JSON document; arrays as lists of rows, one for each Ω."""
     members = {
         "xi": to_json(plane.xi),
@@ -59,8 +64,35 @@ def modes_as_json(plane: Plane) -> bytes:
     return _object(members, plane.complete, plane.every)
 
 
-def as_csv(diagrams: Sequence[Diagram]) -> bytes:
-    """A table with a header and one row a flight; cells without flights have none."""
+def trajectory_json(motion: Motion) -> bytes:
+    """A sampled trajectory as a JSON document; null beyond where it could be followed."""
+    path, spec = motion.trajectory, motion.spec
+    z2 = path.plate + path.gap
+    return to_json(
+        {
+            "gamma": spec.gamma,
+            "omega": spec.omega,
+            "xi": spec.xi,
+            "model": spec.model.model_dump(),
+            "rest_length": motion.rest_length,
+            "phase": path.phase.tolist(),
+            "plate": path.plate.tolist(),
+            "z1": (z2 + motion.rest_length + path.elongation).tolist(),
+            "z2": z2.tolist(),
+            "force": path.force.tolist(),
+            "in_flight": path.in_flight.tolist(),
+            "flights": {
+                "takeoff": path.takeoff.tolist(),
+                "takeoff_phase": (path.takeoff % TWO_PI).tolist(),
+                "flight_time": path.flight_time.tolist(),
+            },
+            "complete": path.complete,
+        }
+    )
+
+
+def diagrams_csv(diagrams: Sequence[Diagram]) -> bytes:
+    """A table with a header and one row per flight; cells without flights have none."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)
@@ -70,18 +102,18 @@ def as_csv(diagrams: Sequence[Diagram]) -> bytes:
 
 
 def _object(members: Mapping[str, bytes], complete: bool, every: int) -> bytes:
-    """A JSON object; that the cells are not all of them is said only where it is so."""
-    ends = {"complete": to_json(complete)} | ({"every": to_json(every)} if every > 1 else {})
+    """A JSON object; `every` is left out where it is 1."""
+    last = {"complete": to_json(complete)} | ({"every": to_json(every)} if every > 1 else {})
     return (
         b"{"
-        + b",".join(b'"%s":%s' % (name.encode(), text) for name, text in {**members, **ends}.items())
+        + b",".join(b'"%s":%s' % (name.encode(), value) for name, value in {**members, **last}.items())
         + b"}"
     )
 
 
 def _list(array: NDArray[Any]) -> bytes:
     """A JSON list, of lists where the array has rows."""
-    step = max(1, CELLS // max(1, array[:1].size))
+    step = max(1, NUMBERS // max(1, array[:1].size))
     parts = (to_json(array[low : low + step].tolist())[1:-1] for low in range(0, len(array), step))
     return b"[" + b",".join(parts) + b"]"
 
@@ -89,7 +121,7 @@ def _list(array: NDArray[Any]) -> bytes:
 def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> bytes:
     """A list for every cell, of the values that are shown."""
     parts = []
-    step = max(1, CELLS // max(1, values.shape[1]))
+    step = max(1, NUMBERS // max(1, values.shape[1]))
     for low in range(0, len(values), step):
         rows = zip(values[low : low + step], shown[low : low + step], strict=True)
         parts.append(to_json([row[mask].tolist() for row, mask in rows])[1:-1])
@@ -99,9 +131,10 @@ def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> bytes:
 def _rows(diagram: Diagram) -> Iterator[list[Any]]:
     outcomes = {int(outcome): outcome.name.lower() for outcome in Outcome}
     for cell, value in enumerate(diagram.values.tolist()):
-        point = {**diagram.fixed, diagram.along: value}
-        place = [diagram.direction, point["gamma"], point["omega"], point["xi"]]
-        what = [outcomes[int(diagram.outcome[cell])], int(diagram.bounces[cell]), int(diagram.periods[cell])]
-        times, phases = diagram.flight_time[cell].tolist(), diagram.takeoff_phase[cell].tolist()
+        position = {**diagram.fixed, diagram.along: value}
+        before = [diagram.direction, *(position[axis] for axis in reversed(AXES))]
+        after: list[Any] = [outcomes[int(diagram.outcome[cell])]]
+        after += [int(diagram.arrays[array.name][cell]) for array in _PER_CELL]
+        flights = [diagram.arrays[array.name][cell].tolist() for array in _PER_FLIGHT]
         for flight in np.flatnonzero(diagram.shown[cell]).tolist():
-            yield [*place, flight, times[flight], phases[flight], *what]
+            yield [*before, flight, *(values[flight] for values in flights), *after]

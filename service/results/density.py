@@ -1,16 +1,16 @@
-"""How many flights fall on each part of a window: what is drawn where points would cover each other."""
+"""Counts flights per bin of a window: the picture of a diagram with more points than pixels."""
 
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: Flights counted at a time, so that what is needed beside them stays small.
+#: Flights counted in one pass, which bounds the memory of the intermediate arrays.
 BLOCK: Final = 500_000
 
 
 class Window(NamedTuple):
-    """What is looked at of a line; x in units of its axis, y in rad."""
+    """A rectangle of a diagram; x in units of its axis, y in rad."""
 
     left: float
     right: float
@@ -27,30 +27,31 @@ def density(
     height: int,
     log: bool,
 ) -> NDArray[np.int64]:
-    """(height, width) how many flights fall on each part of the window, low flights first.
+    """(height, width) flights per bin of the window; row 0 holds the shortest flights.
 
-    values: (n,) where cells lie along the axis; shown: (n,) how many of `flights` (rad, cell after cell) are
-    each one's. `log`: columns go in equal ratios; the window's left is above 0 then.
+    values: (n,) of the cells along the axis; shown: (n,) how many of `flights` (rad, cell after cell) each
+    cell has. `log`: columns are spaced at equal ratios, and the window's left edge is above 0.
     """
-    warp = np.log if log else np.asarray
-    left, right = float(warp(window.left)), float(warp(window.right))
-    inside = values > 0 if log else np.full(len(values), True)
-    columns = np.full(len(values), -1)
-    columns[inside] = bins(warp(values[inside]), left, right, width)
-    column = np.repeat(columns.astype(np.int32), shown)
+    scale = np.log if log else np.asarray
+    left, right = float(scale(window.left)), float(scale(window.right))
+    drawable = values > 0 if log else np.full(len(values), True)
+    cell_columns = np.full(len(values), -1)
+    cell_columns[drawable] = bins(scale(values[drawable]), left, right, width)
+    columns = np.repeat(cell_columns.astype(np.int32), shown)
     counts = np.zeros(width * height, np.int64)
     for low in range(0, len(flights), BLOCK):
-        here, row = column[low : low + BLOCK], bins(flights[low : low + BLOCK], *window[2:], height)
-        seen = (here >= 0) & (row >= 0)
-        counts += np.bincount(row[seen] * width + here[seen], minlength=len(counts))
+        column = columns[low : low + BLOCK]
+        row = bins(flights[low : low + BLOCK], window.bottom, window.top, height)
+        inside = (column >= 0) & (row >= 0)
+        counts += np.bincount(row[inside] * width + column[inside], minlength=len(counts))
     return counts.reshape(height, width)
 
 
 def bins(values: NDArray[Any], low: float, high: float, n: int) -> NDArray[np.int64]:
-    """The bin of each value, the highest value in the last one; -1 outside."""
+    """The bin of each value among n between low and high, both included; -1 outside."""
     if not high > low:
         return np.where(values == low, 0, -1)
-    found = np.floor((values - low) * (n / (high - low)))
-    found[values == high] = n - 1
-    found[(found < 0) | (found >= n)] = -1
-    return found.astype(np.int64)
+    index = np.floor((values - low) * (n / (high - low)))
+    index[values == high] = n - 1
+    index[(index < 0) | (index >= n)] = -1
+    return index.astype(np.int64)

@@ -1,72 +1,67 @@
-"""The measured speed and accuracy of the contact models in words and columns. Plain values in, text out."""
+"""Cost against accuracy of the contact models: the measured table, and which model to take."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from concurrent.futures import Future
 from typing import Any, Final
 
-Row = Mapping[str, Any]
+from pydantic import BaseModel, Field
 
-_TITLES: Final = {
-    "contact": "This very contact is meant: errors from exact soft with d = 1e-3, e = 0.01",
-    "plate": "A hard plate is meant: errors from exact soft with d = 1e-7, e = 0",
+from worker.analysis import work_precision
+from worker.analysis.work_precision import Measured
+from worker.executors.base import Executor
+
+#: What each purpose's errors are measured from.
+REFERENCES: Final = {
+    "contact": "exact soft contact, d = 1e-3, e = 0.01: for studies of this contact",
+    "plate": "exact soft contact, d = 1e-7, e = 0: for studies of a hard plate without rebound",
 }
-_HEADER: Final = ("", "µs", "dearest", "error", "95%", "mode")
 
 
-COSTS: Final = ("cost", "cost_most")
+class Tradeoff(BaseModel):
+    """Costs in core-µs per cell per plate period, errors in rad of flight time."""
+
+    rows: list[Measured]
+    cells: int = Field(description="in the comparison; errors are of those whose reference is periodic")
+    periods: int = Field(description="plate periods per cell")
+    micro_flight: float = Field(description="rad; shorter flights are left out")
+    references: dict[str, str] = Field(description="what the errors of each purpose are measured from")
+    advice: str
 
 
-def setting(row: Row) -> str:
-    """A model and its settings: `stepped 20 verlet, d = 0.001`."""
-    words = [row["model"]]
-    if row["steps_per_contact"]:
-        words.append(f"{row['steps_per_contact']} {row['scheme']}")
-    text = " ".join(words)
-    if row["penetration"]:
-        text += f", d = {row['penetration']:g}"
-    if row["model"] == "ball":
-        text += ", e = f(xi)" + (", locked dashpot" if row["locked_only"] else "")
-    return text
+def begin(executor: Executor) -> list[Future[Measured]]:
+    """Start the measurements on the workers, one future per row of the table."""
+    return [executor.call(work_precision.measure, rung) for rung in work_precision.RUNGS]
 
 
-def lines(rows: Sequence[Row]) -> list[str]:
-    """The table: core-µs a cell and plate period (median and dearest line of cells), error of flight times
-    (median and 95th percentile, rad), and how many cells have the reference's mode."""
-    text = []
-    for purpose, title in _TITLES.items():
-        text += [title, "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
-        text += [_line(row) for row in rows if row["purpose"] == purpose]
-        text.append("")
-    return text
-
-
-def _line(row: Row) -> str:
-    errors = "".join(f"{_error(row[name], row):>10}" for name in ("error", "error_95"))
-    costs = "".join(f"{'refused' if row[name] is None else f'{row[name]:.3g}':>10}" for name in COSTS)
-    return f"{setting(row):>36}{costs}{errors}{row['agree']:10.0%}"
-
-
-def _error(error: float | None, row: Row) -> str:
-    if error is None:
-        return "-"
-    return "exact" if error == 0.0 and row["model"] == "soft" else f"{error:.1e}"
-
-
-def advice(rows: Sequence[Row]) -> str:
-    """Which rung for which purpose, with the figures just measured."""
-    soft = _row(rows, "contact", "soft")
-    rigid, plate = _row(rows, "contact", "rigid"), _row(rows, "plate", "rigid")
-    stepped = _row(rows, "contact", "stepped", scheme="verlet", steps_per_contact=20)
-    ball = _row(rows, "contact", "ball", locked_only=True)
-    return (
-        f"Take rigid for a hard plate ({plate['cost']:.1g} µs a plate period, {rigid['error']:.0e} rad from "
-        f"a contact 1e-3 deep); soft where the contact itself counts, its depth, its rebound, its small hops "
-        f"({soft['cost']:.1f} µs, exact, and hardly more if stiffer); ball only where the dashpot locks the "
-        f"spring ({ball['cost']:.1g} µs); stepped to compare with studies that took time steps "
-        f"({stepped['cost'] / soft['cost']:.0f} times the cost of soft, for {stepped['error']:.0e} rad at 20 "
-        "steps a contact); and auto to have the choice made on the cells of your own sweep."
+def table(rows: list[Measured]) -> Tradeoff:
+    """The table made of measurements."""
+    return Tradeoff(
+        rows=rows,
+        cells=len(work_precision.LINES) * work_precision.CELLS_A_LINE,
+        periods=work_precision.SETTLE + work_precision.OBSERVE,
+        micro_flight=work_precision.MICRO_FLIGHT,
+        references=REFERENCES,
+        advice=advice(rows),
     )
 
 
-def _row(rows: Sequence[Row], purpose: str, model: str, **wanted: Any) -> Row:
-    wanted = {"purpose": purpose, "model": model, **wanted}
-    return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
+def advice(rows: Sequence[Measured]) -> str:
+    """Which model to take for which purpose, with the costs and errors just measured."""
+    soft = _row(rows, "contact", model="soft")
+    rigid, hard = _row(rows, "contact", model="rigid"), _row(rows, "plate", model="rigid")
+    stepped = _row(rows, "contact", model="stepped", scheme="verlet", steps_per_contact=20)
+    ball = _row(rows, "contact", model="ball", locked_only=True)
+    return (
+        f"Take rigid for a hard plate ({hard.cost:.1g} µs per plate period, {rigid.error:.0e} rad from a "
+        "contact 1e-3 deep); soft where the contact itself matters, its depth, its rebound, its small "
+        f"flights ({soft.cost:.1f} µs, exact, and little more for a stiffer contact); ball only where "
+        f"the dashpot locks the spring ({ball.cost:.1g} µs); stepped to compare with studies that took "
+        f"time steps ({stepped.cost / soft.cost:.0f} times the cost of soft, for {stepped.error:.0e} rad at 20 steps "
+        "per contact); and auto to choose the model on the cells of your own sweep."
+    )
+
+
+def _row(rows: Sequence[Measured], purpose: str, **settings: Any) -> Any:
+    """The first such row; Any, because the models of the advice always have a cost and an error."""
+    settings = {"purpose": purpose, **settings}
+    return next(row for row in rows if all(getattr(row, name) == value for name, value in settings.items()))

@@ -20,6 +20,7 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.results import diagram
+from service.results.selection import Sweep
 from service.settings import Settings
 from worker import store
 
@@ -128,7 +129,7 @@ class Machine(RuleBasedStateMachine):
         job = self._find(number)
         if job is None:
             return
-        found = diagram.Sweep(SWEEPS[number], self._url(number), job.state is JobState.DONE)
+        found = Sweep(SWEEPS[number], self._url(number), job.state is JobState.DONE)
         for direction in SWEEPS[number].directions:
             line = diagram.diagram(found, "gamma", {}, direction, 0.0, 10_000)
             assert line.complete or job.state is not JobState.DONE

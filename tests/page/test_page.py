@@ -244,7 +244,7 @@ def test_a_line_too_long_to_be_read_comes_thinned(
 ):
     whole, cells = unpacked(client, f"{line}/line", omega=0.5)
     assert whole["every"] == 1
-    monkeypatch.setattr("service.results.diagram.MAX_READ", 40 * 16)
+    monkeypatch.setattr("service.results.line.MAX_READ", 40 * 16)
     facts, arrays = unpacked(client, f"{line}/line", omega=0.5)
     assert facts["every"] == 3
     assert arrays["values"].tolist() == cells["values"][::3].tolist()

@@ -16,8 +16,8 @@ from scripted import DEADLINE, Held
 from served import RAMP, computing, finished, get, occupied, service
 
 from kernel.params import Outcome
-from service.results.diagram import Sweep
 from service.results.mode_map import modes
+from service.results.selection import Sweep
 from service.server import embedded
 from service.settings import Settings
 from worker import schema, store
@@ -103,7 +103,7 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
         answer = client.get(f"{here}/export?format=nc")
         assert answer.status_code == 413
-        assert "at most 1,000 are exported" in answer.json()["detail"]
+        assert "the limit for one file is 1,000" in answer.json()["detail"]
 
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):

@@ -1,4 +1,4 @@
-"""From the store to arrays: the right cells, no other chunks, and words for what cannot be had."""
+"""From the store to arrays: the right cells, no other chunks, and errors that name the parameter."""
 
 import math
 from pathlib import Path
@@ -10,9 +10,9 @@ from scripted import small as spec
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
-from service.results import diagram as queries
-from service.results import mode_map
-from service.results.diagram import Sweep
+from service.results import diagram as diagrams
+from service.results import mode_map, selection, thresholds
+from service.results.selection import Sweep
 from worker import schema, store
 from worker.plan import make_plan
 from worker.schema import layout
@@ -20,7 +20,7 @@ from worker.spec import SweepSpec
 from worker.store import backend, reader
 from worker.tasks import run_chunk
 
-NOWHERE: dict[str, float | None] = {}
+ARRAYS = tuple(array.name for array in diagrams.DIAGRAM_ARRAYS)
 
 
 def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Sweep:
@@ -39,9 +39,9 @@ def sweep(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
 
 
 def diagram(
-    sweep: Sweep, along: str = "gamma", direction: str | None = None, **given: float
-) -> queries.Diagram:
-    return queries.diagram(sweep, along, given, direction, 0.0, 1_000_000)
+    sweep: Sweep, along: str = "gamma", direction: str | None = None, **values: float
+) -> diagrams.Diagram:
+    return diagrams.diagram(sweep, along, values, direction, 0.0, 1_000_000)
 
 
 def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
@@ -77,8 +77,8 @@ def test_a_line_is_the_stores_own(sweep: Sweep, along: str, given: dict[str, flo
     places = {
         axis: int(np.flatnonzero(sweep.spec.axis_values(axis) == value)[0]) for axis, value in given.items()
     }
-    for name, array in store.read_slice(sweep.url, queries.LINE_ARRAYS, direction=0, **places).items():
-        np.testing.assert_array_equal(getattr(found, name), array)
+    for name, array in store.read_slice(sweep.url, ARRAYS, direction=0, **places).items():
+        np.testing.assert_array_equal(found.arrays[name], array)
     assert found.complete
 
 
@@ -127,8 +127,8 @@ def test_directions(tmp_path: Path, sweep: Sweep):
     assert diagram(both, **point).direction == "up"
     down = store.read_slice(both.url, ("flight_time",), direction=1, xi=0, omega=0)["flight_time"]
     np.testing.assert_array_equal(diagram(both, direction="down", **point).flight_time, down)
-    found = queries.diagrams(both, "gamma", point, None, 0.0, 1000)
-    assert [one.direction for one in found] == ["up", "down"]
+    found = diagrams.diagrams(both, "gamma", point, None, 0.0, 1000)
+    assert [diagram.direction for diagram in found] == ["up", "down"]
     with pytest.raises(InvalidRequest, match="direction: must be 'up' or 'down' in this sweep"):
         diagram(both, direction="rest", **point)
     with pytest.raises(InvalidRequest, match="direction: must be 'rest' in this sweep"):
@@ -136,8 +136,8 @@ def test_directions(tmp_path: Path, sweep: Sweep):
 
 
 def test_shown_are_the_recorded_flights_that_are_long_enough(sweep: Sweep):
-    found = queries.diagram(sweep, "gamma", {"omega": 1.0, "xi": 0.05}, None, 3.0, 1000)
-    kept = np.minimum(found.flights, 8)
+    found = diagrams.diagram(sweep, "gamma", {"omega": 1.0, "xi": 0.05}, None, 3.0, 1000)
+    kept = np.minimum(found.arrays["flights"], 8)
     assert np.all(np.isnan(found.flight_time[kept == 0]))
     assert not found.shown[np.isnan(found.flight_time)].any()
     assert np.all(found.flight_time[found.shown] >= 3.0)
@@ -149,7 +149,7 @@ def test_half_a_sweep_is_incomplete(tmp_path: Path):
     found = diagram(half)
     assert (found.complete, found.missing) == (False, 5)
     assert not found.shown[5:].any()
-    assert found.flights[5:].tolist() == [0] * 5
+    assert found.arrays["flights"][5:].tolist() == [0] * 5
 
 
 def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
@@ -157,8 +157,10 @@ def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
     found = diagram(queued)
     assert (found.complete, found.missing, found.flight_time.shape) == (False, 10, (10, 8))
     assert np.isnan(found.flight_time).all()
-    assert found.flights.dtype == np.int32
-    assert not mode_map.thresholds(queued, None, 1000).complete
+    assert found.arrays["flights"].dtype == np.int32
+    assert not thresholds.on_grid(queued, None, 1000).complete
+    missing = mode_map.modes(queued, None, None, 1000)
+    assert (missing.arrays["bounces"].shape, missing.complete) == ((1, 10), False)
 
 
 @pytest.fixture
@@ -186,10 +188,10 @@ def test_only_the_chunks_that_a_line_touches_are_read(sweep: Sweep, reads: list[
 
 def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[str]):
     point = {"omega": 0.5, "xi": 0.05}
-    assert queries.diagram(sweep, "gamma", point, None, 0.0, 80).complete
+    assert diagrams.diagram(sweep, "gamma", point, None, 0.0, 80).complete
     reads.clear()
-    with pytest.raises(TooLarge, match=r"80 points \(10 values of gamma × keep 8\), at most 79 are sent"):
-        queries.diagram(sweep, "gamma", point, None, 0.0, 79)
+    with pytest.raises(TooLarge, match=r"80 points \(10 values of gamma × keep 8\); the limit is 79"):
+        diagrams.diagram(sweep, "gamma", point, None, 0.0, 79)
     with pytest.raises(TooLarge, match=r"3 values of omega × 10 of gamma.*every=2 "):
         mode_map.modes(sweep, 0.05, "rest", 29)
     assert reads == []
@@ -199,24 +201,25 @@ def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[st
 def test_what_is_refused_is_told_what_would_fit(sweep: Sweep, most: int, every: int | None):
     """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
     point = {"omega": 0.5, "xi": 0.05}
-    assert queries.thinning((10,), 8, most) == every
+    assert selection.thinning((10,), 8, most) == every
     if every is None:
-        with pytest.raises(TooLarge, match=r"are sent: opening the store itself has no such limit"):
-            queries.diagram(sweep, "gamma", point, None, 0.0, most)
+        with pytest.raises(TooLarge, match=r"the limit is \d+: open the store itself, which has no"):
+            diagrams.diagram(sweep, "gamma", point, None, 0.0, most)
         return
-    assert queries.diagram(sweep, "gamma", point, None, 0.0, most, every).every == every
+    assert diagrams.diagram(sweep, "gamma", point, None, 0.0, most, every).every == every
     if every > 1:
-        with pytest.raises(TooLarge, match=f"every={every} asks for as many as fit"):
-            queries.diagram(sweep, "gamma", point, None, 0.0, most, every - 1)
+        with pytest.raises(TooLarge, match=f"every={every} fits"):
+            diagrams.diagram(sweep, "gamma", point, None, 0.0, most, every - 1)
 
 
 @pytest.mark.parametrize("every", [1, 2, 3, 4, 7, 10, 99])
 def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
     for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
-        whole = queries.diagram(sweep, along, point, None, 0.0, 1000)
-        found = queries.diagram(sweep, along, point, None, 0.0, 1000, every)
-        for name in ("values", *queries.LINE_ARRAYS):
-            np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[::every])
+        whole = diagrams.diagram(sweep, along, point, None, 0.0, 1000)
+        found = diagrams.diagram(sweep, along, point, None, 0.0, 1000, every)
+        np.testing.assert_array_equal(found.values, whole.values[::every])
+        for name in ARRAYS:
+            np.testing.assert_array_equal(found.arrays[name], whole.arrays[name][::every])
     whole_map, found_map = (mode_map.modes(sweep, 0.05, None, 1000, n) for n in (1, every))
     np.testing.assert_array_equal(found_map.omega, whole_map.omega[::every])
     np.testing.assert_array_equal(found_map.gamma, whole_map.gamma[::every])
@@ -225,18 +228,19 @@ def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
 
 
 def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: list[str]):
-    queries.diagram(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0, 1000, 10)
+    diagrams.diagram(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0, 1000, 10)
     assert "flight_time/c/0/1/0/0/0" in reads
     assert "flight_time/c/0/1/0/1/0" not in reads
 
 
 def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
     """What can be read for it, every n-th cell."""
-    monkeypatch.setattr(queries, "MAX_READ", 40)
-    (found,) = queries.pictured(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
+    monkeypatch.setattr(diagrams, "MAX_READ", 40)
+    (found,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
     assert (found.every, len(found.values)) == (2, 5)
-    monkeypatch.setattr(queries, "MAX_READ", 8)
-    assert len(queries.pictured(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)[0].values) == 1
+    monkeypatch.setattr(diagrams, "MAX_READ", 8)
+    (found,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
+    assert len(found.values) == 1
 
 
 def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
@@ -252,7 +256,7 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
     for along, chunks in zip(("xi", "omega", "gamma"), plan.counts, strict=True):
         reads.clear()
         given = {axis: value for axis, value in point.items() if axis != along}
-        assert queries.diagram(Sweep(large, url), along, given, None, 0.0, 10**6).missing > 0
+        assert diagrams.diagram(Sweep(large, url), along, given, None, 0.0, 10**6).missing > 0
         assert len(reads) == 1 + chunks  # the description, and outcomes, which are not there
 
 
@@ -268,7 +272,7 @@ def test_a_plane_is_the_stores_own(sweep: Sweep):
 
 def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
     fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    found = mode_map.thresholds(fine, None, 1000)
+    found = thresholds.on_grid(fine, None, 1000)
     gamma = fine.spec.axis_values("gamma")
     expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
     np.testing.assert_allclose(found.up, expected)
@@ -280,11 +284,11 @@ def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
 def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Read a few rows of Ω at a time, the same."""
     fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    whole = mode_map.thresholds(fine, None, 3)
-    monkeypatch.setattr(mode_map, "MAX_READ", 50)
-    np.testing.assert_array_equal(mode_map.thresholds(fine, None, 3).up, whole.up)
+    whole = thresholds.on_grid(fine, None, 3)
+    monkeypatch.setattr(thresholds, "MAX_READ", 50)
+    np.testing.assert_array_equal(thresholds.on_grid(fine, None, 3).up, whole.up)
     with pytest.raises(TooLarge, match="3 values of omega"):
-        mode_map.thresholds(fine, None, 2)
+        thresholds.on_grid(fine, None, 2)
 
 
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
@@ -296,7 +300,7 @@ def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     outcomes[1, 0, 0, 2:] = Outcome.APERIODIC
     outcomes[:, 0, 1, 3:] = Outcome.UNRESOLVED  # not known to bounce
     outcomes[1, 0, 2, 0] = Outcome.PERIODIC
-    found = mode_map.thresholds(handmade(tmp_path, outcomes, both), 0.05, 1000)
+    found = thresholds.on_grid(handmade(tmp_path, outcomes, both), 0.05, 1000)
     gamma = both.axis_values("gamma")
     np.testing.assert_array_equal(found.up, [gamma[4], np.nan, np.nan])
     np.testing.assert_array_equal(found.down, [gamma[2], np.nan, gamma[0]])
@@ -308,7 +312,7 @@ def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
     outcomes = np.full(down.shape, Outcome.AT_REST)
     outcomes[..., 6:] = Outcome.PERIODIC
     outcomes[..., 9] = Outcome.MISSING
-    found = mode_map.thresholds(handmade(tmp_path, outcomes, down), None, 1000)
+    found = thresholds.on_grid(handmade(tmp_path, outcomes, down), None, 1000)
     assert (found.down.tolist(), found.complete) == ([down.axis_values("gamma")[6]], False)
     assert np.isnan(found.up).all()
 
@@ -316,4 +320,4 @@ def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
 def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
     along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
     with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
-        mode_map.thresholds(Sweep(along, str(tmp_path)), 0.05, 1000)
+        thresholds.on_grid(Sweep(along, str(tmp_path)), 0.05, 1000)

@@ -123,11 +123,11 @@ BAD: dict[str, tuple[Any, int, str]] = {
     "no samples": ({**CELL, "samples": 0}, 422, "samples: must be at least 1"),
     "half a period": ({**CELL, "periods": 0.5}, 422, "periods: must be a whole number"),
     "a model not there": ({**CELL, "model": {"kind": "stone"}}, 422, "model.kind: must be"),
-    "too many samples": ({**CELL, "periods": 200, "samples": 200}, 413, "at most 20,000 are sent"),
+    "too many samples": ({**CELL, "periods": 200, "samples": 200}, 413, "the limit is 20,000"),
     "too long to settle": (
         {**CELL, "settle": 1_000_000, "model": {"kind": "stepped", "penetration": 1e-2}},
         413,
-        "at most 5 s are spent",
+        "the limit for one answer is 5 s",
     ),
 }
 

@@ -13,11 +13,12 @@ from fastapi.testclient import TestClient
 
 from service.api.app import create_app
 from service.cli.main import main
+from service.cli.tradeoff import lines as table_lines
 from service.client import Client
 from service.errors import Busy, NotComputed
 from service.jobs.on_demand import OnDemandCache, Pending
-from service.render import work_precision as tradeoff_picture
-from service.results import work_precision as tradeoff_text
+from service.render.work_precision import draw
+from service.results.work_precision import advice
 from service.server.embedded import running
 from service.settings import Settings
 from worker.analysis import work_precision
@@ -117,22 +118,22 @@ def test_steps_that_a_specification_would_refuse_are_counted_not_computed():
 
 def test_the_table_and_its_last_words(measured: list[Measured]):
     rows = [row.model_dump() for row in measured]
-    lines = tradeoff_text.lines(rows)
+    lines = table_lines(rows)
     assert len(lines) == len(FEW) + 6
     assert lines[0] == "This very contact is meant: errors from exact soft with d = 1e-3, e = 0.01"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
-    advice = tradeoff_text.advice(rows)
-    assert advice.startswith("Take rigid for a hard plate (")
-    assert advice.endswith("and auto to have the choice made on the cells of your own sweep.")
-    assert "nan" not in advice
+    text = advice(measured)
+    assert text.startswith("Take rigid for a hard plate (")
+    assert text.endswith("and auto to choose the model on the cells of your own sweep.")
+    assert "nan" not in text
 
 
 @pytest.mark.parametrize("format", ["png", "svg"])
 def test_the_picture(measured: list[Measured], format: str):
-    picture = tradeoff_picture.draw(measured, format)
+    picture = draw(measured, format)
     assert picture.startswith(b"\x89PNG" if format == "png" else b"<?xml")
-    assert tradeoff_picture.draw(measured, format) == picture
+    assert draw(measured, format) == picture
 
 
 # Through the service
@@ -239,7 +240,7 @@ def test_a_request_is_told_how_far_the_workers_are(tmp_path: Path, monkeypatch: 
         executor.futures[0].set_result(None)
         assert client.get("/v1/tradeoff").json()["progress"] == {**progress, "parts_done": 1, "percent": 50.0}
         answers = client.get("/openapi.json").json()["paths"]["/v1/tradeoff"]["get"]["responses"]
-        assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/UnderwayView")
+        assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
     executor.close()
     assert executor.futures[1].cancelled()
 

@@ -1,16 +1,13 @@
-"""The calls that hand in, list and change jobs, and Eq. 25: each asks the right room and wraps the answer."""
+"""The calls that hand in, list and change jobs: each asks the right room and wraps the answer."""
 
 import time
 from typing import Annotated, Any, Final
 
-import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 
-from kernel.threshold import threshold
 from service.api import dependencies, schemas
 from service.api.conditional import matches
 from service.api.dependencies import JsonBody, TheJob, TheService
-from service.api.routers.results import numbers
 from service.api.schemas import JobView, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.model import JobState
@@ -135,10 +132,3 @@ def resume(service: TheService, job: TheJob) -> Response:
     """Let a job that failed or was cancelled go on where it stopped; 200 if it is in work anyway."""
     found, accepted = service.manager.resume(job.id)
     return dependencies.view(found, 202 if accepted else 200)
-
-
-@router.get("/threshold", responses=problem_responses(422))
-def eq_25(query: Annotated[schemas.ThresholdQuery, Query()]) -> schemas.Threshold:
-    """Γ_th of Eq. 25, where a spring at rest begins to bounce."""
-    (value,) = numbers(np.atleast_1d(threshold(query.omega, query.xi)))
-    return schemas.Threshold(omega=query.omega, xi=query.xi, threshold=value)

@@ -1,0 +1,30 @@
+"""The file formats of results, named as the ending of a file's name is, and their media types.
+
+Standard library only: the client and the command line import this without the service.
+"""
+
+from collections.abc import Mapping
+from typing import Final, Literal, get_args
+
+TableFormat = Literal["json", "csv"]
+PictureFormat = Literal["png", "svg"]
+
+#: A bifurcation diagram is sent as a table or as a picture.
+DiagramFormat = Literal[TableFormat, PictureFormat]
+#: The table of costs and errors of the contact models.
+TradeoffFormat = Literal["json", PictureFormat]
+#: A whole sweep in one file.
+ExportFormat = Literal["nc", "parquet"]
+
+TABLES: Final[tuple[str, ...]] = get_args(TableFormat)
+PICTURES: Final[tuple[str, ...]] = get_args(PictureFormat)
+EXPORTS: Final[tuple[str, ...]] = get_args(ExportFormat)
+
+MEDIA_TYPES: Final[Mapping[str, str]] = {
+    "json": "application/json",
+    "csv": "text/csv",
+    "png": "image/png",
+    "svg": "image/svg+xml",
+    "nc": "application/x-netcdf",
+    "parquet": "application/vnd.apache.parquet",
+}

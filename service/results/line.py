@@ -1,0 +1,96 @@
+"""A line of cells for the page: outcome and mode of each cell, and its flights as points or as density."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.params import Outcome
+from service.errors import InvalidRequest
+from service.results.density import Window, density
+from service.results.mode_map import MODE_ARRAYS
+from service.results.selection import MAX_READ, Sweep, fixed_axes, read, resolve_direction, thinning
+
+#: The stored arrays that a line is made of.
+LINE_ARRAYS: Final = ("flight_time", "flights", *MODE_ARRAYS)
+
+#: Counts above this are sent as this: one byte per bin.
+MAX_COUNT: Final = 255
+
+
+@dataclass(frozen=True)
+class FlightLine:
+    """n cells along one axis and their flights, cell after cell."""
+
+    fixed: dict[str, float]
+    direction: str
+    cells: dict[str, NDArray[Any]]  # each (n,): values, shown, outcome, bounces, periods
+    flights: NDArray[np.float32]  # (sum of shown,) rad; single precision is finer than a screen
+    every: int  # the cells are every n-th of the axis
+
+    @property
+    def missing(self) -> int:
+        """Cells that are not computed yet."""
+        return int(np.count_nonzero(self.cells["outcome"] == Outcome.MISSING))
+
+    @property
+    def longest(self) -> float:
+        """The longest flight, rad; 0 if there is none."""
+        return float(self.flights.max(initial=0.0))
+
+
+def read_line(
+    sweep: Sweep, along: str, values: Mapping[str, float | None], direction: str | None, min_flight: float
+) -> FlightLine:
+    """The cells along `along` and their flights of at least `min_flight` (rad); a very long line is thinned.
+
+    Raises InvalidRequest as `diagram.diagram`.
+    """
+    spec = sweep.spec
+    fixed = fixed_axes(spec, along, values)
+    direction = resolve_direction(spec, direction)
+    axis = spec.axis_values(along)
+    every = thinning((len(axis),), spec.keep, MAX_READ) or len(axis)
+    indices = {name: point.index for name, point in fixed.items()} | {along: slice(None, None, every)}
+    arrays = read(sweep, LINE_ARRAYS, direction, indices)
+    times = arrays["flight_time"]
+    shown = np.arange(spec.keep) < arrays["flights"][:, None]
+    shown &= times >= min_flight  # false for NaN
+    cells = {"values": axis[::every], "shown": np.count_nonzero(shown, axis=1).astype(np.int32)}
+    cells |= {name: arrays[name] for name in MODE_ARRAYS}
+    fixed_values = {name: point.value for name, point in fixed.items()}
+    return FlightLine(fixed_values, direction, cells, times[shown].astype(np.float32), every)
+
+
+def window_of(
+    line: FlightLine,
+    left: float | None,
+    right: float | None,
+    bottom: float,
+    top: float | None,
+    *,
+    log: bool,
+) -> Window:
+    """The window between these edges; None is the end of the line. Raises InvalidRequest for an empty one."""
+    values = line.cells["values"]
+    window = Window(
+        float(values[0]) if left is None else left,
+        float(values[-1]) if right is None else right,
+        bottom,
+        max(line.longest, bottom) if top is None else top,
+    )
+    if log and window.left <= 0:
+        raise InvalidRequest.of("left", f"must be above 0 on a logarithmic axis, not {window.left!r}")
+    if window.right < window.left:
+        raise InvalidRequest.of("right", f"must not be below left, which is {window.left!r}")
+    if window.top < window.bottom:
+        raise InvalidRequest.of("top", f"must not be below bottom, which is {window.bottom!r}")
+    return window
+
+
+def counts(line: FlightLine, window: Window, width: int, height: int, *, log: bool) -> NDArray[np.uint8]:
+    """(height, width) flights per bin of the window, at most MAX_COUNT; row 0 holds the shortest flights."""
+    flights = density(line.cells["values"], line.cells["shown"], line.flights, window, width, height, log)
+    return np.minimum(flights, MAX_COUNT).astype(np.uint8)

@@ -1,0 +1,131 @@
+"""Selects cells of a stored sweep: grid indices, direction, thinning, the limit of points, and the read.
+
+The other modules of this package say which cells belong to a diagram, a mode map or a threshold; all of
+them select and read the cells here.
+"""
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import InvalidRequest, TooLarge
+from worker import schema, store
+from worker.spec import AXES, SweepSpec
+from worker.spec.errors import one_of
+
+#: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
+MAX_READ: Final = 8_000_000
+
+#: Rounding that is forgiven at the ends of an axis, relative to the larger of its two ends.
+ROUNDING: Final = 1e-9
+
+#: Grid indices by axis: an integer drops the axis, a slice keeps it.
+Indices = Mapping[str, int | slice]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The specification of a job's sweep as it is computed, and the address of its store."""
+
+    spec: SweepSpec
+    url: str
+    complete: bool = False  # the job is done: a missing chunk is damage, not work to come
+
+
+@dataclass(frozen=True, slots=True)
+class GridValue:
+    """A value of a grid axis and its index."""
+
+    index: int
+    value: float
+
+
+def nearest_index(spec: SweepSpec, axis: str, value: float | None) -> GridValue:
+    """The grid value nearest to `value`; None selects the value of an axis that has only one.
+
+    Raises InvalidRequest for a value outside the axis, and for None where the axis has several values.
+    """
+    values = spec.axis_values(axis)
+    low, high = float(values[0]), float(values[-1])
+    if value is None:
+        if len(values) > 1:
+            rule = f"is required: the sweep has {len(values):,} values from {low:g} to {high:g}"
+            raise InvalidRequest.of(axis, rule)
+        return GridValue(0, low)
+    slack = ROUNDING * max(abs(low), abs(high))
+    if not low - slack <= value <= high + slack:
+        extent = f"from {low!r} to {high!r}" if len(values) > 1 else f"at {low!r} alone"
+        raise InvalidRequest.of(axis, f"must be within the sweep, which is {extent}, not {value!r}")
+    index = int(np.argmin(np.abs(values - value)))
+    return GridValue(index, float(values[index]))
+
+
+def fixed_axes(spec: SweepSpec, along: str, values: Mapping[str, float | None]) -> dict[str, GridValue]:
+    """The grid values of all axes but `along`. Raises InvalidRequest, also for a value of `along`."""
+    if values.get(along) is not None:
+        raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
+    return {axis: nearest_index(spec, axis, values.get(axis)) for axis in reversed(AXES) if axis != along}
+
+
+def resolve_direction(spec: SweepSpec, direction: str | None) -> str:
+    """`direction`, or the sweep's first if None. Raises InvalidRequest for one that the sweep lacks."""
+    if direction is None:
+        return spec.directions[0]
+    if direction not in spec.directions:
+        raise InvalidRequest.of("direction", f"must be {one_of(spec.directions)} in this sweep")
+    return direction
+
+
+def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> int | None:
+    """The smallest n for which every n-th cell along all the axes gives at most `max_points` points.
+
+    None if a single cell has more.
+    """
+    steps = range(1, max(lengths) + 1)
+    first = bisect_left(
+        steps, True, key=lambda every: points_per_cell * prod(-(-n // every) for n in lengths) <= max_points
+    )
+    return steps[first] if first < len(steps) else None
+
+
+def check_points(points: int, max_points: int, what: str, every: int | None) -> None:
+    """Raise TooLarge for more points than one answer may hold; `every` is the thinning that fits."""
+    if points > max_points:
+        hint = "open the store itself, which has no such limit"
+        if every is not None:
+            hint = f"every={every} fits; request a picture for all of them, or {hint}"
+        raise TooLarge(
+            f"the answer would hold up to {points:,} points ({what}); the limit is {max_points:,}: {hint}"
+        )
+
+
+def read(sweep: Sweep, names: Sequence[str], direction: str, indices: Indices) -> dict[str, NDArray[Any]]:
+    """The named arrays in one direction at `indices`, whole along the axes not named there.
+
+    Cells that are not computed yet hold fill values. Raises a `store.StoreError`.
+    """
+    selected = {"direction": sweep.spec.directions.index(direction), **indices}
+    try:
+        return store.read_slice(sweep.url, names, **selected, complete=sweep.complete)
+    except store.StoreMissing as error:
+        if sweep.complete:
+            raise store.StoreDamaged(str(error)) from error
+        # The job is still queued: its store is created with the first chunk.
+        return _fill_values(sweep.spec, names, selected)
+
+
+def _fill_values(spec: SweepSpec, names: Sequence[str], selected: Indices) -> dict[str, NDArray[Any]]:
+    """What the named arrays hold before any cell is computed."""
+    sizes = schema.sizes(spec)
+    cells = {dim: range(sizes[dim])[selected.get(dim, slice(None))] for dim in schema.CELL_DIMS}
+    shape = [len(part) for part in cells.values() if isinstance(part, range)]
+    return {
+        array.name: np.full([*shape, *(sizes[dim] for dim in array.extra_dims)], array.fill, array.dtype)
+        for array in schema.arrays(spec)
+        if array.name in names
+    }

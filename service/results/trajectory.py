@@ -1,0 +1,164 @@
+"""The motion of one cell while the caller waits: plate, masses and contact force, sample by sample."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from kernel.params import Cell, Outcome
+from kernel.trajectory import Trajectory, sample
+from service.errors import InvalidRequest, TooLarge
+from service.results.selection import Sweep, nearest_index, read, resolve_direction
+from worker import schema
+from worker.cost import cell_seconds
+from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
+from worker.spec.axes import NUMBER, WHOLE, Strict
+from worker.spec.contact_models import Contact, Soft, model_fields, penetration_of
+from worker.spec.errors import Problem, SpecInvalid, describe, problems_of
+from worker.tasks import plate_of, run_cells
+
+#: Samples in one answer.
+MAX_SAMPLES: Final = 20_000
+
+#: Plate periods before the first sample.
+MAX_SETTLE: Final = 1_000_000
+
+#: Where the model has no rest length, the spring is drawn 1e4 contact depths long, as in the paper.
+DEPTH_OVER_LENGTH: Final = 1e-4
+
+
+class TrajectorySpec(Strict):
+    """One cell, the plate periods before and during the samples, and the samples per period."""
+
+    gamma: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
+    omega: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
+    xi: Annotated[float, Field(ge=0.0, le=LARGEST), NUMBER]
+    model: Contact = Soft()
+    settle: Annotated[int, Field(ge=0, le=MAX_SETTLE), WHOLE] = 200
+    periods: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 4
+    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 200
+
+    def __init__(self, /, **data: object) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise SpecInvalid(problems_of(error, _fields())) from None
+
+    @classmethod
+    def from_json(cls, text: bytes) -> Self:
+        """From JSON text. Raises SpecUnreadable or SpecInvalid."""
+        data = parsing.read_json(text)
+        if not isinstance(data, dict):
+            raise SpecInvalid([Problem("", f"a trajectory must be an object, not {describe(data)}")])
+        unprintable = [name for name in data if not name.isprintable()]
+        if unprintable:
+            name = describe(unprintable[0])
+            raise SpecInvalid([Problem("", f"field names must be printable text, not {name}")])
+        return cls(**data)
+
+    def sweep(self) -> SweepSpec:
+        """The sweep of this one cell that ends where the samples begin. Raises SpecInvalid."""
+        return SweepSpec(
+            gamma=self.gamma, omega=self.omega, xi=self.xi, model=self.model,
+            settle=max(self.settle - 1, 0), observe=1, keep=1,
+        )  # fmt: skip
+
+
+def _fields() -> dict[str, tuple[str, ...]]:
+    return {"": tuple(TrajectorySpec.model_fields), **model_fields()}
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A sampled trajectory and the rest length the spring is drawn with, in plate amplitudes."""
+
+    spec: TrajectorySpec
+    trajectory: Trajectory
+    rest_length: float
+
+
+def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
+    """Raise TooLarge for more samples or more computing than one answer may take, SpecInvalid as `sweep`."""
+    sweep = spec.sweep()
+    samples = spec.periods * spec.samples + 1
+    if samples > MAX_SAMPLES:
+        raise TooLarge(
+            f"periods × samples: {samples:,} samples; the limit is {MAX_SAMPLES:,}, "
+            f"{max((MAX_SAMPLES - 1) // spec.periods, 1):,} per period"
+        )
+    periods = spec.settle + spec.periods
+    seconds = cell_seconds(sweep) / (sweep.settle + sweep.observe) * periods
+    if seconds > max_seconds:
+        fitting = int(periods * max_seconds / seconds)
+        raise TooLarge(
+            f"settle: {periods:,} periods of this contact take about {seconds:.3g} s; the limit for one "
+            f"answer is {max_seconds:g} s: submit a sweep, or settle for {fitting:,} periods"
+        )
+
+
+def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> Motion:
+    """The motion after `settle` periods from rest, or on from a state in the cell's own units.
+
+    Raises InvalidRequest where the cell has no answer to settle to.
+    """
+    gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
+    depth = penetration_of(spec.model, gamma, omega)
+    if state is None and spec.settle:
+        state = _settled(spec.sweep(), gamma, omega, xi)
+    trajectory = sample(
+        Cell(spec.gamma, spec.omega, spec.xi),
+        plate_of(spec.model, gamma, omega, xi),
+        state,
+        periods=spec.periods,
+        samples=spec.samples,
+    )
+    return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH)
+
+
+def of_cell(
+    sweep: Sweep,
+    values: Mapping[str, float | None],
+    direction: str | None,
+    periods: int,
+    samples: int,
+) -> tuple[TrajectorySpec, NDArray[np.float64] | None]:
+    """The trajectory of the grid cell nearest to `values`, and the state a ramp left the cell in.
+
+    None for a sweep from rest, whose cells settle as they did in the sweep. Raises InvalidRequest as
+    `diagram.diagram`, and for a cell of a ramp that is not computed yet.
+    """
+    spec = sweep.spec
+    cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
+    direction = resolve_direction(spec, direction)
+    state = None
+    if spec.ramp_axis is not None:
+        state = _end_state(sweep, direction, {axis: point.index for axis, point in cell.items()})
+    trajectory = TrajectorySpec(
+        **{axis: point.value for axis, point in cell.items()},
+        model=spec.model,
+        settle=min(spec.settle, MAX_SETTLE) if state is None else 0,
+        periods=periods,
+        samples=samples,
+    )
+    return trajectory, state
+
+
+def _settled(
+    sweep: SweepSpec, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    line = run_cells(sweep, gamma, omega, xi, None)
+    if line.outcome[0] in (Outcome.DIVERGED, Outcome.UNRESOLVED):
+        name = Outcome(line.outcome[0]).name.lower()
+        raise InvalidRequest.of("settle", f"the cell is {name} before the first sample")
+    return np.asarray(line.end_state[0])
+
+
+def _end_state(sweep: Sweep, direction: str, indices: dict[str, int]) -> NDArray[np.float64]:
+    names = (schema.OUTCOME.name, schema.END_STATE.name)
+    arrays = read(sweep, names, direction, indices)
+    if arrays[schema.OUTCOME.name] == Outcome.MISSING:
+        raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
+    return np.asarray(arrays[schema.END_STATE.name])
