@@ -56,8 +56,8 @@ def advice(rows: Sequence[Measured]) -> str:
         "contact 1e-3 deep); soft where the contact itself matters, its depth, its rebound, its small "
         f"flights ({soft.cost:.1f} µs, exact, and little more for a stiffer contact); ball only where "
         f"the dashpot locks the spring ({ball.cost:.1g} µs); stepped to compare with studies that took "
-        f"time steps ({stepped.cost / soft.cost:.0f} times the cost of soft, for {stepped.error:.0e} rad at 20 steps "
-        "per contact); and auto to choose the model on the cells of your own sweep."
+        f"time steps ({stepped.cost / soft.cost:.0f} times the cost of soft, for {stepped.error:.0e} rad at "
+        "20 steps per contact); and auto to choose the model on the cells of your own sweep."
     )
 
 
