@@ -1,15 +1,13 @@
 """Room: a store without chunks: its metadata and coordinates, the same bytes every time."""
 
-import threading
-import warnings
+import json
 from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
-from zarr.core.buffer import Buffer
-from zarr.errors import ZarrUserWarning
+from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.storage import MemoryStore
 
 from kernel.params import KERNEL_VERSION
@@ -18,9 +16,9 @@ from worker.plan import Plan
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Stepped
 from worker.spec.time_steps import corners, stated
+from worker.store.reader import ROOT
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
-_consolidating = threading.Lock()
 
 
 def skeleton(spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
@@ -33,10 +31,24 @@ def skeleton(spec: SweepSpec, plan: Plan, attrs: Mapping[str, Any]) -> dict[str,
     for array in schema.arrays(spec):
         _create_array(group, array, spec, plan)
     group.attrs.put({**_provenance(spec), **attrs, **identity(spec, plan)})
-    with _consolidating, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        zarr.consolidate_metadata(store, zarr_format=3)
+    content[ROOT] = _consolidated(content)
     return content
+
+
+def _consolidated(content: Mapping[str, Buffer]) -> Buffer:
+    """The root's metadata with that of every array in it, as `zarr.consolidate_metadata` writes it.
+
+    That function warns that consolidated metadata is not in the specification of zarr v3. Warning filters
+    belong to the whole process, so no thread of the service can suppress the warning safely.
+    """
+    root = json.loads(content[ROOT].to_bytes())
+    names = sorted(path.removesuffix(f"/{ROOT}") for path in content if path.endswith(f"/{ROOT}"))
+    arrays = {name: json.loads(content[f"{name}/{ROOT}"].to_bytes()) for name in names}
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": arrays}
+    # The order of the fields is zarr's: stores that exist were written with it.
+    root |= {"consolidated_metadata": consolidated, "node_type": root.pop("node_type")}
+    text = json.dumps(root, indent=zarr.config.get("json_indent"))
+    return default_buffer_prototype().buffer.from_bytes(text.encode())
 
 
 def identity(spec: SweepSpec, plan: Plan) -> dict[str, Any]:
