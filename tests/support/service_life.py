@@ -22,7 +22,7 @@ claim_cache(sys.argv[3])
 warm(sys.argv[3])
 
 from service.jobs import supervisor  # noqa: E402 - the cache comes first
-from service.jobs.ledger import Ledger, Writing  # noqa: E402
+from service.jobs.ledger import Ledger, WriteTransaction  # noqa: E402
 from service.jobs.manager import JobManager  # noqa: E402
 from service.jobs.model import UNFINISHED  # noqa: E402
 from service.settings import Settings  # noqa: E402
@@ -55,9 +55,9 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "chunk half written": lambda act: before(zarr_store, "fsync_files", act),
     "chunk synced": lambda act: before(stored, "checksum", act),
     "chunk reported": lambda act: after(inline, "run_chunk", act),
-    "in the transaction": lambda act: after(Writing, "mark_done", act),
+    "in the transaction": lambda act: after(WriteTransaction, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "marked", act),
-    "job ends": lambda act: after(Writing, "finish", act),
+    "job ends": lambda act: after(WriteTransaction, "finish", act),
 }
 
 
