@@ -38,7 +38,7 @@ def files(url: Path) -> dict[str, bytes]:
 
 def recorded_checksums(folder: Path, name: str) -> list[str]:
     """The ledger's, chunk by chunk."""
-    query = "SELECT checksum FROM chunks JOIN jobs ON chunks.job = jobs.seq WHERE jobs.id = ? ORDER BY chunks.chunk"
+    query = "SELECT checksum FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
     with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger:
         return [row[0] for row in ledger.execute(query, (EXPECTED[name]["id"],))]
 
