@@ -186,7 +186,7 @@ def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worke
     try:
         [pid] = executor._connection.client.run(os.getpid).values()
         future = executor.submit(spec, plan[0], url)
-        wait_for(lambda: any(flight.worker for flight in executor._flights.values()))  # it has begun
+        wait_for(lambda: any(task.worker for task in executor._tasks.values()))  # it has begun
         waiting = executor.submit(quick, make_plan(quick)[0], other)
         os.kill(pid, signal.SIGKILL)
         with pytest.raises(WorkerDied, match="the worker process that computed it died"):

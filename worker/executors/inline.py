@@ -1,18 +1,21 @@
-"""Computes chunks in a thread of this process."""
+"""Computes chunks in a thread of this process: for tests, scripts, and machines without worker processes."""
 
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from worker.executors.base import Answer
+from worker.executors.base import Result
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
 
 
 class Inline:
-    """One chunk after another in a thread of this process, in their order, for as long as they take."""
+    """An executor with one worker, a thread of this process. Tasks run in the order of submission.
+
+    Ignores `seconds` and `priority`: a thread cannot be interrupted.
+    """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="chunks")
@@ -23,7 +26,7 @@ class Inline:
     ) -> "Future[ChunkReport]":
         return self._thread.submit(run_chunk, spec, chunk, store_url)
 
-    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+    def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._thread.submit(function, *arguments)
 
     def ready(self) -> bool:
