@@ -54,10 +54,10 @@ def test_topology_is_a_scheduler_two_workers_and_the_service():
 
 
 def test_scheduler_is_set_as_the_service_wants_it():
-    from worker.executors.connection import SCHEDULER, variable
+    from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 
     given = {name: float(value) for name, value in SERVICES["scheduler"]["environment"].items()}
-    assert given == {variable(name): wanted for name, (wanted, _) in SCHEDULER.items()}
+    assert given == {environment_variable(name): value for name, value in SCHEDULER_SETTINGS.items()}
     readme = (ROOT / "README.md").read_text()
     assert all(f"{name}={SERVICES['scheduler']['environment'][name]}" in readme for name in given)
 

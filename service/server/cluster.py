@@ -10,7 +10,7 @@ import dask
 from distributed import Security
 
 from service.settings import Settings
-from worker.executors.connection import SCHEDULER
+from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
 
@@ -43,7 +43,7 @@ def _made(name: str | None) -> Iterator[Any]:
         sys.path.insert(0, "")  # as `python -m` would: the module may lie in the current folder
     try:
         # For a scheduler in this process; another's has to be started so.
-        dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()})
+        dask.config.set(SCHEDULER_SETTINGS)
         cluster = getattr(importlib.import_module(module), function)()
     except Exception as error:
         raise ClusterLost(f"no cluster from {name}: {type(error).__name__}: {error}") from error

@@ -146,7 +146,7 @@ class Machine(RuleBasedStateMachine):
                 self.marked[job.id] = job.chunks_done
 
     def teardown(self) -> None:
-        if hasattr(self, "lifecycle"):
+        if hasattr(self, "manager"):
             self._stop()
             self.ledger.close()
         self._folder.cleanup()

@@ -24,7 +24,7 @@ from scripted import free_port, wait_for
 
 from service.api.readiness import Health
 from service.jobs.model import JobRecord, JobState
-from worker.executors.connection import SCHEDULER, variable
+from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 from worker.executors.dask import Dask
 from worker.kernel_cache import warm
 
@@ -47,7 +47,7 @@ class Kept:
 
     def _start(self) -> "subprocess.Popen[bytes]":
         program = str(Path(sys.executable).with_name(self._command[0]))
-        settings = {variable(name): f"{wanted:g}" for name, (wanted, _) in SCHEDULER.items()}
+        settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
         variables = os.environ | settings | {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)}
         with self._log.open("ab") as log:
             return subprocess.Popen([program, *self._command[1:]], stdout=log, stderr=log, env=variables)

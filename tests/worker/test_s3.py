@@ -47,6 +47,7 @@ def bucket() -> Iterator[str]:
             patch.setenv(name, value)
         assert httpx2.put(f"{address}/results").status_code == 200
         yield address
+    backend._bucket.cache_clear()  # its connections are to this server
     server.stop()
 
 

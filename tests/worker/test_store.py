@@ -1,15 +1,20 @@
 """The store: opens with plain xarray, keeps what it is given, and never reads damage as data."""
 
 import json
+import shutil
+import threading
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 from stores import checksum, is_sound
+from zarr.errors import ZarrUserWarning
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import schema, store
@@ -138,7 +143,35 @@ def test_metadata_is_consolidated_and_the_same_every_time(tmp_path, url, spec, p
     assert "consolidated_metadata" in json.loads((Path(url) / "zarr.json").read_text())
 
 
+def test_consolidated_metadata_is_what_zarr_writes(tmp_path, url):
+    other = str(tmp_path / "other.zarr")
+    shutil.copytree(url, other)
+    with pytest.warns(ZarrUserWarning):
+        zarr.consolidate_metadata(other, zarr_format=3)
+    assert files(other) == files(url)
+
+
 # Creation
+
+
+def test_creation_raises_no_warning_while_other_threads_change_the_filters(tmp_path, spec, plan):
+    """Warning filters belong to the process: a thread that leaves `catch_warnings` restores them for all."""
+    stop = threading.Event()
+
+    def change_filters() -> None:
+        while not stop.is_set():
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                stop.wait(0.001)
+
+    thread = threading.Thread(target=change_filters)
+    thread.start()
+    try:
+        for number in range(20):
+            store.create(str(tmp_path / f"{number}.zarr"), spec, plan)
+    finally:
+        stop.set()
+        thread.join()
 
 
 def test_creating_it_again_changes_nothing(url, spec, plan):
