@@ -93,7 +93,7 @@ def test_every_file_that_a_file_names_is_there(client: TestClient):
         named = re.findall(r'(?:src|href)="((?:static|/docs)[^"]*)"', answer.text) if path == "/" else []
         if path.endswith(".js"):
             assert "javascript" in answer.headers["content-type"]
-            named = re.findall(r'from "(\./[^"]+)"', answer.text)
+            named = re.findall(r'from "(\.\.?/[^"]+)"', answer.text)
         wanted += [urljoin(path, one) for one in named]
     shipped = {f"/static/{file.relative_to(page.FILES)}" for file in page.FILES.rglob("*") if file.is_file()}
     assert shipped - seen == {"/static/index.html"}

@@ -1,11 +1,11 @@
 // Which view the address asks for.
 
-import { here, settle } from "./address.js";
-import { watch } from "./connection.js";
-import { h } from "./dom.js";
-import { JobView } from "./job.js";
-import { Submit } from "./submit.js";
-import { Sweeps } from "./sweeps.js";
+import { here, settle } from "./lib/address.js";
+import { watch } from "./lib/connection.js";
+import { h } from "./lib/dom.js";
+import { JobView } from "./views/job.js";
+import { Submit } from "./form/form.js";
+import { Sweeps } from "./views/sweeps.js";
 
 const VIEWS = { new: Submit, job: JobView };
 const root = document.getElementById("view");

@@ -1,8 +1,8 @@
 // The fields of a sweep that are no axes: plain numbers, how cells start, the contact.
 
 import { numeric } from "./axis-field.js";
-import { h } from "./dom.js";
-import { SYMBOL } from "./physics.js";
+import { h } from "../lib/dom.js";
+import { SYMBOL } from "../lib/physics.js";
 
 /** One input of its own. */
 export function plainField(name, label, about, given = {}) {

@@ -1,9 +1,9 @@
 // A cell of the explorer in words, and the flights that are shown as a table.
 
-import { csv } from "./downloads.js";
-import { flightsOf } from "./flights.js";
-import { number, plural } from "./format.js";
-import { OUTCOME, SYMBOL, modeText } from "./physics.js";
+import { csv } from "../lib/downloads.js";
+import { flightsOf } from "../plot/flights.js";
+import { number, plural } from "../lib/format.js";
+import { OUTCOME, SYMBOL, modeText } from "../lib/physics.js";
 
 const FEW = 6; // flights that are told one by one
 

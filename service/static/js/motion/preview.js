@@ -1,9 +1,9 @@
 // A first look, before any sweep: the spring of the paper's Fig. 2, at a Γ of one's choice.
 
-import { toldElsewhere } from "./api.js";
-import { h, newest } from "./dom.js";
-import { number } from "./format.js";
-import { describe } from "./motion.js";
+import { toldElsewhere } from "../lib/api.js";
+import { h, newest } from "../lib/dom.js";
+import { number } from "../lib/format.js";
+import { describe } from "./panel.js";
 import { PERIODS, Player, SAMPLES, Waiting } from "./player.js";
 import { trajectory } from "./trajectory.js";
 

@@ -1,13 +1,13 @@
 // The form: a sweep, what it will cost, and what the service thinks of it, field by field.
 
-import { go, link, note, noted, replace } from "./address.js";
-import { askJson, toldElsewhere } from "./api.js";
+import { go, link, note, noted, replace } from "../lib/address.js";
+import { askJson, toldElsewhere } from "../lib/api.js";
 import { axisField } from "./axis-field.js";
-import { debounced, h, say } from "./dom.js";
-import { showProblems } from "./field-problems.js";
-import { bytes, plural, seconds } from "./format.js";
-import { modelField, plainField, protocolField } from "./other-fields.js";
-import { presets } from "./presets.js";
+import { debounced, h, say } from "../lib/dom.js";
+import { showProblems } from "./problems.js";
+import { bytes, plural, seconds } from "../lib/format.js";
+import { modelField, plainField, protocolField } from "./fields.js";
+import { presets } from "./catalogue.js";
 
 const DEFAULTS = {
   name: "", gamma: { start: 1, stop: 6, num: 501, spacing: "linear" }, omega: 0.5, xi: 0.26, protocol: { kind: "rest" },

@@ -1,17 +1,17 @@
 // The mode map: what became of every cell in (Γ, Ω), with Γ_th over it.
 
-import { note } from "./address.js";
-import { askPacked, query } from "./api.js";
-import { h } from "./dom.js";
-import { csv } from "./downloads.js";
-import { number, ordinal, plural } from "./format.js";
-import { classes, colour } from "./palette.js";
-import { circle, packed, picture, stroke } from "./pen.js";
-import { OUTCOME, SYMBOL, isLog, modeText, nearest, same, startOf, threshold } from "./physics.js";
+import { note } from "../lib/address.js";
+import { askPacked, query } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { csv } from "../lib/downloads.js";
+import { number, ordinal, plural } from "../lib/format.js";
+import { classes, colour } from "../plot/colours.js";
+import { circle, packed, picture, stroke } from "../plot/drawing.js";
+import { OUTCOME, SYMBOL, isLog, modeText, nearest, same, startOf, threshold } from "../lib/physics.js";
 import { PlotView, within } from "./plot-view.js";
-import { edges } from "./scale.js";
+import { edges } from "../plot/scale.js";
 import { sliders } from "./sliders.js";
-import { onThemeChange, theme } from "./theme.js";
+import { onThemeChange, theme } from "../plot/theme.js";
 
 const HINT = "Point at a cell to read it, click to see it move, drag to zoom. The dashed line is the threshold of Eq. 25.";
 

@@ -1,9 +1,9 @@
 // The masses, the spring and the plate at one instant, at the heights of the trace beside them.
 
-import { disc, stroke } from "./pen.js";
-import { fit } from "./plot.js";
-import { scale } from "./scale.js";
-import { theme } from "./theme.js";
+import { disc, stroke } from "../plot/drawing.js";
+import { fit } from "../plot/plot.js";
+import { scale } from "../plot/scale.js";
+import { theme } from "../plot/theme.js";
 
 const RADIUS = 11;
 const COILS = 9;

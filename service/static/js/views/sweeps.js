@@ -1,12 +1,12 @@
 // The list of sweeps, the last first, as they move.
 
-import { link } from "./address.js";
-import { askJson, query, toldElsewhere } from "./api.js";
-import { h } from "./dom.js";
-import { ago } from "./format.js";
-import { Glimpse } from "./glimpse.js";
+import { link } from "../lib/address.js";
+import { askJson, query, toldElsewhere } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { ago } from "../lib/format.js";
+import { Glimpse } from "../motion/preview.js";
 import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
-import { presets } from "./presets.js";
+import { presets } from "../form/catalogue.js";
 
 const PAGE = 25;
 const SOON = 700; // while something is in work

@@ -1,7 +1,7 @@
 // The spatio-temporal diagram of the paper's Fig. 2 (a–d): the spring in grey above the plate.
 
-import { TURN } from "./physics.js";
-import { area, stroke, upright } from "./pen.js";
+import { TURN } from "../lib/physics.js";
+import { area, stroke, upright } from "../plot/drawing.js";
 
 const ROOM = 0.06; // of the height, above and below
 

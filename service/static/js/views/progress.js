@@ -1,10 +1,10 @@
 // How far a sweep is, in a line; what it is about, in another; and what can be done with it.
 
-import { askJson } from "./api.js";
-import { confirmed } from "./confirm.js";
-import { h } from "./dom.js";
-import { count, number, plural, seconds } from "./format.js";
-import { SYMBOL, axisValues } from "./physics.js";
+import { askJson } from "../lib/api.js";
+import { confirmed } from "../lib/confirm.js";
+import { h } from "../lib/dom.js";
+import { count, number, plural, seconds } from "../lib/format.js";
+import { SYMBOL, axisValues } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
 const RESUMABLE = new Set(["failed", "cancelled"]);

@@ -1,11 +1,11 @@
 // What was asked, word for word, and what `auto` chose.
 
-import { link } from "./address.js";
-import { h } from "./dom.js";
-import { downloads, fileName, netcdf } from "./downloads.js";
-import { blobOf } from "./api.js";
-import { number, plural } from "./format.js";
-import { axisValues } from "./physics.js";
+import { link } from "../lib/address.js";
+import { h } from "../lib/dom.js";
+import { downloads, fileName, netcdf } from "../lib/downloads.js";
+import { blobOf } from "../lib/api.js";
+import { number, plural } from "../lib/format.js";
+import { axisValues } from "../lib/physics.js";
 
 export class Details {
   constructor(root, { job }) {

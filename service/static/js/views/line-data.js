@@ -1,7 +1,7 @@
 // Lines of cells from the service; those of finished jobs are kept for a while, so that sliders run back freely.
 
-import { askPacked, query } from "./api.js";
-import { starts } from "./flights.js";
+import { askPacked, query } from "../lib/api.js";
+import { starts } from "../plot/flights.js";
 
 const KEPT_BYTES = 64e6;
 const kept = new Map(); // the last used last

@@ -1,12 +1,12 @@
 // One cell of a sweep in motion.
 
-import { query } from "./api.js";
-import { h } from "./dom.js";
-import { csv, downloads, fileName } from "./downloads.js";
-import { number, plural } from "./format.js";
-import { SYMBOL } from "./physics.js";
+import { query } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { csv, downloads, fileName } from "../lib/downloads.js";
+import { number, plural } from "../lib/format.js";
+import { SYMBOL } from "../lib/physics.js";
 import { PERIODS, Player, SAMPLES, Waiting } from "./player.js";
-import { pngOf, svgOf } from "./plot-files.js";
+import { pngOf, svgOf } from "../plot/export.js";
 import { trajectory } from "./trajectory.js";
 
 export class Motion {

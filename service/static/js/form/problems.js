@@ -1,6 +1,6 @@
 // What the service refuses, at the field where it is.
 
-import { h } from "./dom.js";
+import { h } from "../lib/dom.js";
 
 /** Show a Problem's rules beside their fields, the rest in `general`; null clears them. */
 export function showProblems(form, general, problem) {

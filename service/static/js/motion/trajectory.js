@@ -1,6 +1,6 @@
 // The motion of one cell from the service, which computes few of them at a time.
 
-import { askJson } from "./api.js";
+import { askJson } from "../lib/api.js";
 
 const PATIENCE = 180_000; // ms: the first motion may wait for a compiler
 const PAUSE = 700; // ms, when the service is busy with others

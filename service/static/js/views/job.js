@@ -1,13 +1,13 @@
 // One sweep: how far it is, and its diagram, mode map, thresholds and details; a cell of it in motion.
 
-import { go, here, link, note, noted } from "./address.js";
-import { askJson, toldElsewhere } from "./api.js";
+import { go, here, link, note, noted } from "../lib/address.js";
+import { askJson, toldElsewhere } from "../lib/api.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
-import { h, say } from "./dom.js";
+import { h, say } from "../lib/dom.js";
 import { Modes } from "./modes.js";
-import { Motion } from "./motion.js";
-import { axisValues, directionsOf } from "./physics.js";
+import { Motion } from "../motion/panel.js";
+import { axisValues, directionsOf } from "../lib/physics.js";
 import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 

@@ -1,7 +1,7 @@
 // What moves the explorer: the axis, the sliders, the ramps that are shown, the shortest flight.
 
-import { h } from "./dom.js";
-import { SYMBOL } from "./physics.js";
+import { h } from "../lib/dom.js";
+import { SYMBOL } from "../lib/physics.js";
 import { sliders } from "./sliders.js";
 
 /**

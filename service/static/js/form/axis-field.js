@@ -1,7 +1,7 @@
 // One axis of a sweep in the form: one value, some values, or a range of them.
 
-import { h } from "./dom.js";
-import { MEANING, SYMBOL } from "./physics.js";
+import { h } from "../lib/dom.js";
+import { MEANING, SYMBOL } from "../lib/physics.js";
 
 const KINDS = { one: "one value", list: "these values", range: "from … to" };
 

@@ -1,6 +1,6 @@
 // Mouse, finger and keyboard on a plot: hover, pick, zoom, step from cell to cell.
 
-import { stroke } from "./pen.js";
+import { stroke } from "./drawing.js";
 
 const DRAG = 6; // pixels that make a drag
 

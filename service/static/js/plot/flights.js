@@ -1,6 +1,6 @@
 // A line's flights on a plot: dots while they are few, density when they are many.
 
-import { disc, packed, picture } from "./pen.js";
+import { disc, packed, picture } from "./drawing.js";
 
 const FEW = 4000;
 const FAINTEST = [0.42, 0.9]; // opacity of a single flight: where many fall together, where nearly all are single

@@ -1,10 +1,10 @@
 // A motion that runs: the masses, the spring and the plate, beside where they are at every phase.
 
-import { h } from "./dom.js";
-import { TURN } from "./physics.js";
-import { Plot } from "./plot.js";
-import { drawStage } from "./stage.js";
-import { traceOf } from "./trace.js";
+import { h } from "../lib/dom.js";
+import { TURN } from "../lib/physics.js";
+import { Plot } from "../plot/plot.js";
+import { drawStage } from "./animation.js";
+import { traceOf } from "./height-plot.js";
 
 const SECONDS = 1.6; // a plate period at full speed
 const SPEEDS = [1, 0.5, 0.25, 0.1];

@@ -1,16 +1,16 @@
 // Where bouncing begins on the way up and ends on the way down, per Ω, beside Eq. 25.
 
-import { note } from "./address.js";
-import { askJson, query } from "./api.js";
-import { h } from "./dom.js";
-import { csv } from "./downloads.js";
-import { number } from "./format.js";
-import { disc, stroke, upright } from "./pen.js";
-import { SYMBOL, isLog, nearest, startOf, threshold } from "./physics.js";
+import { note } from "../lib/address.js";
+import { askJson, query } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { csv } from "../lib/downloads.js";
+import { number } from "../lib/format.js";
+import { disc, stroke, upright } from "../plot/drawing.js";
+import { SYMBOL, isLog, nearest, startOf, threshold } from "../lib/physics.js";
 import { PlotView, within } from "./plot-view.js";
-import { spread } from "./scale.js";
+import { spread } from "../plot/scale.js";
 import { sliders } from "./sliders.js";
-import { colourOf } from "./theme.js";
+import { colourOf } from "../plot/theme.js";
 
 const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, click to see a cell move, drag to zoom, double-click to see all.";

@@ -1,9 +1,9 @@
 // What the explorer draws between its axes besides the flights.
 
-import { flightsOf } from "./flights.js";
-import { number, ordinal } from "./format.js";
-import { area, circle, disc, upright } from "./pen.js";
-import { OUTCOME, SYMBOL, threshold } from "./physics.js";
+import { flightsOf } from "../plot/flights.js";
+import { number, ordinal } from "../lib/format.js";
+import { area, circle, disc, upright } from "../plot/drawing.js";
+import { OUTCOME, SYMBOL, threshold } from "../lib/physics.js";
 
 const MOST_RINGS = 200;
 

@@ -1,8 +1,8 @@
 // One slider for each axis that the view holds still, along the job's own grid.
 
-import { h } from "./dom.js";
-import { number } from "./format.js";
-import { MEANING, SYMBOL, nearest } from "./physics.js";
+import { h } from "../lib/dom.js";
+import { number } from "../lib/format.js";
+import { MEANING, SYMBOL, nearest } from "../lib/physics.js";
 
 /**
  * Sliders for `axes` (names) over `grid` ({gamma: values, …}), standing at the values nearest to `at`.

@@ -1,8 +1,8 @@
 // A framed plot: layers that draw between axes, and a second sheet for the cursor.
 
-import { h } from "./dom.js";
+import { h } from "../lib/dom.js";
 import { boxOf, drawFrame, drawHead, drawMessage, drawTurns } from "./frame.js";
-import { clipped } from "./pen.js";
+import { clipped } from "./drawing.js";
 import { onThemeChange, theme } from "./theme.js";
 
 const OF_THE_WINDOW = 0.66; // no plot is higher than this part of the window

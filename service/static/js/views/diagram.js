@@ -1,18 +1,18 @@
 // The explorer: flight times along one axis, the others moved by sliders, up and down over each other.
 
-import { note } from "./address.js";
-import { blobOf, query } from "./api.js";
-import { controls } from "./diagram-controls.js";
+import { note } from "../lib/address.js";
+import { blobOf, query } from "../lib/api.js";
+import { controls } from "./controls.js";
 import { drawCell, drawChosen, drawOnset, emptiness, head } from "./diagram-drawing.js";
 import { tableOf, wordsOn } from "./diagram-words.js";
-import { debounced, h } from "./dom.js";
-import { drawFlights, flightsOf } from "./flights.js";
-import { lineOf } from "./lines.js";
-import { SYMBOL, TURN, isLog, nearest, same, startOf } from "./physics.js";
+import { debounced, h } from "../lib/dom.js";
+import { drawFlights, flightsOf } from "../plot/flights.js";
+import { lineOf } from "./line-data.js";
+import { SYMBOL, TURN, isLog, nearest, same, startOf } from "../lib/physics.js";
 import { PlotView, within } from "./plot-view.js";
-import { dots } from "./plot.js";
-import { spread } from "./scale.js";
-import { colourOf } from "./theme.js";
+import { dots } from "../plot/plot.js";
+import { spread } from "../plot/scale.js";
+import { colourOf } from "../plot/theme.js";
 
 const MOST = 250_000; // flights that come as points; more come as density
 const AHEAD = [1, 2, 3, -1]; // steps of the slider that are fetched before it gets there

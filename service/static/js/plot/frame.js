@@ -1,6 +1,6 @@
 // What stands round a plot: the frame, its ticks and labels, whole plate periods, the head with its key.
 
-import { stroke } from "./pen.js";
+import { stroke } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
 
 export const FONT = 13;

@@ -1,6 +1,6 @@
 // Sweeps to start from: those behind the paper's figures, as the service has them, and one of the page's own.
 
-import { askJson } from "./api.js";
+import { askJson } from "../lib/api.js";
 
 const OWN = {
   title: "a map of modes",

@@ -3,7 +3,7 @@
 // Hues are those of Okabe and Ito, which colour-blind people tell apart; the legend and the readout say it in words.
 // All cells of one colour are one class, a small number: an outcome, or below it a hue and a shade.
 
-import { OUTCOME, modeText } from "./physics.js";
+import { OUTCOME, modeText } from "../lib/physics.js";
 
 const HUES = [
   ["#9fd3f5", "#3d9bd6", "#0b5f96"], // 1 period

@@ -1,13 +1,13 @@
 // What the diagram, the mode map and the thresholds have in common: a plot that is loaded, pointed at, zoomed and taken away.
 
-import { noted } from "./address.js";
-import { toldElsewhere } from "./api.js";
-import { h, newest, say } from "./dom.js";
-import { downloads, fileName, netcdf } from "./downloads.js";
-import { gestures, zoomed } from "./gestures.js";
-import { pngOf, svgOf } from "./plot-files.js";
-import { Plot } from "./plot.js";
-import { askWindow, noteWindow } from "./zoom.js";
+import { noted } from "../lib/address.js";
+import { toldElsewhere } from "../lib/api.js";
+import { h, newest, say } from "../lib/dom.js";
+import { downloads, fileName, netcdf } from "../lib/downloads.js";
+import { gestures, zoomed } from "../plot/input.js";
+import { pngOf, svgOf } from "../plot/export.js";
+import { Plot } from "../plot/plot.js";
+import { askWindow, noteWindow } from "../lib/zoom.js";
 
 const AGAIN = 3000; // ms, after which results that were damaged are asked for once more
 export const KEYS = "Arrow keys step, Enter shows the cell in motion, plus and minus zoom, 0 shows all.";
