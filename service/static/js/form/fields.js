@@ -1,87 +1,94 @@
-// The fields of a sweep that are no axes: plain numbers, how cells start, the contact.
+// The fields of the form. Each is {element, read(), write(value)} with values as a specification has them; read()
+// gives null, and write() takes undefined, for the default.
 
-import { numeric } from "./axis-field.js";
 import { h } from "../lib/dom.js";
-import { SYMBOL } from "../lib/physics.js";
+import { AXES, MEANING, SYMBOL } from "../lib/physics.js";
 
-/** One input of its own. */
-export function plainField(name, label, about, given = {}) {
-  const text = given.type === "text";
-  const input = h("input", { type: "text", inputmode: text ? "text" : "decimal", autocomplete: "off", size: 8, "data-field": name, ...given });
-  const element = h("label", { className: "plain" }, h("span", {}, label), input, h("small", {}, about));
+export const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
+
+/** Typed text as a number; as it is where it is none, for the service to refuse; null where it is empty. */
+export function parseNumber(text) {
+  const trimmed = text.trim().replace("−", "-");
+  if (trimmed === "") return null;
+  return Number.isFinite(Number(trimmed)) ? Number(trimmed) : trimmed;
+}
+
+/** A number; an empty input means the default, which is its placeholder. */
+export function numberField(name, label, about, defaultValue) {
+  const input = h("input", { ...NUMBER_INPUT, placeholder: String(defaultValue), "data-field": name });
   return {
-    element,
-    read: () => (text ? input.value : numeric(input.value)),
-    write: (value) => { input.value = String(value); },
+    element: h("label", { className: "plain" }, h("span", {}, label), input, h("small", {}, about)),
+    read: () => parseNumber(input.value),
+    write: (value) => { input.value = value === undefined ? "" : String(value); },
   };
 }
 
-const STARTS = { rest: "every cell from rest", up: "ramp up", down: "ramp down", both: "ramp up, then down" };
+export function nameField() {
+  const input = h("input", { type: "text", autocomplete: "off", maxlength: 200, size: 32, "data-field": "name" });
+  return {
+    element: h("label", { className: "plain" }, h("span", {}, "Name"), input, h("small", {}, "a label for the list of sweeps")),
+    read: () => input.value,
+    write: (value) => { input.value = value ?? ""; },
+  };
+}
 
-/** Every cell from rest, or the state carried from cell to cell. */
+const AXIS_KINDS = { single: "one value", list: "a list of values", range: "a range" };
+const AXIS_DEFAULTS = { gamma: { start: 1, stop: 6, num: 501 }, omega: 0.5, xi: 0.26 }; // of the form: a specification has none
+
+/** One axis: a single value, a list of values, or a range. */
+export function axisField(axis) {
+  const input = (field, label, attributes = {}) => {
+    const element = h("input", { ...NUMBER_INPUT, "data-field": field, ...attributes });
+    return { element, label: h("label", {}, h("span", {}, label), element) };
+  };
+  const kind = h("select", { onchange: () => show() },
+    Object.entries(AXIS_KINDS).map(([value, text]) => h("option", { value }, text)));
+  const single = input(axis, "value");
+  const list = input(axis, "values, separated by commas", { size: 24 });
+  const start = input(`${axis}.start`, "from");
+  const stop = input(`${axis}.stop`, "to");
+  const num = input(`${axis}.num`, "number of values", { inputmode: "numeric" });
+  const spacing = h("select", { "data-field": `${axis}.spacing` }, ["linear", "log"].map((value) => h("option", { value }, value)));
+  const spacingLabel = h("label", {}, h("span", {}, "spacing"), spacing);
+  const labels = { single: [single.label], list: [list.label], range: [start.label, stop.label, num.label, spacingLabel] };
+  const show = () => Object.entries(labels).forEach(([name, group]) => group.forEach((label) => { label.hidden = name !== kind.value; }));
+
+  const read = () => {
+    if (kind.value === "single") return parseNumber(single.element.value);
+    if (kind.value === "list") return list.element.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
+    return { start: parseNumber(start.element.value), stop: parseNumber(stop.element.value), num: parseNumber(num.element.value), spacing: spacing.value };
+  };
+  const write = (value = AXIS_DEFAULTS[axis]) => {
+    kind.value = typeof value === "number" ? "single" : Array.isArray(value) ? "list" : "range";
+    if (kind.value === "single") single.element.value = String(value);
+    else if (kind.value === "list") list.element.value = value.join(", ");
+    else {
+      for (const [name, part] of Object.entries({ start, stop, num })) part.element.value = String(value[name]);
+      spacing.value = value.spacing ?? "linear";
+    }
+    show();
+  };
+  const element = h("fieldset", { "data-group": axis },
+    h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, MEANING[axis])),
+    h("label", {}, h("span", {}, "given as"), kind), Object.values(labels).flat());
+  return { element, read, write };
+}
+
+const PROTOCOLS = { rest: "every cell from rest", up: "ramp up", down: "ramp down", both: "ramp up, then down" };
+
+/** Each cell from rest, or a ramp: each cell from the final state of the one before. */
 export function protocolField() {
-  const kind = h("select", { "data-field": "protocol", onchange: () => show() }, Object.entries(STARTS).map(([value, text]) => h("option", { value }, text)));
-  const axis = h("select", { "data-field": "protocol.axis" }, Object.entries(SYMBOL).map(([value, text]) => h("option", { value }, text)));
+  const kind = h("select", { "data-field": "protocol", onchange: () => show() }, Object.entries(PROTOCOLS).map(([value, text]) => h("option", { value }, text)));
+  const axis = h("select", { "data-field": "protocol.axis" }, AXES.map((value) => h("option", { value }, SYMBOL[value])));
   const along = h("label", {}, h("span", {}, "along"), axis);
-  const element = h("fieldset", { "data-group": "protocol" }, h("legend", {}, "Start"), h("label", {}, h("span", {}, "cells start"), kind), along);
   const show = () => { along.hidden = kind.value === "rest"; };
   return {
-    element,
+    element: h("fieldset", { "data-group": "protocol" }, h("legend", {}, "Protocol"), h("label", {}, h("span", {}, "cells start"), kind), along),
     read: () => (kind.value === "rest" ? { kind: "rest" } : { kind: "ramp", axis: axis.value, direction: kind.value }),
-    write: (protocol) => {
+    write: (protocol = { kind: "rest" }) => {
       kind.value = protocol.kind === "rest" ? "rest" : protocol.direction;
       axis.value = protocol.axis ?? "gamma";
       show();
     },
   };
-}
-
-const MODELS = {
-  soft: ["soft: spring–dashpot contact, exact", ["restitution", "penetration", "rest_length", "adhesive"]],
-  rigid: ["rigid: ideal plate", ["restitution"]],
-  stepped: ["stepped: soft by time steps, as in the paper", ["restitution", "penetration", "rest_length", "adhesive", "steps_per_contact", "scheme"]],
-  ball: ["ball: one mass, no spring", ["restitution"]],
-  auto: ["auto: the cheapest within a tolerance of soft", ["restitution", "penetration", "rest_length", "adhesive", "tolerance"]],
-};
-
-const LABELS = {
-  restitution: ["restitution", "of an isolated impact, 0 to 1; empty: the usual"],
-  penetration: ["depth", "of the contact, plate amplitudes; empty: 0.001"],
-  rest_length: ["rest length", "in place of the depth; mostly empty"],
-  steps_per_contact: ["steps a contact", "empty: 20"],
-  tolerance: ["tolerance", "rad of flight time; empty: 0.001"],
-};
-
-/** The contact model and the fields that it has. */
-export function modelField() {
-  const kind = h("select", { "data-field": "model.kind", onchange: () => show() }, Object.entries(MODELS).map(([value, [text]]) => h("option", { value }, text)));
-  const adhesive = h("input", { type: "checkbox", "data-field": "model.adhesive", checked: true });
-  const scheme = h("select", { "data-field": "model.scheme" }, ["verlet", "euler"].map((value) => h("option", { value }, value)));
-  const inputs = Object.fromEntries(Object.keys(LABELS).map((name) => [name, h("input", { type: "text", inputmode: "decimal", autocomplete: "off", size: 8, "data-field": `model.${name}` })]));
-  const labels = {
-    ...Object.fromEntries(Object.entries(LABELS).map(([name, [title, about]]) => [name, h("label", { className: "plain" }, h("span", {}, title), inputs[name], h("small", {}, about))])),
-    adhesive: h("label", { className: "check" }, adhesive, " the contact may pull (adhesive)"),
-    scheme: h("label", {}, h("span", {}, "scheme"), scheme),
-  };
-  const element = h("fieldset", { "data-group": "model" }, h("legend", {}, "Contact"), h("label", {}, h("span", {}, "model"), kind), Object.values(labels));
-  const fields = () => MODELS[kind.value][1];
-  const show = () => Object.entries(labels).forEach(([name, label]) => { label.hidden = !fields().includes(name); });
-
-  const read = () => {
-    const model = { kind: kind.value };
-    for (const name of fields()) {
-      if (name === "adhesive") model.adhesive = adhesive.checked;
-      else if (name === "scheme") model.scheme = scheme.value;
-      else if (inputs[name].value.trim() !== "") model[name] = numeric(inputs[name].value);
-    }
-    return model;
-  };
-  const write = (model) => {
-    kind.value = model.kind;
-    for (const [name, input] of Object.entries(inputs)) input.value = model[name] ?? "";
-    adhesive.checked = model.adhesive ?? true;
-    scheme.value = model.scheme ?? "verlet";
-    show();
-  };
-  return { element, read, write };
 }

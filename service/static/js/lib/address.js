@@ -1,45 +1,62 @@
-// The address bar holds the view: #/job/ID/diagram?omega=0.5. A link shows the same.
+// The view's state in the address: #/job/ID/diagram?omega=0.5. A copied link shows the same view.
 
-import { query as encoded } from "./api.js";
+import { query as encode } from "./api.js";
 import { debounced } from "./dom.js";
 
-/** Where we are: {path: ["job", ID, "diagram"], query: {omega: "0.5"}}. */
-export function here() {
+const WINDOW = ["x0", "x1", "y0", "y1"];
+
+/** The current address: {path: ["job", ID, "diagram"], query: {omega: "0.5"}}. */
+export function currentAddress() {
   const [path, query = ""] = location.hash.replace(/^#\/?/, "").split("?");
   return { path: path.split("/").filter(Boolean), query: Object.fromEntries(new URLSearchParams(query)) };
 }
 
 export function link(path, query = {}) {
-  const text = encoded(query).replaceAll("%2C", ",");
+  const text = encode(query).replaceAll("%2C", ",");
   return `#/${path.join("/")}${text ? `?${text}` : ""}`;
 }
 
-export function go(path, query = {}) {
+export function navigate(path, query = {}) {
   location.hash = link(path, query);
 }
 
-// Browsers ration changes of the address: a slider makes hundreds.
+// Browsers limit how often the address may change; a slider changes it hundreds of times.
 const write = debounced(120, (target) => history.replaceState(null, "", target));
 let pending = null;
 
-/** Change what the address says of this view, without a new entry in the history; null removes. */
-export function note(changes) {
-  pending ??= here();
+/** Change query parameters without a new history entry; null removes one. */
+export function setQuery(changes) {
+  pending ??= currentAddress();
   pending.query = { ...pending.query, ...changes };
   write(link(pending.path, pending.query));
 }
 
-/** Change the whole address at once, without a new entry in the history. */
+/** Replace the whole address without a new history entry. */
 export function replace(path, query = {}) {
-  settle();
+  discardPending();
   history.replaceState(null, "", link(path, query));
 }
 
-/** What the address says or is about to say. */
-export const noted = () => (pending ?? here()).query;
+/** The query parameters, including changes not written yet. */
+export const currentQuery = () => (pending ?? currentAddress()).query;
 
-/** Forget what was to be written: the view it was about is left. */
-export function settle() {
+/** Drop changes not written yet: they belong to a view that was left. */
+export function discardPending() {
   write.cancel();
   pending = null;
 }
+
+/** The zoom window {x0, x1, y0, y1} in a query; null without a valid one. */
+export function windowIn(query) {
+  const values = WINDOW.map((name) => (query[name] === undefined ? NaN : Number(query[name])));
+  if (!values.every(Number.isFinite) || values[0] >= values[1] || values[2] >= values[3]) return null;
+  return Object.fromEntries(WINDOW.map((name, i) => [name, values[i]]));
+}
+
+/** Write a zoom window to the address; null removes it. */
+export function setWindow(window) {
+  setQuery(Object.fromEntries(WINDOW.map((name) => [name, window ? Number(window[name].toPrecision(6)) : null])));
+}
+
+/** An axis value as addresses hold it: ten significant digits. */
+export const addressValue = (value) => Number(value.toPrecision(10));

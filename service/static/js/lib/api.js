@@ -1,6 +1,6 @@
-// What the page asks of the service, and the two ways in which that can go wrong.
+// Requests to the service, and their errors.
 
-/** The service refused, and says why: `errors` is a list of {field, rule}. */
+/** The service refused a request: its message, the HTTP status, and `errors`, a list of {field, rule}. */
 export class Problem extends Error {
   constructor(status, { detail, errors = [] }) {
     super(detail);
@@ -9,93 +9,94 @@ export class Problem extends Error {
   }
 }
 
-/** The service did not answer at all. */
-export class Lost extends Error {
-  name = "Lost";
+/** The service did not answer. */
+export class Unreachable extends Error {
+  name = "Unreachable";
 }
 
-/** Tells of "lost", "back" and "token" (one is needed). */
+/** Dispatches "unreachable" when a request gets no answer, and "unauthorized" when the service requires a token. */
 export const connection = new EventTarget();
 
-const PATIENCE = 30_000;
-const TOKEN = "bounce-token";
+const TIMEOUT_MS = 30_000;
+const DOWNLOAD_TIMEOUT_MS = 600_000;
+const TOKEN_KEY = "bounce-token";
 
-export const setToken = (token) => sessionStorage.setItem(TOKEN, token);
+export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token);
 
-/** The answer to one request; throws Problem, Lost, or an AbortError where `signal` says so. */
-export async function ask(path, { method = "GET", body, signal, patience = PATIENCE, priority = "auto" } = {}) {
+/** The response to one request. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
+export async function request(path, { method = "GET", body, signal, timeout = TIMEOUT_MS, priority = "auto" } = {}) {
   const headers = {};
   if (body !== undefined) headers["Content-Type"] = "application/json";
-  const token = sessionStorage.getItem(TOKEN);
+  const token = sessionStorage.getItem(TOKEN_KEY);
   if (token) headers.Authorization = `Bearer ${token}`;
-  const timeout = AbortSignal.timeout(patience);
-  let answer;
+  const timer = AbortSignal.timeout(timeout);
+  let response;
   try {
-    answer = await fetch(path, {
+    response = await fetch(path, {
       method,
       priority,
       headers,
       body: body === undefined ? undefined : JSON.stringify(body),
-      signal: signal ? AbortSignal.any([signal, timeout]) : timeout,
+      signal: signal ? AbortSignal.any([signal, timer]) : timer,
     });
   } catch (error) {
     if (signal?.aborted) throw error;
-    throw lost();
+    throw unreachable();
   }
-  if (answer.ok) return answer;
-  if (answer.status === 401) connection.dispatchEvent(new Event("token"));
-  throw new Problem(answer.status, await problemOf(answer));
+  if (response.ok) return response;
+  if (response.status === 401) connection.dispatchEvent(new Event("unauthorized"));
+  throw new Problem(response.status, await problemOf(response));
 }
 
-export async function askJson(path, options) {
-  const answer = await ask(path, options);
-  return answer.status === 204 ? null : read(answer, "json", options?.signal);
+export async function requestJson(path, options) {
+  const response = await request(path, options);
+  return response.status === 204 ? null : read(response, "json", options?.signal);
 }
 
-/** Arrays as service/packing.py sends them: {facts…, arrays: {name: typed array}}. */
-export async function askPacked(path, options) {
-  const buffer = await read(await ask(path, options), "arrayBuffer", options?.signal);
-  const end = new Uint8Array(buffer).indexOf(10);
-  const found = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
-  for (const [name, [type, offset, length]] of Object.entries(found.arrays)) {
-    found.arrays[name] = new TYPES[type](buffer, end + 1 + offset, length);
-  }
-  return found;
-}
-
-const TYPES = {
+const ARRAY_TYPES = {
   float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array,
 };
 
-export const blobOf = async (path) => read(await ask(path, { patience: 600_000 }), "blob");
-
-/** A query string of what is given; null and undefined are left out. */
-export function query(given) {
-  const known = Object.entries(given).filter(([, value]) => value !== null && value !== undefined && value !== "");
-  return new URLSearchParams(known.map(([name, value]) => [name, String(value)])).toString();
+/** Arrays in the binary form of service/render/binary.py: {…values of the header, arrays: {name: typed array}}. */
+export async function requestArrays(path, options) {
+  const buffer = await read(await request(path, options), "arrayBuffer", options?.signal);
+  const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
+  for (const [name, [type, offset, length]] of Object.entries(header.arrays)) {
+    header.arrays[name] = new ARRAY_TYPES[type](buffer, end + 1 + offset, length);
+  }
+  return header;
 }
 
-/** Whether an error is told elsewhere: the banner, the token's dialog, or a request that was given up. */
-export const toldElsewhere = (error) => error.name === "Lost" || error.name === "AbortError" || error.status === 401;
+export const requestBlob = async (path) => read(await request(path, { timeout: DOWNLOAD_TIMEOUT_MS }), "blob");
 
-async function read(answer, as, signal) {
+/** A query string; null, undefined and empty values are left out. */
+export function query(values) {
+  const set = Object.entries(values).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return new URLSearchParams(set.map(([name, value]) => [name, String(value)])).toString();
+}
+
+/** Whether a view need not show this error: the banner or the token dialog does, or the request was aborted on purpose. */
+export const isHandledElsewhere = (error) => error.name === "Unreachable" || error.name === "AbortError" || error.status === 401;
+
+async function read(response, as, signal) {
   try {
-    return await answer[as]();
+    return await response[as]();
   } catch (error) {
     if (signal?.aborted) throw error;
-    throw lost(); // it went away in the middle of its answer
+    throw unreachable(); // the connection broke during the response
   }
 }
 
-async function problemOf(answer) {
+async function problemOf(response) {
   try {
-    return await answer.json();
+    return await response.json();
   } catch {
-    return { detail: `the service answered ${answer.status} ${answer.statusText}` };
+    return { detail: `the service answered ${response.status} ${response.statusText}` };
   }
 }
 
-function lost() {
-  connection.dispatchEvent(new Event("lost"));
-  return new Lost("the service does not answer");
+function unreachable() {
+  connection.dispatchEvent(new Event("unreachable"));
+  return new Unreachable("the service does not answer");
 }

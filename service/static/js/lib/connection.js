@@ -1,46 +1,47 @@
-// The service goes away and comes back; it may want a token. Both are said at the top of the page.
+// The banner shown while the service does not answer, and the dialog for its access token.
 
-import { ask, connection, setToken } from "./api.js";
-import { say } from "./dom.js";
+import { connection, request, setToken } from "./api.js";
+import { announce } from "./dom.js";
 
-const AGAIN = 1000;
-let trying = false;
+const RETRY_MS = 1000;
+const TIMEOUT_MS = 3000;
+let retrying = false;
 
-/** Watches the connection; `back` is called when asking makes sense again. */
-export function watch(back) {
-  const banner = document.getElementById("lost");
+/** Show the banner and the dialog when they are needed; `onRestored` is called when requests can succeed again. */
+export function watchConnection(onRestored) {
+  const banner = document.getElementById("offline");
   const dialog = document.getElementById("token");
 
-  connection.addEventListener("lost", () => {
-    if (trying) return;
-    trying = true;
+  connection.addEventListener("unreachable", () => {
+    if (retrying) return;
+    retrying = true;
     banner.hidden = false;
-    tryAgain(() => {
-      trying = false;
+    retry(() => {
+      retrying = false;
       banner.hidden = true;
-      say("The service answers again.");
-      back();
+      announce("The service answers again.");
+      onRestored();
     });
   });
 
-  connection.addEventListener("token", () => {
+  connection.addEventListener("unauthorized", () => {
     if (!dialog.open) dialog.showModal();
   });
   dialog.querySelector("form").addEventListener("submit", (event) => {
     event.preventDefault();
-    const field = dialog.querySelector("input");
-    setToken(field.value.trim());
-    field.value = "";
+    const input = dialog.querySelector("input");
+    setToken(input.value.trim());
+    input.value = "";
     dialog.close();
-    back();
+    onRestored();
   });
 }
 
-async function tryAgain(then) {
+async function retry(done) {
   try {
-    await ask("/healthz", { patience: 3000 });
-    then();
+    await request("/healthz", { timeout: TIMEOUT_MS });
+    done();
   } catch {
-    setTimeout(() => tryAgain(then), AGAIN);
+    setTimeout(() => retry(done), RETRY_MS);
   }
 }

@@ -1,8 +1,8 @@
-// Elements in one call, and what keeps a page from doing the same work twice.
+// Building elements, dialogs, screen-reader announcements, and limiting how often a function runs.
 
 const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected"]);
 
-/** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element; null children are left out. */
+/** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element; null and false children are left out. */
 export function h(tag, props = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(props)) {
@@ -15,47 +15,57 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
-/** Calls `work` once things have been quiet for a while. */
+/** Announce `text` to screen readers. */
+export function announce(text) {
+  document.getElementById("status").textContent = text;
+}
+
+/** Ask for confirmation in a dialog; resolves to whether the button labelled `action` was pressed. */
+export function confirmed(question, action) {
+  const dialog = document.getElementById("confirm");
+  dialog.querySelector("p").textContent = question;
+  dialog.querySelector("[value=yes]").textContent = action;
+  dialog.returnValue = "";
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+}
+
+/** `work`, called only after `milliseconds` without another call. `cancel()` drops a pending call. */
 export function debounced(milliseconds, work) {
   let timer;
-  const call = (...given) => {
+  const call = (...args) => {
     clearTimeout(timer);
-    timer = setTimeout(() => work(...given), milliseconds);
+    timer = setTimeout(() => work(...args), milliseconds);
   };
   call.cancel = () => clearTimeout(timer);
   return call;
 }
 
-const PATIENCE = 150; // ms
+const ABORT_AFTER_MS = 150;
 
 /**
- * One run at a time; asked again meanwhile, it runs once more with the last of what it was given. What takes long is
- * given up for the next: the signal, which `work` is given first, says so.
+ * `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
+ * the run ends, and the run is aborted through its signal if it takes longer than ABORT_AFTER_MS.
  */
-export function newest(work) {
-  let controller = null; // of the run under way
-  let since;
-  let next = null;
-  return async function run(...given) {
+export function latest(work) {
+  let controller = null; // of the current run
+  let started;
+  let pending = null;
+  return async function run(...args) {
     if (controller) {
-      if (!next) setTimeout((stale) => stale.abort(), Math.max(0, since + PATIENCE - performance.now()), controller);
-      next = given;
+      if (!pending) setTimeout((stale) => stale.abort(), Math.max(0, started + ABORT_AFTER_MS - performance.now()), controller);
+      pending = args;
       return;
     }
     controller = new AbortController();
-    since = performance.now();
+    started = performance.now();
     try {
-      await work(controller.signal, ...given);
+      await work(controller.signal, ...args);
     } finally {
       controller = null;
-      const waiting = next;
-      next = null;
-      if (waiting) run(...waiting);
+      const next = pending;
+      pending = null;
+      if (next) run(...next);
     }
   };
-}
-
-/** Tells people who listen instead of look. */
-export function say(text) {
-  document.getElementById("said").textContent = text;
 }

@@ -1,4 +1,4 @@
-// Numbers as people read them.
+// Numbers, sizes and times as text.
 
 /** Up to `digits` significant digits, no trailing zeros. */
 export function number(value, digits = 5) {
@@ -10,7 +10,7 @@ export function number(value, digits = 5) {
 
 export const count = (value) => value.toLocaleString("en");
 
-export const plural = (n, one, many = `${one}s`) => `${count(n)} ${n === 1 ? one : many}`;
+export const plural = (n, singular, many = `${singular}s`) => `${count(n)} ${n === 1 ? singular : many}`;
 
 /** 2 → "2nd". */
 export function ordinal(n) {
@@ -24,18 +24,20 @@ export function bytes(value) {
   return `${number(value / 1000 ** step, 3)} ${units[step]}`;
 }
 
-export function seconds(value) {
+/** A duration in seconds. */
+export function duration(value) {
   if (value < 0.1) return "less than 0.1 s";
   if (value < 90) return `${number(value, 2)} s`;
   if (value < 5400) return `${Math.round(value / 60)} min`;
   return `${number(value / 3600, 2)} h`;
 }
 
+/** How long ago a time was; after 36 h, its date. */
 export function ago(time) {
-  const past = Math.max(0, (Date.now() - new Date(time)) / 1000);
-  if (past < 10) return "just now";
-  if (past < 90) return `${Math.round(past)} s ago`;
-  if (past < 5400) return `${Math.round(past / 60)} min ago`;
-  if (past < 129600) return `${Math.round(past / 3600)} h ago`;
+  const seconds = Math.max(0, (Date.now() - new Date(time)) / 1000);
+  if (seconds < 10) return "just now";
+  if (seconds < 90) return `${Math.round(seconds)} s ago`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min ago`;
+  if (seconds < 129600) return `${Math.round(seconds / 3600)} h ago`;
   return new Date(time).toLocaleDateString("en", { day: "numeric", month: "short", year: "numeric" });
 }

@@ -1,24 +1,28 @@
-// The few words and the one formula that the page knows by itself.
+// Axes of a sweep, outcomes of its cells, and the analytic threshold: what the page knows of the model.
+
+/** The axes in the order they are shown. */
+export const AXES = ["gamma", "omega", "xi"];
 
 export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
 
 export const MEANING = {
-  gamma: "plate acceleration over gravity",
-  omega: "plate frequency over the spring's own",
-  xi: "damping of the spring",
+  gamma: "plate acceleration, Aω²/g",
+  omega: "plate frequency, ω/ω₀",
+  xi: "damping, β/(2mω₀)",
 };
 
-export const TURN = 2 * Math.PI;
+export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 
+/** Codes of kernel.params.Outcome. */
 export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5 };
 
-/** Eq. 25: the Γ at which a spring at rest on the plate begins to bounce. */
+/** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
 export function threshold(omega, xi) {
   const [w, x] = [omega ** 2, xi ** 2];
   return 2 * Math.sqrt(((1 - w) ** 2 + 4 * x * w) / ((2 - w) ** 2 + 16 * x * w));
 }
 
-/** The values of an axis as a specification writes it: a number, a list, or a range. */
+/** The values of an axis of a specification: a number, a list, or {start, stop, num, spacing}. */
 export function axisValues(axis) {
   if (typeof axis === "number") return [axis];
   if (Array.isArray(axis)) return axis;
@@ -36,25 +40,28 @@ export function axisValues(axis) {
 
 export const isLog = (axis) => axis?.spacing === "log";
 
-/** The index of the value nearest to `wanted`; values increase. */
-export function nearest(values, wanted) {
+/** The index of the value nearest to `target`; `values` increase. */
+export function nearestIndex(values, target) {
   let [low, high] = [0, values.length - 1];
   while (high - low > 1) {
     const middle = (low + high) >> 1;
-    if (values[middle] <= wanted) low = middle;
+    if (values[middle] <= target) low = middle;
     else high = middle;
   }
-  return wanted - values[low] <= values[high] - wanted ? low : high;
+  return target - values[low] <= values[high] - target ? low : high;
 }
 
-/** The value of an axis nearest to the one that an address asks for, or the middle one. */
-export function startOf(values, asked) {
-  const wanted = asked === undefined ? NaN : Number(asked);
-  return values[Number.isFinite(wanted) ? nearest(values, wanted) : values.length >> 1];
+/** The axis value nearest to `text`, a query parameter; the middle value where it is missing or no number. */
+export function initialValue(values, text) {
+  const target = text === undefined ? NaN : Number(text);
+  return values[Number.isFinite(target) ? nearestIndex(values, target) : values.length >> 1];
 }
 
-/** Whether two values are the same but for how they were written. */
-export const same = (one, two) => Math.abs(one - two) <= 1e-8 * Math.max(Math.abs(one), Math.abs(two));
+/** Whether two values are equal up to the rounding of their decimal form. */
+export const isClose = (a, b) => Math.abs(a - b) <= 1e-8 * Math.max(Math.abs(a), Math.abs(b));
+
+/** `index` limited to an array of `length`. */
+export const clampIndex = (index, length) => Math.min(Math.max(index, 0), length - 1);
 
 /** The directions of a sweep, as the service names them. */
 export function directionsOf({ protocol }) {
@@ -62,8 +69,8 @@ export function directionsOf({ protocol }) {
   return protocol.direction === "both" ? ["up", "down"] : [protocol.direction];
 }
 
-/** What became of a cell, in words. */
-export function modeText(outcome, bounces, periods) {
+/** A cell's outcome as text. */
+export function outcomeText(outcome, bounces, periods) {
   switch (outcome) {
     case OUTCOME.periodic:
       return `mode (${bounces}, ${periods})`;

@@ -1,62 +1,70 @@
-// The spatio-temporal diagram of the paper's Fig. 2 (a–d): the spring in grey above the plate.
+// The heights of plate and masses over time, as in the paper's Fig. 2 (a–d): the spring in grey above the plate.
 
-import { TURN } from "../lib/physics.js";
-import { area, stroke, upright } from "../plot/drawing.js";
+import { TWO_PI } from "../lib/physics.js";
+import { polygon, polyline, verticalLine } from "../plot/drawing.js";
 
-const ROOM = 0.06; // of the height, above and below
+const MARGIN = 0.06; // of the height range, above and below
+const MIN_LENGTH = 2; // plate amplitudes
+const MAX_LENGTH = 6;
 
-/** What to draw of a trajectory, its spring drawn at a length that can be looked at. */
-export function traceOf(path) {
-  const ball = path.model.kind === "ball";
-  const length = ball ? 0 : drawnLength(path);
-  const lower = path.z2;
-  const upper = path.z1.map((z1, i) => (z1 === null ? null : ball ? lower[i] : z1 - path.rest_length + length));
-  const heights = [...path.plate, ...lower, ...upper].filter((value) => value !== null);
-  const [low, high] = [Math.min(...heights), Math.max(...heights)];
-  const trace = {
-    ball, length, phase: path.phase, plate: path.plate, lower, upper, flying: path.in_flight,
-    low: low - ROOM * (high - low) - 0.4, high: high + ROOM * (high - low) + 0.4,
+/**
+ * What to draw of a trajectory. Lengths are in plate amplitudes. `content(phase)` is for a Plot, where `phase()` is
+ * the current phase; `at(phase)` gives the heights at a phase in rad.
+ */
+export function heightsOf(trajectory) {
+  const isBall = trajectory.model.kind === "ball";
+  const length = isBall ? 0 : drawnLength(trajectory);
+  const lower = trajectory.z2;
+  const upper = trajectory.z1.map((z1, i) => (z1 === null ? null : isBall ? lower[i] : z1 - trajectory.rest_length + length));
+  const values = [...trajectory.plate, ...lower, ...upper].filter((value) => value !== null);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const heights = {
+    isBall, phase: trajectory.phase, plate: trajectory.plate, lower, upper, inFlight: trajectory.in_flight,
+    low: low - MARGIN * (high - low) - 0.4, high: high + MARGIN * (high - low) + 0.4,
   };
-  trace.content = (now) => content(trace, now);
-  trace.at = (phase) => at(trace, phase);
-  return trace;
+  heights.content = (phase) => contentOf(heights, phase);
+  heights.at = (phase) => interpolated(heights, phase);
+  return heights;
 }
 
-/** The model does not say how long the spring is: as long as the service says, or so that its ends stay apart. */
+/**
+ * The length the spring is drawn with. The dynamics do not depend on the rest length, so it is the one of the
+ * trajectory where that can be seen, and long enough for the ends not to cross.
+ */
 function drawnLength({ z1, z2, rest_length: rest }) {
-  const shortest = Math.min(...z1.map((one, i) => (one === null ? 0 : one - rest - z2[i])));
-  const least = Math.max(2, 1 - 1.3 * shortest);
-  return Math.min(Math.max(rest, least), Math.max(least, 6));
+  const maxCompression = -Math.min(...z1.map((value, i) => (value === null ? 0 : value - rest - z2[i])));
+  const minLength = Math.max(MIN_LENGTH, 1 + 1.3 * maxCompression);
+  return Math.min(Math.max(rest, minLength), Math.max(minLength, MAX_LENGTH));
 }
 
-function content(trace, now) {
-  const { phase, plate, lower, upper } = trace;
-  const periods = phase.map((one) => one / TURN);
-  const path = (box, values) => values.map((value, i) => [box.x.place(periods[i]), box.y.place(value ?? NaN)]).filter(([, y]) => Number.isFinite(y));
+function contentOf(heights, currentPhase) {
+  const { phase, plate, lower, upper, isBall } = heights;
+  const periods = phase.map((value) => value / TWO_PI);
+  const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value ?? NaN)]).filter(([, y]) => Number.isFinite(y));
   return {
     x: { label: "time (plate periods)", low: 0, high: periods[periods.length - 1] },
-    y: { label: "height / A", low: trace.low, high: trace.high },
+    y: { label: "height / A", low: heights.low, high: heights.high },
     layers: [
-      (pen, box) => {
-        const below = path(box, plate);
-        area(pen, box.theme.ink, [...below, [box.left + box.width, box.top + box.height], [box.left, box.top + box.height]], box.theme.dark ? 0.62 : 0.85);
-        stroke(pen, box.theme.ink, 1.5, below);
+      (ctx, box) => {
+        const surface = points(box, plate);
+        polygon(ctx, box.theme.text, [...surface, [box.left + box.width, box.top + box.height], [box.left, box.top + box.height]], box.theme.dark ? 0.62 : 0.85);
+        polyline(ctx, box.theme.text, 1.5, surface);
       },
-      (pen, box) => {
-        if (!trace.ball) area(pen, box.theme.soft, [...path(box, upper), ...path(box, lower).reverse()], box.theme.dark ? 0.25 : 0.35);
-        stroke(pen, box.theme.up, 1.6, path(box, upper));
-        stroke(pen, box.theme.mass, 1.6, path(box, lower));
+      (ctx, box) => {
+        if (!isBall) polygon(ctx, box.theme.muted, [...points(box, upper), ...points(box, lower).reverse()], box.theme.dark ? 0.25 : 0.35);
+        polyline(ctx, box.theme.up, 1.6, points(box, upper));
+        polyline(ctx, box.theme["lower-mass"], 1.6, points(box, lower));
       },
     ],
-    cursor: (pen, box) => upright(pen, box, box.x.place(now() / TURN), box.theme.cursor),
+    cursor: (ctx, box) => verticalLine(ctx, box, box.x.pixel(currentPhase() / TWO_PI), box.theme.cursor),
   };
 }
 
-/** Heights at a phase, between two samples; null beyond where the motion could be followed. */
-function at({ phase, plate, lower, upper, flying }, now) {
+/** Heights at a phase, linear between two samples; null after the end of the computed trajectory. */
+function interpolated({ phase, plate, lower, upper, inFlight }, at) {
   const step = phase[1] - phase[0];
-  const i = Math.min(Math.floor(now / step), phase.length - 2);
-  const part = Math.min(Math.max((now - phase[i]) / step, 0), 1);
-  const between = (values) => (values[i] === null || values[i + 1] === null ? null : values[i] + part * (values[i + 1] - values[i]));
-  return { plate: between(plate), lower: between(lower), upper: between(upper), flying: flying[i] };
+  const i = Math.min(Math.floor(at / step), phase.length - 2);
+  const fraction = Math.min(Math.max((at - phase[i]) / step, 0), 1);
+  const between = (values) => (values[i] === null || values[i + 1] === null ? null : values[i] + fraction * (values[i + 1] - values[i]));
+  return { plate: between(plate), lower: between(lower), upper: between(upper), inFlight: inFlight[i] };
 }

@@ -1,57 +1,59 @@
-// One cell of a sweep in motion.
+// The panel beside a view of a sweep: the trajectory of the selected cell.
 
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv, downloads, fileName } from "../lib/downloads.js";
-import { number, plural } from "../lib/format.js";
+import { number } from "../lib/format.js";
 import { SYMBOL } from "../lib/physics.js";
-import { PERIODS, Player, SAMPLES, Waiting } from "./player.js";
 import { pngOf, svgOf } from "../plot/export.js";
-import { trajectory } from "./trajectory.js";
+import { Player } from "./player.js";
+import { ComputingNote, PERIODS, SAMPLES, describe, requestTrajectory } from "./trajectory.js";
 
-export class Motion {
+const COLUMNS = ["plate", "z1", "z2", "force"];
+
+export class TrajectoryPanel {
   player = null;
-  waiting = new Waiting();
+  computing = new ComputingNote();
 
-  constructor(root, { closed }) {
+  constructor(root, { onClose }) {
     this.root = root;
-    this.closed = closed;
+    this.onClose = onClose;
   }
 
-  /** Compute and show a cell: {gamma, omega, xi, direction}. */
+  /** Request and show the trajectory of a cell: {gamma, omega, xi, direction}. */
   async show(job, cell) {
-    const name = JSON.stringify(cell);
-    if (this.shown === name) return;
-    this.shown = name;
-    this.asking?.abort();
-    this.asking = new AbortController();
-    const { signal } = this.asking;
+    const key = JSON.stringify(cell);
+    if (this.shown === key) return;
+    this.shown = key;
+    this.request?.abort();
+    this.request = new AbortController();
+    const { signal } = this.request;
     this.root.hidden = false;
     this.root.setAttribute("aria-busy", "true");
-    if (this.player) this.#say(cell);
-    else this.root.replaceChildren(this.#head(cell), this.waiting.element);
-    this.waiting.start();
+    if (this.player) this.#describeCell(cell);
+    else this.root.replaceChildren(this.#header(cell), this.computing.element);
+    this.computing.show();
     try {
-      const asked = query({ ...cell, periods: PERIODS, samples: SAMPLES });
-      const path = await trajectory(`/v1/jobs/${job.id}/trajectory?${asked}`, { signal });
-      this.#show(job, { ...cell, ...path });
+      const parameters = query({ ...cell, periods: PERIODS, samples: SAMPLES });
+      const trajectory = await requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
+      this.#play(job, { ...cell, ...trajectory });
     } catch (error) {
       if (error.name === "AbortError") return;
       this.#stop();
       this.shown = null;
-      this.root.replaceChildren(this.#head(cell), h("p", { className: "problem", role: "alert" }, error.message));
+      this.root.replaceChildren(this.#header(cell), h("p", { className: "problem", role: "alert" }, error.message));
     } finally {
       if (!signal.aborted) {
-        this.waiting.stop();
+        this.computing.hide();
         this.root.removeAttribute("aria-busy");
       }
     }
   }
 
   hide() {
-    this.asking?.abort();
+    this.request?.abort();
     this.shown = null;
-    this.waiting.stop();
+    this.computing.hide();
     this.#stop();
     this.root.hidden = true;
     this.root.replaceChildren();
@@ -62,48 +64,39 @@ export class Motion {
     this.player = null;
   }
 
-  #show(job, path) {
+  #play(job, trajectory) {
     if (!this.player) {
-      const place = h("div", {});
+      const container = h("div", {});
       this.readout = h("p", { className: "readout" });
-      this.root.replaceChildren(this.#head(path), this.waiting.element, place, this.readout, this.#downloads(job));
-      this.player = new Player(place);
+      this.root.replaceChildren(this.#header(trajectory), this.computing.element, container, this.readout, this.#downloads(job));
+      this.player = new Player(container);
     }
-    this.path = path;
-    this.#say(path);
-    this.readout.textContent = describe(path);
-    this.player.show(path);
+    this.trajectory = trajectory;
+    this.#describeCell(trajectory);
+    this.readout.textContent = describe(trajectory);
+    this.player.show(trajectory);
   }
 
-  #head(cell) {
+  #header(cell) {
     this.about = h("p", { className: "note" });
-    this.#say(cell);
+    this.#describeCell(cell);
     return h("header", {},
-      h("h2", { tabindex: "-1" }, "A cell in motion"), this.about,
-      h("button", { type: "button", className: "quiet close", onclick: () => this.closed() }, "Close"));
+      h("h2", { tabindex: "-1" }, "Trajectory of a cell"), this.about,
+      h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
   }
 
-  #say({ gamma, omega, xi, direction }) {
+  #describeCell({ gamma, omega, xi, direction }) {
     const values = Object.entries({ gamma, omega, xi }).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`);
     this.about.textContent = `${values.join(", ")}, ${direction === "rest" ? "from rest" : `ramp ${direction}`}`;
   }
 
   #downloads(job) {
-    const name = (kind) => () => fileName(job, `motion-${number(this.path.gamma)}-${number(this.path.omega)}`, kind);
-    const rows = () => this.path.phase.map((one, i) => [one, ...["plate", "z1", "z2", "force"].map((what) => this.path[what][i])]);
+    const name = (extension) => () => fileName(job, `trajectory-${number(this.trajectory.gamma)}-${number(this.trajectory.omega)}`, extension);
+    const rows = () => this.trajectory.phase.map((phase, i) => [phase, ...COLUMNS.map((column) => this.trajectory[column][i])]);
     return downloads([
       ["PNG", name("png"), () => pngOf(this.player.plot)],
       ["SVG", name("svg"), () => svgOf(this.player.plot)],
-      ["CSV", name("csv"), () => csv(["phase_rad", "plate", "z1", "z2", "force"], rows())],
+      ["CSV", name("csv"), () => csv(["phase_rad", ...COLUMNS], rows())],
     ]);
   }
-}
-
-/** What a motion is, in words. */
-export function describe({ flights, complete }) {
-  const times = flights.flight_time.filter((time) => time > 1e-3);
-  const what = times.length
-    ? `${plural(times.length, "whole flight")} in these ${PERIODS} plate periods: ${times.slice(0, 8).map((time) => number(time, 4)).join(", ")}${times.length > 8 ? " …" : ""} rad.`
-    : "It stays on the plate.";
-  return complete ? what : `${what} It could not be followed to the end.`;
 }

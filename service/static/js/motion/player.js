@@ -1,48 +1,46 @@
-// A motion that runs: the masses, the spring and the plate, beside where they are at every phase.
+// Playback of a trajectory: the animated spring, the plot of its heights, and the controls.
 
 import { h } from "../lib/dom.js";
-import { TURN } from "../lib/physics.js";
+import { TWO_PI } from "../lib/physics.js";
 import { Plot } from "../plot/plot.js";
-import { drawStage } from "./animation.js";
-import { traceOf } from "./height-plot.js";
+import { drawInstant } from "./animation.js";
+import { heightsOf } from "./height-plot.js";
+import { PERIODS } from "./trajectory.js";
 
-const SECONDS = 1.6; // a plate period at full speed
+const SECONDS_PER_PERIOD = 1.6; // at full speed
 const SPEEDS = [1, 0.5, 0.25, 0.1];
 
-export const PERIODS = 4;
-export const SAMPLES = 240; // a plate period
-
 export class Player {
-  phase = 0;
+  phase = 0; // rad since the first sample
   speed = 1;
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(root) {
-    this.stage = h("canvas", { className: "stage", role: "img", "aria-label": "The masses, the spring and the plate in motion" });
-    const figure = h("figure", { className: "trace" });
-    this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // nothing yet
-    this.scrub = h("input", {
+    this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
+    const figure = h("figure", { className: "heights" });
+    this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
+    this.position = h("input", {
       type: "range", min: 0, max: PERIODS, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
       oninput: () => {
         this.play(false);
-        this.phase = this.scrub.valueAsNumber * TURN;
+        this.phase = this.position.valueAsNumber * TWO_PI;
         this.#draw();
       },
     });
     this.element = h("div", { className: "player" },
-      h("div", { className: "moving" }, this.stage, figure),
-      h("div", { className: "controls" }, this.button, this.#speeds(), this.scrub));
+      h("div", { className: "instant" }, this.canvas, figure),
+      h("div", { className: "controls" }, this.button, this.#speeds(), this.position));
     root.append(this.element);
     this.plot = new Plot(figure, {
-      label: `Where the masses and the plate are, over ${PERIODS} plate periods`,
-      content: () => this.trace?.content(() => this.phase) ?? null, ratio: 0.62, least: 280,
+      label: `Heights of the masses and the plate over ${PERIODS} plate periods`,
+      content: () => this.heights?.content(() => this.phase) ?? null, ratio: 0.62, minHeight: 280,
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
   }
 
-  /** Go on with another motion, at the phase this one has come to. */
-  show(path) {
-    this.trace = traceOf(path);
+  /** Show another trajectory from the current phase on. */
+  show(trajectory) {
+    this.heights = heightsOf(trajectory);
     this.button.disabled = false;
     this.plot.draw();
     this.play(this.playing);
@@ -58,10 +56,10 @@ export class Player {
     this.button.textContent = on ? "Pause" : "Play";
     cancelAnimationFrame(this.frame);
     if (!on) return;
-    let before = performance.now();
+    let previous = performance.now();
     const step = (now) => {
-      this.phase = (this.phase + (Math.max(0, now - before) / 1000 / SECONDS) * TURN * this.speed) % (PERIODS * TURN);
-      before = now;
+      this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (PERIODS * TWO_PI);
+      previous = now;
       this.#draw();
       this.frame = requestAnimationFrame(step);
     };
@@ -69,37 +67,16 @@ export class Player {
   }
 
   #draw() {
-    if (!this.plot.box || !this.trace) return;
-    drawStage(this.stage, this.trace, this.phase, this.plot.sheet.clientHeight);
+    if (!this.plot.box || !this.heights) return;
+    drawInstant(this.canvas, this.heights, this.phase, this.plot.canvas.clientHeight);
     this.plot.drawCursor();
-    this.scrub.value = String(this.phase / TURN);
+    this.position.value = String(this.phase / TWO_PI);
     this.element.dataset.phase = this.phase.toFixed(3);
   }
 
   #speeds() {
-    return h("label", { className: "pick" }, "Speed ",
+    return h("label", { className: "option" }, "Speed ",
       h("select", { onchange: (event) => { this.speed = Number(event.target.value); } },
         SPEEDS.map((speed) => h("option", { value: speed }, `× ${speed}`))));
-  }
-}
-
-/** Nothing moves before it is computed, and the first time the equations are compiled: the words for how long it takes. */
-export class Waiting {
-  constructor() {
-    this.element = h("p", { className: "note waiting", role: "status", hidden: true });
-  }
-
-  start() {
-    this.stop();
-    this.element.textContent = "Computing the motion …";
-    this.element.hidden = false;
-    this.timer = setTimeout(() => {
-      this.element.textContent = "Computing the motion … The first one after a start of the service may wait for its kernels to be compiled.";
-    }, 2500);
-  }
-
-  stop() {
-    clearTimeout(this.timer);
-    this.element.hidden = true;
   }
 }

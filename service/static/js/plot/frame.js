@@ -1,121 +1,123 @@
-// What stands round a plot: the frame, its ticks and labels, whole plate periods, the head with its key.
+// What surrounds a plot's data: frame, ticks, labels, title and legend.
 
-import { stroke } from "./drawing.js";
+import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
 
-export const FONT = 13;
-const TURN = 2 * Math.PI;
+export const FONT_SIZE = 13;
+const NARROW = 520; // px: below this width, title and legend take a line each
+const TWO_PI = 2 * Math.PI;
 
-/** Where between the margins the plot lies, and the scales of its axes. */
-export function boxOf(pen, content, width, height, theme, dots) {
-  const narrow = width < 520;
-  const heads = [content.title, content.key?.length].filter(Boolean).length;
-  const [top, bottom] = [12 + (narrow ? 22 * heads : heads && 20), 46];
-  const [left, right] = [marginOf(pen, content.y, height - top - bottom, theme, narrow), content.y.turns ? 34 : 22];
+/** The plot box: the data area between the margins, in pixels, and the scales of its axes. */
+export function boxOf(ctx, content, width, height, theme, ratio) {
+  const narrow = width < NARROW;
+  const headings = [content.title, content.legend?.length].filter(Boolean).length;
+  const [top, bottom] = [12 + (narrow ? 22 * headings : headings && 20), 46];
+  const [left, right] = [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
-    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, dots,
+    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, ratio,
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
     y: scale(content.y.low, content.y.high, height - bottom, top, content.y.log),
   };
 }
 
-/** Room on the left for the label and the widest number. */
-function marginOf(pen, { low, high, log }, height, theme, narrow) {
-  pen.font = `${FONT}px ${theme.serif}`;
-  const widest = Math.max(0, ...ticksOf(low, high, height, log).map(({ text }) => pen.measureText(text).width));
+/** The left margin fits the label and the widest tick. */
+function leftMargin(ctx, { low, high, log }, height, theme, narrow) {
+  ctx.font = `${FONT_SIZE}px ${theme.serif}`;
+  const widest = Math.max(0, ...yTicks(low, high, height, log).map(({ text }) => ctx.measureText(text).width));
   return Math.max(narrow ? 46 : 58, Math.ceil(widest) + (narrow ? 26 : 31));
 }
 
-const ticksOf = (low, high, height, log) => ticks(low, high, height / 44, log);
+const yTicks = (low, high, height, log) => ticks(low, high, height / 44, log);
 
-/** Whole plate periods as faint lines, counted on the right. */
-export function drawTurns(pen, box) {
-  const first = Math.max(1, Math.ceil(box.y.low / TURN));
-  const last = Math.floor(box.y.high / TURN + 1e-9);
+/** Faint lines at whole plate periods (multiples of 2π), labelled on the right. */
+export function drawPeriods(ctx, box) {
+  const first = Math.max(1, Math.ceil(box.y.low / TWO_PI));
+  const last = Math.floor(box.y.high / TWO_PI + 1e-9);
   const step = Math.max(1, Math.ceil((last - first + 1) / 8));
   const right = box.left + box.width;
-  pen.font = `${FONT}px ${box.theme.serif}`;
-  pen.textAlign = "left";
-  pen.textBaseline = "middle";
+  ctx.font = `${FONT_SIZE}px ${box.theme.serif}`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "middle";
   for (let k = first; k <= last; k += step) {
-    const y = box.y.place(k * TURN);
-    stroke(pen, box.theme.rule, 1, [[box.left, y], [right, y]]);
-    pen.fillStyle = box.theme.soft;
-    pen.fillText(`${2 * k}π`, right + 6, y);
+    const y = box.y.pixel(k * TWO_PI);
+    polyline(ctx, box.theme.border, 1, [[box.left, y], [right, y]]);
+    ctx.fillStyle = box.theme.muted;
+    ctx.fillText(`${2 * k}π`, right + 6, y);
   }
 }
 
-export function drawFrame(pen, box, { x, y }) {
+export function drawFrame(ctx, box, { x, y }) {
   const { left, top, width, height, theme } = box;
-  pen.strokeStyle = theme.ink;
-  pen.lineWidth = 1;
-  pen.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
-  pen.fillStyle = theme.ink;
-  pen.font = `${FONT}px ${theme.serif}`;
-  drawTicksBelow(pen, box);
-  drawTicksLeft(pen, box, y.turns);
-  pen.font = `italic ${FONT + 3}px ${theme.serif}`;
-  pen.textAlign = "center";
-  pen.textBaseline = "alphabetic";
-  pen.fillText(x.label, left + width / 2, top + height + 41);
-  pen.save();
-  pen.translate(box.narrow ? 12 : 16, top + height / 2);
-  pen.rotate(-Math.PI / 2);
-  pen.fillText(y.label, 0, 0);
-  pen.restore();
+  ctx.strokeStyle = theme.text;
+  ctx.lineWidth = 1;
+  ctx.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
+  ctx.fillStyle = theme.text;
+  ctx.font = `${FONT_SIZE}px ${theme.serif}`;
+  drawXTicks(ctx, box);
+  drawYTicks(ctx, box, y.periods);
+  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
+  ctx.textAlign = "center";
+  ctx.textBaseline = "alphabetic";
+  ctx.fillText(x.label, left + width / 2, top + height + 41);
+  ctx.save();
+  ctx.translate(box.narrow ? 12 : 16, top + height / 2);
+  ctx.rotate(-Math.PI / 2);
+  ctx.fillText(y.label, 0, 0);
+  ctx.restore();
 }
 
-/** Ticks point inwards, on both sides, as in the paper's figures. */
-function drawTicksBelow(pen, { x, left, top, width, height, narrow, theme }) {
-  pen.textBaseline = "top";
-  pen.textAlign = "center";
+/** Ticks point inwards on both sides, as in the paper's figures. */
+function drawXTicks(ctx, { x, left, top, width, height, narrow, theme }) {
+  ctx.textBaseline = "top";
+  ctx.textAlign = "center";
   for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
-    const at = within(Math.round(x.place(value)) + 0.5, left, left + width);
-    stroke(pen, theme.ink, 1, [[at, top + height - 6], [at, top + height]]);
-    stroke(pen, theme.ink, 1, [[at, top], [at, top + 6]]);
-    pen.fillText(text, at, top + height + 7);
+    const at = clamp(Math.round(x.pixel(value)) + 0.5, left, left + width);
+    polyline(ctx, theme.text, 1, [[at, top + height - 6], [at, top + height]]);
+    polyline(ctx, theme.text, 1, [[at, top], [at, top + 6]]);
+    ctx.fillText(text, at, top + height + 7);
   }
 }
 
-function drawTicksLeft(pen, { y, left, top, width, height, theme }, turns) {
-  pen.textBaseline = "middle";
-  pen.textAlign = "right";
-  for (const { value, text } of ticksOf(y.low, y.high, height, y.log)) {
-    const at = within(Math.round(y.place(value)) + 0.5, top, top + height);
-    stroke(pen, theme.ink, 1, [[left, at], [left + 6, at]]);
-    if (!turns) stroke(pen, theme.ink, 1, [[left + width - 6, at], [left + width, at]]);
-    pen.fillText(text, left - 7, at);
+/** The right side has the labels of the plate periods instead of ticks where there are any. */
+function drawYTicks(ctx, { y, left, top, width, height, theme }, periods) {
+  ctx.textBaseline = "middle";
+  ctx.textAlign = "right";
+  for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
+    const at = clamp(Math.round(y.pixel(value)) + 0.5, top, top + height);
+    polyline(ctx, theme.text, 1, [[left, at], [left + 6, at]]);
+    if (!periods) polyline(ctx, theme.text, 1, [[left + width - 6, at], [left + width, at]]);
+    ctx.fillText(text, left - 7, at);
   }
 }
 
-const within = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
+const clamp = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
 
-/** What is shown, on the left above the frame; what the marks mean, on the right. */
-export function drawHead(pen, { left, top, width, narrow, theme }, { title = "", key = [] }) {
-  pen.font = `${FONT + 1}px ${theme.serif}`;
-  pen.textBaseline = "middle";
-  pen.textAlign = "left";
-  pen.fillStyle = theme.ink;
-  pen.fillText(title, left, narrow && key.length ? top - 37 : top - 15); // a line of its own where it is narrow
-  pen.textAlign = "right";
+/** The title above the frame on the left, the legend on the right; on a narrow plot the title is on a line of its own. */
+export function drawHeadings(ctx, { left, top, width, narrow, theme }, { title = "", legend = [] }) {
+  ctx.font = `${FONT_SIZE + 1}px ${theme.serif}`;
+  ctx.textBaseline = "middle";
+  ctx.textAlign = "left";
+  ctx.fillStyle = theme.text;
+  ctx.fillText(title, left, narrow && legend.length ? top - 37 : top - 15);
+  ctx.textAlign = "right";
   let x = left + width;
-  for (const [name, mark] of [...key].reverse()) {
-    pen.fillStyle = theme.ink;
-    pen.fillText(name, x, top - 15);
-    x -= pen.measureText(name).width + 34;
-    mark(pen, x + 4, top - 15, theme);
+  for (const [name, drawSymbol] of [...legend].reverse()) {
+    ctx.fillStyle = theme.text;
+    ctx.fillText(name, x, top - 15);
+    x -= ctx.measureText(name).width + 34;
+    drawSymbol(ctx, x + 4, top - 15, theme);
     x -= 12;
   }
 }
 
-/** A sentence in the middle: why there is nothing to see. */
-export function drawMessage(pen, { left, top, width, height, theme }, message) {
-  pen.font = `italic ${FONT + 3}px ${theme.serif}`;
-  pen.textAlign = "center";
-  pen.textBaseline = "middle";
-  const wide = Math.min(pen.measureText(message).width + 24, width - 12);
-  pen.fillStyle = theme.paper;
-  pen.fillRect(left + width / 2 - wide / 2, top + height / 2 - 16, wide, 32);
-  pen.fillStyle = theme.soft;
-  pen.fillText(message, left + width / 2, top + height / 2, width - 16);
+/** A sentence in the middle of an empty plot: why it is empty. */
+export function drawMessage(ctx, { left, top, width, height, theme }, message) {
+  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
+  ctx.textAlign = "center";
+  ctx.textBaseline = "middle";
+  const boxWidth = Math.min(ctx.measureText(message).width + 24, width - 12);
+  ctx.fillStyle = theme.surface;
+  ctx.fillRect(left + width / 2 - boxWidth / 2, top + height / 2 - 16, boxWidth, 32);
+  ctx.fillStyle = theme.muted;
+  ctx.fillText(message, left + width / 2, top + height / 2, width - 16);
 }

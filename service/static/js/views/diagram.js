@@ -1,39 +1,38 @@
-// The explorer: flight times along one axis, the others moved by sliders, up and down over each other.
+// The bifurcation diagram: flight times along one axis, the other axes fixed by sliders, both ramps in one plot.
 
-import { note } from "../lib/address.js";
-import { blobOf, query } from "../lib/api.js";
-import { controls } from "./controls.js";
-import { drawCell, drawChosen, drawOnset, emptiness, head } from "./diagram-drawing.js";
-import { tableOf, wordsOn } from "./diagram-words.js";
+import { addressValue, setQuery } from "../lib/address.js";
+import { query, requestBlob } from "../lib/api.js";
 import { debounced, h } from "../lib/dom.js";
-import { drawFlights, flightsOf } from "../plot/flights.js";
-import { lineOf } from "./line-data.js";
-import { SYMBOL, TURN, isLog, nearest, same, startOf } from "../lib/physics.js";
-import { PlotView, within } from "./plot-view.js";
-import { dots } from "../plot/plot.js";
-import { spread } from "../plot/scale.js";
-import { colourOf } from "../plot/theme.js";
+import { AXES, SYMBOL, TWO_PI, clampIndex, initialValue, isClose, isLog, nearestIndex } from "../lib/physics.js";
+import { directionColour } from "../plot/colours.js";
+import { pixelRatio } from "../plot/drawing.js";
+import { drawFlights } from "../plot/flights.js";
+import { extent } from "../plot/scale.js";
+import { diagramControls } from "./controls.js";
+import { describeCell, drawCurrent, drawSelected, drawThreshold, emptyMessage, flightTable, headings } from "./diagram-content.js";
+import { flightsOf, requestLine } from "./line-data.js";
+import { PlotView } from "./plot-view.js";
 
-const MOST = 250_000; // flights that come as points; more come as density
-const AHEAD = [1, 2, 3, -1]; // steps of the slider that are fetched before it gets there
-const HINT = "Point at a cell to read it, click to see it move, drag to zoom, double-click to see all.";
+const MAX_POINTS = 250_000; // flights sent as points; longer lines are sent as density
+const PREFETCH_STEPS = [1, 2, 3, -1]; // in the direction of the slider's last move
+const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom, double-click to reset the zoom.";
 
+/** Cells are {line, cell}: a line of `lines` and an index into its values. */
 export class Diagram extends PlotView {
-  lines = null; // one for each ramp shown; null before the first are there
-  whither = null; // the slider that moved last: {axis, sign}
+  lines = null; // one per shown direction; null before the first are loaded
+  lastMove = null; // of a slider: {axis, sign}
 
   constructor(root, view) {
     super(view);
-    const { grid, directions, asked } = this;
-    const axes = Object.keys(SYMBOL);
-    this.axes = axes.filter((axis) => grid[axis].length > 1);
-    this.along = this.axes.includes(asked.along) ? asked.along : longest(grid);
-    this.fixed = Object.fromEntries(axes.map((axis) => [axis, startOf(grid[axis], asked[axis])]));
-    this.least = Number(asked.min) || 0;
-    this.chosenRamps = directions.filter((one) => !asked.show || asked.show.split(",").includes(one));
-    this.fetchAhead = debounced(40, () => this.#fetchAhead());
+    const { grid, directions, initial } = this;
+    this.axes = AXES.filter((axis) => grid[axis].length > 1);
+    this.along = this.axes.includes(initial.along) ? initial.along : longestAxis(grid);
+    this.fixed = Object.fromEntries(AXES.map((axis) => [axis, initialValue(grid[axis], initial[axis])]));
+    this.minFlight = Number(initial.min) || 0;
+    this.shownDirections = directions.filter((direction) => !initial.show || initial.show.split(",").includes(direction));
+    this.prefetch = debounced(40, () => this.#prefetch());
     this.controls = h("div", {});
-    this.#control();
+    this.#buildControls();
     this.build(root, { controls: this.controls, label: "Bifurcation diagram", hint: HINT });
   }
 
@@ -43,86 +42,86 @@ export class Diagram extends PlotView {
 
   close() {
     super.close();
-    this.fetchAhead.cancel();
-    this.ahead?.abort();
+    this.prefetch.cancel();
+    this.prefetching?.abort();
   }
 
-  #control() {
-    this.controls.replaceChildren(controls(this, {
-      turn: (along) => {
-        const cell = this.lines && this.#chosenHere();
-        if (cell) this.fixed[this.along] = cell[this.along]; // the other diagram through the same cell
-        Object.assign(this, { along, lines: null, at: null, whither: null });
-        note({ along });
-        this.#control();
+  #buildControls() {
+    this.controls.replaceChildren(diagramControls(this, {
+      axis: (along) => {
+        const cell = this.lines && this.#selectedOnLines();
+        if (cell) this.fixed[this.along] = cell[this.along]; // the other diagram goes through the same cell
+        Object.assign(this, { along, lines: null, current: null, lastMove: null });
+        setQuery({ along });
+        this.#buildControls();
         this.zoom(null);
         this.load();
       },
       move: (axis, value) => {
-        this.whither = { axis, sign: Math.sign(value - this.fixed[axis]) || 1 };
+        this.lastMove = { axis, sign: Math.sign(value - this.fixed[axis]) || 1 };
         this.fixed[axis] = value;
-        note({ [axis]: Number(value.toPrecision(10)) });
+        setQuery({ [axis]: addressValue(value) });
         this.load();
       },
-      show: (ramps) => {
-        this.chosenRamps = ramps;
-        note({ show: ramps.length === this.directions.length ? null : ramps.join() || "none" });
+      directions: (directions) => {
+        this.shownDirections = directions;
+        setQuery({ show: directions.length === this.directions.length ? null : directions.join() || "none" });
         this.load();
       },
-      least: (least) => {
-        this.least = least;
-        note({ min: least || null });
+      minFlight: (minFlight) => {
+        this.minFlight = minFlight;
+        setQuery({ min: minFlight || null });
         this.load();
       },
     }));
   }
 
-  /** What the service is asked for, but for the direction. */
-  #asked(fixed = this.fixed) {
-    const still = Object.fromEntries(Object.entries(fixed).filter(([axis]) => axis !== this.along));
-    return { along: this.along, ...still, min_flight: this.least || null };
+  /** The query of a line except for its direction. */
+  #parameters(fixed = this.fixed) {
+    const others = Object.fromEntries(Object.entries(fixed).filter(([axis]) => axis !== this.along));
+    return { along: this.along, ...others, min_flight: this.minFlight || null };
   }
 
-  /** The lines of all ramps shown, of `fixed`; counted within `window` if they are so dense. */
-  #fetch(fixed, window, options) {
+  /** The lines of all shown directions at `fixed`; if they come as density, counted over `window`. */
+  #requestLines(fixed, window, options) {
     const { x0: left, x1: right, y0: bottom, y1: top } = window ?? {};
-    const room = this.plot.element;
-    const asked = {
-      ...this.#asked(fixed), most: MOST, log: isLog(this.job.spec[this.along]) || null, left, right, bottom, top,
-      width: Math.min(2000, Math.max(200, Math.round((room.clientWidth - 92) * dots()))),
-      height: Math.min(1000, Math.max(200, Math.round((room.clientHeight - 80) * dots()))),
+    const { clientWidth, clientHeight } = this.plot.element;
+    const parameters = {
+      ...this.#parameters(fixed), most: MAX_POINTS, log: isLog(this.job.spec[this.along]) || null, left, right, bottom, top,
+      width: Math.min(2000, Math.max(200, Math.round((clientWidth - 92) * pixelRatio()))), // without the margins
+      height: Math.min(1000, Math.max(200, Math.round((clientHeight - 80) * pixelRatio()))),
     };
-    return Promise.all(this.chosenRamps.map((direction) => lineOf(this.job, { ...asked, direction }, window, options)));
+    return Promise.all(this.shownDirections.map((direction) => requestLine(this.job, { ...parameters, direction }, window, options)));
   }
 
-  async ask(signal) {
-    this.fetchAhead.cancel();
-    this.ahead?.abort();
+  async request(signal) {
+    this.prefetch.cancel();
+    this.prefetching?.abort();
     const { along } = this;
     const window = this.#isDense() ? this.window : null;
-    const lines = await this.#fetch(this.fixed, window, { signal });
+    const lines = await this.#requestLines(this.fixed, window, { signal });
     if (along !== this.along) throw new DOMException("the axis was changed", "AbortError");
     this.lines = lines;
-    this.at = this.at && lines.length ? this.#cell(lines[0], this.at.cell) : null;
-    if (this.window && !window && this.#isDense()) return this.ask(signal); // only now is it known that there are so many
-    if (this.whither && this.job.state === "done") this.fetchAhead();
+    this.current = this.current && lines.length ? this.#cell(lines[0], this.current.cell) : null;
+    if (this.window && !window && this.#isDense()) return this.request(signal); // the density was counted over everything
+    if (this.lastMove && this.job.state === "done") this.prefetch();
     return { along, ...lines[0]?.fixed };
   }
 
-  /** What the slider will want next, while nobody waits for anything. */
-  async #fetchAhead() {
-    const { axis, sign } = this.whither;
+  /** Request the lines that the slider is likely to reach next. */
+  async #prefetch() {
+    const { axis, sign } = this.lastMove;
     const values = this.grid[axis];
-    const here = nearest(values, this.fixed[axis]);
+    const index = nearestIndex(values, this.fixed[axis]);
     const window = this.#isDense() ? this.window : null;
-    this.ahead = new AbortController();
+    this.prefetching = new AbortController();
     try {
-      for (const step of AHEAD) {
-        const value = values[within(here + sign * step, values.length)];
-        await this.#fetch({ ...this.fixed, [axis]: value }, window, { signal: this.ahead.signal, priority: "low" });
+      for (const step of PREFETCH_STEPS) {
+        const value = values[clampIndex(index + sign * step, values.length)];
+        await this.#requestLines({ ...this.fixed, [axis]: value }, window, { signal: this.prefetching.signal, priority: "low" });
       }
     } catch {
-      // It will be asked for again, and told of, when somebody wants it.
+      // Not shown: if the slider gets there, the line is requested again and its error reported.
     }
   }
 
@@ -132,8 +131,8 @@ export class Diagram extends PlotView {
 
   whole() {
     const values = this.grid[this.along];
-    const highest = Math.max(...this.lines.map((line) => line.highest), 0) || TURN;
-    const [x0, x1] = spread(values[0], values[values.length - 1]);
+    const highest = Math.max(...this.lines.map((line) => line.highest), 0) || TWO_PI;
+    const [x0, x1] = extent(values[0], values[values.length - 1]);
     return { x0, x1, y0: 0, y1: 1.06 * highest };
   }
 
@@ -144,74 +143,75 @@ export class Diagram extends PlotView {
 
   content() {
     if (!this.lines) return null;
-    const { x0, x1, y0, y1 } = this.shown();
+    const { x0, x1, y0, y1 } = this.visible();
     const { lines } = this;
     return {
-      ...(lines.length ? head(lines, (direction, theme) => this.#colour(direction, theme)) : {}),
+      ...(lines.length ? headings(lines, (direction, theme) => this.#colour(direction, theme)) : {}),
       x: { label: SYMBOL[this.along], low: x0, high: x1, log: isLog(this.job.spec[this.along]) },
-      y: { label: "flight time φ (rad)", low: y0, high: y1, turns: true },
-      message: emptiness(lines),
+      y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
+      message: emptyMessage(lines),
       layers: [
-        (pen, box) => this.along === "gamma" && lines.length && drawOnset(pen, box, lines[0].fixed),
-        (pen, box) => drawFlights(pen, box, lines, ({ direction }) => this.#colour(direction, box.theme)),
+        (ctx, box) => this.along === "gamma" && lines.length && drawThreshold(ctx, box, lines[0].fixed),
+        (ctx, box) => drawFlights(ctx, box, lines, ({ direction }) => this.#colour(direction, box.theme)),
       ],
-      cursor: (pen, box) => {
-        const cell = this.#chosenHere();
-        if (cell) drawChosen(pen, box, cell[this.along], this.#colour(cell.direction, box.theme));
-        if (this.at) drawCell(pen, box, this.at);
+      cursor: (ctx, box) => {
+        const cell = this.#selectedOnLines();
+        if (cell) drawSelected(ctx, box, cell[this.along], this.#colour(cell.direction, box.theme));
+        if (this.current) drawCurrent(ctx, box, this.current);
       },
     };
   }
 
-  /** A sweep of one ramp is drawn in black, as in the paper. */
+  /** A sweep of one direction is drawn in black, as in the paper. */
   #colour(direction, theme) {
-    return colourOf(this.directions.length > 1 ? direction : "rest", theme);
+    return directionColour(this.directions.length > 1 ? direction : "rest", theme);
   }
 
-  /** The cell in motion, if it lies on a line that is shown. */
-  #chosenHere() {
-    const cell = this.chosen();
-    const on = ({ direction, fixed }) => direction === cell.direction && Object.entries(fixed).every(([axis, value]) => same(value, cell[axis]));
-    return cell && this.lines.some(on) ? cell : null;
+  /** The selected cell if it lies on a shown line. */
+  #selectedOnLines() {
+    const cell = this.selected();
+    const contains = ({ direction, fixed }) => direction === cell.direction && Object.entries(fixed).every(([axis, value]) => isClose(value, cell[axis]));
+    return cell && this.lines.some(contains) ? cell : null;
   }
 
   #cell(line, cell) {
-    return { line, cell: within(cell, line.arrays.values.length) };
+    return { line, cell: clampIndex(cell, line.arrays.values.length) };
   }
 
-  /** The cell at x; of several directions the one with a flight nearest to y. */
+  /** The cell at x; of several directions, the one with a flight nearest to y. */
   nearest(x, y) {
-    const off = ({ line, cell }) => Math.min(...(flightsOf(line, cell) ?? []).map((time) => Math.abs(time - y)), 1e9);
-    const cells = (this.lines ?? []).map((line) => this.#cell(line, nearest(line.arrays.values, x)));
-    return cells.sort((one, two) => off(one) - off(two))[0] ?? null;
+    const distance = ({ line, cell }) => Math.min(...(flightsOf(line, cell) ?? []).map((time) => Math.abs(time - y)), 1e9);
+    const cells = (this.lines ?? []).map((line) => this.#cell(line, nearestIndex(line.arrays.values, x)));
+    return cells.sort((a, b) => distance(a) - distance(b))[0] ?? null;
   }
 
-  step(at, right, up) {
+  /** Up and down switch between the directions. */
+  step(current, right, up) {
     if (!this.lines?.length) return null;
-    if (!at) return this.#cell(this.lines[0], this.lines[0].arrays.values.length >> 1);
-    return this.#cell(up ? (this.lines.find((one) => one !== at.line) ?? at.line) : at.line, at.cell + right);
+    if (!current) return this.#cell(this.lines[0], this.lines[0].arrays.values.length >> 1);
+    return this.#cell(up ? (this.lines.find((line) => line !== current.line) ?? current.line) : current.line, current.cell + right);
   }
 
-  middle() {
-    return this.at?.line.arrays.values[this.at.cell];
+  centre() {
+    return this.current?.line.arrays.values[this.current.cell];
   }
 
   cellOf({ line, cell }) {
     return { ...line.fixed, [this.along]: line.arrays.values[cell], direction: line.direction };
   }
 
-  describe(at) {
-    return wordsOn(at, this.along, this.lines.length > 1);
+  describe(cell) {
+    return describeCell(cell, this.along, this.lines.length > 1);
   }
 
-  /** The flights that are shown; those that came as density, from the service. */
+  /** The flights in view; of a density, all flights from the service. */
   table() {
-    if (this.#isDense()) return blobOf(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#asked(), format: "csv" })}`);
-    return tableOf(this.lines, this.along, this.shown());
+    if (this.#isDense()) return requestBlob(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#parameters(), format: "csv" })}`);
+    return flightTable(this.lines, this.along, this.visible());
   }
 }
 
-/** The axis with most values makes the best picture; of equals Γ. */
-function longest(grid) {
-  return Object.keys(SYMBOL).reduce((best, axis) => (grid[axis].length > grid[best].length ? axis : best));
+/** The axis with most values; of equal ones, the first. */
+function longestAxis(grid) {
+  return AXES.reduce((longest, axis) => (grid[axis].length > grid[longest].length ? axis : longest));
 }

@@ -1,36 +1,39 @@
-// What the diagram, the mode map and the thresholds have in common: a plot that is loaded, pointed at, zoomed and taken away.
+// The common part of the diagram, the mode map and the thresholds: a plot with loading, pointing, zooming, downloads.
 
-import { noted } from "../lib/address.js";
-import { toldElsewhere } from "../lib/api.js";
-import { h, newest, say } from "../lib/dom.js";
+import { currentQuery, setWindow, windowIn } from "../lib/address.js";
+import { isHandledElsewhere } from "../lib/api.js";
+import { announce, h, latest } from "../lib/dom.js";
 import { downloads, fileName, netcdf } from "../lib/downloads.js";
-import { gestures, zoomed } from "../plot/input.js";
 import { pngOf, svgOf } from "../plot/export.js";
+import { listenToInput, magnified } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
-import { askWindow, noteWindow } from "../lib/zoom.js";
 
-const AGAIN = 3000; // ms, after which results that were damaged are asked for once more
-export const KEYS = "Arrow keys step, Enter shows the cell in motion, plus and minus zoom, 0 shows all.";
+const RETRY_MS = 3000; // after 503: results that were damaged are computed again
+const KEYS = "Arrow keys step through cells, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
 
 /**
- * A view of one sweep. What extends it says
- *   ask(signal): load; resolves to what is shown then, as an object     whole(): the window that shows all
- *   content(): what to draw (plot.js), null before anything is loaded   name: of its files
- *   nearest(x, y), step(at, right, up): a place `at`, or null           describe(at): the place in words
- *   cellOf(at): {gamma, omega, xi, direction}                           table(): a Blob of CSV, or a promise of one
+ * A view of one sweep around a Plot. A subclass defines
+ *   name             part of the names of its files
+ *   request(signal)  loads the data; resolves to the parameters now shown, as an object
+ *   content()        what to draw (see Plot), null before anything is loaded
+ *   whole()          the window {x0, x1, y0, y1} of all data
+ *   nearest(x, y), step(cell, right, up)   the cell at a position, or so many cells further; null without data.
+ *                    The views represent cells differently; only their own methods look into one.
+ *   describe(cell)   a cell in words
+ *   cellOf(cell)     its {gamma, omega, xi, direction}
+ *   table()          a Blob of CSV, or a promise of one
  */
 export class PlotView {
-  window = null; // what is zoomed to
-  at = null; // the place under the cursor
+  window = null; // zoomed to; null for everything
+  current = null; // the cell under the pointer or reached by keyboard
 
-  constructor({ job, grid, directions, choose, chosen }) {
-    Object.assign(this, { job, grid, directions, chosen });
-    this.chooses = choose;
-    this.asked = noted();
-    this.window = askWindow(this.asked);
+  constructor({ job, grid, directions, onSelect, selected }) {
+    Object.assign(this, { job, grid, directions, onSelect, selected });
+    this.initial = currentQuery();
+    this.window = windowIn(this.initial);
   }
 
-  /** Lay the view out and begin to load; `below` stands between the plot and the words on the place pointed at. */
+  /** Build the view and start loading; `below` is placed between plot and readout. */
   build(root, { controls, label, hint, ratio, below = null }) {
     this.hint = hint;
     this.readout = h("p", { className: "readout" }, hint);
@@ -38,16 +41,16 @@ export class PlotView {
     const figure = h("figure", {});
     root.replaceChildren(controls, this.problem, figure, ...(below ? [below] : []), this.readout, this.#downloads());
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => this.content(), ratio });
-    gestures(this.plot, {
-      hover: (x, y) => this.point(this.nearest(x, y)),
-      leave: () => this.point(null),
-      pick: (x, y) => this.#choose(this.nearest(x, y)),
-      choose: () => this.#choose(this.at),
+    listenToInput(this.plot, {
+      hover: (x, y) => this.#setCurrent(this.nearest(x, y)),
+      leave: () => this.#setCurrent(null),
+      select: (x, y) => this.#select(this.nearest(x, y)),
+      selectCurrent: () => this.#select(this.current),
       step: (right, up) => this.#step(right, up),
       zoom: (window) => this.zoom(window),
-      closer: (factor) => this.zoom(zoomed(this.shown(), this.whole(), factor, this.middle())),
+      magnify: (factor) => this.zoom(magnified(this.visible(), this.whole(), factor, this.centre())),
     });
-    this.load = newest((signal) => this.#load(signal));
+    this.load = latest((signal) => this.#load(signal));
     this.load();
   }
 
@@ -66,77 +69,74 @@ export class PlotView {
     clearTimeout(this.timer);
     this.plot.element.setAttribute("aria-busy", "true");
     try {
-      const shows = await this.ask(signal);
+      const shown = await this.request(signal);
       if (this.closed) return;
-      this.#tell(null);
-      this.readout.textContent = this.at ? this.describe(this.at) : this.hint;
+      this.#showError(null);
+      this.readout.textContent = this.current ? this.describe(this.current) : this.hint;
       this.plot.draw();
-      this.plot.element.dataset.shows = JSON.stringify(shows);
+      this.plot.element.dataset.shown = JSON.stringify(shown);
     } catch (error) {
-      this.#tell(error);
+      this.#showError(error);
     } finally {
       this.plot.element.removeAttribute("aria-busy");
     }
   }
 
-  /** What the service refuses is said where it would have been shown. */
-  #tell(error) {
-    if (this.closed || (error && toldElsewhere(error))) return;
+  /** An error takes the place of the plot unless earlier data are still shown. */
+  #showError(error) {
+    if (this.closed || (error && isHandledElsewhere(error))) return;
     this.problem.hidden = !error;
     this.problem.textContent = error?.message ?? "";
-    this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.content(); // nothing to point at
-    if (error?.status === 503) this.timer = setTimeout(() => this.load(), AGAIN);
+    this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.content();
+    if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);
     else if (error && !error.status) throw error;
   }
 
-  /** The window that is seen. */
-  shown() {
+  /** The window on display. */
+  visible() {
     return this.window ?? this.whole();
   }
 
-  /** About what the keyboard zooms; the middle if there is nothing better. */
-  middle() {}
+  /** The x value about which the keyboard zooms; undefined for the middle of the window. */
+  centre() {}
 
   zoom(window) {
     this.window = window;
-    noteWindow(window);
+    setWindow(window);
     this.plot.redraw();
   }
 
-  point(at) {
-    this.at = at;
-    this.readout.textContent = at ? this.describe(at) : this.hint;
+  #setCurrent(cell) {
+    this.current = cell;
+    this.readout.textContent = cell ? this.describe(cell) : this.hint;
     this.plot.drawCursor();
   }
 
   #step(right, up) {
-    const at = this.step(this.at, right, up);
-    if (!at) return;
-    this.point(at);
-    say(this.readout.textContent);
+    const cell = this.step(this.current, right, up);
+    if (!cell) return;
+    this.#setCurrent(cell);
+    announce(this.readout.textContent);
   }
 
-  #choose(at) {
-    const cell = at && this.cellOf(at);
-    if (!cell) return;
-    this.point(at);
-    this.chooses(cell);
+  #select(cell) {
+    const selected = cell && this.cellOf(cell);
+    if (!selected) return;
+    this.#setCurrent(cell);
+    this.onSelect(selected);
   }
 
   #downloads() {
-    const name = (kind) => () => fileName(this.job, this.name, kind);
-    const shown = (make) => () => {
-      if (!this.content()) throw new Error("Nothing is shown here.");
+    const name = (extension) => () => fileName(this.job, this.name, extension);
+    const ifLoaded = (make) => () => {
+      if (!this.content()) throw new Error("There is nothing to download in this view.");
       return make();
     };
     return downloads([
-      ["PNG", name("png"), shown(() => pngOf(this.plot))],
-      ["SVG", name("svg"), shown(() => svgOf(this.plot))],
-      ["CSV", name("csv"), shown(() => this.table())],
+      ["PNG", name("png"), ifLoaded(() => pngOf(this.plot))],
+      ["SVG", name("svg"), ifLoaded(() => svgOf(this.plot))],
+      ["CSV", name("csv"), ifLoaded(() => this.table())],
       ["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)],
     ]);
   }
 }
-
-/** `value` where it lies between 0 and n - 1, else the nearer of them. */
-export const within = (value, n) => Math.min(Math.max(value, 0), n - 1);

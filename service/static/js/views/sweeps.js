@@ -1,130 +1,133 @@
-// The list of sweeps, the last first, as they move.
+// The start page: a preview, the paper's figures as presets, and the list of sweeps, the newest first.
 
 import { link } from "../lib/address.js";
-import { askJson, query, toldElsewhere } from "../lib/api.js";
+import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { ago } from "../lib/format.js";
-import { Glimpse } from "../motion/preview.js";
-import { ProgressBar, UNFINISHED, actions, summary } from "./progress.js";
-import { presets } from "../form/catalogue.js";
+import { loadPresets } from "../form/catalogue.js";
+import { Preview } from "../motion/preview.js";
+import { ProgressBar, UNFINISHED, showActions, summary, titleOf } from "./progress.js";
 
-const PAGE = 25;
-const SOON = 700; // while something is in work
-const LATER = 5000;
+const PAGE_SIZE = 25;
+const MAX_LISTED = 1000; // of one request
+const POLL_MS = 700; // while a sweep is being computed
+const IDLE_POLL_MS = 5000;
+const ERROR_MS = 8000; // how long an error is shown
 
 export class Sweeps {
   constructor(root) {
     document.title = "Bouncing spring";
-    this.rows = new Map();
-    this.limit = PAGE;
+    this.rows = new Map(); // job id → row
+    this.limit = PAGE_SIZE;
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
-    this.more = h("button", { type: "button", className: "quiet", hidden: true, onclick: () => { this.limit += PAGE; this.refresh(); } }, "Show older ones");
+    this.more = h("button", { type: "button", className: "quiet", hidden: true, onclick: () => { this.limit += PAGE_SIZE; this.refresh(); } }, "Show older sweeps");
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
     this.figures = h("ul", {});
-    this.none = h("p", { className: "note", hidden: true }, "None yet. A figure of the paper is a good first one.");
-    this.glimpse = new Glimpse();
+    this.empty = h("p", { className: "note", hidden: true }, "No sweeps yet. Start with a figure of the paper.");
+    this.preview = new Preview();
     root.replaceChildren(
       h("div", { className: "start" }, h("section", { className: "intro" },
         h("h1", { tabindex: "-1" }, "A spring bouncing on a vibrating plate"),
-        h("p", {}, "Two masses, a spring and a dashpot on a plate that shakes. How long they fly, and in what rhythm, depends on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), ". Sweep them and look."),
-        h("p", { className: "starts" }, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
-      this.glimpse.element),
+        h("p", {}, "Two masses joined by a spring and a dashpot bounce on a plate that vibrates. Their flight times and modes depend on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), ". Compute sweeps of these parameters and explore the results."),
+        h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
+      this.preview.element),
       h("section", { className: "figures", "aria-labelledby": "figures" },
-        h("h2", { id: "figures" }, "From the paper"),
+        h("h2", { id: "figures" }, "Figures of the paper"),
         this.figures),
-      h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.problem, this.none, this.list, this.more));
+      h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.problem, this.empty, this.list, this.more));
     this.refresh();
   }
 
-  takes({ path }) {
+  handles({ path }) {
     return path.length === 0;
   }
 
-  go() {}
+  show() {}
 
   close() {
     this.closed = true;
-    this.glimpse.close();
+    this.preview.close();
     clearTimeout(this.timer);
   }
 
   async refresh() {
     clearTimeout(this.timer);
-    this.glimpse.refresh();
+    this.preview.refresh();
     if (!this.figures.hasChildNodes()) this.#showFigures();
     try {
-      const { jobs, next } = await askJson(`/v1/jobs?${query({ limit: Math.min(this.limit, 1000) })}`);
+      const { jobs, next } = await requestJson(`/v1/jobs?${query({ limit: Math.min(this.limit, MAX_LISTED) })}`);
       if (this.closed) return;
-      this.#show(jobs);
+      this.#showJobs(jobs);
       this.more.hidden = next === null;
-      this.none.hidden = jobs.length > 0;
-      const busy = jobs.some((job) => UNFINISHED.has(job.state));
-      clearTimeout(this.timer);
-      this.timer = setTimeout(() => this.refresh(), busy ? SOON : LATER);
+      this.empty.hidden = jobs.length > 0;
+      this.#refreshAfter(jobs.some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
       if (this.closed) return;
-      this.#fail(error);
-      if (!(error.status >= 500)) return;
-      clearTimeout(this.timer);
-      this.timer = setTimeout(() => this.refresh(), LATER); // it may have gone wrong for once
+      this.#showError(error);
+      if (error.status >= 500) this.#refreshAfter(IDLE_POLL_MS); // it may be temporary
     }
+  }
+
+  #refreshAfter(milliseconds) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.refresh(), milliseconds);
   }
 
   async #showFigures() {
     try {
-      this.figures.replaceChildren(...(await presets()).map(({ label, title, sweeps: [first] }) =>
+      this.figures.replaceChildren(...(await loadPresets()).map(({ label, title, sweeps: [first] }) =>
         h("li", {}, h("a", { href: link(["new"], { figure: first.key }) }, h("b", {}, label), h("span", {}, title)))));
     } catch (error) {
-      this.#fail(error);
+      this.#showError(error);
     }
   }
 
-  /** Rows stay as they are and only change what they say, so that nobody's focus is lost. */
-  #show(jobs) {
+  /** Rows are updated in place, which keeps the keyboard focus. */
+  #showJobs(jobs) {
     const ids = new Set(jobs.map((job) => job.id));
     for (const [id, row] of this.rows) {
       if (ids.has(id)) continue;
       row.element.remove();
       this.rows.delete(id);
     }
-    jobs.forEach((job, place) => {
+    jobs.forEach((job, index) => {
       if (!this.rows.has(job.id)) this.rows.set(job.id, this.#row());
       const row = this.rows.get(job.id);
-      row.show(job);
-      if (this.list.children[place] !== row.element) this.list.insertBefore(row.element, this.list.children[place] ?? null);
+      row.update(job);
+      if (this.list.children[index] !== row.element) this.list.insertBefore(row.element, this.list.children[index] ?? null);
     });
   }
 
   #row() {
     const name = h("a", {});
     const about = h("p", { className: "summary" });
-    const when = h("span", { className: "note" });
+    const time = h("span", { className: "note" });
     const bar = new ProgressBar();
     const buttons = h("div", { className: "actions" });
     const error = h("p", { className: "problem", hidden: true });
-    const element = h("li", {}, h("div", { className: "what" }, h("h3", {}, name), about), bar.element, when, buttons, error);
-    const show = (job) => {
-      name.textContent = job.name || `Sweep ${job.id.slice(0, 8)}`;
+    const element = h("li", {}, h("div", { className: "about" }, h("h3", {}, name), about), bar.element, time, buttons, error);
+    const update = (job) => {
+      name.textContent = titleOf(job);
       name.href = link(["job", job.id]);
       if (!about.hasChildNodes() || job.choice) about.replaceChildren(...summary(job));
-      when.textContent = ago(job.finished ?? job.created);
+      time.textContent = ago(job.finished ?? job.created);
       bar.show(job);
       error.hidden = !job.error;
       error.textContent = job.error ?? "";
-      actions(buttons, job, { changed: () => this.refresh(), deleted: () => this.#deleted(), fail: (failure) => this.#fail(failure) });
+      showActions(buttons, job, { onChange: () => this.refresh(), onDelete: () => this.#onDelete(), onError: (failure) => this.#showError(failure) });
     };
-    return { element, show };
+    return { element, update };
   }
 
-  #deleted() {
+  #onDelete() {
     this.refresh();
-    document.getElementById("sweeps")?.focus(); // the button that was pressed goes
+    document.getElementById("sweeps")?.focus(); // the pressed button disappears
   }
 
-  #fail(error) {
-    if (toldElsewhere(error)) return;
+  #showError(error) {
+    if (isHandledElsewhere(error)) return;
     this.problem.hidden = false;
     this.problem.textContent = error.message;
-    setTimeout(() => { this.problem.hidden = true; }, 8000);
+    setTimeout(() => { this.problem.hidden = true; }, ERROR_MS);
   }
 }
