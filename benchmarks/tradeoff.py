@@ -13,7 +13,6 @@ from benchmarks.machine import describe
 from service.api.routers.tradeoff import table
 from service.cli.tradeoff import report
 from service.render import work_precision
-from service.results.work_precision import lines
 from worker.analysis.work_precision import RUNGS, measure
 
 
@@ -24,8 +23,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(describe(), end="\n\n")
     rows = [measure(rung) for rung in RUNGS]
-    found = table(rows).model_dump()
-    print(report(found, lines(found["rows"])))
+    print(report(table(rows).model_dump()))
     if arguments.output:
         arguments.output.write_bytes(work_precision.draw(rows, arguments.output.suffix[1:]))
 

@@ -1,54 +1,9 @@
-"""The measured speed and accuracy of the contact models in words and columns. Plain values in, text out."""
+"""Advice on contact models, from their measured cost and accuracy."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 Row = Mapping[str, Any]
-
-_TITLES: Final = {
-    "contact": "This very contact is meant: errors from exact soft with d = 1e-3, e = 0.01",
-    "plate": "A hard plate is meant: errors from exact soft with d = 1e-7, e = 0",
-}
-_HEADER: Final = ("", "µs", "dearest", "error", "95%", "mode")
-
-
-COSTS: Final = ("cost", "cost_most")
-
-
-def setting(row: Row) -> str:
-    """A model and its settings: `stepped 20 verlet, d = 0.001`."""
-    words = [row["model"]]
-    if row["steps_per_contact"]:
-        words.append(f"{row['steps_per_contact']} {row['scheme']}")
-    text = " ".join(words)
-    if row["penetration"]:
-        text += f", d = {row['penetration']:g}"
-    if row["model"] == "ball":
-        text += ", e = f(xi)" + (", locked dashpot" if row["locked_only"] else "")
-    return text
-
-
-def lines(rows: Sequence[Row]) -> list[str]:
-    """The table: core-µs a cell and plate period (median and dearest line of cells), error of flight times
-    (median and 95th percentile, rad), and how many cells have the reference's mode."""
-    text = []
-    for purpose, title in _TITLES.items():
-        text += [title, "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
-        text += [_line(row) for row in rows if row["purpose"] == purpose]
-        text.append("")
-    return text
-
-
-def _line(row: Row) -> str:
-    errors = "".join(f"{_error(row[name], row):>10}" for name in ("error", "error_95"))
-    costs = "".join(f"{'refused' if row[name] is None else f'{row[name]:.3g}':>10}" for name in COSTS)
-    return f"{setting(row):>36}{costs}{errors}{row['agree']:10.0%}"
-
-
-def _error(error: float | None, row: Row) -> str:
-    if error is None:
-        return "-"
-    return "exact" if error == 0.0 and row["model"] == "soft" else f"{error:.1e}"
 
 
 def advice(rows: Sequence[Row]) -> str:
