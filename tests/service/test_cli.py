@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import psutil
@@ -15,8 +16,11 @@ import pytest
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
+from service.cli import options
 from service.cli.main import main
 from service.client import Client
+from service.client.client import DEFAULT_URL
+from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor
@@ -166,7 +170,49 @@ def test_a_wait_can_be_given_up(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         result = bounce("wait", client.submit(sweep()).id, "--timeout", "0.2", url=url)
     assert result.exit_code == 1
-    assert "it goes on" in result.stderr
+    assert "the job continues" in result.stderr
+
+
+# Thresholds
+
+
+RAMPED = {**TWO_LINES, "omega": 0.5, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
+
+
+@pytest.mark.parametrize(
+    ("gamma", "row", "notes"),
+    [
+        ([2.0, 2.5], ["≤ 2", "≤ 2"], ["≤ 2: the lowest Γ of the grid bounces already"]),
+        ([0.1, 0.2], ["> 0.2", "> 0.2"], ["> 0.2: no Γ of the grid bounces, this is the highest"]),
+    ],
+)
+@pytest.mark.parametrize("tolerance", [(), ("--tolerance", "1e-5")])
+def test_a_threshold_outside_the_grid_is_printed_as_a_bound(
+    url: str, gamma: list[float], row: list[str], notes: list[str], tolerance: tuple[str, ...]
+):
+    with Client(url) as client:
+        job = client.submit({**RAMPED, "gamma": gamma}).wait(progress=False)
+        eq_25 = client.threshold(0.5, 0.26)
+    result = bounce("threshold", job.id, *tolerance, url=url)
+    _, heading, line, *rest = result.stdout.splitlines()
+    assert heading.split() == ["OMEGA", "EQ.", "25", "UP", "DOWN"]
+    omega, analytic, *bounds = re.split(r" {2,}", line.strip())
+    assert (float(omega), bounds, rest) == (0.5, row, notes)
+    assert float(analytic) == pytest.approx(eq_25, abs=1e-6)
+
+
+def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
+    _, _, *lines, note = bounce("threshold", job, url=url).stdout.splitlines()
+    assert [line.split()[3] for line in lines] == ["-", "-"]
+    assert note == "-: the sweep is not ramped down"
+
+
+def test_a_threshold_that_is_not_computed_yet_is_not_a_bound(tmp_path: Path):
+    with serving(tmp_path, Held()) as url, Client(url) as client:
+        _, _, line, *notes = bounce("threshold", client.submit(sweep()).id, url=url).stdout.splitlines()
+    assert line.split()[2] == "-"
+    assert "-: not computed yet" in notes
+    assert notes[-1] == "the job is not done: thresholds may be missing"
 
 
 # Diagrams
@@ -197,6 +243,42 @@ def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
     assert "incomplete" in result.stderr
 
 
+# A local service
+
+
+def test_the_commands_use_the_clients_default_address():
+    assert options.DEFAULT_URL == DEFAULT_URL
+
+
+def test_figure_uses_the_service_that_has_the_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    settings = Settings(port=0, heartbeat_seconds=0.2)
+    with closing(Inline()) as executor, embedded.running(settings, executor) as url:
+        result = bounce("figure", "1", url=url)
+    assert result.exit_code == 0, result.stderr
+    assert f"another service uses the data folder: using the service at {url}\n" in result.stderr
+    assert Path("figure-1.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_computes_in_a_temporary_folder_if_that_service_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    with Ledger(tmp_path / "bounce-data" / "ledger.sqlite"):
+        result = bounce("figure", "1", "--workers", "1", url="http://127.0.0.1:9")
+    assert result.exit_code == 0, result.stderr
+    assert "another service uses the data folder: using a temporary one\n" in result.stderr
+    assert Path("figure-1.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_does_not_replace_a_data_folder_that_was_named(tmp_path: Path):
+    with Ledger(tmp_path / "ledger.sqlite"):
+        result = bounce("figure", "1", "--data", tmp_path, "-o", tmp_path / "figure-1.png")
+    assert result.exit_code == 1
+    assert "another service uses the data folder" in result.stderr
+    assert not (tmp_path / "figure-1.png").exists()
+
+
 # Errors
 
 
@@ -209,8 +291,8 @@ def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
         (["status"], 2, "Missing argument"),
         (["bounce"], 2, "No such command"),
         (["submit", "missing.json"], 2, "does not exist"),
-        (["figure", "99"], 1, "there is no figure 99 here; there are: 1, 2, 3"),
-        (["figure", "two"], 1, "there is no figure two here; there are: 1, 2, 3"),
+        (["figure", "99"], 1, "unknown figure 99; choose one of: 1, 2, 3"),
+        (["figure", "two"], 1, "unknown figure two; choose one of: 1, 2, 3"),
         (["figure", "2", "-o", "figure.pdf"], 2, ".png, .svg"),
         (["figure", "2", "-o", "/nowhere/figure.png"], 2, "no folder"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
@@ -373,7 +455,7 @@ def test_a_wait_that_is_interrupted_leaves_the_job_alone(tmp_path: Path):
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=DEADLINE)
         assert process.returncode == 130
-        assert f"the job goes on (stop it with: bounce cancel {job.id})" in errors
+        assert f"the job continues (cancel it with: bounce cancel {job.id})" in errors
         assert not job.refresh().finished
 
 

@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from service.api.app import create_app
 from service.cli.main import main
-from service.cli.tradeoff import lines as table_lines
+from service.cli.tradeoff import table_lines
 from service.client import Client
 from service.errors import Busy, NotComputed
 from service.jobs.on_demand import OnDemandCache, Pending
@@ -120,7 +120,7 @@ def test_the_table_and_its_last_words(measured: list[Measured]):
     rows = [row.model_dump() for row in measured]
     lines = table_lines(rows)
     assert len(lines) == len(FEW) + 6
-    assert lines[0] == "This very contact is meant: errors from exact soft with d = 1e-3, e = 0.01"
+    assert lines[0] == "For this contact: errors relative to exact soft with d = 1e-3, e = 0.01"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
     text = advice(measured)
@@ -164,7 +164,7 @@ def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_p
         return done.stdout
 
     said = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
-    assert said[0].startswith("This very contact is meant")
+    assert said[0].startswith("For this contact")
     assert said[-1].startswith("Take rigid")
     assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     rows = json.loads(bounce("--json"))["rows"]
