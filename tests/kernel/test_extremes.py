@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Model, Step, examples, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, Model, Step, compile_models, examples, phases, recorded, run, run_setting
 from naive import Setting
 from naive_exact import Exact, energy, exact, instants, work
 
-from kernel.line import warm
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Line, Outcome
 from kernel.threshold import threshold
@@ -71,8 +70,8 @@ def resonant(s: Setting) -> bool:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    """So that no test's time is the compiler's."""
-    warm()
+    """Compile before the first test: these tests bound the time of a run."""
+    compile_models()
 
 
 # --- outcomes -------------------------------------------------------------------------------

@@ -265,5 +265,5 @@ def test_no_contact_ends_while_its_ringing_is_stepped_over():
         jumps += end > 0.0
         for tau in np.linspace(0.0, end, 400):
             t = terms(contact, tau)
-            assert t.smooth + t.wake >= -4.0 * t.noise
+            assert t.smooth + t.ring >= -4.0 * t.noise
     assert jumps > 150

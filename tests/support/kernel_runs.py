@@ -99,6 +99,13 @@ def run(
     )  # fmt: skip
 
 
+def compile_models() -> None:
+    """Compile the kernels of every model, from rest and as a ramp."""
+    for model in Model:
+        for carry in (False, True):
+            run(1.5, 0.5, 0.26, model, restitution=0.5, penetration=0.1, settle=0, observe=1, carry=carry)
+
+
 def run_setting(s: Setting, **others: Any) -> Line:
     """Run one cell."""
     return run(
