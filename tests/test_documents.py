@@ -1,0 +1,348 @@
+"""The documents: what they print can be typed in as it stands, and what they list is what the code has."""
+
+import json
+import re
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+import yaml
+from documents import DOCUMENTS, Block, Failed, Session, blocks, text
+from paths import ROOT
+
+SET_UP = """\
+python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/bounce figure 2 -o figure-2.png
+python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/pytest
+"""
+
+#: Why a block may be left out of the run, and the commands that it may then consist of.
+NOT_RUN = {
+    "the set-up itself": r"python3 -m venv \.venv && \.venv/bin/pip install ",
+    "needs Docker": r"export BOUNCE_TOKEN=|docker compose ",
+    "needs machines with a shared folder": r"dask (scheduler|worker) --scheduler-file /shared/|"
+    r"(BOUNCE_\w+=\S+ )*bounce serve --(scheduler tcp://10\.|scheduler-file /shared/)",
+    "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
+    "takes minutes": r"bounce figure all |bounce tradeoff ",
+}
+
+#: So that a good reason does not become a habit.
+MOST_NOT_RUN = 8
+
+#: Written beside the code, and read like the documents.
+PAGES = (*DOCUMENTS, "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+
+RUNNABLE = tuple(
+    name for name in DOCUMENTS if any(block.language in ("sh", "python") for block in blocks(name))
+)
+ALL_BLOCKS = tuple(block for name in DOCUMENTS for block in blocks(name))
+
+
+def table(document: str, heading: str, nth: int = 0) -> list[list[str]]:
+    """The rows of the nth table after a heading, cell by cell, without the table's own heading."""
+    section = text(document).split(f"\n{heading}\n", 1)[1]
+    section = re.split(rf"\n#{{1,{heading.count('#')}}} ", section, maxsplit=1)[0]
+    tables = re.findall(r"(?:^\|.*\|$\n?)+", section, re.MULTILINE)
+    rows = tables[nth].strip().splitlines()[2:]
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in rows]
+
+
+def code(cell: str) -> list[str]:
+    """The words in a cell that are set as code."""
+    return re.findall(r"`([^`]+)`", cell)
+
+
+# The documents run.
+
+
+@pytest.mark.parametrize("document", RUNNABLE)
+def test_blocks_run_in_order(document: str, tmp_path: Path):
+    left_out = []
+    with Session(tmp_path) as session:
+        for block in blocks(document):
+            if "curl " in block.code and block.language == "sh" and shutil.which("curl") is None:
+                left_out.append(block.place)
+                continue
+            session.run(block)
+        if document == "README.md":
+            check_readme_results(session, with_curl=not left_out)
+    if left_out:
+        pytest.skip(f"curl is missing: {', '.join(left_out)} did not run, the rest did")
+
+
+def check_readme_results(session: Session, with_curl: bool) -> None:
+    assert session.file("diagram.svg").read_text().startswith("<?xml")
+    assert session.file("sweep.nc").read_bytes()[1:4] == b"HDF"
+    if with_curl:
+        assert session.file("diagram.png").read_bytes().startswith(b"\x89PNG")
+    # Eq. 25 for the three frequencies at xi = 0.26 (docs/model.md, section 5), found to the tolerance.
+    rows = re.findall(r"^ *([\d.]+) +([\d.]+) +([\d.]+) +\S+", session.output(), re.M)
+    assert [float(omega) for omega, _, _ in rows] == [0.4, 0.5, 0.6]
+    for _, analytic, up in rows:
+        assert float(up) == pytest.approx(float(analytic), abs=2e-3)
+
+
+def test_a_block_that_fails_is_noticed(tmp_path: Path):
+    bad = {
+        "sh": ["true\nfalse\ntrue\n", "cat missing | wc -l\n", "exit 0\n"],
+        "python": ["import nowhere\n"],
+        "output": ["another text\n"],
+    }
+    for language, codes in bad.items():
+        for number, content in enumerate(codes):
+            folder = tmp_path / f"{language}-{number}"
+            folder.mkdir()
+            with Session(folder) as session:
+                session.run(Block("made up", 1, "sh", "NAME=one; echo $NAME\n", ""))
+                session.run(Block("made up", 3, "text", "one\n", "output"))
+                comment = "output" if language == "output" else ""
+                with pytest.raises(Failed):
+                    session.run(Block("made up", 5, language, content, comment))
+
+
+@pytest.mark.parametrize("block", ALL_BLOCKS, ids=lambda block: block.place)
+def test_block_is_well_formed(block: Block):
+    if block.language == "sh":
+        done = subprocess.run(["bash", "-n"], input=block.code, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+    elif block.language == "python":
+        compile(block.code, block.place, "exec")
+    elif block.language == "toml":
+        tomllib.loads(block.code)
+    elif block.language == "json":
+        json.loads(block.code)
+    else:
+        assert block.language == "text"
+        assert block.comment == "output", "what is printed as output is compared with the output"
+    if block.comment:
+        assert re.match(r"file: [\w.]+$|output$|not run: ", block.comment)
+
+
+def test_blocks_are_left_out_for_a_known_reason_only():
+    left_out = [block for block in ALL_BLOCKS if block.not_run is not None]
+    for block in left_out:
+        assert block.not_run in NOT_RUN, block.place
+        for command in block.code.replace("\\\n", " ").splitlines():
+            assert re.match(NOT_RUN[block.not_run], command), f"{block.place}: {command}"
+    assert len(left_out) <= MOST_NOT_RUN
+    assert {block.not_run for block in left_out} == set(NOT_RUN)
+
+
+# What the README promises.
+
+
+def test_set_up_is_these_two_lines():
+    assert f"```sh\n{SET_UP}```" in text("README.md")
+
+
+def test_ci_sets_up_and_tests_as_the_readme_says():
+    assert SET_UP.splitlines()[1] in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_readme_is_short():
+    assert len(text("README.md").splitlines()) <= 130
+
+
+# Links and names.
+
+
+def anchors(page: str) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    content = re.sub(r"^```.*?^```$", "", text(page), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", content, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page: str):
+    for link in re.findall(r"\]\(([^)\s]+)\)", text(page)):
+        if "://" in link:
+            continue
+        path, _, anchor = unquote(link).partition("#")
+        target = (ROOT / page).parent / path if path else ROOT / page
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors(str(target.resolve().relative_to(ROOT))), link
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_named_modules_and_tests_exist(page: str):
+    content = text(page)
+    for name in re.findall(r"-m benchmarks\.(\w+)", content):
+        assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
+    for path in re.findall(r"\b(?:tests|kernel|worker|service|examples|docs)/[\w/.-]*\w\.(?:py|md|ipynb|png|svg)\b", content):
+        assert (ROOT / path).exists(), path
+
+
+def test_every_document_is_linked_from_the_readme():
+    linked = set(re.findall(r"\]\(([^)#\s]+\.(?:md|cff))\)", text("README.md")))
+    assert {name for name in PAGES if name != "README.md"} | {"CITATION.cff"} <= linked
+
+
+# Tables that repeat what the code declares.
+
+
+def test_fields_and_defaults_are_those_of_the_specification():
+    from worker.spec import SweepSpec
+
+    rows = table("docs/specification.md", "## Fields")
+    assert sorted(code(row[0])[0] for row in rows if len(code(row[0])) == 1) == sorted(SweepSpec.model_fields)
+    spec = SweepSpec(gamma=1, omega=1, xi=0)
+    for name, _, default, _ in rows:
+        (field,) = code(name)
+        if field in ("gamma", "omega", "xi"):
+            assert default == "required"
+        elif field in ("protocol", "model"):
+            assert getattr(spec, field).kind == json.loads(*code(default))["kind"]
+        else:
+            assert getattr(spec, field) == json.loads(default.strip("`"))
+
+
+def test_contact_models_and_their_defaults_are_those_of_the_code():
+    from worker.spec.contact_models import CONTACT_MODELS, ContactFields
+
+    rows = {code(row[0])[0]: row[2] for row in table("docs/specification.md", "### Contact models")}
+    assert list(rows) == list(CONTACT_MODELS)
+    shared = {"as `soft`": dict(re.findall(r"`(\w+)` (\S+?)(?:,| or |$)", rows["soft"]))}
+    for kind, model in CONTACT_MODELS.items():
+        named = set(code(rows[kind]))
+        if "soft" in named:
+            named = (named - {"soft"}) | {"restitution", "penetration", "rest_length", "adhesive"}
+        fields: type[ContactFields] = model.fields
+        assert named == set(fields.model_fields) - {"kind"}, kind
+        for field, shown in re.findall(r"`(\w+)` ([\w.\"-]+)", rows[kind]):
+            if field != "soft":
+                default = fields.model_validate({"kind": kind}).model_dump()[field]
+                assert default == json.loads(shown), f"{kind}.{field}"
+    assert shared
+
+
+def test_stored_variables_are_those_of_the_schema():
+    from worker import schema
+    from worker.spec import SweepSpec
+
+    ramp = SweepSpec(
+        gamma=[1, 2], omega=1, xi=0, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}
+    )
+    declared = {
+        array.name: (", ".join(array.dims), {"f8": "float64", "i4": "int32", "i2": "int16", "u1": "uint8"})
+        for array in schema.arrays(ramp)
+    }
+    rows = {code(row[0])[0]: row for row in table("docs/specification.md", "## Stored variables")}
+    assert list(rows) == list(declared)
+    for array in schema.arrays(ramp):
+        dims, names = declared[array.name]
+        assert rows[array.name][1:3] == [dims, names[array.dtype[1:]]]
+
+
+def test_outcomes_and_states_are_those_of_the_code():
+    from kernel.params import Outcome
+    from service.jobs.model import JobState
+
+    rows = table("docs/model.md", "## 4. Protocols")
+    assert [(int(row[0]), row[1]) for row in rows] == [(int(o), o.name.lower()) for o in Outcome]
+    for page in ("docs/http-api.md", "docs/glossary.md"):
+        assert all(f"`{state}`" in text(page) for state in JobState), page
+
+
+def test_every_setting_is_listed_with_its_default():
+    from service.settings import Settings
+
+    rows = [row for nth in range(4) for row in table("docs/deployment.md", "## Settings", nth)]
+    shown = {code(row[0])[0]: row[1] for row in rows}
+    assert len(shown) == len(rows)
+    assert set(shown) == {f"BOUNCE_{name.upper()}" for name in Settings.model_fields}
+    for name, field in Settings.model_fields.items():
+        default = shown[f"BOUNCE_{name.upper()}"].replace(",", "").strip("`")
+        if field.default in (None, frozenset()):
+            assert default == "", name
+        elif isinstance(field.default, int | float):
+            assert float(default) == field.default, name
+        else:
+            assert default == str(field.default), name
+
+
+def test_every_call_is_listed():
+    from contextlib import closing
+
+    from service.api.app import create_app
+    from service.settings import Settings
+    from worker.executors.inline import Inline
+
+    with closing(Inline()) as executor:
+        paths = create_app(Settings(), executor).openapi()["paths"]
+    calls = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
+    assert {code(row[0])[0] for row in table("docs/http-api.md", "## Calls")} == calls
+
+
+def test_every_status_is_explained():
+    from http import HTTPStatus
+
+    from service.api.problems import STATUS
+
+    explained = {int(row[0]) for row in table("docs/http-api.md", "## Errors")}
+    assert {int(status) for status in STATUS.values()} | {400, 404, 405, 422, 500} == explained
+    assert all(HTTPStatus(status) for status in explained)
+
+
+def test_every_command_and_option_is_listed():
+    from service.cli.main import main
+
+    content = text("docs/command-line.md")
+    listed = {code(row[0])[0].split()[1]: " ".join(row) for row in table("docs/command-line.md", "## Commands")}
+    assert set(listed) == set(main.commands)
+    shared = " ".join(row[0] for row in table("docs/command-line.md", "## Options of most commands"))
+    for name, command in main.commands.items():
+        for parameter in command.params:
+            for option in parameter.opts:
+                if option.startswith("--"):
+                    assert f"`{option}`" in listed[name] or f"`{option}`" in shared, f"{name} {option}"
+    assert "BOUNCE_URL" in content
+
+
+def test_names_of_the_client_are_those_it_exports():
+    import service.client
+
+    content = text("docs/python-client.md")
+    errors = {name for name in service.client.__all__ if isinstance(getattr(service.client, name), type)
+              and issubclass(getattr(service.client, name), Exception)}  # fmt: skip
+    assert {name for row in table("docs/python-client.md", "## Errors") for name in code(row[0])} == errors - {
+        "BounceError"
+    }
+    for owner, methods in re.findall(r"^\| `(client|job)\.(.*?)` \|", content, re.MULTILINE):
+        kind = {"client": service.client.Client, "job": service.client.Job}[owner]
+        for method in re.findall(rf"(?:^|`{owner}\.)(\w+)\(", methods):
+            assert callable(getattr(kind, method)), method
+
+
+# Files about the project.
+
+
+def test_citation_is_valid_and_of_this_version():
+    done = subprocess.run(
+        ["check-jsonschema", "--builtin-schema", "vendor.citation-file-format", "CITATION.cff"],
+        cwd=ROOT, capture_output=True, text=True, check=False, env=venv_environment(),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    citation = yaml.safe_load(text("CITATION.cff"))
+    assert citation["version"] == project_version()
+    (paper,) = citation["references"]
+    assert paper["doi"] == "10.1016/j.physd.2014.01.006"
+
+
+def test_changelog_has_this_version():
+    headings = re.findall(r"^## \[([^\]]+)\]", text("CHANGELOG.md"), re.MULTILINE)
+    assert project_version() in headings
+
+
+def project_version() -> str:
+    return str(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"])
+
+
+def venv_environment() -> dict[str, str]:
+    import os
+    import sys
+
+    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
