@@ -60,7 +60,8 @@ class Block(NamedTuple):
     @property
     def serves(self) -> bool:
         """Whether it ends with a service in the foreground."""
-        return self.language == "sh" and bool(re.search(r"^(\w+=\S+ )*bounce serve[^\n]*\Z", self.code.strip(), re.M))
+        last = self.code.strip().rpartition("\n")[2]
+        return self.language == "sh" and bool(re.match(r"(\w+=\S+ )*bounce serve\b", last))
 
     def _after(self, mark: str) -> str | None:
         return self.comment.removeprefix(mark) if self.comment.startswith(mark) else None
@@ -134,13 +135,13 @@ class Session:
         if block.file is not None:
             (self._folder / block.file).write_text(block.code)
         elif block.comment == "output":
-            printed = self.output()
-            if printed.strip() != block.code.strip():
-                raise Failed(f"{block.place} shows\n{block.code}\nwhere the block before it prints\n{printed}")
+            if self.output().strip() != block.code.strip():
+                raise Failed(f"{block.place} shows\n{block.code}\nbut what is printed is\n{self.output()}")
         elif block.serves:
             self._serve(block)
         elif block.language == "sh":
-            self._run_in(self._shell, block, "set -eo pipefail; source {script} >{log} 2>&1 </dev/null; echo done")
+            command = "set -eo pipefail; source {script} >{log} 2>&1 </dev/null; echo done"
+            self._run_in(self._shell, block, command)
         elif block.language == "python":
             if self._python is None:
                 self._python = _Interpreter([sys.executable, "-uc", _RUNNER], self._folder, self._environment)
@@ -174,11 +175,10 @@ class Session:
     def _serve(self, block: Block) -> None:
         self._end_service()
         script = self._script(block)
-        # With job control the service leads a process group of its own, and SIGINT is not ignored in it.
-        answer = self._shell.ask(
-            f"set -m; (source {script}) >{self._log} 2>&1 </dev/null & SERVICE=$!; set +m; echo $SERVICE"
-        )
-        self._service = int(answer)
+        # With job control the block has a process group of its own, in which SIGINT is not ignored. Its
+        # shell outlives SIGTERM, so that it ends after all that it started.
+        background = f"(set +e; trap : TERM; source {script}; wait) >{self._log} 2>&1 </dev/null &"
+        self._service = int(self._shell.ask(f"set -m; {background} SERVICE=$!; set +m; echo $SERVICE"))
         give_up = time.monotonic() + DEADLINE
         while not self._ready():
             if time.monotonic() > give_up or not _alive(self._service):
@@ -197,8 +197,10 @@ class Session:
             return
         group, self._service = self._service, None
         _signal(group, signal.SIGTERM)
-        self._shell.ask(f"wait {group} || true; echo done", seconds=60)
+        answer = self._shell.ask(f"wait {group} || true; echo done")
         _signal(group, signal.SIGKILL)
+        if answer != "done":
+            raise Failed(f"the service does not stop: {answer}")
 
 
 #: Runs scripts in one namespace; a line on standard input names the script, its log, and its place.
@@ -268,5 +270,3 @@ def _signal(group: int, number: signal.Signals) -> None:
         os.killpg(group, number)
     except ProcessLookupError:
         return
-
-
