@@ -1,6 +1,6 @@
 """The documents as a reader uses them: their blocks, and sessions that run these in order.
 
-Conventions of the documents. A comment on the line before a fence says what a block is:
+Conventions of the documents. A comment on the line before a fence marks a block:
 
     <!-- file: NAME -->         the block is the content of a file, which is written where the commands run
     <!-- output -->             the block is what the block before it prints, to the letter
@@ -41,10 +41,10 @@ class Block(NamedTuple):
     line: int  # of its first line of code, from 1
     language: str
     code: str
-    comment: str  # what the comment before it says
+    comment: str  # text of the comment before it
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         return f"{self.document}:{self.line}"
 
     @property
@@ -103,7 +103,7 @@ class Session:
         home = folder / "home"
         for path in (self._folder, self._logs, home):
             path.mkdir()
-        (home / ".curlrc").write_text("fail\n")  # so that curl's exit status tells of an error
+        (home / ".curlrc").write_text("fail\n")  # so that curl's exit status reports an error
         self._ports = {"8000": str(free_port()), "8786": str(free_port())}
         self._environment = {
             **{name: value for name, value in os.environ.items() if not name.startswith("BOUNCE_")},
@@ -136,7 +136,7 @@ class Session:
             (self._folder / block.file).write_text(block.code)
         elif block.comment == "output":
             if self.output().strip() != block.code.strip():
-                raise Failed(f"{block.place} shows\n{block.code}\nbut what is printed is\n{self.output()}")
+                raise Failed(f"{block.location} shows\n{block.code}\nbut what is printed is\n{self.output()}")
         elif block.serves:
             self._serve(block)
         elif block.language == "sh":
@@ -145,7 +145,7 @@ class Session:
         elif block.language == "python":
             if self._python is None:
                 self._python = _Interpreter([sys.executable, "-uc", _RUNNER], self._folder, self._environment)
-            self._run_in(self._python, block, '["{script}", "{log}", "{place}"]')
+            self._run_in(self._python, block, '["{script}", "{log}", "{location}"]')
 
     def output(self) -> str:
         """What the last block printed."""
@@ -168,9 +168,9 @@ class Session:
     def _run_in(self, interpreter: "_Interpreter", block: Block, command: str) -> None:
         script = self._script(block)
         assert self._log is not None
-        answer = interpreter.ask(command.format(script=script, log=self._log, place=block.place))
+        answer = interpreter.execute(command.format(script=script, log=self._log, location=block.location))
         if answer != "done":
-            raise Failed(f"{block.place} {answer or 'failed'}:\n{block.code}\n{self.output()}")
+            raise Failed(f"{block.location} {answer or 'failed'}:\n{block.code}\n{self.output()}")
 
     def _serve(self, block: Block) -> None:
         self._end_service()
@@ -178,11 +178,11 @@ class Session:
         # With job control the block has a process group of its own, in which SIGINT is not ignored. Its
         # shell outlives SIGTERM, so that it ends after all that it started.
         background = f"(set +e; trap : TERM; source {script}; wait) >{self._log} 2>&1 </dev/null &"
-        self._service = int(self._shell.ask(f"set -m; {background} SERVICE=$!; set +m; echo $SERVICE"))
+        self._service = int(self._shell.execute(f"set -m; {background} SERVICE=$!; set +m; echo $SERVICE"))
         give_up = time.monotonic() + DEADLINE
         while not self._ready():
             if time.monotonic() > give_up or not _alive(self._service):
-                raise Failed(f"{block.place}: the service does not start:\n{block.code}\n{self.output()}")
+                raise Failed(f"{block.location}: the service does not start:\n{block.code}\n{self.output()}")
             time.sleep(0.1)
 
     def _ready(self) -> bool:
@@ -197,21 +197,21 @@ class Session:
             return
         group, self._service = self._service, None
         _signal(group, signal.SIGTERM)
-        answer = self._shell.ask(f"wait {group} || true; echo done")
+        answer = self._shell.execute(f"wait {group} || true; echo done")
         _signal(group, signal.SIGKILL)
         if answer != "done":
             raise Failed(f"the service does not stop: {answer}")
 
 
-#: Runs scripts in one namespace; a line on standard input names the script, its log, and its place.
+#: Runs scripts in one namespace; a line on standard input names the script, its log, and its location.
 _RUNNER = """
 import contextlib, json, sys, traceback
 names = {"__name__": "__main__"}
 for line in sys.stdin:
-    script, log, place = json.loads(line)
+    script, log, location = json.loads(line)
     with open(log, "w") as out, contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         try:
-            exec(compile(open(script).read(), place, "exec"), names)
+            exec(compile(open(script).read(), location, "exec"), names)
             answer = "done"
         except BaseException:
             traceback.print_exc()
@@ -234,7 +234,7 @@ class _Interpreter:
             start_new_session=True,
         )
 
-    def ask(self, command: str, seconds: float = DEADLINE) -> str:
+    def execute(self, command: str, seconds: float = DEADLINE) -> str:
         """The line that answers a command; empty if the process ended instead."""
         stdin, stdout = _pipe(self._process.stdin), _pipe(self._process.stdout)
         stdin.write(f"{command}\n")
