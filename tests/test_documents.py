@@ -1,17 +1,21 @@
 """The documents: what they print can be typed in as it stands, and what they list is what the code has."""
 
+import inspect
 import json
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import pytest
 import yaml
 from documents import DOCUMENTS, Block, Failed, Session, blocks, text
-from paths import ROOT
+from paths import GOLDEN, ROOT
 
 SET_UP = """\
 python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/bounce figure 2 -o figure-2.png
@@ -30,6 +34,11 @@ NOT_RUN = {
 
 #: So that a good reason does not become a habit.
 MOST_NOT_RUN = 8
+
+#: What must not be hidden in a block of plain text.
+LOOKS_RUNNABLE = re.compile(
+    r"^(bounce|curl|python3?|pip|pytest|dask|docker|export|from|import) ", re.MULTILINE
+)
 
 #: Written beside the code, and read like the documents.
 PAGES = (*DOCUMENTS, "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
@@ -114,8 +123,8 @@ def test_block_is_well_formed(block: Block):
     elif block.language == "json":
         json.loads(block.code)
     else:
-        assert block.language == "text"
-        assert block.comment == "output", "what is printed as output is compared with the output"
+        assert block.language in ("text", "mermaid")
+        assert block.comment == "output" or not LOOKS_RUNNABLE.search(block.code)
     if block.comment:
         assert re.match(r"file: [\w.]+$|output$|not run: ", block.comment)
 
@@ -257,17 +266,40 @@ def test_every_setting_is_listed_with_its_default():
             assert default == str(field.default), name
 
 
-def test_every_call_is_listed():
-    from contextlib import closing
-
+@pytest.fixture(scope="module")
+def api() -> dict[str, Any]:
+    """The OpenAPI document."""
     from service.api.app import create_app
     from service.settings import Settings
     from worker.executors.inline import Inline
 
     with closing(Inline()) as executor:
-        paths = create_app(Settings(), executor).openapi()["paths"]
-    calls = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
-    assert {code(row[0])[0] for row in table("docs/http-api.md", "## Calls")} == calls
+        return create_app(Settings(), executor).openapi()
+
+
+def test_every_call_is_listed_with_its_parameters(api: dict[str, Any]):
+    rows = {code(row[0])[0]: row[1] for row in table("docs/http-api.md", "## Calls")}
+    assert set(rows) == {
+        f"{method.upper()} {path}" for path, methods in api["paths"].items() for method in methods
+    }
+    for call, answer in rows.items():
+        if answer.startswith("for the page: "):
+            continue
+        method, path = call.split()
+        parameters = api["paths"][path][method.lower()].get("parameters", [])
+        for parameter in parameters:
+            if parameter["in"] == "query":
+                assert re.search(rf"`\??{parameter['name']}\b", answer), f"{call} {parameter['name']}"
+
+
+def test_the_fields_of_a_job_are_listed(api: dict[str, Any]):
+    schemas = api["components"]["schemas"]
+    rows = table("docs/http-api.md", "## Jobs")
+    listed = [name for row in rows for name in code(row[0])]
+    assert sorted(listed) == sorted(schemas["JobView"]["properties"])
+    progress = schemas["JobView"]["properties"]["progress"]["$ref"].rpartition("/")[2]
+    (meaning,) = (row[1] for row in rows if row[0] == "`progress`")
+    assert code(meaning) == list(schemas[progress]["properties"])
 
 
 def test_every_status_is_explained():
@@ -310,14 +342,54 @@ def test_names_of_the_client_are_those_it_exports():
             assert callable(getattr(kind, method)), method
 
 
+def test_signatures_of_the_client_are_those_of_the_code():
+    from service.client import Client, Job
+
+    owners = {"client": Client, "job": Job}
+    for row in table("docs/python-client.md", "## Jobs") + table("docs/python-client.md", "## Results"):
+        for owner, method, shown in re.findall(r"`(client|job)\.(\w+)\(([^)]*)\)`", row[0]):
+            known = inspect.signature(getattr(owners[owner], method)).parameters
+            named = {part.split("=")[0].strip() for part in shown.split(",")} - {"", "*", "…"}
+            assert named <= set(known), f"{owner}.{method}"
+
+
+def test_numbers_of_the_model_are_the_golden_ones():
+    facts = json.loads((GOLDEN / "facts.json").read_text())
+    content = text("docs/model.md")
+    for cycle in facts["cycles"]:
+        assert all(f"{flight:.12f}" in content for flight in cycle["flights"]), cycle
+        if cycle["flights"]:
+            assert "({}, {})".format(*cycle["mode"]) in content
+    for extremum in ("least", "most"):
+        assert all(f"{value:.5f}" in content for value in facts["threshold"]["extrema"][extremum])
+    assert all(f"{gamma} at Ω = {omega:g}" in content
+               for omega, gamma in facts["threshold"]["not_one_at_xi_one"])  # fmt: skip
+
+
+def test_sections_that_code_cites_exist():
+    sources = [
+        path
+        for package in ("kernel", "worker", "service", "tests")
+        for path in (ROOT / package).rglob("*.py")
+    ]
+    cited = {
+        int(number)
+        for path in sources
+        for sections in re.findall(r"docs/model\.md,\s+sections? (\d(?:\D{1,5}\d)*)", path.read_text())
+        for number in re.findall(r"\d", sections)
+    }
+    assert cited <= {
+        int(number) for number in re.findall(r"^## (\d)\. ", text("docs/model.md"), re.MULTILINE)
+    }
+
+
 # Files about the project.
 
 
 def test_citation_is_valid_and_of_this_version():
-    done = subprocess.run(
-        ["check-jsonschema", "--builtin-schema", "vendor.citation-file-format", "CITATION.cff"],
-        cwd=ROOT, capture_output=True, text=True, check=False, env=venv_environment(),
-    )  # fmt: skip
+    command = [Path(sys.executable).with_name("check-jsonschema"), "CITATION.cff"]
+    command += ["--builtin-schema", "vendor.citation-file-format"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     citation = yaml.safe_load(text("CITATION.cff"))
     assert citation["version"] == project_version()
@@ -332,10 +404,3 @@ def test_changelog_has_this_version():
 
 def project_version() -> str:
     return str(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"])
-
-
-def venv_environment() -> dict[str, str]:
-    import os
-    import sys
-
-    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
