@@ -58,8 +58,8 @@ def test_scheduler_is_set_as_the_service_wants_it():
 
     given = {name: float(value) for name, value in SERVICES["scheduler"]["environment"].items()}
     assert given == {environment_variable(name): value for name, value in SCHEDULER_SETTINGS.items()}
-    readme = (ROOT / "README.md").read_text()
-    assert all(f"{name}={SERVICES['scheduler']['environment'][name]}" in readme for name in given)
+    document = (ROOT / "docs" / "deployment.md").read_text()
+    assert all(f"{name}={SERVICES['scheduler']['environment'][name]}" in document for name in given)
 
 
 @pytest.mark.parametrize("name", SERVICES)

@@ -1,7 +1,6 @@
 """Calls on jobs beyond the simplest: keys, costs, pages, events, resume, delete, figures for Prometheus."""
 
 import json
-import re
 import threading
 import time
 from contextlib import ExitStack
@@ -10,11 +9,9 @@ from typing import Any
 
 import httpx2
 import pytest
-from paths import ROOT
 from scripted import DEADLINE, Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
 
-from service.api.app import create_app
 from service.server import embedded
 from service.settings import Settings
 
@@ -326,18 +323,3 @@ def test_metrics_tell_of_requests_and_jobs(tmp_path: Path):
     assert 'bounce_http_requests_total{method="GET",route="/v1/jobs/{job_id}",status="404"} 1.0' in text
     assert 'bounce_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0' in text
     assert here.rsplit("/", 1)[1] not in text
-
-
-def test_the_readme_names_calls_that_there_are():
-    text = (ROOT / "README.md").read_text()
-    table = text.split("| call | answers |")[1].split("\n\n")[0]
-    found = set()
-    for row in re.findall(r"^\| (.*?) \| ", table, re.MULTILINE):
-        calls = re.findall(r"`(?:(GET|POST|DELETE) )?(/[^`]*)`", row)
-        for n, (method, path) in enumerate(calls):
-            job = "/v1/jobs/{job_id}" if calls[0][1].startswith("/v1/jobs/{job_id}") else ""
-            found.add((method or calls[0][0], path if n == 0 or path.startswith("/v1") else job + path))
-    paths = create_app(Settings(), Held()).openapi()["paths"]
-    there = {(method.upper(), path) for path, methods in paths.items() for method in methods}
-    assert found <= there
-    assert len(found) >= 17  # the page has calls of its own, which the table leaves out
