@@ -168,7 +168,7 @@ def test_creation_raises_no_warning_while_other_threads_change_the_filters(tmp_p
     thread.start()
     try:
         for number in range(20):
-            store.create(str(tmp_path / f"{number}.zarr"), spec, plan)
+            store.create(str(tmp_path / f"{number}.zarr"), layout(spec, plan.chunk_shape))
     finally:
         stop.set()
         thread.join()
