@@ -11,9 +11,11 @@ import pytest
 from paths import GOLDEN
 from scripted import Scripted, wait_for
 from served import get, service
+from stores import checksum
 
 from worker import store
 from worker.plan import make_plan
+from worker.schema import layout
 from worker.spec import SweepSpec
 
 RELEASE = "data-folder-0.1.0"
@@ -46,8 +48,8 @@ def recorded_checksums(folder: Path, name: str) -> list[str]:
 def stored_checksums(folder: Path, name: str) -> list[str]:
     """Of the bytes in the store, chunk by chunk."""
     url = str(store_of(folder, name))
-    spec = SweepSpec.parse(store.read_attrs(url)["spec"])
-    return [store.checksum(url, chunk) for chunk in make_plan(spec, chunk_shape=store.chunk_shape(url))]
+    spec, cut = SweepSpec.parse(store.read_attrs(url)["spec"]), store.chunk_shape(url)
+    return [checksum(url, layout(spec, cut), chunk) for chunk in make_plan(spec, chunk_shape=cut)]
 
 
 def test_the_folder_is_that_of_an_interrupted_service(folder: Path):
@@ -59,7 +61,7 @@ def test_the_folder_is_that_of_an_interrupted_service(folder: Path):
 def test_a_store_laid_out_today_has_the_same_bytes(folder: Path, tmp_path: Path, name: str):
     earlier, today = store_of(folder, name), tmp_path / "today.zarr"
     spec = SweepSpec.parse(store.read_attrs(str(earlier))["spec"])
-    store.create(str(today), spec, make_plan(spec, chunk_shape=store.chunk_shape(str(earlier))))
+    store.create(str(today), layout(spec, store.chunk_shape(str(earlier))))
     laid_out = files(today)
     assert "zarr.json" in laid_out
     assert laid_out.items() <= files(earlier).items()
