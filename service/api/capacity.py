@@ -8,18 +8,21 @@ from service.errors import Busy
 
 
 class ConcurrencyLimit:
-    """At most `places` at a time; who waits longer than `seconds` is told to come back."""
+    """Lets at most `limit` blocks run at a time, in any threads; `activity` names them in the error.
 
-    def __init__(self, what: str, places: int, seconds: float = 1.0) -> None:
-        self._what, self._places, self._seconds = what, places, seconds
-        self._free = threading.BoundedSemaphore(places)
+    A caller waits up to `timeout` seconds for a slot, so that short requests pass a burst without a retry.
+    """
+
+    def __init__(self, activity: str, limit: int, timeout: float = 1.0) -> None:
+        self._activity, self._limit, self._timeout = activity, limit, timeout
+        self._slots = threading.BoundedSemaphore(limit)
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
-        """For as long as the block. Raises Busy."""
-        if not self._free.acquire(timeout=self._seconds):
-            raise Busy(f"{self._places} {self._what} are being made already, at most so many at a time")
+    def slot(self) -> Iterator[None]:
+        """Hold a slot during the block. Raises Busy."""
+        if not self._slots.acquire(timeout=self._timeout):
+            raise Busy(f"too many concurrent {self._activity}: at most {self._limit} at a time")
         try:
             yield
         finally:
-            self._free.release()
+            self._slots.release()

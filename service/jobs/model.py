@@ -102,6 +102,11 @@ class JobRecord(NewJob):
     cells_done: int
     choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.Choice, once chosen
 
+    @property
+    def revision(self) -> tuple[object, ...]:
+        """Changes whenever what the job shows changes, except the estimated time left."""
+        return (self.id, self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
+
     def progress(self, now: float) -> Progress:
         """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""
         running = self.state is JobState.RUNNING and self.run_started is not None

@@ -22,7 +22,7 @@ from paths import CACHE, ROOT
 from running import Counting, Running, costing, running
 from scripted import free_port, wait_for
 
-from service.api.readiness import Health
+from service.api.monitoring import Readiness
 from service.jobs.model import JobRecord, JobState
 from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 from worker.executors.dask import Dask
@@ -94,7 +94,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
 ):
     kept, address = scheduler
     executor = Dask(address, timeout=60)
-    counting, health = Counting(executor), Health(executor)
+    counting, readiness = Counting(executor), Readiness(executor)
     try:
         wait_for(lambda: executor.ready() and executor.workers() == 2, seconds=90)
         with running(tmp_path / "data", counting) as service:
@@ -113,7 +113,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
 
             kept.process.send_signal(signal.SIGSTOP)
             frozen = time.monotonic()
-            wait_for(lambda: not health.ready())
+            wait_for(lambda: not readiness.ready())
             noticed = time.monotonic() - frozen
             time.sleep(max(FREEZE - noticed, 0))
             again = Resubmitted(service, job, counting)
@@ -124,7 +124,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             wait_for(lambda: executor.ready() and executor.workers() == 2, told, 90)
             killed = time.monotonic()
             kept.process.kill()
-            wait_for(lambda: not health.ready())
+            wait_for(lambda: not readiness.ready())
             time.sleep(0.5)
             again = Resubmitted(service, job, counting)
             back = goes_on(killed)

@@ -17,8 +17,9 @@ from scripted import Held, sweep
 from service.api.app import create_app
 from service.cli.main import main
 from service.client import Client
+from service.errors import NotStarted
 from service.server import embedded
-from service.server import logging as logs
+from service.server.logging import log_to_stderr
 from service.settings import Settings
 
 TOKEN = "a-token-of-thirty-two-characters"
@@ -131,7 +132,7 @@ def test_loopback_needs_none(host: str):
 
 @pytest.mark.parametrize("token", ["short", "x" * 15, "sixteen characters with spaces", "s\u00e9cret-" * 5])
 def test_a_token_that_can_be_guessed_is_refused(token: str):
-    with pytest.raises(embedded.NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
+    with pytest.raises(NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
         embedded.settings(token=token)
     assert token not in str(refused.value)
 
@@ -155,7 +156,7 @@ def test_the_token_is_not_shown():
     ],
 )
 def test_a_setting_that_cannot_be_is_named(given: dict[str, Any], rule: str):
-    with pytest.raises(embedded.NotStarted, match=rule):
+    with pytest.raises(NotStarted, match=rule):
         embedded.settings(**given)
 
 
@@ -254,7 +255,7 @@ def logged(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
     log = io.StringIO()
     with monkeypatch.context() as patch:
         patch.setattr(sys, "stderr", log)
-        with logs.to_standard_error("info"):
+        with log_to_stderr("info"):
             yield log
 
 
@@ -279,9 +280,9 @@ def test_a_traceback_stays_in_its_line(logged: io.StringIO):
     try:
         raise ValueError("two\nlines")
     except ValueError:
-        logging.getLogger("service.x").exception("it stumbled")
+        logging.getLogger("service.x").exception("step failed")
     (line,) = lines(logged)
-    assert (line["event"], line["level"]) == ("it stumbled", "error")
+    assert (line["event"], line["level"]) == ("step failed", "error")
     assert "ValueError: two\nlines" in line["traceback"]
 
 
@@ -293,7 +294,7 @@ def test_a_defect_is_told_to_the_log_and_not_to_the_caller(
         answer = client.get("/v1/jobs/none")
     assert answer.status_code == 500
     assert "division" not in answer.text
-    (line,) = [one for one in lines(logged) if one["event"] == "a defect"]
+    (line,) = [one for one in lines(logged) if one["event"] == "internal error"]
     assert "ZeroDivisionError" in line["traceback"]
     assert line["id"] == answer.headers["X-Request-Id"]
     assert line["id"] in answer.json()["detail"]

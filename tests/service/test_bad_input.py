@@ -20,7 +20,7 @@ from served import computing, finished, service
 
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
-from service.server.head_timeout import with_head_timeout
+from service.server.web_server import with_head_timeout
 from service.settings import Settings
 from worker.executors.inline import Inline
 
@@ -126,9 +126,9 @@ BODIES = [
 
 #: Method, path ({job} is one that is done), status, and a piece of the message.
 REQUESTS = {
-    "nowhere": ("GET", "/v2/jobs", 404, "there is nothing at /v2/jobs"),
-    "a method not known": ("DELETE", "/v1/jobs", 405, "does not answer DELETE"),
-    "a made-up method": ("BREW", "/v1/jobs", 405, "does not answer BREW"),
+    "nowhere": ("GET", "/v2/jobs", 404, "no endpoint /v2/jobs"),
+    "a method not known": ("DELETE", "/v1/jobs", 405, "/v1/jobs does not support DELETE"),
+    "a made-up method": ("BREW", "/v1/jobs", 405, "/v1/jobs does not support BREW"),
     "an unknown id": ("GET", "/v1/jobs/" + "0" * 32, 404, "no job has the id"),
     "an id with a quote": ("GET", "/v1/jobs/'%20OR%201=1", 404, "no job has the id"),
     "an id with a null": ("GET", "/v1/jobs/%00", 404, "no job has the id"),
@@ -142,7 +142,7 @@ REQUESTS = {
     "a limit in words": ("GET", "/v1/jobs?limit=all", 422, "limit: should be a valid integer"),
     "a limit without end": ("GET", "/v1/jobs?limit=" + "9" * 5000, 422, "limit"),
     "a cursor of one's own": ("GET", "/v1/jobs?cursor=two", 422, "cursor: should be `next` of the page"),
-    "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: there is no such parameter"),
+    "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: unknown parameter"),
     "along nothing": ("GET", "{job}/diagram?along=time&omega=0.5", 422, "along: should be 'gamma', 'omega'"),
     "a missing parameter": ("GET", "{job}/diagram", 422, "omega: is required: the sweep has 2 values"),
     "the axis itself": ("GET", "{job}/diagram?gamma=1&omega=0.5", 422, "gamma: is the axis the diagram"),
@@ -263,9 +263,7 @@ def test_a_data_folder_out_of_order_is_no_defect_of_the_service(tmp_path: Path, 
         stores, away = tmp_path / "stores", tmp_path / "away"
         stores.rename(away)
         stores.touch()
-        check_refusal(
-            client.get(f"{here}/{path}"), 503, "the data folder cannot be used now: Not a directory"
-        )
+        check_refusal(client.get(f"{here}/{path}"), 503, "the data folder cannot be used: Not a directory")
         stores.unlink()
         away.rename(stores)
         assert client.get(f"{here}/{path}").status_code == 200
@@ -374,6 +372,6 @@ def test_a_client_that_goes_away_in_the_middle_of_its_body_reaches_no_route():
     async def send(message: Any) -> None:
         raise AssertionError(message)
 
-    limit = BodyLimit(app, max_bytes=100, seconds=1.0)
+    limit = BodyLimit(app, max_bytes=100, timeout=1.0)
     asyncio.run(limit({"type": "http", "path": "/", "headers": []}, receive, send))
     assert reached == []

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from service.client import Client
+from service.errors import NotStarted
 from service.server import embedded
 
 MAKER = """
@@ -61,15 +62,15 @@ def test_a_cluster_that_a_function_makes_computes_and_is_closed(tmp_path: Path, 
 )
 def test_a_function_that_makes_none_says_why(tmp_path: Path, maker: str, function: str, why: str):
     settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
-    with pytest.raises(embedded.NotStarted, match=why), embedded.running(settings):
+    with pytest.raises(NotStarted, match=why), embedded.running(settings):
         pass
 
 
 def test_only_one_cluster_can_be_named(tmp_path: Path):
-    with pytest.raises(embedded.NotStarted, match="only one of scheduler, scheduler_file and cluster"):
+    with pytest.raises(NotStarted, match="only one of scheduler, scheduler_file and cluster"):
         embedded.settings(data=tmp_path, cluster="a:b", scheduler="tcp://127.0.0.1:8786")
 
 
 def test_a_cluster_is_named_by_module_and_function(tmp_path: Path):
-    with pytest.raises(embedded.NotStarted, match="cluster"):
+    with pytest.raises(NotStarted, match="cluster"):
         embedded.settings(data=tmp_path, cluster="slurm")

@@ -108,7 +108,7 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
     service_ = done.client.app.state.service  # type: ignore[attr-defined]
-    with service_.exports.turn(), service_.exports.turn():
+    with service_.export_limit.slot(), service_.export_limit.slot():
         answer = done.client.get(f"{done.here}/export?format=nc")
     assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
     assert done.client.get(f"{done.here}/export?format=nc").status_code == 200

@@ -150,7 +150,7 @@ def test_the_kernel_names_what_it_cannot_sample():
 
 def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
     with service(tmp_path, Held(), max_trajectories=1) as client:
-        with client.app.state.service.trajectories.turn():  # type: ignore[attr-defined]
+        with client.app.state.service.trajectory_limit.slot():  # type: ignore[attr-defined]
             answer = client.post("/v1/trajectories", json=CELL)
         assert answer.status_code == 429
 

@@ -7,11 +7,10 @@ import gzip
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import Field
 
-from service.api import dependencies, schemas
-from service.api.dependencies import TheJob, TheService
-from service.api.schemas import LineQuery, Number, PlaneQuery, Trajectory, problem_responses
+from service.api import dependencies, parameters
+from service.api.dependencies import JobDep, ServiceDep
+from service.api.schemas import Trajectory, problem_responses
 from service.formats import MEDIA_TYPES
 from service.render import binary, text
 from service.results import line as lines
@@ -22,45 +21,14 @@ router = APIRouter(prefix="/v1/jobs/{job_id}")
 
 _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
 
-Pixels = Annotated[int, Field(ge=1, le=4096)]
 
-
-class LineViewQuery(LineQuery):
-    """A line and a window of it: left and right in units of the axis, bottom and top in rad."""
-
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number = 0.0
-    top: Number | None = None
-    log: bool = Field(False, description="columns at equal ratios")
-    width: Pixels = 800
-    height: Pixels = 400
-    most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
-
-
-class PlaneViewQuery(PlaneQuery):
-    """A plane and a window of it: left and right in Γ, bottom and top in Ω."""
-
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number | None = None
-    top: Number | None = None
-
-
-class CellQuery(schemas.Query):
-    """The cell of the sweep nearest to the given values, and how to sample its motion."""
-
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: str | None = Field(None, description="rest, up or down; the sweep's first if left out")
-    periods: Annotated[int, Field(ge=1, le=1000)] = 4
-    samples: Annotated[int, Field(ge=1, le=trajectories.MAX_SAMPLES)] = 200
-
-
-@router.get("/line", responses={200: _PACKED, **problem_responses(404, 413, 422)})
+@router.get(
+    "/line",
+    summary="Read a line of cells in binary form",
+    responses={200: _PACKED, **problem_responses(404, 413, 422)},
+)
 def line(
-    service: TheService, job: TheJob, query: Annotated[LineViewQuery, Query()], request: Request
+    service: ServiceDep, job: JobDep, query: Annotated[parameters.LineViewQuery, Query()], request: Request
 ) -> Response:
     """One line of cells in binary form: outcome and mode of each, and its flights.
 
@@ -90,9 +58,13 @@ def line(
     return _packed(attributes, {**found.cells, **flights}, request if dense else None)
 
 
-@router.get("/plane", responses={200: _PACKED, **problem_responses(404, 413, 422)})
+@router.get(
+    "/plane",
+    summary="Read a mode map in binary form",
+    responses={200: _PACKED, **problem_responses(404, 413, 422)},
+)
 def plane(
-    service: TheService, job: TheJob, query: Annotated[PlaneViewQuery, Query()], request: Request
+    service: ServiceDep, job: JobDep, query: Annotated[parameters.PlaneViewQuery, Query()], request: Request
 ) -> Response:
     """The mode map, or a window of it, in binary form: `outcome`, `bounces` and `periods` in rows of Ω.
 
@@ -112,14 +84,19 @@ def plane(
     return _packed(attributes, {"omega": found.omega, "gamma": found.gamma, **found.arrays}, request)
 
 
-@router.get("/trajectory", response_model=Trajectory, responses=problem_responses(404, 413, 422, 429))
-def trajectory(service: TheService, job: TheJob, query: Annotated[CellQuery, Query()]) -> Response:
+@router.get(
+    "/trajectory",
+    summary="Compute the motion of a cell of the sweep",
+    response_model=Trajectory,
+    responses=problem_responses(404, 413, 422, 429),
+)
+def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
     """One cell of the sweep in motion: as it settles from rest, or from where the ramp left it."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     sweep = dependencies.sweep(service, job)
     spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    with service.trajectories.turn():
+    with service.trajectory_limit.slot():
         motion = trajectories.compute(spec, state)
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 
