@@ -10,7 +10,7 @@ from starlette.staticfiles import StaticFiles
 
 from service import presets
 
-_FOLDER: Final = Path(__file__).parents[2] / "static"
+FILES: Final = Path(__file__).parents[2] / "static"
 
 #: Content-Security-Policy of the page, which runs scripts; `middleware.access_control` has the default.
 _POLICY: Final = (
@@ -31,7 +31,7 @@ class FigureView(BaseModel):
 
 def static_files() -> StaticFiles:
     """The application that serves the page's files."""
-    return StaticFiles(directory=_FOLDER)
+    return StaticFiles(directory=FILES)
 
 
 @router.get("/v1/figures", summary="List the paper's figures")
@@ -48,4 +48,4 @@ def figures() -> list[FigureView]:
 def index() -> Response:
     """The page."""
     headers = {"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"}
-    return FileResponse(_FOLDER / "index.html", headers=headers)
+    return FileResponse(FILES / "index.html", headers=headers)
