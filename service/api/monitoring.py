@@ -43,12 +43,15 @@ class Metrics:
         ProcessCollector(registry=self._registry)
         self._requests = Counter(
             "bounce_http_requests",
-            "Requests answered.",
+            "HTTP requests.",
             ["method", "route", "status"],
             registry=self._registry,
         )
         self._seconds = Histogram(
-            "bounce_http_request_seconds", "Until the answer was sent.", ["route"], registry=self._registry
+            "bounce_http_request_seconds",
+            "Seconds until the response was sent.",
+            ["route"],
+            registry=self._registry,
         )
 
     def add_jobs(self, ledger: Ledger, readiness: Readiness) -> None:
