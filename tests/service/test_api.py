@@ -330,6 +330,16 @@ def test_the_api_document_defines_every_schema_it_refers_to(client: TestClient):
     assert "SweepSpec" in references
 
 
+def test_every_endpoint_has_a_summary_and_a_description(client: TestClient):
+    paths = get(client, "/openapi.json")["paths"]
+    operations = [operation for methods in paths.values() for operation in methods.values()]
+    assert len(operations) > 15
+    for operation in operations:
+        function = operation["summary"].lower().replace(" ", "_")  # FastAPI's default: the function's name
+        assert not operation["operationId"].startswith(f"{function}_"), operation["summary"]
+        assert operation["description"]
+
+
 def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient):
     answer = client.get("/docs")
     assert answer.headers["Content-Type"].startswith("text/html")
