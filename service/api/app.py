@@ -84,7 +84,10 @@ def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Me
         on_demand=OnDemandCache(executor),
         export_limit=ConcurrencyLimit("exports", settings.max_exports),
         trajectory_limit=ConcurrencyLimit("trajectories", settings.max_trajectories),
-        progress_stream=ProgressStream(ledger, settings.max_listeners),
+        listener_limit=ConcurrencyLimit(
+            "event streams", settings.max_listeners, timeout=0, advice="poll the job instead"
+        ),
+        progress_stream=ProgressStream(ledger),
         readiness=readiness,
         metrics=metrics,
     )

@@ -1,4 +1,4 @@
-"""Limits concurrent expensive requests; a caller over the limit waits up to 1 s, then gets 429."""
+"""Limits on concurrent requests that hold resources for long: exports, trajectories, event streams."""
 
 import threading
 from collections.abc import Iterator
@@ -8,20 +8,26 @@ from service.errors import Busy
 
 
 class ConcurrencyLimit:
-    """Lets at most `limit` blocks run at a time, in any threads; `activity` names them in the error.
+    """At most `limit` blocks run at a time; a caller over the limit waits up to `timeout` s, then gets 429.
 
-    A caller waits up to `timeout` seconds for a slot, so that short requests pass a burst without a retry.
+    With a timeout of a second, short requests pass a burst without a retry. In the event loop, where waiting
+    would stop every other request, the timeout must be 0. `activity` names the blocks in the error, `advice`
+    tells what to do instead. Thread-safe.
     """
 
-    def __init__(self, activity: str, limit: int, timeout: float = 1.0) -> None:
-        self._activity, self._limit, self._timeout = activity, limit, timeout
+    def __init__(self, activity: str, limit: int, timeout: float = 1.0, advice: str = "") -> None:
+        self._limit, self._timeout = limit, timeout
+        self._message = f"too many concurrent {activity}: at most {limit} at a time"
+        if advice:
+            self._message += f"; {advice}"
         self._slots = threading.BoundedSemaphore(limit)
 
     @contextmanager
     def slot(self) -> Iterator[None]:
         """Hold a slot during the block. Raises Busy."""
-        if not self._slots.acquire(timeout=self._timeout):
-            raise Busy(f"too many concurrent {self._activity}: at most {self._limit} at a time")
+        acquired = self._slots.acquire(blocking=self._timeout > 0, timeout=self._timeout or None)
+        if not acquired:
+            raise Busy(self._message)
         try:
             yield
         finally:

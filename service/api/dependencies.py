@@ -29,6 +29,7 @@ class Service:
     on_demand: OnDemandCache
     export_limit: ConcurrencyLimit
     trajectory_limit: ConcurrencyLimit
+    listener_limit: ConcurrencyLimit
     progress_stream: ProgressStream
     readiness: Readiness
     metrics: Metrics

@@ -1,13 +1,11 @@
 """Progress events: one ledger query serves all listeners of a job; no listener holds a thread."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator
 from typing import Final
 
 from starlette.concurrency import run_in_threadpool
 
-from service.errors import Busy
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
 
@@ -16,30 +14,15 @@ POLL_SECONDS: Final = 0.25
 
 
 class ProgressStream:
-    """Polls the ledger for listeners, at most `max_listeners` at a time.
+    """Polls the ledger for listeners, in the event loop; only `close` may be called from any thread."""
 
-    All methods but `close` belong to the event loop.
-    """
-
-    def __init__(self, ledger: Ledger, max_listeners: int) -> None:
-        self._ledger, self._max_listeners = ledger, max_listeners
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
         self._queries: dict[str, asyncio.Future[JobRecord | None]] = {}
-        self._listeners = 0
         self._closing = False
 
-    @contextmanager
-    def subscription(self) -> Iterator[None]:
-        """Count as a listener during the block. Raises Busy."""
-        if self._listeners >= self._max_listeners:
-            raise Busy(f"too many listeners: at most {self._max_listeners} at a time; poll the job instead")
-        self._listeners += 1
-        try:
-            yield
-        finally:
-            self._listeners -= 1
-
     def close(self) -> None:
-        """End every iteration soon, so that open responses do not delay the shutdown; from any thread."""
+        """End every iteration soon, so that open responses do not delay the shutdown."""
         self._closing = True
 
     async def changes(self, job_id: str) -> AsyncIterator[JobRecord]:

@@ -144,8 +144,8 @@ def resume(service: ServiceDep, job: JobDep) -> Response:
     return _job_response(record, 202 if accepted else 200)
 
 
-async def _subscribed(service: ServiceDep) -> AsyncIterator[None]:
-    with service.progress_stream.subscription():
+async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
+    with service.listener_limit.slot():
         yield
 
 
@@ -153,7 +153,7 @@ async def _subscribed(service: ServiceDep) -> AsyncIterator[None]:
     "/jobs/{job_id}/events",
     summary="Stream a job's progress",
     response_class=EventSourceResponse,
-    dependencies=[Depends(_subscribed)],
+    dependencies=[Depends(_listener_slot)],
     responses=problem_responses(404, 429),
 )
 async def events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
