@@ -155,7 +155,7 @@ class JobRun:
             return None
         first, more = self._failures[0], len(self._failures) - 1
         tries = f" ({first.tries} times)" if first.tries > 1 else ""
-        others = f" (and {more} more chunks failed)" if more else ""
+        others = f" (and {more} more chunk{'s' if more > 1 else ''} failed)" if more else ""
         return f"{first.place}: {first.error}{tries}{others}"
 
 
