@@ -11,9 +11,8 @@ from scripted import small
 from service.jobs.model import JobRecord, JobState
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
-from service.jobs.run import JobRun, describe_chunk
+from service.jobs.run import JobRun
 from service.settings import Settings
-from worker.cost import cell_seconds
 from worker.executors.errors import WorkerDied
 from worker.plan import make_plan
 from worker.tasks import ChunkReport
@@ -56,7 +55,7 @@ def fail(run: JobRun, chunk: int, action: Action, error: Exception) -> None:
 
 def test_it_knows_how_much_is_in_flight(run: JobRun):
     first, second = submit(run), submit(run)
-    assert run.seconds_in_flight == pytest.approx(10 * cell_seconds(run.prepared.spec))
+    assert run.seconds_in_flight == pytest.approx(10 * run.prepared.cell_seconds)
     finish(run, first)
     finish(run, second)
     assert run.seconds_in_flight == 0.0
@@ -153,9 +152,3 @@ def test_a_job_that_is_cancelled_ends_when_nothing_is_in_flight(run: JobRun):
     assert run.final_state is None
     fail(run, chunk, Action.REQUEUE, ValueError("cancelled"))
     assert run.final_state is JobState.CANCELLED
-
-
-def test_a_chunk_is_described_by_its_number_and_cells():
-    spec = small(omega=0.5)
-    plan = make_plan(spec, chunk_shape=(2, 1, 1))
-    assert describe_chunk(spec, plan[3]) == "chunk 3 (rest, gamma 2, omega 0.5, xi 0.05 to 0.26)"
