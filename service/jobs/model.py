@@ -124,7 +124,7 @@ class Failure(NamedTuple):
     """A chunk that was given up; resuming the job tries it again."""
 
     chunk: int
-    place: str  # the chunk's number and cells, as `run.describe_chunk` gives them
+    place: str  # the chunk's number and cells, as `PreparedJob.describe` gives them
     error: str
     traceback: str | None  # None where a worker process died
     tries: int  # failed ones

@@ -151,4 +151,4 @@ class Resubmitted:
         self._counting, self._given = counting, counting.submitted
 
     def check(self) -> None:
-        assert not self._done & set(self._counting.given[self._given :])
+        assert not self._done & set(self._counting.chunks[self._given :])
