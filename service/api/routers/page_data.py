@@ -38,24 +38,24 @@ def line(
     """
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     sweep = dependencies.sweep(service, job)
-    found = lines.read_line(sweep, query.along, values, query.direction, query.min_flight)
-    window = lines.window_of(found, query.left, query.right, query.bottom, query.top, log=query.log)
-    dense = len(found.flights) > query.most
+    flight_line = lines.read_line(sweep, query.along, values, query.direction, query.min_flight)
+    window = lines.window_of(flight_line, query.left, query.right, query.bottom, query.top, log=query.log)
+    dense = len(flight_line.flights) > query.most
     flights: dict[str, Any]
     if dense:
-        flights = {"density": lines.counts(found, window, query.width, query.height, log=query.log)}
+        flights = {"density": lines.counts(flight_line, window, query.width, query.height, log=query.log)}
     else:
-        flights = {"flight_time": found.flights}
+        flights = {"flight_time": flight_line.flights}
     attributes = {
         "along": query.along,
-        "fixed": found.fixed,
-        "direction": found.direction,
-        "every": found.every,
-        "missing": found.missing,
-        "points": len(found.flights),
-        "highest": found.longest,
+        "fixed": flight_line.fixed,
+        "direction": flight_line.direction,
+        "every": flight_line.every,
+        "missing": flight_line.missing,
+        "points": len(flight_line.flights),
+        "highest": flight_line.longest,
     }
-    return _packed(attributes, {**found.cells, **flights}, request if dense else None)
+    return _packed(attributes, {**flight_line.cells, **flights}, request if dense else None)
 
 
 @router.get(
@@ -70,18 +70,18 @@ def plane(
 
     Planes of more cells than one answer may hold are thinned: `every_gamma`, `every_omega`.
     """
-    found = mode_map.modes_between(
+    cells = mode_map.modes_between(
         dependencies.sweep(service, job), query.xi, query.direction,
         (query.left, query.right), (query.bottom, query.top), service.settings.max_points,
     )  # fmt: skip
     attributes = {
-        "xi": found.xi,
-        "direction": found.direction,
-        "complete": found.complete,
-        "every_gamma": found.every,
-        "every_omega": found.every,
+        "xi": cells.xi,
+        "direction": cells.direction,
+        "complete": cells.complete,
+        "every_gamma": cells.every,
+        "every_omega": cells.every,
     }
-    return _packed(attributes, {"omega": found.omega, "gamma": found.gamma, **found.arrays}, request)
+    return _packed(attributes, {"omega": cells.omega, "gamma": cells.gamma, **cells.arrays}, request)
 
 
 @router.get(
