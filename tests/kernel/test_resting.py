@@ -84,7 +84,7 @@ def test_a_cell_that_rests_costs_one_look_however_long_its_window(which, omega, 
 def test_where_the_closed_form_says_that_nothing_lifts_it_the_search_finds_nothing(omega, xi):
     for gamma, phi, (_, _, q, q1) in list(arrivals(Model.RIGID, omega, xi))[::6]:
         s = cell(Model.RIGID, gamma, omega, xi)
-        h = q - s.sag - (s.q_re * math.cos(phi) - s.q_im * math.sin(phi))
+        h = q - s.static_elongation - (s.q_re * math.cos(phi) - s.q_im * math.sin(phi))
         h1 = q1 + (s.q_re * math.sin(phi) + s.q_im * math.cos(phi))
         h2 = -s.dashpot * h1 - s.stiffness * h
         h3 = -s.dashpot * h2 - s.stiffness * h1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 
-from kernel.cell import Flights, Progress, Window, begin, record, settled
+from kernel.cell import Flights, Progress, Window, end_settling, record, start_run
 from kernel.numerics.first_root import ROOT, Phase
 from kernel.params import Line, Outcome
 
@@ -36,12 +36,12 @@ def test_settling_really_ends_early():
     flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
     state = np.zeros(6)
     state[1] = 1.0
-    progress: Progress = begin(state, window)
+    progress: Progress = start_run(state, window)
     steps = 0
     while progress.ending == ROOT:
         hop = Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1)
         before, progress = progress, record(progress, hop, window, flights, 0)
-        progress = settled(before, progress, window, flights, 0)
+        progress = end_settling(before, progress, window, flights, 0)
         steps += 1
     assert steps < 40
     assert progress.recorded == 10
@@ -52,7 +52,7 @@ def test_off_by_default():
     assert run(gamma, 0.0, settle=30).flights[0] == run(gamma, 0.0, settle=30).flights[0]
     window = Window(30, 10, 0.0, 0.0)
     flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
-    progress = begin(np.array([0.0, 1.0, 0, 0, 0, 0]), window)
+    progress = start_run(np.array([0.0, 1.0, 0, 0, 0, 0]), window)
     steps = 0
     while progress.ending == ROOT:
         progress = record(progress, Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1), window, flights, 0)

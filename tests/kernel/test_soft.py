@@ -25,12 +25,12 @@ from naive import Setting, bounce, damping_for, restitution_of, trajectory
 from naive_exact import pressed
 from paths import GOLDEN
 
-from kernel.models.contact_law import damping_ratio, restitution
-from kernel.models.soft_contact import join, soft_spring, split
-from kernel.models.soft_contact import pressed as in_contact
-from kernel.models.soft_liftoff import pressed_until
+from kernel.models.contact_law import damping_ratio
+from kernel.models.soft_contact import from_modes, liftoff_function, soft_spring, to_modes
+from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.quartic import Factors, paired, roots
+from kernel.restitution import restitution
 
 FACTS = json.loads((GOLDEN / "facts.json").read_text())["restitution"]
 
@@ -240,7 +240,7 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
         return  # resonance is computed beside itself: see test_kernel_rigid
     state, tau = (gap * s.penetration, gap1, q * min(1.0, s.omega**2), q1), 10.0**tau
     cell = constants(s)
-    got = join(cell, split(cell, phase, *state), phase, tau)
+    got = from_modes(cell, to_modes(cell, phase, *state), phase, tau)
     true = [float(x) for x in pressed(s, phase, state).state(tau)]
     size = 1.0 + abs(gap1) + abs(q1)
     # a phase error grows with every ringing that is still there
@@ -260,8 +260,8 @@ def test_no_contact_ends_while_its_ringing_is_stepped_over():
         e = rng.uniform(0.001, 1.0) ** 2
         s = soft_spring(gamma, omega, xi, e, d, adhesive)
         state = (rng.uniform(0, TWO_PI), 0.0, -(10.0 ** rng.uniform(-6, 1)), *rng.normal(0, 2, 2))
-        contact = in_contact(s, split(s, *state), state[0])
-        end = pressed_until(contact, terms(contact, 0.0))
+        contact = liftoff_function(s, to_modes(s, *state), state[0])
+        end = sure_contact_time(contact, terms(contact, 0.0))
         jumps += end > 0.0
         for tau in np.linspace(0.0, end, 400):
             t = terms(contact, tau)
