@@ -125,18 +125,18 @@ def main() -> None:
     parser.add_argument("--periods", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--worst", type=int, default=3)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe())
     for title, draw, kinds in (
         ("whole range", whole_range, WHOLE),
         ("default range", default_range, DEFAULT),
     ):
-        print(f"\n{title}, {given.cells} cells: % of cells, and CPU us per plate period")
+        print(f"\n{title}, {arguments.cells} cells: % of cells, and CPU us per plate period")
         names = [kind.name.lower().replace("_", " ") for kind in list(Outcome)[1:]]
         print(f"{'':28s}" + "".join(f"{name:>10s}" for name in names) + "     median   99th pc.    largest")
         for number, kind in enumerate(kinds):
-            rng = np.random.default_rng([given.seed, number])
-            report(kind, draw(kind, given.cells, rng), given.periods, given.worst)
+            rng = np.random.default_rng([arguments.seed, number])
+            report(kind, draw(kind, arguments.cells, rng), arguments.periods, arguments.worst)
 
 
 if __name__ == "__main__":

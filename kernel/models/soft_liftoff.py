@@ -45,5 +45,7 @@ def sure_contact_time(p: LiftoffFunction, t: Terms) -> float:
     # back by twice the time in which the ringing, at its speed at the zero, falls by -lowest
     _, fall = motion(p.fast_osc, t.ring, t.ring1, end)
     end += 2.0 * lowest / abs(fall)
+    if end <= top:
+        return 0.0
     last, _ = motion(p.fast_osc, t.ring, t.ring1, end)
-    return end if end > top and last > -lowest else 0.0
+    return end if last > -lowest else 0.0

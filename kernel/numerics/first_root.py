@@ -45,10 +45,12 @@ WIDEST: Final = 1e3
 #: of 2.5 for the higher orders.
 HOUSEHOLDER_WEIGHT: Final = 5.0
 
-#: How `safe_step` looks for the width h over which its parabola is built. Any h gives a safe step, so
-#: these set the cost only. A step that fills h is tried again with h three times as wide; one that is
-#: less than half of h is tried again with h = 1.5 steps, which leaves room to grow, unless that cannot
-#: improve the best step so far. Found by trial: see `safe_step` for what was measured.
+#: How `safe_step` finds the width h over which its parabola is built. Any h gives a safe step, so these set
+#: the cost only. A step that fills h is tried again with h WIDEN times as wide; one of less than half of h
+#: is tried again with h = NARROW steps, unless that cannot improve the best step so far. Chosen by trial, on
+#: 30 random cells of `rigid` and `soft` and six periods: 2.6 rounds a call and 2,066 evaluations in all.
+#: Between 2 and 6 for WIDEN and 1.1 and 2 for NARROW the evaluations change by less than 3 % and the rounds
+#: by up to a third; a cap of 2 rounds costs 8 % more evaluations, 4 rounds 2 %, 30 save nothing.
 WIDEN: Final = 3.0
 NARROW: Final = 1.5
 SAFE_STEP_ROUNDS: Final = 8

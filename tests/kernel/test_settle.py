@@ -21,17 +21,17 @@ def run(gamma, settle_tolerance, *, settle=400, carry=False, model=Model.RIGID) 
 @pytest.mark.parametrize("carry", [False, True])
 def test_periodic_cells_keep_their_flights_within_the_tolerance(carry):
     gamma = np.linspace(1.3, 3.6, 24)
-    patient, early = run(gamma, 0.0, carry=carry), run(gamma, 1e-7, carry=carry)
-    both = (patient.outcome == Outcome.PERIODIC) & (early.outcome == Outcome.PERIODIC)
-    both &= patient.bounces == early.bounces
+    full, early = run(gamma, 0.0, carry=carry), run(gamma, 1e-7, carry=carry)
+    both = (full.outcome == Outcome.PERIODIC) & (early.outcome == Outcome.PERIODIC)
+    both &= full.bounces == early.bounces
     assert both.sum() >= 15
     for i in np.flatnonzero(both):
-        cycles = [np.sort(line.flight_time[i][: line.bounces[i]]) for line in (patient, early)]
+        cycles = [np.sort(line.flight_time[i][: line.bounces[i]]) for line in (full, early)]
         np.testing.assert_allclose(cycles[0], cycles[1], atol=1e-5)
 
 
 def test_settling_really_ends_early():
-    """Flights all alike, one a plate period: the window begins after the first look, not the 1000th."""
+    """Equal flights, one a plate period: the window begins after the first test, not after 1000 periods."""
     window = Window(1000, 10, 0.0, 1e-9)
     flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
     state = np.zeros(6)

@@ -89,7 +89,7 @@ def test_restitution_is_continuous_through_critical_damping():
 
 @pytest.mark.parametrize("adhesive", [True, False])
 @pytest.mark.parametrize("e", [0.05, 0.2, 0.5, 0.9, 1.0])
-def test_the_kernels_contact_gives_the_restitution_asked_for(e, adhesive):
+def test_the_kernels_contact_gives_the_requested_restitution(e, adhesive):
     """A fast impact on a stiff plate, the spring too soft to be felt; the trap would give 0.2137 for 0.05."""
     s = Setting(100.0, 1000.0, 0.0, True, e, 1e-6, adhesive)
     impact = one_phase(s, False, math.pi / 2, (0.0, -1.0, 0.0, 0.0), 1.0, 1000)
@@ -99,7 +99,7 @@ def test_the_kernels_contact_gives_the_restitution_asked_for(e, adhesive):
 
 @pytest.mark.parametrize("fact", FACTS["trap"])
 def test_the_trap_is_real(fact):
-    """Adhesive's damping in a contact that cannot pull gives back more than was asked for."""
+    """Adhesive's damping in a contact that cannot pull gives a larger restitution than the requested one."""
     got = restitution(damping_ratio(fact["asked"], True), False)
     assert got == pytest.approx(fact["got"], abs=5e-4)
 
@@ -138,7 +138,7 @@ def test_take_off_keeps_its_digits_however_stiff_the_contact(penetration, e, adh
 
 
 def test_soft_tends_to_rigid():
-    """Linearly in d, where nothing is given back."""
+    """Linearly in d, for e = 0."""
     rigid = last_cycle(run(1.5, 0.5, 0.26, settle=300), 1)[0]
     off = []
     for d in (1e-3, 1e-4, 1e-5, 1e-6):
@@ -237,7 +237,7 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
     """Any state, pressed for any time: all four numbers against 80 digits."""
     s = contact(**wide)
     if abs(s.omega - 1.0) < 1e-3 and s.xi == 0.0:
-        return  # resonance is computed beside itself: see test_kernel_rigid
+        return  # resonance is computed beside itself: see test_rigid
     state, tau = (gap * s.penetration, gap1, q * min(1.0, s.omega**2), q1), 10.0**tau
     cell = constants(s)
     got = from_modes(cell, to_modes(cell, phase, *state), phase, tau)
@@ -251,7 +251,7 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
 
 
 def test_no_contact_ends_while_its_ringing_is_stepped_over():
-    """Impacts all over the range: what is stepped over is positive at 400 instants; most are."""
+    """Impacts all over the range: the function is positive at 400 instants of the time stepped over."""
     rng = np.random.default_rng(7)
     jumps = 0
     for _ in range(300):

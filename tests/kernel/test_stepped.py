@@ -73,7 +73,7 @@ def test_the_papers_step_shows_no_lag(d: float):
 
 @pytest.mark.parametrize("adhesive", [True, False])
 def test_soft_becomes_rigid_as_it_hardens(adhesive: bool):
-    """As d -> 0: 2 d too long where the contact holds on at take-off, of second order where it lets go."""
+    """As d -> 0: flights are 2 d too long where the contact pulls at take-off, of second order where not."""
     rigid = last_flights(run(Model.RIGID, 2.3, 0.5, 0.26, e=0.0, d=1.0, settle=200), 2)
     depths = np.array([1e-2, 1e-3, 1e-4])
     errors = []
@@ -190,7 +190,7 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
 
 
 def swings(h: float, m: float, contact: dict, count: int) -> float:
-    """The largest relative deviation from the static state after `count` steps that began 1e-6 away from it."""
+    """Largest relative deviation from the static state, after `count` steps that began 1e-6 away from it."""
     law = step_law(h, m, contact, True)
     grid = time_stepping.Grid(1, h, 1.0, 0.0, m)
     static_gap, static_elongation = static_state(1.0, law.stiffness, law.kappa)
@@ -220,7 +220,7 @@ def test_just_below_the_limit_is_bounded_and_just_above_blows_up(kind: Scheme):
 @pytest.mark.parametrize(
     ("name", "omega", "xi", "d"), [("euler", 10.0 / 650.0, 10.0, 1e-2), ("verlet", 2e-3, 0.1, 5e-2)]
 )
-def test_a_run_needs_the_fewest_steps_it_is_told_to(name: str, omega: float, xi: float, d: float):
+def test_a_run_needs_the_fewest_stable_steps(name: str, omega: float, xi: float, d: float):
     fewest = int(stable_steps_per_contact(omega, xi, 0.1, d, scheme=Scheme[name.upper()]))
     exact = last_flights(run(Model.SOFT, 1.5, omega, xi, e=0.1, d=d), 1, 1.0)
 
@@ -233,7 +233,7 @@ def test_a_run_needs_the_fewest_steps_it_is_told_to(name: str, omega: float, xi:
     assert outcome(int(0.9 * fewest))[0] == Outcome.DIVERGED
 
 
-def test_largest_step_that_works_is_told():
+def test_fewest_stable_steps_are_the_fewest():
     for contact in random_contacts(100):
         for kind in Scheme:
             limit = float(largest_stable_step(**contact, scheme=kind))
