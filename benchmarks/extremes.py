@@ -1,4 +1,4 @@
-"""What becomes of cells drawn from the whole range of parameters, model by model.
+"""Outcomes and costs of cells drawn from the whole range of parameters, for each model.
 
     python -m benchmarks.extremes [--cells 2000] [--periods 20] [--seed 1] [--worst 3]
 
@@ -6,7 +6,7 @@ Two ranges: the whole one (Omega and xi from 1e-3 to 1e3, Gamma from 1e-3 to 1e2
 and, by itself, exactly 1, penetration 1e-8 to 1e-1; a fifth of the cells exactly at Gamma = 2, Omega = 1,
 xi = 0, 1/sqrt(2) or 1, or within 1e-12 of them) and the default one (Gamma and xi up to 10, Omega from
 0.1 to 10, the specification's contact). All are log-uniform. Half of the periods are settled. The worst
-cells, those without an answer and then the slowest, are listed so that they can be looked at.
+cells, the unresolved and then the slowest, are listed.
 """
 
 import argparse

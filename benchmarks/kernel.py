@@ -3,13 +3,13 @@
     python -m benchmarks.kernel [--repeat 7] [--only rigid,heyoka,...]
 
 Time: cells are those of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate
-periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, which is how a sweep runs
-them; "alone" runs one cell through the scalar functions. Every figure is the median over the cells of the
-median over repetitions, and the ratios come from the same run. The rivals solve the rigid spring, compiled
+periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, as a sweep runs
+them; "alone" runs one cell through the scalar functions. Every number is the median over the cells of the
+median over repetitions, and the ratios come from the same run. The general integrators solve the rigid spring, compiled
 beforehand; the slow ones run fewer periods.
 
 Error: of the flight times of tests/golden's rigid cells after 200 periods, the worst of all; those numbers
-are themselves certain to 6e-10. And how far the first three flights from rest are from `rigid`'s.
+have an uncertainty of 6e-10. Then the deviation of the first three flights from rest from those of `rigid`.
 """
 
 import argparse
@@ -130,7 +130,7 @@ def golden_error(solve: Solver) -> float:
 
 
 def first_error(solve: Solver) -> float:
-    """How far a solver's first flights in the same cells are from those of `rigid`, alone."""
+    """The largest deviation of a solver's first flights in the same cells from those of `rigid`, alone."""
     worst = 0.0
     for cell in GOLDEN:
         where = (cell["gamma"], cell["omega"], cell["xi"], 20)

@@ -1,10 +1,10 @@
-"""What a cell costs that rests on the plate, beside one that bounces: nothing is integrated there.
+"""Cost of a cell at rest on the plate beside one that bounces: a contact without end is one evaluation.
 
     python -m benchmarks.resting [--cells 200] [--repeat 5]
 
 Both at Omega = 0.6, xi = 0.05, Gamma evenly from a tenth to 0.99 of the threshold of Eq. 25 (of 1 for the
 ball), and from 1.1 to 2 times it; on an up ramp and from rest; windows of 300 and of 3,000 plate periods.
-Core-microseconds a cell, the fastest of several runs. What rests costs the same however long the window is.
+Core-microseconds per cell, the fastest of several runs. The cost of a cell at rest does not depend on the window.
 """
 
 import argparse
@@ -31,7 +31,7 @@ def run(model: Model, gamma: np.ndarray, carry: bool, periods: int) -> Line:
 
 
 def cost(model: Model, gamma: np.ndarray, carry: bool, periods: int, repeat: int) -> tuple[float, float]:
-    """Core-microseconds a cell, and the share of cells at rest."""
+    """Core-microseconds per cell, and the share of cells at rest."""
     run(model, gamma[:1], carry, 3)  # compiles
     fastest = np.inf
     for _ in range(repeat):
