@@ -5,8 +5,8 @@
 Time: cells are those of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate
 periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, as a sweep runs
 them; "alone" runs one cell through the scalar functions. Every number is the median over the cells of the
-median over repetitions, and the ratios come from the same run. The general integrators solve the rigid spring, compiled
-beforehand; the slow ones run fewer periods.
+median over repetitions, and the ratios come from the same run. The general integrators solve the
+rigid spring, compiled beforehand; the slow ones run fewer periods.
 
 Error: of the flight times of tests/golden's rigid cells after 200 periods, the worst of all; those numbers
 have an uncertainty of 6e-10. Then the deviation of the first three flights from rest from those of `rigid`.

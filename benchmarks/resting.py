@@ -4,7 +4,7 @@
 
 Both at Omega = 0.6, xi = 0.05, Gamma evenly from a tenth to 0.99 of the threshold of Eq. 25 (of 1 for the
 ball), and from 1.1 to 2 times it; on an up ramp and from rest; windows of 300 and of 3,000 plate periods.
-Core-microseconds per cell, the fastest of several runs. The cost of a cell at rest does not depend on the window.
+Core-microseconds per cell, the fastest of several runs. The cost at rest does not depend on the window.
 """
 
 import argparse
