@@ -6,7 +6,8 @@ from typing import Any, Final
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.jit import jit
 
-#: Flights repeat when their times and take-off phases agree within this, rad.
+#: Flights repeat when their times and take-off phases agree within this, rad: above what is left of the
+#: settling in most cells, and far below the differences between the flights of a cycle.
 REPEATS: Final = 1e-6
 
 

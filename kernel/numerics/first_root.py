@@ -36,7 +36,7 @@ EPS: Final = 2.3e-16
 #: fifth, (3e-4)**5 = 2.4e-18, a hundredth of EPS.
 NEAR: Final = 3e-4
 
-#: No step is wider than this, rad. A cell's horizon is met first in all but degenerate cases.
+#: No wider step than this is tried, rad: some 160 plate periods.
 WIDEST: Final = 1e3
 
 #: In `householder_step`, the weight of the known part of the error. The step agrees with the series of
