@@ -1,4 +1,4 @@
-"""What the kernel's Python entry refuses, and how it says so."""
+"""Arguments that the kernel refuses, and the messages."""
 
 import math
 from itertools import product
@@ -33,7 +33,7 @@ def call(**changed: Any) -> Line:
 
 
 ARRAYS = ("gamma", "omega", "xi", "restitution", "penetration")
-LEAST = {"gamma": 0.0, "omega": 0.0, "penetration": 0.0}
+EXCLUSIVE_LOWER_BOUND = {"gamma": 0.0, "omega": 0.0, "penetration": 0.0}
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -47,7 +47,7 @@ def test_numbers_outside_their_range(name, bad):
     assert isinstance(refused.value, ValueError)
 
 
-@pytest.mark.parametrize("name", LEAST)
+@pytest.mark.parametrize("name", EXCLUSIVE_LOWER_BOUND)
 def test_zero_where_physics_needs_more(name):
     with pytest.raises(KernelInputError, match=f"^{name}: must be > 0"):
         call(**{name: 0.0 * ONE})
