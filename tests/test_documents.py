@@ -303,13 +303,10 @@ def test_the_fields_of_a_job_are_listed(api: dict[str, Any]):
 
 
 def test_every_status_is_explained():
-    from http import HTTPStatus
-
     from service.api.problems import STATUS
 
     explained = {int(row[0]) for row in table("docs/http-api.md", "## Errors")}
     assert {int(status) for status in STATUS.values()} | {400, 404, 405, 422, 500} == explained
-    assert all(HTTPStatus(status) for status in explained)
 
 
 def test_every_command_and_option_is_listed():
