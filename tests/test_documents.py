@@ -249,15 +249,14 @@ def test_outcomes_and_states_are_those_of_the_code():
         assert all(f"`{state}`" in text(page) for state in JobState), page
 
 
-def test_every_setting_is_listed_with_its_default():
+def test_every_setting_is_listed_with_its_default_and_description():
     from service.settings import Settings
 
-    rows = [row for nth in range(4) for row in table("docs/deployment.md", "## Settings", nth)]
-    shown = {code(row[0])[0]: row[1] for row in rows}
-    assert len(shown) == len(rows)
-    assert set(shown) == {f"BOUNCE_{name.upper()}" for name in Settings.model_fields}
-    for name, field in Settings.model_fields.items():
-        default = shown[f"BOUNCE_{name.upper()}"].replace(",", "").strip("`")
+    rows = re.findall(r"^\| `(BOUNCE_\w+)` \| (.*?) ?\| (.*) \|$", text("docs/deployment.md"), re.MULTILINE)
+    assert [row[0] for row in rows] == [f"BOUNCE_{name.upper()}" for name in Settings.model_fields]
+    for (_, shown, meaning), (name, field) in zip(rows, Settings.model_fields.items(), strict=True):
+        assert f"{meaning}." == field.description, name
+        default = shown.replace(",", "")
         if field.default in (None, frozenset()):
             assert default == "", name
         elif isinstance(field.default, int | float):
@@ -303,13 +302,10 @@ def test_the_fields_of_a_job_are_listed(api: dict[str, Any]):
 
 
 def test_every_status_is_explained():
-    from http import HTTPStatus
-
     from service.api.problems import STATUS
 
     explained = {int(row[0]) for row in table("docs/http-api.md", "## Errors")}
     assert {int(status) for status in STATUS.values()} | {400, 404, 405, 422, 500} == explained
-    assert all(HTTPStatus(status) for status in explained)
 
 
 def test_every_command_and_option_is_listed():

@@ -20,13 +20,14 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple, Self
 
 from paths import CACHE, ROOT
 from scripted import DEADLINE, free_port
 
-#: Every document whose blocks are read, in the order the README names them.
+#: Every document whose blocks run.
 DOCUMENTS = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
 
 _BLOCK = re.compile(
@@ -140,7 +141,7 @@ class Session:
         elif block.serves:
             self._serve(block)
         elif block.language == "sh":
-            command = "set -eo pipefail; source {script} >{log} 2>&1 </dev/null; echo done"
+            command = "set -euo pipefail; source {script} >{log} 2>&1 </dev/null; echo done"
             self._run_in(self._shell, block, command)
         elif block.language == "python":
             if self._python is None:
@@ -199,7 +200,7 @@ class Session:
         _signal(group, signal.SIGTERM)
         answer = self._shell.execute(f"wait {group} || true; echo done")
         _signal(group, signal.SIGKILL)
-        if answer != "done":
+        if answer not in ("done", ""):  # empty: the shell ended with a block that failed
             raise Failed(f"the service does not stop: {answer}")
 
 
@@ -221,7 +222,7 @@ for line in sys.stdin:
 
 
 class _Interpreter:
-    """A process that takes commands on standard input and answers each with a line."""
+    """A process that reads commands from standard input and answers each with a line."""
 
     def __init__(self, command: list[str], folder: Path, environment: Mapping[str, str]) -> None:
         self._process = subprocess.Popen(
@@ -237,13 +238,17 @@ class _Interpreter:
     def execute(self, command: str, seconds: float = DEADLINE) -> str:
         """The line that answers a command; empty if the process ended instead."""
         stdin, stdout = _pipe(self._process.stdin), _pipe(self._process.stdout)
-        stdin.write(f"{command}\n")
-        stdin.flush()
+        try:
+            stdin.write(f"{command}\n")
+            stdin.flush()
+        except BrokenPipeError:
+            return ""
         readable, _, _ = select.select([stdout], [], [], seconds)
         return stdout.readline().strip() if readable else f"took longer than {seconds:g} s"
 
     def close(self) -> None:
-        _pipe(self._process.stdin).close()
+        with suppress(BrokenPipeError):
+            _pipe(self._process.stdin).close()
         try:
             self._process.wait(timeout=10)
         except subprocess.TimeoutExpired:
@@ -266,7 +271,5 @@ def _alive(group: int) -> bool:
 
 
 def _signal(group: int, number: signal.Signals) -> None:
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(group, number)
-    except ProcessLookupError:
-        return
