@@ -31,7 +31,7 @@ class Executor(Protocol):
     def submit(
         self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        """Compute one chunk: `run_chunk(spec, chunk, store_url)` on a worker.
+        """Compute one chunk: `studies.run_task(spec, chunk, store_url)` on a worker.
 
         `seconds` limits the wall time of the task, counted from its start; waiting for a worker does not
         count. Of the chunks that wait for a worker, those of higher priority start first.
