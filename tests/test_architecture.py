@@ -1,6 +1,8 @@
 """The architecture is a failing check: who may import whom, and what no file may say."""
 
 import ast
+import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -155,6 +157,29 @@ def test_tests_are_no_packages():
     assert [
         path for path in project_files() if path.name == "__init__.py" and path.is_relative_to(ROOT / "tests")
     ] == []
+
+
+def test_the_way_of_a_sweep_is_the_one_described():
+    """docs/architecture.md lists every file between submission and diagram, as a traced sweep enters them."""
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| [^|]* \| \d+\. (\*?)`([^`]+)`", text, re.MULTILINE)
+    listed, returns = {path for _, path in rows}, sum(bool(star) for star, _ in rows)
+    assert len(listed) == len(rows) - returns <= 60
+    assert returns <= 10
+
+    beside = re.search(r"^Beside the way.*$", text, re.MULTILINE)
+    assert beside
+    others = tuple(re.findall(r"`([^`]+)`", beside[0]))
+    script = str(ROOT / "tests" / "support" / "trace_sweep.py")
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", script], cwd=ROOT, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    entered = set(done.stdout.split())
+    in_a_cluster = {"worker/executors/dask.py", "worker/watchdog.py"}
+    assert listed - entered == in_a_cluster
+    assert {path for path in entered - listed if not path.startswith(others)} == set()
 
 
 def test_client_exports_what_it_promises():
