@@ -17,7 +17,7 @@ from kernel.models.lockstep import run_lockstep
 from kernel.models.rigid import RigidPlate
 from kernel.numerics.first_root import NON_FINITE
 from kernel.numerics.jit import jit
-from kernel.params import STATE_FIELDS, KernelInputError, Line, Start
+from kernel.params import STATE_FIELDS, KernelInputError, Line, Start, empty_line
 from kernel.validation import check_arrays, check_window, checked_state
 
 
@@ -99,15 +99,7 @@ def run_line(
     _check_plate(plate, len(gamma))
     gamma, omega, xi = (np.ascontiguousarray(a) for a in arrays.values())
     n = len(gamma)
-    line = Line(
-        np.full((n, keep), np.nan),
-        np.full((n, keep), np.nan),
-        np.zeros(n, dtype=np.int32),
-        np.zeros(n, dtype=np.uint8),
-        np.zeros(n, dtype=np.int16),
-        np.zeros(n, dtype=np.int16),
-        np.full((n, len(STATE_FIELDS)), np.nan),
-    )
+    line = empty_line(n, keep)
     state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     window = Window(int(settle), int(observe), float(micro_flight), float(settle_tolerance))

@@ -76,3 +76,16 @@ class Line(NamedTuple):
     bounces: NDArray[np.int16]  # (n,) flights per cycle, 0 if none was found
     periods: NDArray[np.int16]  # (n,) plate periods per cycle
     end_state: NDArray[np.float64]  # (n, len(STATE_FIELDS)) at the end of each cell's window
+
+
+def empty_line(n: int, keep: int) -> Line:
+    """The record of n cells that have not been run, with room for `keep` flights of each."""
+    return Line(
+        flight_time=np.full((n, keep), np.nan),
+        takeoff_phase=np.full((n, keep), np.nan),
+        flights=np.zeros(n, np.int32),
+        outcome=np.zeros(n, np.uint8),
+        bounces=np.zeros(n, np.int16),
+        periods=np.zeros(n, np.int16),
+        end_state=np.full((n, len(STATE_FIELDS)), np.nan),
+    )
