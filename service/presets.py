@@ -1,16 +1,19 @@
-"""The sweeps behind each figure of the paper.
+"""Preset sweeps: those behind each figure of the paper.
 
-The paper's own contact is soft (Eqs. 9-12), its restitution set "as closest as possible to zero". Eq. 12
-holds for the adhesive law, under which the exact solution reaches zero itself: no small hops after a landing,
-which time steps cannot avoid. The contact's depth follows from a rest length that the paper does not state;
-1e-3 plate amplitudes is taken, which makes the flights of Fig. 2's modes 2e-3 rad shorter than a rigid plate.
+The paper's contact is soft (Eqs. 9-12), with a restitution set "as closest as possible to zero". Eq. 12 holds
+for the adhesive law, under which the exact solution allows e = 0: there are no small hops after a landing,
+which time steps cannot avoid. The penetration depends on a rest length that the paper does not state. The
+presets use 1e-3 plate amplitudes, which makes the flights of Fig. 2's modes 2e-3 rad shorter than on a rigid
+plate.
 
-"Every diagrams presented before are acquired for increased value of Γ or Ω", the paper says of Figs. 2 to 8:
-they are ramped up here too, except Fig. 2, whose (1, 2) mode only a start from rest finds at Γ = 3.6.
+"Every diagrams presented before are acquired for increased value of Γ or Ω", the paper says of Figs. 2 to 8.
+The presets ramp up too, except in Fig. 2: at Γ = 3.6 only a start from rest reaches its (1, 2) mode.
+
+Light to import: the service lists `FIGURES` for the page, `service.figures` draws them.
 """
 
 from collections.abc import Mapping
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 Sweep: TypeAlias = Mapping[str, Any]
 
@@ -19,10 +22,10 @@ RIGID: Final[Sweep] = {"kind": "rigid"}
 
 #: ξ/Ω of Figs. 3 and 4.
 RIGIDITY: Final = 650.0
-#: A contact shallow enough to be harder than a spring of that rigidity.
-SHALLOW: Final[Sweep] = {**SOFT, "penetration": 1e-6}
+#: A contact shallow enough to be stiffer than a spring of that rigidity.
+SHALLOW_SOFT: Final[Sweep] = {**SOFT, "penetration": 1e-6}
 
-#: Fig. 2: Γ of the insets and the modes the paper names, (bounces, plate periods); None is chaotic.
+#: Fig. 2: Γ of the insets and the modes the paper reports, (bounces, plate periods); None is chaotic.
 INSETS: Final[Mapping[float, tuple[int, int] | None]] = {1.5: (1, 1), 2.3: (2, 2), 3.6: (1, 2), 5.0: None}
 
 #: Fig. 5: the dampings.
@@ -33,50 +36,58 @@ XI: Final = 0.05
 OMEGAS: Final = (0.67, 1.0, 1.24)
 GAMMAS: Final = (1.0, 2.0, 3.0)
 
-#: Fig. 7b: where the paper sees chaos, and where this looks for it, with contacts of all kinds.
-DOUBTED: Final[Sweep] = {"start": 1.8, "stop": 2.2, "num": 81}
+#: Fig. 7b: the values of Γ where the paper reports chaos, computed here with several contacts.
+GAMMA_NEAR_TWO: Final[Sweep] = {"start": 1.8, "stop": 2.2, "num": 81}
 CONTACTS: Final[Mapping[str, Sweep]] = {
     "e = 0.05": {**SOFT, "restitution": 0.05},
     "e = 0.1, never pulling": {**SOFT, "restitution": 0.1, "adhesive": False},
     "e = 0, ten times deeper": {**SOFT, "penetration": 1e-2},
     "an ideal plate": RIGID,
 }
-#: Plate periods that are long for settling, and short.
-SETTLED: Final = 1000
-HARDLY: Final = 20
-#: Rebounds far from the paper's, with which there is chaos.
+#: Settling times, in plate periods: ample and too short.
+LONG_SETTLE: Final = 1000
+SHORT_SETTLE: Final = 20
+#: Restitutions far above the paper's, at which the same values of Γ are chaotic.
 ELASTIC: Final = (0.25, 0.5)
 
-#: Hops too small to be seen in a diagram, rad: not counted in modes.
-UNSEEN: Final = 0.01
+#: rad; flights shorter than this are invisible in a diagram and do not count in modes.
+MICRO_FLIGHT: Final = 0.01
 
 
-def _up(axis: str, direction: str = "up") -> Sweep:
+class FigurePreset(NamedTuple):
+    """A figure of the paper: its number, its title and the sweeps it is drawn from."""
+
+    number: int
+    title: str
+    sweeps: tuple[Sweep, ...]  # the first is the one that the figure shows
+
+
+def _ramp(axis: str, direction: str = "up") -> Sweep:
     return {"kind": "ramp", "axis": axis, "direction": direction}
 
 
-def _line(start: float, stop: float, num: int, spacing: str = "linear") -> Sweep:
+def _axis(start: float, stop: float, num: int, spacing: str = "linear") -> Sweep:
     return {"start": start, "stop": stop, "num": num, "spacing": spacing}
 
 
-def figure_2() -> tuple[Sweep, ...]:
-    """From rest, as the insets need it; and the same ramped up."""
-    sweep = {"name": "figure 2", "gamma": _line(1.0, 6.0, 1001), "omega": 0.5, "xi": 0.26, "model": SOFT}
+def _figure_2() -> tuple[Sweep, ...]:
+    """From rest, as the insets need it; then the same ramped up."""
+    sweep = {"name": "figure 2", "gamma": _axis(1.0, 6.0, 1001), "omega": 0.5, "xi": 0.26, "model": SOFT}
     return (
         {**sweep, "protocol": {"kind": "rest"}},
-        {**sweep, "name": "figure 2, ramped up", "protocol": _up("gamma")},
+        {**sweep, "name": "figure 2, ramped up", "protocol": _ramp("gamma")},
     )
 
 
-def figure_3() -> tuple[Sweep, ...]:
-    """Spring and ball; then the spring on a contact as deep as the other figures', fewer cells."""
+def _figure_3() -> tuple[Sweep, ...]:
+    """Spring and ball; then the spring with the penetration of the other figures, on fewer cells."""
     spring, ball = _spring_and_ball(3, xi=10.0, restitution=0.0)
-    deep = {**spring, "name": "figure 3, deep contact", "gamma": _line(1.0, 7.0, 151), "model": SOFT}
+    deep = {**spring, "name": "figure 3, deep contact", "gamma": _axis(1.0, 7.0, 151), "model": SOFT}
     return spring, ball, deep
 
 
-def figure_4() -> tuple[Sweep, ...]:
-    """Spring and ball; then the ball with the spring's own restitution f(ξ) instead of 0.15."""
+def _figure_4() -> tuple[Sweep, ...]:
+    """Spring and ball; then the ball with the restitution f(ξ) of the spring instead of 0.15."""
     spring, ball = _spring_and_ball(4, xi=0.5, restitution=0.15)
     own = {**ball, "name": "figure 4, ball of f(ξ)", "model": {"kind": "ball"}}
     return spring, ball, own
@@ -84,10 +95,10 @@ def figure_4() -> tuple[Sweep, ...]:
 
 def _spring_and_ball(number: int, *, xi: float, restitution: float) -> tuple[Sweep, Sweep]:
     sweep = {
-        "gamma": _line(1.0, 7.0, 601), "omega": xi / RIGIDITY, "xi": xi, "protocol": _up("gamma"),
-        "micro_flight": UNSEEN,
+        "gamma": _axis(1.0, 7.0, 601), "omega": xi / RIGIDITY, "xi": xi, "protocol": _ramp("gamma"),
+        "micro_flight": MICRO_FLIGHT,
     }  # fmt: skip
-    spring = {**sweep, "name": f"figure {number}, spring", "model": SHALLOW}
+    spring = {**sweep, "name": f"figure {number}, spring", "model": SHALLOW_SOFT}
     return spring, {
         **sweep,
         "name": f"figure {number}, ball",
@@ -95,56 +106,76 @@ def _spring_and_ball(number: int, *, xi: float, restitution: float) -> tuple[Swe
     }
 
 
-def figure_5() -> tuple[Sweep, ...]:
-    """Ramps up in steps of 0.5 %, so small that the steps themselves make no spring take off."""
+def _figure_5() -> tuple[Sweep, ...]:
+    """Ramps up in steps of 0.5 %, too small to make a spring take off by themselves."""
     return (
         {
-            "name": "figure 5", "gamma": _line(0.03, 4.0, 981, "log"), "omega": _line(0.1, 2.0, 39),
-            "xi": list(DAMPINGS), "protocol": _up("gamma"), "model": RIGID,
+            "name": "figure 5", "gamma": _axis(0.03, 4.0, 981, "log"), "omega": _axis(0.1, 2.0, 39),
+            "xi": list(DAMPINGS), "protocol": _ramp("gamma"), "model": RIGID,
             "settle": 100, "observe": 20, "keep": 1,
         },
     )  # fmt: skip
 
 
-def figure_6() -> tuple[Sweep, ...]:
-    """Where bouncing begins at the three Ω of Fig. 7."""
-    sweep = figure_5()[0]
+def _figure_6() -> tuple[Sweep, ...]:
+    """The threshold at the three Ω of Fig. 7."""
+    sweep = _figure_5()[0]
     return ({**sweep, "name": "figure 6", "omega": list(OMEGAS), "xi": XI},)
 
 
-def figure_7() -> tuple[Sweep, ...]:
-    """The three diagrams; then around Γ = 2 at Ω = 1: settled long and hardly, and on other contacts."""
+def _figure_7() -> tuple[Sweep, ...]:
+    """The three diagrams; then Γ around 2 at Ω = 1: short settling, long settling, other contacts."""
     sections = {
-        "name": "figure 7", "gamma": _line(0.01, 6.0, 600), "omega": list(OMEGAS), "xi": XI,
-        "protocol": _up("gamma"), "model": SOFT, "settle": 300, "observe": 100,
+        "name": "figure 7", "gamma": _axis(0.01, 6.0, 600), "omega": list(OMEGAS), "xi": XI,
+        "protocol": _ramp("gamma"), "model": SOFT, "settle": 300, "observe": 100,
     }  # fmt: skip
-    doubted = {**sections, "gamma": DOUBTED, "omega": 1.0, "protocol": {"kind": "rest"}, "settle": SETTLED}
+    near_two = {
+        **sections,
+        "gamma": GAMMA_NEAR_TWO,
+        "omega": 1.0,
+        "protocol": {"kind": "rest"},
+        "settle": LONG_SETTLE,
+    }
     contacts = (SOFT, *CONTACTS.values(), *({**SOFT, "restitution": e} for e in ELASTIC))
     return (
         sections,
-        {**doubted, "name": "figure 7, hardly settled", "settle": HARDLY},
-        *({**doubted, "name": f"figure 7, contact {i}", "model": model} for i, model in enumerate(contacts)),
+        {**near_two, "name": "figure 7, hardly settled", "settle": SHORT_SETTLE},
+        *({**near_two, "name": f"figure 7, contact {i}", "model": model} for i, model in enumerate(contacts)),
     )
 
 
-def figure_8() -> tuple[Sweep, ...]:
+def _figure_8() -> tuple[Sweep, ...]:
     """The three diagrams, ramped up along Ω."""
     return (
         {
-            "name": "figure 8", "gamma": list(GAMMAS), "omega": _line(0.05, 2.0, 781), "xi": XI,
-            "protocol": _up("omega"), "model": SOFT, "settle": 300, "observe": 100,
+            "name": "figure 8", "gamma": list(GAMMAS), "omega": _axis(0.05, 2.0, 781), "xi": XI,
+            "protocol": _ramp("omega"), "model": SOFT, "settle": 300, "observe": 100,
         },
     )  # fmt: skip
 
 
-def figure_9() -> tuple[Sweep, ...]:
-    """Both ramps; then down again from less high, at some Ω."""
+def _figure_9() -> tuple[Sweep, ...]:
+    """Both ramps; then a ramp down from a lower Γ, at some Ω."""
     sweep = {
-        "name": "figure 9", "gamma": _line(0.1, 3.0, 726), "omega": _line(0.1, 1.4, 131), "xi": XI,
-        "protocol": _up("gamma", "both"), "model": RIGID, "settle": 100, "observe": 20, "keep": 1,
+        "name": "figure 9", "gamma": _axis(0.1, 3.0, 726), "omega": _axis(0.1, 1.4, 131), "xi": XI,
+        "protocol": _ramp("gamma", "both"), "model": RIGID, "settle": 100, "observe": 20, "keep": 1,
     }  # fmt: skip
     lower = {
-        **sweep, "name": "figure 9, from less high", "gamma": _line(0.1, 1.2, 276),
-        "omega": _line(0.2, 0.8, 31), "protocol": _up("gamma", "down"),
+        **sweep, "name": "figure 9, from less high", "gamma": _axis(0.1, 1.2, 276),
+        "omega": _axis(0.2, 0.8, 31), "protocol": _ramp("gamma", "down"),
     }  # fmt: skip
     return sweep, lower
+
+
+#: In the order of their numbers. Fig. 1 is a schematic and needs no sweep.
+FIGURES: Final[tuple[FigurePreset, ...]] = (
+    FigurePreset(1, "the two models", ()),
+    FigurePreset(2, "bifurcation diagram and motion at Ω = 0.5, ξ = 0.26", _figure_2()),
+    FigurePreset(3, "rigid spring and inelastic ball", _figure_3()),
+    FigurePreset(4, "rigid spring of low viscosity and partially elastic ball", _figure_4()),
+    FigurePreset(5, "bouncing threshold at four dampings", _figure_5()),
+    FigurePreset(6, "threshold at ξ = 0.05 and the sections of Figs. 7 and 8", _figure_6()),
+    FigurePreset(7, "flight times against Γ at three Ω", _figure_7()),
+    FigurePreset(8, "flight times against Ω at three Γ", _figure_8()),
+    FigurePreset(9, "thresholds up and down", _figure_9()),
+)

@@ -12,7 +12,7 @@ from kernel.restitution import restitution_of
 from service.client import Job
 from service.figures.canvas import Drawing, dots, flights_over, label, page, styled
 from service.figures.caption import Caption, Claim, mode
-from service.presets import UNSEEN
+from service.presets import MICRO_FLIGHT
 
 #: Flight times closer than this are one in a picture, rad.
 ALIKE: Final = 0.05
@@ -58,8 +58,8 @@ def draw_elastic(spring: Job, ball: Job, own: Job) -> Drawing:
     one, two, three = (_seen(job) for job in (spring, ball, own))
     shows = (
         "A rigid spring of low viscosity (ℰ = 650, ξ = 0.5) and the partially elastic ball (ε = 0.15), "
-        f"Γ ramped up; flights under {UNSEEN} rad are left out. Contact of the spring: adhesive, e = 0, "
-        "10⁻⁶ A deep."
+        f"Γ ramped up; flights under {MICRO_FLIGHT} rad are left out. Contact of the spring: adhesive, "
+        "e = 0, 10⁻⁶ A deep."
     )
     claims = (
         _small_differences(compare(one, two)),
@@ -87,7 +87,7 @@ def _cycle(diagram: xarray.Dataset, cell: int) -> NDArray[np.float64]:
 
 
 def _seen(job: Job) -> xarray.Dataset:
-    return job.diagram(min_flight=UNSEEN)
+    return job.diagram(min_flight=MICRO_FLIGHT)
 
 
 def _draw(caption: Caption, diagrams: Sequence[xarray.Dataset], titles: Sequence[str]) -> Drawing:

@@ -1,6 +1,6 @@
-"""The paper's figures by number: the sweeps each one needs, and how it is drawn from them.
+"""The figures of the paper by number: each submits its preset sweeps and is drawn from the jobs.
 
-Importing this loads nothing that draws.
+Importing this module does not load matplotlib.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,15 +19,15 @@ Draw: TypeAlias = Callable[[Client, Sequence[Job]], "Drawing"]
 
 
 class UnknownFigure(BounceError):
-    """There is no such figure here."""
+    """The paper has no figure of this number, or the project does not draw it."""
 
     def __init__(self, number: str) -> None:
-        super().__init__(f"there is no figure {number} here; there are: {', '.join(map(str, FIGURES))}, all")
+        super().__init__(f"unknown figure {number}; choose one of: {', '.join(map(str, FIGURES))}, all")
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A file's bytes, and what stands under the picture in it."""
+    """The bytes of a file, and the caption under the drawing in it."""
 
     content: bytes
     caption: Caption
@@ -35,108 +35,57 @@ class Picture:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of the paper: `draw` takes a client and the figure's jobs, all done."""
+    """One figure of the paper and the sweeps it is drawn from."""
 
     number: int
     title: str
     sweeps: tuple[Sweep, ...]
-    draw: Draw
 
     def submit(self, client: Client) -> list[Job]:
-        """Hand in the sweeps; those that are done come back done."""
+        """Submit the sweeps; sweeps that are already computed come back as jobs in state done."""
         return [client.submit(sweep) for sweep in self.sweeps]
 
     def make(self, client: Client, format: str = "png", *, progress: bool = True) -> Picture:
-        """Compute what is not computed yet and draw, as png or svg. Raises whatever the client raises."""
+        """Compute what is missing and draw, as png or svg. Raises the errors of `service.client`."""
         jobs = [job.wait(progress=progress) for job in self.submit(client)]
-        drawing = self.draw(client, jobs)
+        drawing = _draw_functions()[self.number](client, jobs)
         return Picture(drawing.encoded(format), drawing.caption)
 
 
-def figures(which: str) -> list[Figure]:
-    """The figure with this number, or all. Raises UnknownFigure naming those there are."""
-    if which == "all":
+FIGURES: Final[Mapping[int, Figure]] = {preset.number: Figure(*preset) for preset in presets.FIGURES}
+
+
+def figures(selection: str) -> list[Figure]:
+    """The figure of this number, or "all". Raises UnknownFigure with the numbers there are."""
+    if selection == "all":
         return list(FIGURES.values())
-    if not which.isdecimal() or int(which) not in FIGURES:
-        raise UnknownFigure(which)
-    return [FIGURES[int(which)]]
+    if not selection.isdecimal() or int(selection) not in FIGURES:
+        raise UnknownFigure(selection)
+    return [FIGURES[int(selection)]]
 
 
 def make(
-    wanted: Sequence[Figure], client: Client, format: str, *, progress: bool = True
+    selected: Sequence[Figure], client: Client, format: str, *, progress: bool = True
 ) -> Iterator[Picture]:
-    """The figures one by one; workers compute the later ones while the earlier ones are drawn."""
-    for one in wanted:
-        one.submit(client)
-    for one in wanted:
-        yield one.make(client, format, progress=progress)
+    """Make the figures in order; workers compute the later ones while the earlier ones are drawn."""
+    for figure in selected:
+        figure.submit(client)
+    for figure in selected:
+        yield figure.make(client, format, progress=progress)
 
 
-def _models(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import schematics
+def _draw_functions() -> Mapping[int, Draw]:
+    """How each figure is drawn from its jobs, by number."""
+    from service.figures import ball, hysteresis, modes, schematics, sections, thresholds
 
-    return schematics.draw()
-
-
-def _modes(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import modes
-
-    return modes.draw(client, *jobs)
-
-
-def _rigid(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import ball
-
-    return ball.draw_inelastic(*jobs)
-
-
-def _elastic(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import ball
-
-    return ball.draw_elastic(*jobs)
-
-
-def _onsets(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import thresholds
-
-    return thresholds.draw_dampings(*jobs)
-
-
-def _sections(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import thresholds
-
-    return thresholds.draw_sections(*jobs)
-
-
-def _along_gamma(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import sections
-
-    return sections.draw_along_gamma(*jobs)
-
-
-def _along_omega(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import sections
-
-    return sections.draw_along_omega(*jobs)
-
-
-def _hysteresis(client: Client, jobs: Sequence[Job]) -> "Drawing":
-    from service.figures import hysteresis
-
-    return hysteresis.draw(*jobs)
-
-
-FIGURES: Final[Mapping[int, Figure]] = {
-    one.number: one
-    for one in (
-        Figure(1, "the two models", (), _models),
-        Figure(2, "bifurcation diagram and motion at Ω = 0.5, ξ = 0.26", presets.figure_2(), _modes),
-        Figure(3, "rigid spring and inelastic ball", presets.figure_3(), _rigid),
-        Figure(4, "rigid spring of low viscosity and partially elastic ball", presets.figure_4(), _elastic),
-        Figure(5, "bouncing threshold at four dampings", presets.figure_5(), _onsets),
-        Figure(6, "threshold at ξ = 0.05 and the sections of Figs. 7 and 8", presets.figure_6(), _sections),
-        Figure(7, "flight times against Γ at three Ω", presets.figure_7(), _along_gamma),
-        Figure(8, "flight times against Ω at three Γ", presets.figure_8(), _along_omega),
-        Figure(9, "thresholds up and down", presets.figure_9(), _hysteresis),
-    )
-}
+    return {
+        1: lambda client, jobs: schematics.draw(),
+        2: lambda client, jobs: modes.draw(client, *jobs),
+        3: lambda client, jobs: ball.draw_inelastic(*jobs),
+        4: lambda client, jobs: ball.draw_elastic(*jobs),
+        5: lambda client, jobs: thresholds.draw_dampings(*jobs),
+        6: lambda client, jobs: thresholds.draw_sections(*jobs),
+        7: lambda client, jobs: sections.draw_along_gamma(*jobs),
+        8: lambda client, jobs: sections.draw_along_omega(*jobs),
+        9: lambda client, jobs: hysteresis.draw(*jobs),
+    }

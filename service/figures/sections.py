@@ -14,7 +14,7 @@ from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, Drawing, dots, flights_over, label, page, styled
 from service.figures.caption import Caption, Claim, mode
-from service.presets import CONTACTS, ELASTIC, GAMMAS, HARDLY, OMEGAS, SETTLED, XI
+from service.presets import CONTACTS, ELASTIC, GAMMAS, LONG_SETTLE, OMEGAS, SHORT_SETTLE, XI
 
 #: Half a figure's worth of Γ: chaos that begins goes on for so long, but for windows.
 STRETCH: Final = 0.5
@@ -173,9 +173,9 @@ def _no_chaos_at_two(diagrams: Sequence[xarray.Dataset]) -> Claim:
     return Claim(
         settled > 0.5,
         f"at Γ = {gamma[0]:g} to {gamma[-1]:g}, (b) is {'' if settled > 0.5 else 'not '}chaotic: "
-        f"{settled:.0%} of the cells are aperiodic after {SETTLED} plate periods, {told}; they repeat as "
-        f"{_commonest(diagrams[1])}. Aperiodic are springs that still settle ({hardly:.0%} after {HARDLY} "
-        f"periods), or rebound ({with_rebound})",
+        f"{settled:.0%} of the cells are aperiodic after {LONG_SETTLE} plate periods, {told}; they repeat as "
+        f"{_commonest(diagrams[1])}. Aperiodic are springs that still settle ({hardly:.0%} after "
+        f"{SHORT_SETTLE} periods), or rebound ({with_rebound})",
     )
 
 

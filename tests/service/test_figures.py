@@ -46,7 +46,7 @@ SMALL: Mapping[int, Mapping[str, Any]] = {
     8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
     9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
 }
-DOUBTED = {"gamma": {**presets.DOUBTED, "num": 9}}
+NEAR_TWO = {"gamma": {**presets.GAMMA_NEAR_TWO, "num": 9}}
 
 
 def small(figure: Figure) -> Figure:
@@ -55,7 +55,7 @@ def small(figure: Figure) -> Figure:
     return replace(
         figure,
         sweeps=tuple(
-            {**sweep, **(DOUBTED if sweep["gamma"] == presets.DOUBTED else changed)}
+            {**sweep, **(NEAR_TWO if sweep["gamma"] == presets.GAMMA_NEAR_TWO else changed)}
             for sweep in figure.sweeps
         ),
     )
@@ -109,7 +109,7 @@ def test_the_parameters_are_the_papers():
 
 @pytest.mark.parametrize("which", ["10", "0", "-1", "one", "ALL", ""])
 def test_an_unknown_figure_names_those_there_are(which: str):
-    with pytest.raises(catalogue.UnknownFigure, match=r"there are: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
+    with pytest.raises(catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
         catalogue.figures(which)
 
 
