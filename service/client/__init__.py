@@ -1,18 +1,16 @@
-"""The Python client of bouncing-spring. Importing it loads no server library."""
+"""The Python client of bouncing-spring. Importing it loads no server library and no numerical one."""
 
-from service.client.client import Client, Estimate
+from service.client.client import Client
 from service.client.errors import (
     BadRequest,
     BounceError,
     Busy,
     Conflict,
-    FieldProblem,
     InvalidSpecification,
     JobCancelled,
     JobFailed,
     NotComputedYet,
     NotFound,
-    Problem,
     Refused,
     ServiceError,
     ServiceUnreachable,
@@ -22,7 +20,8 @@ from service.client.errors import (
     UnexpectedAnswer,
     WaitTimeout,
 )
-from service.client.job import Job, Progress
+from service.client.job import Job
+from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
 
 __all__ = [
     "BadRequest",
@@ -36,6 +35,7 @@ __all__ = [
     "Job",
     "JobCancelled",
     "JobFailed",
+    "JobStatus",
     "NotComputedYet",
     "NotFound",
     "Problem",

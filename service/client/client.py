@@ -1,16 +1,17 @@
-"""The way in: one service, its jobs and its closed forms."""
+"""The entry point: a client of one service, which submits sweeps and returns jobs."""
 
 import re
 from collections.abc import Iterator
 from math import inf
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
-from service.client.display import Parts
-from service.client.errors import NotFound, Problem, UnexpectedAnswer
+from service.client.display import PartsCallback
+from service.client.errors import NotFound, UnexpectedAnswer
 from service.client.job import Job
+from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
-from service.client.transport import Transport, document, word
+from service.client.transport import Transport, header_value, json_object
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,31 +21,21 @@ if TYPE_CHECKING:
 
 DEFAULT_URL: Final = "http://127.0.0.1:8000"
 
-#: Jobs asked for at a time.
-PAGE: Final = 1000
-
-
-class Estimate(NamedTuple):
-    """What a sweep would take."""
-
-    cells: int
-    chunks: int
-    bytes: int  # of stored arrays before compression
-    core_seconds: float
-    basis: str  # measured: by the speed of the service's last jobs with the same contact model; or table
+#: Jobs in one request for a list of jobs.
+PAGE_SIZE: Final = 1000
 
 
 class Client:
-    """A running service.
+    """A client of a running service.
 
         with Client() as client:
             job = client.submit({"gamma": {"start": 1, "stop": 6, "num": 1001}, "omega": 0.5, "xi": 0.26})
             diagram = job.wait().diagram()
 
-    `url` is where it listens, `token` what it asks for when it does not listen on loopback, `timeout` the
-    seconds one answer may take. `http` carries the requests instead of the client's own connection (for
-    proxies, certificates, or an application in this process); it stays open when the client is closed.
-    Every error raised on purpose is a `BounceError`.
+    `url` is the address of the service; `token` is its access token, which it requires unless it listens on
+    loopback only; `timeout` is the time limit of one request in seconds. `http` sends the requests instead of
+    a connection of the client's own (for proxies, certificates, or an application in this process); closing
+    the client does not close it. Every exception raised on purpose is a `BounceError`.
     """
 
     def __init__(
@@ -59,92 +50,92 @@ class Client:
 
     @property
     def url(self) -> str:
-        """Where the service is."""
+        """The address of the service."""
         return self._transport.url
 
     def submit(self, spec: Specification, *, key: str | None = None) -> Job:
-        """Hand in a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
+        """Submit a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
 
-        The same sweep is the same job, however often it is handed in: one that is done comes back done, one
-        that failed or was cancelled goes on. Under an idempotency `key` a repeated request changes nothing,
-        whatever became of the job since. Raises InvalidSpecification naming field and rule, TooLarge, Busy,
-        or Conflict for a key that was used for something else.
+        The same sweep is always the same job: submitted again, a job that is done is returned as it is, and
+        one that failed or was cancelled continues. With an idempotency `key`, a repeated request changes
+        nothing, whatever happened to the job since. Raises InvalidSpecification naming field and rule,
+        TooLarge, Busy, or Conflict if the key was used for another specification.
         """
-        headers = {"Idempotency-Key": word("an idempotency key", key)} if key is not None else None
-        return Job(
-            self._transport, self._transport.post("/v1/jobs", body(spec), headers=headers, repeat=True)
-        )
+        headers = {"Idempotency-Key": header_value("an idempotency key", key)} if key is not None else None
+        response = self._transport.post("/v1/jobs", body(spec), headers=headers, idempotent=True)
+        return Job(self._transport, response)
 
     def estimate(self, spec: Specification) -> Estimate:
-        """What a sweep would cost, without handing it in. Raises as `submit`."""
-        query: dict[str, str | float | None] = {"validate_only": "true"}
-        answer = document(self._transport.post("/v1/jobs", body(spec), query=query, repeat=True))
+        """The estimated cost of a sweep, without submitting it. Raises as `submit`."""
+        query = {"validate_only": "true"}
+        answer = json_object(self._transport.post("/v1/jobs", body(spec), query=query, idempotent=True))
         try:
             return Estimate(**{name: answer[name] for name in Estimate._fields})
         except KeyError as error:
-            raise UnexpectedAnswer(
-                f"the service answered with something that is no estimate: {error!r}"
-            ) from error
+            raise UnexpectedAnswer(f"the answer is not an estimate: {error!r}") from error
 
     def job(self, id: str) -> Job:
         """The job with this id. Raises NotFound."""
-        return Job(self._transport, self._transport.get(f"/v1/jobs/{_job_id(id)}"))
+        return Job(self._transport, self._transport.get(f"/v1/jobs/{_valid_id(id)}"))
 
     def jobs(self, state: str | None = None) -> Iterator[Job]:
-        """All jobs, newest first, or those in one state; fetched page by page."""
-        query: dict[str, Any] = {"state": state, "limit": PAGE}
+        """All jobs, or those in one state, newest first; requested page by page."""
+        query: dict[str, Any] = {"state": state, "limit": PAGE_SIZE}
         while True:
-            page = document(self._transport.get("/v1/jobs", query))
-            for view in _views(page):
-                yield Job.listed(self._transport, view)
+            page = json_object(self._transport.get("/v1/jobs", query))
+            if not isinstance(page.get("jobs"), list):
+                raise UnexpectedAnswer("the answer is not a list of jobs")
+            for view in page["jobs"]:
+                yield Job.from_view(self._transport, view)
             if not page.get("next"):
                 return
             query["cursor"] = page["next"]
 
     def threshold(self, omega: float, xi: float) -> float:
-        """Γ_th, above which a spring at rest begins to bounce (Eq. 25); infinite where none does.
+        """Γ_th, above which a spring at rest begins to bounce (Eq. 25); infinite if it never does.
 
         Raises BadRequest.
         """
-        answer = document(self._transport.get("/v1/threshold", {"omega": omega, "xi": xi}))
-        found = answer.get("threshold")
-        return inf if found is None else float(found)
+        answer = json_object(self._transport.get("/v1/threshold", {"omega": omega, "xi": xi}))
+        gamma = answer.get("threshold")
+        return inf if gamma is None else float(gamma)
 
     def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
-        """The motion of one cell, sample by sample, computed while this waits.
+        """The motion of one cell, computed during the request.
 
-        `cell` holds `gamma`, `omega`, `xi`, and if wanted `model`, `settle` and `periods` (plate periods)
-        and `samples` per period. Returns a Dataset: `plate`, `z1`, `z2` in plate amplitudes, `force` and
-        `in_flight` over `phase`; `takeoff`, `takeoff_phase`, `flight_time` of each flight, in rad; attribute
-        `rest_length`. Raises BadRequest naming the field, TooLarge, Busy.
+        `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
+        periods) and `samples` per period. Returns a Dataset with dim phase: `plate`, `z1`, `z2` in plate
+        amplitudes, `force`, `in_flight`; with dim flight: `takeoff`, `takeoff_phase`, `flight_time` in rad;
+        attribute `rest_length` in plate amplitudes. Raises BadRequest naming the field, TooLarge, Busy.
         """
-        from service.client.motion import motion_dataset
+        from service.client.datasets import trajectory_dataset
 
-        return motion_dataset(document(self._transport.post("/v1/trajectories", body(cell), repeat=True)))
+        response = self._transport.post("/v1/trajectories", body(cell), idempotent=True)
+        return trajectory_dataset(json_object(response))
 
-    def tradeoff(self, *, patience: float = 900.0, progress: bool | Parts = True) -> dict[str, Any]:
-        """What every contact model costs and how far off it is: `rows`, and `advice` in a sentence.
+    def tradeoff(self, *, timeout: float = 900.0, progress: bool | PartsCallback = True) -> dict[str, Any]:
+        """The cost and the accuracy of every contact model: `rows`, and `advice` as text.
 
-        Measured by the service's workers when first asked for, a minute or so; waits up to `patience`
-        seconds. `progress`: True tells on standard error how far they are; a function is called with the
-        number of parts done and of all. Raises NotComputedYet, Busy.
+        The service's workers measure them at the first request, which takes about a minute; this waits up to
+        `timeout` seconds. `progress`: True writes lines to standard error; a function is called with the
+        numbers of parts computed and of all parts. Raises NotComputedYet, Busy.
         """
         path = "/v1/tradeoff"
-        return document(self._transport.get_when_computed(path, patience=patience, progress=progress))
+        return json_object(self._transport.get_when_computed(path, timeout=timeout, progress=progress))
 
     def tradeoff_picture(
-        self, format: str = "png", *, patience: float = 900.0, progress: bool | Parts = True
+        self, format: str = "png", *, timeout: float = 900.0, progress: bool | PartsCallback = True
     ) -> bytes:
         """The same as a picture, png or svg. Raises BadRequest, NotComputedYet, Busy."""
         path, query = "/v1/tradeoff", {"format": format}
-        return self._transport.get_when_computed(path, query, patience=patience, progress=progress).content
+        return self._transport.get_when_computed(path, query, timeout=timeout, progress=progress).content
 
     def metrics(self) -> str:
-        """The service's figures, in Prometheus's text form."""
+        """The service's metrics in Prometheus's text format."""
         return self._transport.get("/metrics").text
 
     def close(self) -> None:
-        """Close the connections. The jobs go on."""
+        """Close the connections. Jobs continue."""
         self._transport.close()
 
     def __enter__(self) -> Self:
@@ -159,14 +150,8 @@ class Client:
         return f"<Client {self.url}>"
 
 
-def _views(page: dict[str, Any]) -> list[Any]:
-    if not isinstance(page.get("jobs"), list):
-        raise UnexpectedAnswer("the service answered with something that is not a list of jobs")
-    return list(page["jobs"])
-
-
-def _job_id(text: str) -> str:
-    """The id if it can be one, so that no text given as an id reaches another address."""
+def _valid_id(text: str) -> str:
+    """The id, if it has the form of one: no other text may become part of an address. Raises NotFound."""
     if not re.fullmatch("[0-9a-f]{32}", text):
         detail = f"no job has the id {text!r}: an id is 32 hex digits"
         raise NotFound(Problem(status=404, title="Not Found", detail=detail))

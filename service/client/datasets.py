@@ -1,6 +1,10 @@
-"""OnDemandCache of the service as xarray Datasets, described as the CF conventions ask."""
+"""The service's answers as xarray Datasets with CF attributes.
 
-from collections.abc import Mapping, Sequence
+Every function raises UnexpectedAnswer for an answer of another form.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -18,15 +22,15 @@ _OUTCOMES: Final = {
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
 
-#: What the numbers are: dtype and attributes of every variable and coordinate.
-_VARIABLES: Final[Mapping[str, tuple[type, Attributes]]] = {
+#: dtype and attributes of every variable and coordinate of the results of a job.
+_RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "gamma": (np.float64, {"long_name": "plate acceleration Γ = Aω²/g", "units": "1"}),
     "omega": (np.float64, {"long_name": "plate frequency Ω = ω/ω0", "units": "1"}),
     "xi": (np.float64, {"long_name": "damping ratio ξ of the spring", "units": "1"}),
     "flight_time": (np.float64, {"long_name": "flight time", "units": "rad"}),
     "takeoff_phase": (np.float64, {"long_name": "plate phase at take-off", "units": "rad"}),
     "flights": (np.int32, {"long_name": "flights within the observation window", "units": "1"}),
-    "outcome": (np.uint8, {"long_name": "what became of the cell", **_OUTCOMES}),
+    "outcome": (np.uint8, {"long_name": "outcome of the cell", **_OUTCOMES}),
     "bounces": (np.int16, {"long_name": "bounces of the mode, 0 if none was found", "units": "1"}),
     "periods": (np.int16, {"long_name": "plate periods of the mode, 0 if none was found", "units": "1"}),
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
@@ -34,35 +38,51 @@ _VARIABLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
 }
 
+_LENGTH: Final = {"units": "plate amplitudes"}
+
+#: The samples of a trajectory, with dim phase.
+_SAMPLES: Final[Mapping[str, Attributes]] = {
+    "plate": {"long_name": "plate", **_LENGTH},
+    "z1": {"long_name": "upper mass", **_LENGTH},
+    "z2": {"long_name": "lower mass", **_LENGTH},
+    "force": {"long_name": "force of the plate on the lower mass", "units": "m A ω²"},
+    "in_flight": {"long_name": "whether the spring is off the plate"},
+}
+
+#: The flights of a trajectory, with dim flight.
+_FLIGHTS: Final[Mapping[str, Attributes]] = {
+    "takeoff": {"long_name": "phase of take-off since the first sample", "units": "rad"},
+    "takeoff_phase": {"long_name": "plate phase at take-off", "units": "rad"},
+    "flight_time": {"long_name": "flight time", "units": "rad"},
+}
+
 
 def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray.Dataset:
-    """A diagram: dims (the axis it goes along, flight), flights NaN padded to the longest list.
+    """A diagram: dims (its axis, flight), NaN after the last flight of a cell.
 
-    The fixed parameters are scalar coordinates holding the grid values they snapped to.
+    The fixed parameters are scalar coordinates with their grid values.
     """
-    try:
+    with _reading("a diagram"):
         along = str(answer["along"])
         variables = {
             field: ((along, "flight"), _padded(answer[field]), _attributes(field))
             for field in ("flight_time", "takeoff_phase")
         }
-        counts = {field: _variable(field, along, answer[field]) for field in ("flights", "outcome")}
-        counts |= {field: _variable(field, along, answer[field]) for field in ("bounces", "periods")}
+        counts = {
+            field: _variable(field, along, answer[field])
+            for field in ("flights", "outcome", "bounces", "periods")
+        }
         coordinates = {along: _variable(along, along, answer["values"])}
         coordinates |= {field: _variable(field, None, value) for field, value in answer["fixed"].items()}
         coordinates["direction"] = _direction(answer)
         return _dataset({**variables, **counts}, coordinates, answer, f"bifurcation diagram: {name}", job_id)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UnexpectedAnswer(
-            f"the service answered with something that is not a diagram: {error!r}"
-        ) from error
 
 
 def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """Thresholds over Ω; NaN where the sweep does not hold the answer."""
-    try:
+    """Thresholds: dim omega, NaN where the sweep does not contain the threshold."""
+    with _reading("a list of thresholds"):
         variables = {
-            field: _variable(field, "omega", _numbers(answer[field]))
+            field: _variable(field, "omega", _with_nan(answer[field]))
             for field in ("analytic", "up", "down")
             if answer.get(field) is not None
         }
@@ -72,15 +92,11 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         if answer.get("tolerance") is not None:
             dataset.attrs["tolerance"] = float(answer["tolerance"])
         return dataset
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnexpectedAnswer(
-            f"the service answered with something that is no threshold: {error!r}"
-        ) from error
 
 
 def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """A mode map: dims (omega, gamma)."""
-    try:
+    with _reading("a mode map"):
         plane = ("omega", "gamma")
         variables = {
             field: (plane, *_variable(field, None, answer[field])[1:])
@@ -90,10 +106,35 @@ def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         coordinates["direction"] = _direction(answer)
         return _dataset(variables, coordinates, answer, "mode map", job_id)
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnexpectedAnswer(
-            f"the service answered with something that is no mode map: {error!r}"
-        ) from error
+
+
+def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
+    """The motion of one cell: dims phase (samples) and flight (those that start and end within them)."""
+    with _reading("a trajectory"):
+        samples = {
+            name: ("phase", _sample(name, answer[name]), dict(attributes))
+            for name, attributes in _SAMPLES.items()
+        }
+        flights = {
+            name: ("flight", np.array(answer["flights"][name], np.float64), dict(attributes))
+            for name, attributes in _FLIGHTS.items()
+        }
+        phase = np.array(answer["phase"], np.float64)
+        coordinates = {
+            "phase": ("phase", phase, {"long_name": "plate phase since the first sample", "units": "rad"}),
+            **{name: ((), float(answer[name])) for name in ("gamma", "omega", "xi")},
+        }
+        attributes = {"rest_length": float(answer["rest_length"]), "complete": int(answer["complete"])}
+        return xarray.Dataset({**samples, **flights}, coordinates, attributes)
+
+
+@contextmanager
+def _reading(kind: str) -> Iterator[None]:
+    """Turn the errors of reading an answer of another form into UnexpectedAnswer."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UnexpectedAnswer(f"the answer is not {kind}: {error!r}") from error
 
 
 def _dataset(
@@ -111,13 +152,13 @@ def _dataset(
             "title": title,
             "source": "bouncing-spring",
             "job": job_id,
-            "complete": int(answer.get("complete", False)),  # NetCDF knows no booleans
+            "complete": int(answer.get("complete", False)),  # NetCDF has no booleans
         },
     )
 
 
 def _variable(field: str, dim: str | None, values: object) -> Variable:
-    dtype, _ = _VARIABLES[field]
+    dtype, _ = _RESULTS[field]
     return (() if dim is None else dim), np.asarray(values, dtype), _attributes(field)
 
 
@@ -126,16 +167,20 @@ def _direction(answer: Mapping[str, Any]) -> Variable:
 
 
 def _attributes(field: str) -> dict[str, Any]:
-    return dict(_VARIABLES[field][1])
+    return dict(_RESULTS[field][1])
 
 
-def _numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
-    """Numbers with NaN where JSON has null."""
+def _sample(name: str, values: Sequence[Any]) -> NDArray[Any]:
+    return np.array(values, np.bool_) if name == "in_flight" else _with_nan(values)
+
+
+def _with_nan(values: Sequence[float | None]) -> NDArray[np.float64]:
+    """The numbers, NaN in place of null."""
     return np.array([np.nan if value is None else value for value in values], np.float64)
 
 
 def _padded(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
-    """(n, longest row) with NaN beyond the end of each row."""
+    """(n, length of the longest row), NaN after the end of each row."""
     lengths = np.array([len(row) for row in rows], np.intp)
     width = int(lengths.max(initial=0))
     table = np.full((len(rows), width), np.nan)

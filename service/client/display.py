@@ -1,21 +1,21 @@
-"""How a wait shows itself: a bar on a terminal or in a notebook, plain lines anywhere else, or nothing.
+"""Progress and jobs for people: a bar on a terminal or in a notebook, plain lines elsewhere, HTML for a job.
 
-All of it goes to standard error, so that standard output stays fit for a pipe.
+Progress is written to standard error, so that standard output can be piped.
 """
 
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Final, TextIO, TypeAlias
+from html import escape
+from typing import Final, TextIO, TypeAlias, TypeVar
 
-if TYPE_CHECKING:
-    from service.client.job import Job
+from service.client.models import JobStatus
 
-Show: TypeAlias = Callable[["Job"], None]
+AnyJob = TypeVar("AnyJob", bound=JobStatus)
 
-#: Is told how many parts of an answer are computed, and of how many.
-Parts: TypeAlias = Callable[[int, int], None]
+#: Called with the number of parts computed and the number of all parts.
+PartsCallback: TypeAlias = Callable[[int, int], None]
 
 #: A plain line is written every so many percent, and every so many seconds in between.
 LINE_PERCENT: Final = 10.0
@@ -23,74 +23,78 @@ LINE_SECONDS: Final = 10.0
 
 
 @contextmanager
-def display(progress: bool | Show) -> Iterator[Show]:
-    """A function that shows the job it is given: `progress` itself if callable, nothing if False."""
+def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[[AnyJob], None]]:
+    """A function that shows a job: `progress` itself if it is a function, one that does nothing if False."""
     if callable(progress):
         yield progress
     elif not progress:
         yield lambda job: None
     elif _is_terminal(sys.stderr) or "ipykernel" in sys.modules:
-        with _bar() as show:
+        with _progress_bar() as show:
             yield show
     else:
-        yield Lines(sys.stderr)
+        yield JobLines(sys.stderr)
 
 
-def counting(progress: bool | Parts) -> Parts:
-    """The same for an answer that workers compute: `progress` itself if callable, else lines or nothing."""
+def display_parts(progress: bool | PartsCallback) -> PartsCallback:
+    """The same for an answer that workers compute in parts; writes plain lines if True."""
     if callable(progress):
         return progress
-    return Count(sys.stderr) if progress else lambda done, total: None
+    return PartsLines(sys.stderr) if progress else lambda done, total: None
 
 
-class Count:
-    """A line at first and every `LINE_PERCENT` of the parts."""
+class PartsLines:
+    """Writes a line for the first report, then one every `LINE_PERCENT` of the parts."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._last: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        """Write a line for so many parts of all if one is due."""
+        """Report that `done` of `total` parts are computed."""
         if self._last is None or (done - self._last) * 100.0 >= LINE_PERCENT * total:
             self._last = done
             print(f"computed {done} of {total} parts", file=self._out, flush=True)
 
 
-class Lines:
-    """One line when the state changes, and every `LINE_PERCENT` or `LINE_SECONDS` while work goes on."""
+class JobLines:
+    """Writes a line when the state changes, and every `LINE_PERCENT` or `LINE_SECONDS` of progress."""
 
     def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         self._out = out
         self._clock = clock
-        self._last: tuple[str, float] | None = None
+        self._last: tuple[str, float] | None = None  # state and percent of the last line
         self._written = 0.0
 
-    def __call__(self, job: "Job") -> None:
-        """Write a line for this job if one is due."""
+    def __call__(self, job: JobStatus) -> None:
+        """Report the status of the job."""
         if self._is_due(job):
             self._last, self._written = (job.state, job.progress.percent), self._clock()
             print(summary(job), file=self._out, flush=True)
 
-    def _is_due(self, job: "Job") -> bool:
+    def _is_due(self, job: JobStatus) -> bool:
         if self._last is None or self._last[0] != job.state:
             return True
-        ahead = job.progress.percent - self._last[1]
-        return ahead >= LINE_PERCENT or (ahead > 0 and self._clock() - self._written >= LINE_SECONDS)
+        gain = job.progress.percent - self._last[1]
+        return gain >= LINE_PERCENT or (gain > 0 and self._clock() - self._written >= LINE_SECONDS)
 
 
-def summary(job: "Job") -> str:
-    """A job in one line: short id, name, state, how far, how long still."""
-    done = job.progress
-    parts = [f"{job.id[:8]} {job.name}".rstrip() + f": {job.state}"]
-    parts.append(f"{done.whole_percent}% ({done.cells_done:,} of {done.cells_total:,} cells)")
-    if not job.finished and done.eta_seconds is not None:
-        parts.append(f"{duration(done.eta_seconds)} left")
-    return ", ".join(parts)
+def summary(job: JobStatus) -> str:
+    """A job in one line: short id, name, state, percent, cells, remaining time."""
+    progress = job.progress
+    title = f"{job.id[:8]} {job.name}".rstrip()
+    cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells"
+    return f"{title}: {job.state}, {progress.whole_percent}% ({cells}){time_left(job)}"
+
+
+def time_left(job: JobStatus) -> str:
+    """`, 2 min 5 s left`, or an empty string for a finished job or one without an estimate."""
+    seconds = job.progress.eta_seconds
+    return "" if job.finished or seconds is None else f", {duration(seconds)} left"
 
 
 def duration(seconds: float) -> str:
-    """Seconds as a person says them: 8 s, 2 min 5 s, 3 h 20 min."""
+    """Seconds in readable units: 8 s, 2 min 5 s, 3 h 20 min."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
@@ -99,8 +103,25 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600:,} h {whole % 3600 // 60} min"
 
 
+def job_html(job: JobStatus) -> str:
+    """A job as a small HTML table with a progress bar, for notebooks; all text is escaped."""
+    progress = job.progress
+    rows = {
+        "job": f"<code>{escape(job.id)}</code>",
+        "state": escape(job.state),
+        "cells": f"<progress value='{progress.percent:g}' max='100'></progress> "
+        f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%){time_left(job)}",
+    }
+    if job.error:
+        rows["error"] = f"<pre style='margin:0'>{escape(job.error)}</pre>"
+    body = "".join(
+        f"<tr><th style='text-align:left'>{name}</th><td>{row}</td></tr>" for name, row in rows.items()
+    )
+    return f"<table><caption><b>{escape(job.name or 'sweep')}</b></caption>{body}</table>"
+
+
 @contextmanager
-def _bar() -> Iterator[Show]:
+def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
@@ -110,18 +131,18 @@ def _bar() -> Iterator[Show]:
         TaskProgressColumn(),
         TextColumn("{task.fields[note]}", markup=False),
     )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("", total=None, note="")
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("", total=None, note="")
 
-        def show(job: "Job") -> None:
-            done = job.progress
-            left = "" if job.finished or done.eta_seconds is None else f", {duration(done.eta_seconds)} left"
-            progress.update(
+        def show(job: JobStatus) -> None:
+            progress = job.progress
+            cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells"
+            bar.update(
                 task,
                 description=job.name or job.id[:8],
-                completed=done.cells_done,
-                total=done.cells_total,
-                note=f"{job.state}, {done.cells_done:,} of {done.cells_total:,} cells{left}",
+                completed=progress.cells_done,
+                total=progress.cells_total,
+                note=f"{job.state}, {cells}{time_left(job)}",
             )
 
         yield show

@@ -1,28 +1,25 @@
-"""What a job has found, asked of the service."""
+"""The results of a job: diagrams, thresholds, mode maps, exports, the store."""
 
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from service.client.display import Parts
+from service.client.display import PartsCallback
 from service.client.errors import BounceError
-from service.client.transport import Transport, document
+from service.client.models import JobStatus
+from service.client.transport import Transport, json_object
 
 if TYPE_CHECKING:
     import httpx2
     import xarray
 
+EXPORT_SUFFIXES: Final = (".nc", ".parquet")
 
-class Results:
-    """The results of one job; `Job` is one of these."""
 
-    id: str
+class Results(JobStatus):
+    """What can be read from a job, also while it runs. `Job` adds what changes it."""
+
     _transport: Transport
-
-    @property
-    def name(self) -> str:
-        """The label given in the specification, or an empty text."""
-        raise NotImplementedError
 
     def diagram(
         self,
@@ -35,13 +32,15 @@ class Results:
         min_flight: float | None = None,
         every: int | None = None,
     ) -> "xarray.Dataset":
-        """The bifurcation diagram along one axis, the others fixed at the nearest value of the grid.
+        """The bifurcation diagram along one axis; the other parameters take the nearest grid value.
+
+        `direction` is up or down for a sweep ramped both ways (default: up). Flights shorter than
+        `min_flight` (rad) are left out. `every` takes every n-th cell.
 
         Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
-        there is no flight; `flights`, `outcome`, `bounces`, `periods` along the axis. Its attribute
-        `complete` is 0 while cells are still missing. `direction` is up or down for a ramp both ways (up if
-        left out); flights shorter than `min_flight` (rad) are left out; `every` takes every n-th cell only.
-        Raises BadRequest naming the parameter, TooLarge naming the `every` that fits.
+        there is no flight; and with dim `along`: `flights`, `outcome`, `bounces`, `periods`. The attribute
+        `complete` is 0 while cells are missing. Raises BadRequest naming the parameter, TooLarge naming the
+        smallest `every` that fits.
         """
         from service.client.datasets import diagram_dataset
 
@@ -49,7 +48,7 @@ class Results:
             along=along, gamma=gamma, omega=omega, xi=xi,
             direction=direction, min_flight=min_flight, every=every,
         )  # fmt: skip
-        return diagram_dataset(document(answer), self.id, self.name)
+        return diagram_dataset(json_object(answer), self.id, self.name)
 
     def picture(
         self,
@@ -63,9 +62,9 @@ class Results:
         min_flight: float | None = None,
         every: int | None = None,
     ) -> bytes:
-        """The same diagram as the bytes of a file: `format` is png, svg, csv or json.
+        """The diagram as the content of a file: `format` is png, svg, csv or json.
 
-        A ramp both ways shows both directions unless one is named. Raises as `diagram`.
+        A sweep ramped both ways shows both directions unless `direction` is given. Raises as `diagram`.
         """
         return self._diagram(
             along=along, gamma=gamma, omega=omega, xi=xi,
@@ -77,54 +76,54 @@ class Results:
         xi: float | None = None,
         *,
         tolerance: float | None = None,
-        patience: float = 300.0,
-        progress: bool | Parts = True,
+        timeout: float = 300.0,
+        progress: bool | PartsCallback = True,
     ) -> "xarray.Dataset":
-        """Where bouncing begins, per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
+        """The bouncing threshold per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
 
-        To the sweep's grid in Γ; with a `tolerance` (in Γ) workers refine them from its stored states, for
-        which this waits up to `patience` seconds; `progress` as in `Client.tradeoff`. NaN where the sweep
-        does not hold the answer. Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet,
-        Busy.
+        Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
+        refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
+        `Client.tradeoff`. NaN where the sweep does not contain the threshold. Raises BadRequest, as for a ξ
+        outside the grid, TooLarge, NotComputedYet, Busy.
         """
         from service.client.datasets import threshold_dataset
 
         query = {"xi": xi, "tolerance": tolerance}
         answer = self._transport.get_when_computed(
-            self._path("threshold"), query, patience=patience, progress=progress
+            self._path("threshold"), query, timeout=timeout, progress=progress
         )
-        return threshold_dataset(document(answer), self.id)
+        return threshold_dataset(json_object(answer), self.id)
 
     def modes(
         self, xi: float | None = None, direction: str | None = None, *, every: int | None = None
     ) -> "xarray.Dataset":
-        """The mode map at the grid's ξ nearest to the one given: `outcome`, `bounces`, `periods`.
+        """The mode map at the grid's ξ nearest to `xi`: `outcome`, `bounces`, `periods`.
 
-        Returns a Dataset with dims (omega, gamma); its attribute `complete` is 0 while cells are missing.
-        `every` takes every n-th value of both axes only. Raises BadRequest naming the parameter, TooLarge
-        naming the `every` that fits.
+        `every` takes every n-th value of both axes. Returns a Dataset with dims (omega, gamma); its attribute
+        `complete` is 0 while cells are missing. Raises BadRequest naming the parameter, TooLarge naming the
+        smallest `every` that fits.
         """
         from service.client.datasets import modes_dataset
 
         query = {"xi": xi, "direction": direction, "every": every}
-        return modes_dataset(document(self._transport.get(self._path("modes"), query)), self.id)
+        return modes_dataset(json_object(self._transport.get(self._path("modes"), query)), self.id)
 
     def export(self, path: str | PathLike[str]) -> Path:
-        """The whole sweep as one file: NetCDF if its name ends in .nc, Parquet if in .parquet.
+        """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.
 
-        The file appears whole or not at all. Raises TooLarge, Busy, BounceError for another ending.
+        The file is written completely or not at all. Raises TooLarge, Busy, BounceError for another suffix.
         """
         target = Path(path)
-        if target.suffix not in (".nc", ".parquet"):
-            raise BounceError(f"{target}: the name of an export ends in .nc or .parquet")
+        if target.suffix not in EXPORT_SUFFIXES:
+            raise BounceError(f"{target}: the name of an export ends in {' or '.join(EXPORT_SUFFIXES)}")
         self._transport.download(self._path("export"), {"format": target.suffix[1:]}, target)
         return target
 
     def open(self) -> "xarray.Dataset":
-        """The whole store, read over the same connection where it is used. Raises StoreUnreachable."""
-        from service.client.zarr_store import open_remote
+        """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable."""
+        from service.client.zarr_store import open_store
 
-        return open_remote(self._transport, self._path("zarr"), self.id)
+        return open_store(self._transport, self._path("zarr"), self.id)
 
     def _diagram(self, **query: str | float | None) -> "httpx2.Response":
         return self._transport.get(self._path("diagram"), query)

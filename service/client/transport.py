@@ -1,4 +1,4 @@
-"""One HTTP exchange with the service: sends, repeats what is safe to repeat, turns refusals into errors."""
+"""HTTP requests to one service: retries what is safe to repeat, turns problem documents into exceptions."""
 
 import json
 import re
@@ -12,79 +12,88 @@ from typing import Any, Final, TypeAlias
 
 import httpx2
 
-from service.client.display import Parts, counting
+from service.client.display import PartsCallback, display_parts
 from service.client.errors import (
     BounceError,
     Busy,
     InvalidSpecification,
     NotComputedYet,
-    Problem,
     Refused,
     ServiceUnreachable,
     UnexpectedAnswer,
-    refusal,
+    error_class,
 )
+from service.client.models import Problem
 
-#: Seconds before the second and third attempt of a call that may be repeated.
-PAUSES: Final = (0.1, 0.4)
+CONNECT_SECONDS: Final = 5.0
 
-#: The request did not arrive, or its answer did not.
-EVENTS_SECONDS: Final = 60.0  # without a sign of life among events; the service gives one every 15
-DOWNLOAD_SECONDS: Final = 600.0  # until a file is made
+#: Seconds before the second and the third attempt at an idempotent request.
+RETRY_DELAYS: Final = (0.1, 0.4)
 
-_LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
+#: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
+EVENTS_SECONDS: Final = 60.0
+
+#: Seconds without data before a download fails; the service writes the file before it sends it.
+DOWNLOAD_SECONDS: Final = 600.0
+
+#: The connection broke: the request, or its answer, did not arrive.
+_CONNECTION_LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
 
 Query: TypeAlias = Mapping[str, str | float | None]
 
 
 class Transport:
-    """Speaks to one service at `url`; `http` (closed by its owner) carries the requests if given."""
+    """Sends requests to the service at `url`, with `http` if given, which its owner closes.
+
+    Every method raises the exceptions of `service.client.errors`; a parameter that is None is left out of
+    the query.
+    """
 
     def __init__(self, url: str, *, token: str | None, timeout: float, http: httpx2.Client | None) -> None:
-        self.url = _checked(url)
-        self._owned = http is None
+        self.url = _valid_url(url)
+        self._owns_http = http is None
         self._http = http or httpx2.Client(
-            timeout=httpx2.Timeout(timeout, connect=min(timeout, 5.0)),
+            timeout=httpx2.Timeout(timeout, connect=min(timeout, CONNECT_SECONDS)),
             trust_env=not _is_loopback(self.url),  # a proxy cannot reach this machine's own loopback
         )
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
-        if token:  # as for the service, an empty variable is none
-            self._headers["Authorization"] = f"Bearer {word('the token', token)}"
+        if token:  # as in the service, an empty variable means no token
+            self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
 
     def close(self) -> None:
-        """Close the connections, unless they were lent."""
-        if self._owned:
+        """Close the connections, unless they belong to the caller."""
+        if self._owns_http:
             self._http.close()
 
     def get(
         self, path: str, query: Query | None = None, headers: Mapping[str, str] | None = None
     ) -> httpx2.Response:
-        """GET `path`; None in `query` is left out. Raises the errors of `service.client.errors`."""
-        return self._exchange("GET", path, query=query, headers=headers, repeat=True)
+        """GET `path`; a 304 is returned like a success."""
+        return self._request("GET", path, query=query, headers=headers, idempotent=True)
 
     def get_when_computed(
-        self, path: str, query: Query | None = None, *, patience: float, progress: bool | Parts
+        self, path: str, query: Query | None = None, *, timeout: float, progress: bool | PartsCallback
     ) -> httpx2.Response:
-        """GET what workers have to compute first, asking again for `patience` seconds while they do.
+        """GET an answer that workers compute first, polling for up to `timeout` seconds.
 
-        Raises NotComputedYet after that, or Busy where the service could not take the question.
+        Raises NotComputedYet after that, or Busy if the service is still busy then.
         """
-        give_up = time.monotonic() + patience
-        show = counting(progress)
+        deadline = time.monotonic() + timeout
+        show = display_parts(progress)
         while True:
             try:
-                answer = self.get(path, query)
-                if answer.status_code != 202:
-                    return answer
-                pause, (done, total) = seconds_to_wait(answer), _parts(answer)
+                response = self.get(path, query)
+                if response.status_code != 202:
+                    return response
+                delay, (done, total) = retry_after(response), _parts_computed(response)
                 show(done, total)
-                if time.monotonic() > give_up:
-                    raise NotComputedYet(done, total, patience)
+                if time.monotonic() > deadline:
+                    raise NotComputedYet(done, total, timeout)
             except Busy as busy:
-                if time.monotonic() > give_up:
+                if time.monotonic() > deadline:
                     raise
-                pause = busy.retry_after
-            time.sleep(pause or 1.0)
+                delay = busy.retry_after
+            time.sleep(delay or 1.0)
 
     def post(
         self,
@@ -93,58 +102,53 @@ class Transport:
         *,
         query: Query | None = None,
         headers: Mapping[str, str] | None = None,
-        repeat: bool = False,
+        idempotent: bool = False,
     ) -> httpx2.Response:
-        """POST `body` (JSON); `repeat` says that doing it twice is the same as doing it once."""
-        kind = {"Content-Type": "application/json"} if body is not None else {}
-        headers = {**kind, **(headers or {})}
-        return self._exchange("POST", path, query=query, headers=headers, body=body, repeat=repeat)
+        """POST `body` (JSON); `idempotent` if a repeated request has the effect of a single one."""
+        content_type = {"Content-Type": "application/json"} if body is not None else {}
+        headers = {**content_type, **(headers or {})}
+        return self._request("POST", path, query=query, headers=headers, body=body, idempotent=idempotent)
 
     def delete(self, path: str) -> None:
-        """DELETE `path`; not repeated, because what is gone is not found the second time."""
-        self._exchange("DELETE", path, repeat=False)
+        """DELETE `path`; not retried, because a second request would answer that nothing is there."""
+        self._request("DELETE", path, idempotent=False)
 
     def events(self, path: str) -> Iterator[dict[str, Any]]:
-        """The data of server-sent events, each a JSON object, as they come."""
-        with self._streaming(path, None, EVENTS_SECONDS) as response:
+        """The data of server-sent events, each a JSON object, as they arrive."""
+        with self._stream(path, None, EVENTS_SECONDS) as response:
             for line in response.iter_lines():
                 if line.startswith("data: "):
                     yield json.loads(line.removeprefix("data: "))
 
     def download(self, path: str, query: Query, target: Path) -> None:
-        """GET into a file, which appears under its name once it is whole."""
+        """GET into the file `target`, which is replaced once the download is complete."""
         with (
-            self._streaming(path, query, DOWNLOAD_SECONDS) as response,
+            self._stream(path, query, DOWNLOAD_SECONDS) as response,
             tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file,
         ):
-            draft = Path(file.name)
+            partial = Path(file.name)
             try:
-                for piece in response.iter_bytes():
-                    file.write(piece)
+                for block in response.iter_bytes():
+                    file.write(block)
                 file.close()
-                draft.replace(target)
+                partial.replace(target)
             finally:
-                draft.unlink(missing_ok=True)
+                partial.unlink(missing_ok=True)
 
     @contextmanager
-    def _streaming(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
-        """An answer that is read as it comes; `seconds` may pass without any of it."""
-        request = self._http.build_request(
-            "GET",
-            self.url + path,
-            params={name: value for name, value in (query or {}).items() if value is not None},
-            headers=self._headers,
-            timeout=httpx2.Timeout(seconds, connect=5.0),
-        )
+    def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
+        """A response whose body is read as it arrives, at most `seconds` between two pieces."""
+        timeout = httpx2.Timeout(seconds, connect=CONNECT_SECONDS)
+        request = self._built("GET", path, query, {}, timeout=timeout)
         try:
             with closing(self._http.send(request, stream=True)) as response:
                 if not response.is_success:
                     response.read()
-                yield self._accepted(response)
+                yield self._checked(response)
         except httpx2.RequestError as error:
             raise ServiceUnreachable(self.url, _reason(error)) from error
 
-    def _exchange(
+    def _request(
         self,
         method: str,
         path: str,
@@ -152,56 +156,49 @@ class Transport:
         query: Query | None = None,
         headers: Mapping[str, str] | None = None,
         body: bytes | None = None,
-        repeat: bool,
+        idempotent: bool,
     ) -> httpx2.Response:
-        request = self._http.build_request(
+        request = self._built(method, path, query, headers or {}, content=body)
+        return self._checked(self._send(request, RETRY_DELAYS if idempotent else ()))
+
+    def _built(
+        self, method: str, path: str, query: Query | None, headers: Mapping[str, str], **options: Any
+    ) -> httpx2.Request:
+        return self._http.build_request(
             method,
             self.url + path,
             params={name: value for name, value in (query or {}).items() if value is not None},
-            headers={**self._headers, **(headers or {})},
-            content=body,
+            headers={**self._headers, **headers},
+            **options,
         )
-        return self._accepted(self._sent(request, PAUSES if repeat else ()))
 
-    def _sent(self, request: httpx2.Request, pauses: tuple[float, ...]) -> httpx2.Response:
-        """Send, and again after each of `pauses` while the connection is lost."""
+    def _send(self, request: httpx2.Request, delays: tuple[float, ...]) -> httpx2.Response:
+        """Send the request, again after each of `delays` seconds while the connection breaks."""
         try:
             return self._http.send(request)
-        except _LOST as error:
-            if not pauses:
+        except _CONNECTION_LOST as error:
+            if not delays:
                 raise ServiceUnreachable(self.url, _reason(error)) from error
         except httpx2.TimeoutException as error:
             raise ServiceUnreachable(self.url, "no answer in time") from error
         except httpx2.RequestError as error:
             raise UnexpectedAnswer(f"{self.url} does not speak HTTP as expected: {_reason(error)}") from error
-        time.sleep(pauses[0])
-        return self._sent(request, pauses[1:])
+        time.sleep(delays[0])
+        return self._send(request, delays[1:])
 
-    def _accepted(self, response: httpx2.Response) -> httpx2.Response:
-        """The response if it is a success or a 304; otherwise raise what it says."""
+    def _checked(self, response: httpx2.Response) -> httpx2.Response:
+        """The response if it is a success or a 304; raises the exception of its status otherwise."""
         if response.is_success or response.status_code == 304:
             return response
         if response.status_code >= 400:
-            raise self._refusal(response)
+            raise _refused(response)
         raise UnexpectedAnswer(
-            f"{response.request.url} answered {response.status_code}, not a bounce service"
+            f"{response.request.url} answered {response.status_code}: not a bounce service"
         )
 
-    def _refusal(self, response: httpx2.Response) -> Refused:
-        status, reason = response.status_code, response.reason_phrase
-        problem = Problem.from_json(_problem_document(response), status=status, reason=reason)
-        kind = refusal(status)
-        if (
-            status in (400, 422)
-            and response.request.method == "POST"
-            and _is_submission(response.request.url)
-        ):
-            kind = InvalidSpecification
-        return kind(problem, retry_after=seconds_to_wait(response))
 
-
-def document(response: httpx2.Response) -> dict[str, Any]:
-    """The JSON object a response carries; anything else is not this service's answer."""
+def json_object(response: httpx2.Response) -> dict[str, Any]:
+    """The JSON object in the body. Raises UnexpectedAnswer for any other body."""
     try:
         content = response.json()
     except ValueError:
@@ -213,17 +210,8 @@ def document(response: httpx2.Response) -> dict[str, Any]:
     return content
 
 
-def _parts(response: httpx2.Response) -> tuple[int, int]:
-    """How many parts of an answer are computed, and of how many."""
-    try:
-        progress = document(response)["progress"]
-        return int(progress["parts_done"]), int(progress["parts_total"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnexpectedAnswer(f"{response.request.url} did not say how far it is: {error!r}") from error
-
-
-def seconds_to_wait(response: httpx2.Response) -> float | None:
-    """`Retry-After` in seconds; None when it is missing, negative or a date."""
+def retry_after(response: httpx2.Response) -> float | None:
+    """`Retry-After` in seconds; None if it is missing, negative or a date."""
     try:
         seconds = float(response.headers.get("Retry-After", ""))
     except ValueError:
@@ -231,29 +219,47 @@ def seconds_to_wait(response: httpx2.Response) -> float | None:
     return seconds if 0 <= seconds < float("inf") else None
 
 
-def _problem_document(response: httpx2.Response) -> dict[str, Any]:
-    """The problem document, or one made up from the status line (a proxy answers in HTML)."""
+def header_value(name: str, text: str) -> str:
+    """`text` if a header can carry it. Raises BounceError, which does not quote `text`: it may be secret."""
+    if not re.fullmatch("[!-~]+", text):
+        raise BounceError(f"{name} must consist of ASCII characters without spaces")
+    return text
+
+
+def _parts_computed(response: httpx2.Response) -> tuple[int, int]:
+    """The number of parts that are computed, and of all parts."""
     try:
-        return document(response)
+        progress = json_object(response)["progress"]
+        return int(progress["parts_done"]), int(progress["parts_total"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnexpectedAnswer(f"{response.request.url} answered 202 without progress: {error!r}") from error
+
+
+def _refused(response: httpx2.Response) -> Refused:
+    """The exception for a response of status 400 or more."""
+    status, request = response.status_code, response.request
+    problem = Problem.from_json(_problem_document(response), status=status, reason=response.reason_phrase)
+    is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
+    error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
+    return error(problem, retry_after=retry_after(response))
+
+
+def _problem_document(response: httpx2.Response) -> dict[str, Any]:
+    """The problem document, or one built from the status line (a proxy answers in HTML)."""
+    try:
+        return json_object(response)
     except UnexpectedAnswer:
         return {"detail": f"{response.request.url} answered {response.status_code} {response.reason_phrase}"}
 
 
-def word(name: str, given: str) -> str:
-    """What a header can carry; not repeated if it cannot, it may be secret. Raises BounceError."""
-    if not re.fullmatch("[!-~]+", given):
-        raise BounceError(f"{name} must be made of ASCII characters, without spaces")
-    return given
-
-
-def _checked(url: str) -> str:
-    """The address without a trailing slash. Raises ServiceUnreachable if it cannot be one."""
+def _valid_url(url: str) -> str:
+    """The address without a trailing slash. Raises ServiceUnreachable if it is not an HTTP address."""
     try:
         parsed = httpx2.URL(url)
     except httpx2.InvalidURL as error:
         raise ServiceUnreachable(url, f"not an address: {error}") from error
     if parsed.scheme not in ("http", "https") or not parsed.host:
-        raise ServiceUnreachable(url, "an address reads http://HOST:PORT")
+        raise ServiceUnreachable(url, "expected an address like http://HOST:PORT")
     return url.rstrip("/")
 
 
@@ -263,10 +269,6 @@ def _is_loopback(url: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _is_submission(url: httpx2.URL) -> bool:
-    return url.path.endswith("/v1/jobs")
 
 
 def _reason(error: Exception) -> str:

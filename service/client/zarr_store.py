@@ -1,4 +1,4 @@
-"""A job's zarr store, read through the client's own connection, token and all."""
+"""Reads a job's zarr store over HTTP, through the connection and with the token of the client."""
 
 import asyncio
 from collections.abc import AsyncIterator, Iterable
@@ -14,24 +14,27 @@ from service.client.transport import Transport
 _READ_ONLY: Final = "a job's store is read only"
 
 
-def open_remote(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
-    """The store at `path`, its arrays read only where they are used. Raises StoreUnreachable."""
+def open_store(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
+    """The store at `path` as a lazy Dataset: values are read where they are used. Raises StoreUnreachable."""
     try:
-        store: xarray.Dataset = xarray.open_zarr(Remote(transport, path), consolidated=True, chunks=None)
+        dataset: xarray.Dataset = xarray.open_zarr(HTTPStore(transport, path), consolidated=True, chunks=None)
     except (FileNotFoundError, ValueError) as error:
-        raise StoreUnreachable(f"job {job_id} has no store yet: it has not begun") from error
-    return store
+        raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
+    return dataset
 
 
-class Remote(Store):
-    """The keys and values under one address of the service."""
+class HTTPStore(Store):
+    """A read-only zarr store: a key is a path below one address of the service."""
 
     def __init__(self, transport: Transport, path: str) -> None:
         super().__init__(read_only=True)
         self._transport, self._path = transport, path
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Remote) and (self._transport, self._path) == (other._transport, other._path)
+        return isinstance(other, HTTPStore) and (self._transport, self._path) == (
+            other._transport,
+            other._path,
+        )
 
     def __hash__(self) -> int:
         return hash((id(self._transport), self._path))
@@ -42,18 +45,18 @@ class Remote(Store):
     async def get(
         self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
-        """What lies under a key; None if nothing does."""
+        """The value of a key, or a part of it; None if there is none."""
         content = await asyncio.to_thread(self._read, key)
-        return None if content is None else prototype.buffer.from_bytes(_part(content, byte_range))
+        return None if content is None else prototype.buffer.from_bytes(_slice(content, byte_range))
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
     ) -> list[Buffer | None]:
-        """Parts of what lies under some keys."""
-        return [await self.get(key, prototype, part) for key, part in key_ranges]
+        """Parts of the values of several keys."""
+        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
 
     async def exists(self, key: str) -> bool:
-        """Whether something lies under a key."""
+        """Whether the key has a value."""
         return await asyncio.to_thread(self._read, key) is not None
 
     def _read(self, key: str) -> bytes | None:
@@ -90,11 +93,11 @@ class Remote(Store):
         raise NotImplementedError
 
 
-def _part(content: bytes, wanted: ByteRequest | None) -> bytes:
-    if isinstance(wanted, RangeByteRequest):
-        return content[wanted.start : wanted.end]
-    if isinstance(wanted, OffsetByteRequest):
-        return content[wanted.offset :]
-    if isinstance(wanted, SuffixByteRequest):
-        return content[-wanted.suffix :]
+def _slice(content: bytes, byte_range: ByteRequest | None) -> bytes:
+    if isinstance(byte_range, RangeByteRequest):
+        return content[byte_range.start : byte_range.end]
+    if isinstance(byte_range, OffsetByteRequest):
+        return content[byte_range.offset :]
+    if isinstance(byte_range, SuffixByteRequest):
+        return content[-byte_range.suffix :]
     return content

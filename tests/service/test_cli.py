@@ -166,7 +166,7 @@ def test_a_wait_can_be_given_up(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         result = bounce("wait", client.submit(sweep()).id, "--timeout", "0.2", url=url)
     assert result.exit_code == 1
-    assert "it goes on" in result.stderr
+    assert "the job continues" in result.stderr
 
 
 # Diagrams

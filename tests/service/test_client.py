@@ -203,7 +203,7 @@ def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
 def test_a_wait_ends_in_time_and_the_job_goes_on(tmp_path: Path):
     with serving(tmp_path, Held()) as client:
         job = client.submit(sweep())
-        with pytest.raises(WaitTimeout, match="goes on") as caught:
+        with pytest.raises(WaitTimeout, match="the job continues") as caught:
             job.wait(progress=False, timeout=0.2)
         assert caught.value.job is job
         assert isinstance(caught.value, TimeoutError)
@@ -374,7 +374,7 @@ def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
     with serving(tmp_path, Held(), active_jobs=1) as client:
         client.submit(sweep("never ends"))
         waiting = client.submit(sweep("waits for it", omega=0.6))
-        with pytest.raises(StoreUnreachable, match="has not begun"):
+        with pytest.raises(StoreUnreachable, match="has not started"):
             waiting.open()
 
 

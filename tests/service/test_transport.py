@@ -27,7 +27,7 @@ from service.client import (
     Unauthorized,
     UnexpectedAnswer,
 )
-from service.client.display import counting
+from service.client.display import display_parts
 
 ID = "0123456789abcdef" * 2
 LOST = None  # the connection is closed instead of an answer
@@ -166,7 +166,7 @@ def test_the_token_goes_with_every_call():
 
 @pytest.mark.parametrize("word", ["schlüssel", "two words", "two\nlines"])
 def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
-    with pytest.raises(BounceError, match="the token must be made of ASCII") as caught:
+    with pytest.raises(BounceError, match="the token must consist of ASCII") as caught:
         Client("http://127.0.0.1:1", token=word)
     assert word not in str(caught.value)
     with Client("http://127.0.0.1:1") as client, pytest.raises(BounceError, match="an idempotency key must"):
@@ -296,7 +296,7 @@ def test_an_unchanged_job_is_asked_for_by_its_etag():
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
     from service.client import job as module
 
-    monkeypatch.setattr(module, "PATIENCE", DEADLINE)
+    monkeypatch.setattr(module, "MAX_OUTAGE", DEADLINE)
     gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
@@ -305,7 +305,7 @@ def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatc
 def test_a_wait_gives_a_lost_service_up_in_the_end(monkeypatch: pytest.MonkeyPatch):
     from service.client import job as module
 
-    monkeypatch.setattr(module, "PATIENCE", 0.1)
+    monkeypatch.setattr(module, "MAX_OUTAGE", 0.1)
     with scripted(Answer(body=view())) as (_, client):
         job = client.job(ID)
     with Client(client.url) as again:
@@ -337,21 +337,24 @@ def test_what_workers_compute_is_asked_for_until_it_is_there():
 def test_who_waits_no_longer_is_told_that_it_goes_on():
     with (
         scripted(underway(1)) as (_, client),
-        pytest.raises(NotComputedYet, match=r"^1 of 4 parts computed after -1 s; it goes on: ask again$"),
+        pytest.raises(
+            NotComputedYet,
+            match=r"^1 of 4 parts computed after -1 s; the computation continues, repeat the request later$",
+        ),
     ):
-        client.tradeoff(patience=-1.0, progress=False)
+        client.tradeoff(timeout=-1.0, progress=False)
     with scripted(Answer(202, {"state": "running"})) as (_, client), pytest.raises(UnexpectedAnswer):
         client.tradeoff(progress=False)
 
 
 def test_a_wait_for_workers_shows_itself_by_lines(capsys: pytest.CaptureFixture[str]):
-    show = counting(True)
+    show = display_parts(True)
     for done in range(24):
         show(done, 23)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "computed 0 of 23 parts"
     assert len(lines) == 8
-    counting(False)(1, 2)
+    display_parts(False)(1, 2)
     assert capsys.readouterr().err == ""
 
 
@@ -370,14 +373,14 @@ def test_a_list_goes_on_to_its_last_page():
 
 def shown(*views: tuple[float, dict[str, Any]]) -> list[str]:
     """The plain lines written for jobs that look like this at these seconds."""
-    from service.client.display import Lines
+    from service.client.display import JobLines
     from service.client.job import Job
 
     out, now = io.StringIO(), [0.0]
-    lines = Lines(out, clock=lambda: now[0])
+    lines = JobLines(out, clock=lambda: now[0])
     with Client("http://127.0.0.1:9") as client:
         for now[0], one in views:
-            lines(Job.listed(client._transport, one))
+            lines(Job.from_view(client._transport, one))
     return out.getvalue().splitlines()
 
 

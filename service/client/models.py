@@ -1,0 +1,124 @@
+"""The records in the service's answers, and the status of a job. Imports no other module of the client."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+#: The states that a job leaves only by a request.
+FINISHED: Final = ("done", "failed", "cancelled")
+
+
+class FieldProblem(NamedTuple):
+    """One field and the rule it breaks."""
+
+    field: str
+    rule: str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem document (RFC 9457)."""
+
+    status: int
+    title: str
+    detail: str = ""
+    type: str = "about:blank"
+    instance: str | None = None
+    fields: tuple[FieldProblem, ...] = ()
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any], *, status: int, reason: str) -> "Problem":
+        """Read a problem document; every member is optional. `status` and `reason` are the status line's."""
+        return cls(
+            status=status,
+            title=str(document.get("title") or reason or f"status {status}"),
+            detail=str(document.get("detail") or ""),
+            type=str(document.get("type") or "about:blank"),
+            instance=document.get("instance"),
+            fields=_field_problems(document.get("errors")),
+        )
+
+    def __str__(self) -> str:
+        """The detail, then one line for each field that the detail does not mention."""
+        text = self.detail or self.title
+        lines = [f"{field}: {rule}" for field, rule in self.fields]
+        return "\n".join([text, *(f"  {line}" for line in lines if line not in text)])
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How much of a job is computed. `eta_seconds` is None until the service can estimate it."""
+
+    chunks_done: int
+    chunks_total: int
+    cells_done: int
+    cells_total: int
+    percent: float
+    eta_seconds: float | None = None
+
+    @classmethod
+    def from_json(cls, view: Mapping[str, Any]) -> "Progress":
+        """Read the `progress` member of a job."""
+        required = {name: view[name] for name in cls.__dataclass_fields__ if name != "eta_seconds"}
+        return cls(**required, eta_seconds=view.get("eta_seconds"))
+
+    @property
+    def whole_percent(self) -> int:
+        """Percent rounded down: 100 means that every cell is computed."""
+        return int(self.percent)
+
+
+class Estimate(NamedTuple):
+    """What a sweep would cost."""
+
+    cells: int
+    chunks: int
+    bytes: int  # of the stored arrays, before compression
+    core_seconds: float
+    basis: str  # measured: from recent jobs with the same contact model; table: from the table of costs
+
+
+class JobStatus:
+    """A job as the service last described it. `view` holds the whole JSON object."""
+
+    id: str
+    state: str
+    progress: Progress
+    view: dict[str, Any]
+
+    def _update(self, view: Mapping[str, Any]) -> None:
+        """Replace the description. Raises KeyError or TypeError if `view` does not describe a job."""
+        self.id = str(view["id"])
+        self.state = str(view["state"])
+        self.progress = Progress.from_json(view["progress"])
+        self.view = dict(view)
+
+    @property
+    def name(self) -> str:
+        """The label given in the specification, or an empty string."""
+        return str(self.view.get("name") or "")
+
+    @property
+    def error(self) -> str | None:
+        """Why the job failed."""
+        return self.view.get("error")
+
+    @property
+    def links(self) -> dict[str, str]:
+        """Paths of the job's resources by name."""
+        return dict(self.view.get("links") or {})
+
+    @property
+    def finished(self) -> bool:
+        """Whether the job is done, failed or cancelled."""
+        return self.state in FINISHED
+
+
+def _field_problems(errors: object) -> tuple[FieldProblem, ...]:
+    """The `errors` member, each entry naming a field and a rule; other entries are ignored."""
+    entries = errors if isinstance(errors, list) else []
+    return tuple(
+        FieldProblem(str(entry.get("field") or ""), str(entry.get("rule") or ""))
+        for entry in entries
+        if isinstance(entry, dict)
+    )
