@@ -1,4 +1,4 @@
-"""What the commands of `bounce` have in common: how they fail, and the options several of them take."""
+"""What the commands of `bounce` share: error messages, common options, output files."""
 
 import errno
 from collections.abc import Callable
@@ -11,16 +11,20 @@ if TYPE_CHECKING:
     from service.client import Client
 
 AXES: Final = ("gamma", "omega", "xi")
-DEFAULT_URL: Final = "http://127.0.0.1:8000"
+DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
+
+PICTURES: Final = ("png", "svg")
+TABLES: Final = ("csv", "json")
+EXPORTS: Final = ("nc", "parquet")
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
-class Bounce(click.Group):
-    """A group whose commands end with one line on standard error and exit code 1, never with a traceback."""
+class CommandGroup(click.Group):
+    """A group whose commands report an error as one message on standard error and exit code 1."""
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command; errors raised on purpose and those of the file system become messages."""
+        """Run the command; exceptions raised on purpose and those of the file system become messages."""
         try:
             return super().invoke(ctx)
         except Exception as error:
@@ -30,52 +34,83 @@ class Bounce(click.Group):
             raise click.ClickException(message) from error
 
 
+job_argument = click.argument("job_id", metavar="ID")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+workers_option = click.option(
+    "--workers", type=int, help="Worker processes of the local service.  [default: 2]"
+)
+data_option = click.option(
+    "--data",
+    type=click.Path(file_okay=False),
+    help="Folder for the job ledger and the stores.  [default: ./bounce-data]",
+)
+
+
 def service_options(command: Command) -> Command:
-    """The options that say which service to speak to."""
+    """The options that select the service."""
     return _with(
         command,
-        click.option("--url", help="Where the service listens.", default=DEFAULT_URL,
+        click.option("--url", help="Address of the service.", default=DEFAULT_URL,
                      show_default=True, envvar="BOUNCE_URL", show_envvar=True),
-        click.option("--token", help="What it asks for, if it does.", envvar="BOUNCE_TOKEN",
+        click.option("--token", help="Access token, if the service requires one.", envvar="BOUNCE_TOKEN",
                      show_envvar=True),
     )  # fmt: skip
 
 
+def optional_service_options(command: Command) -> Command:
+    """The options that select a running service instead of a local one."""
+    return _with(
+        command,
+        click.option("--url", help="Use the running service at this address instead of a local one."),
+        click.option("--token", envvar="BOUNCE_TOKEN", help="Access token, if that service requires one."),
+    )
+
+
 def line_options(command: Command) -> Command:
-    """The options that choose one line of the grid."""
+    """The options that select one line of the grid."""
     return _with(
         command,
         click.option("--along", type=click.Choice(AXES), default="gamma", show_default=True,
-                     help="The axis to go along."),
-        click.option("--gamma", type=float, help="Take the nearest Γ of the grid."),
-        click.option("--omega", type=float, help="Take the nearest Ω of the grid."),
-        click.option("--xi", type=float, help="Take the nearest ξ of the grid."),
+                     help="Axis of the diagram."),
+        click.option("--gamma", type=float, help="Γ; the nearest grid value is used."),
+        click.option("--omega", type=float, help="Ω; the nearest grid value is used."),
+        click.option("--xi", type=float, help="ξ; the nearest grid value is used."),
         click.option("--direction", type=click.Choice(["up", "down"]),
-                     help="Which way, after a ramp both ways."),
+                     help="Direction, for a sweep ramped both ways."),
         click.option("--min-flight", type=float, help="Leave out flights shorter than this, in rad."),
-        click.option("--every", type=click.IntRange(min=1), help="Take every n-th cell only."),
+        click.option("--every", type=click.IntRange(min=1), help="Take only every n-th cell."),
     )  # fmt: skip
+
+
+def format_option(*formats: str) -> Callable[[Command], Command]:
+    """The option that selects the format of the output file."""
+    return click.option(
+        "--format", type=click.Choice(formats), help="Format of the output.  [default: the ending of FILE]"
+    )
 
 
 def output_option(command: Command) -> Command:
-    """The option that says where to write."""
+    """The option that names the output file."""
     return _with(
         command,
         click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
-                     help="File to write; - writes to standard output."),
+                     help="File to write; - is standard output."),
     )  # fmt: skip
 
 
-def connected(url: str, token: str | None) -> "Client":
-    """A client of the service that was named."""
+def open_client(url: str, token: str | None) -> "Client":
+    """A client of the service at `url`."""
     from service.client import Client
 
     return Client(url, token)
 
 
-def format_of(output: str, formats: tuple[str, ...], chosen: str | None = None) -> str:
-    """The format chosen, or the one a file's ending asks for; checked, like its folder, before any work."""
-    ending = chosen or Path(output).suffix.lower().removeprefix(".")
+def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:
+    """`format`, or the one that the ending of the output file stands for.
+
+    Raises click.BadParameter for another ending or a missing folder, before anything is computed.
+    """
+    ending = format or Path(output).suffix.lower().removeprefix(".")
     if ending not in formats:
         raise click.BadParameter(
             f"{output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"
@@ -86,25 +121,25 @@ def format_of(output: str, formats: tuple[str, ...], chosen: str | None = None) 
 
 
 def write_file(output: str, content: bytes) -> None:
-    """Write a file whole or not at all: what was there stays until the new content is complete.
+    """Write a file completely or not at all: an existing file is replaced once the new content is complete.
 
-    What is no file, like a pipe or /dev/null, is written to and not replaced.
+    A pipe or a device is written to, not replaced.
     """
     path = Path(output)
-    whole = output != "-" and (path.is_file() or not path.exists())
-    with click.open_file(output, "wb", atomic=whole) as file:
+    is_regular = output != "-" and (path.is_file() or not path.exists())
+    with click.open_file(output, "wb", atomic=is_regular) as file:
         file.write(content)
 
 
 def _with(command: Command, *options: Callable[[Command], Command]) -> Command:
-    """The command with these options, listed by its help in this order."""
+    """The command with these options, in this order in its help."""
     for option in reversed(options):
         command = option(command)
     return command
 
 
 def _message(error: Exception) -> str | None:
-    """What a user should read; None for what is a defect, or a reader of a pipe that has gone."""
+    """The message for the user; None for a defect, or for a closed pipe, which click handles."""
     from service.client.errors import BounceError
 
     if isinstance(error, BounceError):

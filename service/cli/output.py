@@ -1,11 +1,13 @@
-"""How the command line writes jobs."""
+"""Text, CSV and JSON that the commands print and write."""
 
+import csv
 import json
-from collections.abc import Sequence
-from math import ceil, isfinite, log10
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from math import ceil, isfinite, isnan, log10
+from typing import TYPE_CHECKING, Any, Final
 
-from service.client.display import duration
+from service.client.display import time_left
 
 if TYPE_CHECKING:
     import xarray
@@ -14,61 +16,124 @@ if TYPE_CHECKING:
 
 
 def as_json(content: object) -> str:
-    """Indented JSON, letters of every language as they are."""
+    """Indented JSON, not restricted to ASCII."""
     return json.dumps(content, indent=2, ensure_ascii=False)
 
 
-def report(job: "Job") -> str:
-    """A job in a few lines."""
-    view, done = job.view, job.progress
-    left = "" if job.finished or done.eta_seconds is None else f", {duration(done.eta_seconds)} left"
+# Jobs
+
+
+def job_report(job: "Job") -> str:
+    """The status of a job, one property per line."""
+    progress = job.progress
     lines = {
         "id": job.id,
         "name": job.name,
         "state": job.state,
-        "progress": f"{done.whole_percent}% ({done.cells_done:,} of {done.cells_total:,} cells, "
-        f"{done.chunks_done:,} of {done.chunks_total:,} chunks){left}",
-        **{event: view.get(event) for event in ("created", "started", "finished", "error")},
+        "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
+        f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
+        **{member: job.view.get(member) for member in ("created", "started", "finished", "error")},
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
 
 
-def estimate(found: "Estimate") -> str:
-    """What a sweep would cost, in a line."""
-    by = "by the speed measured here" if found.basis == "measured" else "by the table of costs"
+def job_table(jobs: Sequence["Job"]) -> str:
+    """A heading, then one line per job."""
+    rows = [("ID", "STATE", "DONE", "CELLS", "NAME")]
+    for job in jobs:
+        progress = job.progress
+        rows.append((job.id, job.state, f"{progress.whole_percent}%", f"{progress.cells_total:,}", job.name))
+    return "\n".join(f"{a:<32}  {b:<9}  {c:>4}  {d:>13}  {e}".rstrip() for a, b, c, d, e in rows)
+
+
+def estimate_line(estimate: "Estimate") -> str:
+    """The estimated cost of a sweep."""
+    basis = "from recent jobs" if estimate.basis == "measured" else "from the table of costs"
     return (
-        f"{found.cells:,} cells in {found.chunks:,} chunks, {found.bytes / 1e6:,.3g} MB before compression, "
-        f"{found.core_seconds:,.3g} core-seconds {by}"
+        f"{estimate.cells:,} cells in {estimate.chunks:,} chunks, {estimate.bytes / 1e6:,.3g} MB before "
+        f"compression, {estimate.core_seconds:,.3g} core-seconds ({basis})"
     )
 
 
-def thresholds_view(found: "xarray.Dataset") -> dict[str, Any]:
+# Thresholds
+
+
+def threshold_view(thresholds: "xarray.Dataset") -> dict[str, Any]:
     """Thresholds as plain values, null where there is none."""
     columns = {
-        name: found[name].values.tolist() for name in ("omega", "analytic", "up", "down") if name in found
+        name: thresholds[name].values.tolist()
+        for name in ("omega", "analytic", "up", "down")
+        if name in thresholds
     }
     plain = {name: [v if isfinite(v) else None for v in values] for name, values in columns.items()}
-    return {"xi": float(found.xi), **plain, "tolerance": found.attrs.get("tolerance"),
-            "complete": bool(found.attrs["complete"])}  # fmt: skip
+    return {"xi": float(thresholds.xi), **plain, "tolerance": thresholds.attrs.get("tolerance"),
+            "complete": bool(thresholds.attrs["complete"])}  # fmt: skip
 
 
-def thresholds(found: "xarray.Dataset") -> str:
-    """Thresholds, one Ω a line."""
-    tolerance = found.attrs.get("tolerance")
+def threshold_table(thresholds: "xarray.Dataset") -> str:
+    """Thresholds, one Ω per line."""
+    tolerance = thresholds.attrs.get("tolerance")
     digits = 6 if tolerance is None else min(max(6, 2 + ceil(-log10(tolerance))), 12)
     width = digits + 6
-    lines = [f"xi = {float(found.xi):g}" + (f", to {tolerance:g} in gamma" if tolerance else ", to the grid")]
+    precision = f"to {tolerance:g} in gamma" if tolerance else "on the grid of gamma"
+    lines = [f"xi = {float(thresholds.xi):g}, {precision}"]
     lines.append("".join(f"{name:>{width}}" for name in ("OMEGA", "EQ. 25", "UP", "DOWN")))
-    columns = [found[name].values.tolist() for name in ("omega", "analytic", "up", "down")]
+    columns = [thresholds[name].values.tolist() for name in ("omega", "analytic", "up", "down")]
     for row in zip(*columns, strict=True):
         lines.append("".join(f"{f'{v:.{digits}f}' if isfinite(v) else '-':>{width}}" for v in row))
-    return "\n".join(lines + ([] if found.attrs["complete"] else ["the job is not done: this is incomplete"]))
+    incomplete = [] if thresholds.attrs["complete"] else ["the job is not done: thresholds may be missing"]
+    return "\n".join([*lines, *incomplete])
 
 
-def table(jobs: Sequence["Job"]) -> str:
-    """Jobs, one a line, under a heading that is there even when they are not."""
-    rows = [("ID", "STATE", "DONE", "CELLS", "NAME")]
-    for job in jobs:
-        done = job.progress
-        rows.append((job.id, job.state, f"{done.whole_percent}%", f"{done.cells_total:,}", job.name))
-    return "\n".join(f"{a:<32}  {b:<9}  {c:>4}  {d:>13}  {e}".rstrip() for a, b, c, d, e in rows)
+# Tables of cells and samples
+
+
+def modes_csv(mode_map: "xarray.Dataset") -> bytes:
+    """One row per cell."""
+    outcomes = mode_map.outcome.attrs["flag_meanings"].split()
+    omega, gamma = mode_map.omega.values.tolist(), mode_map.gamma.values.tolist()
+    planes = [mode_map[name].values.tolist() for name in ("outcome", "bounces", "periods")]
+    rows = (
+        (omega[i], gamma[k], outcomes[planes[0][i][k]], planes[1][i][k], planes[2][i][k])
+        for i in range(len(omega))
+        for k in range(len(gamma))
+    )
+    return _csv(("omega", "gamma", "outcome", "bounces", "periods"), rows)
+
+
+def modes_json(mode_map: "xarray.Dataset") -> bytes:
+    """The axes, and a nested list (omega, gamma) per variable."""
+    names = ("omega", "gamma", "outcome", "bounces", "periods")
+    plain = {"xi": float(mode_map.xi), "direction": str(mode_map.direction.values)}
+    plain |= {name: mode_map[name].values.tolist() for name in names}
+    return json.dumps({**plain, "complete": bool(mode_map.attrs["complete"])}).encode()
+
+
+_SAMPLES: Final = ("phase", "plate", "z1", "z2", "force", "in_flight")
+
+
+def trajectory_csv(motion: "xarray.Dataset") -> bytes:
+    """One row per sample."""
+    columns = [motion[name].values.astype(float).tolist() for name in _SAMPLES]
+    return _csv(_SAMPLES, zip(*columns, strict=True))
+
+
+def trajectory_json(motion: "xarray.Dataset") -> bytes:
+    """A list per variable, null for NaN, and the flights."""
+    flights = {name: motion[name].values.tolist() for name in ("takeoff", "takeoff_phase", "flight_time")}
+    samples = {name: _with_null(motion[name].values.tolist()) for name in _SAMPLES}
+    scalars = {"rest_length": motion.attrs["rest_length"], "complete": bool(motion.attrs["complete"])}
+    return json.dumps({**scalars, **samples, "flights": flights}).encode()
+
+
+def _with_null(values: Sequence[float]) -> list[float | None]:
+    """The values, None in the place of NaN, which JSON lacks."""
+    return [None if isnan(value) else value for value in values]
+
+
+def _csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
+    text = StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(names)
+    table.writerows(rows)
+    return text.getvalue().encode()

@@ -1,65 +1,87 @@
-"""The command `bounce tradeoff`. Light to import: what takes long is imported when it runs."""
+"""The command `bounce tradeoff`: cost and accuracy of the contact models, as a table."""
 
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any, Final
 
 import click
 
-from service.cli.options import connected, format_of, write_file
-
-PICTURES: Final = ("png", "svg")
+from service.cli.options import (
+    PICTURES,
+    json_option,
+    open_client,
+    optional_service_options,
+    output_format,
+    workers_option,
+    write_file,
+)
 
 Row = Mapping[str, Any]
 
-_TITLES: Final = {
-    "contact": "This very contact is meant: errors from exact soft with d = 1e-3, e = 0.01",
-    "plate": "A hard plate is meant: errors from exact soft with d = 1e-7, e = 0",
-}
-_HEADER: Final = ("", "µs", "dearest", "error", "95%", "mode")
-COSTS: Final = ("cost", "cost_most")
+_HEADER: Final = ("", "µs", "max µs", "error", "95%", "mode")
+_COSTS: Final = ("cost", "cost_most")
 
 
 @click.command()
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-              help="Picture to write beside the table, .png or .svg.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--workers", type=int, help="Processes of the embedded cluster.  [default: 2]")
-@click.option("--url", help="Use the service that listens here instead of an embedded one.")
-@click.option("--token", envvar="BOUNCE_TOKEN", help="What that service asks for, if it does.")
+              help="Picture to write as well, .png or .svg.")  # fmt: skip
+@json_option
+@workers_option
+@optional_service_options
 def tradeoff(
     output: str | None, as_json: bool, workers: int | None, url: str | None, token: str | None
 ) -> None:
-    """Measure what each contact model costs and how far off it is.
+    """Measure the cost and the accuracy of each contact model.
 
-    Takes a minute of computing, over a fixed set of cells with extremes among them. Ends with which model to
-    take for which purpose.
+    Computes a fixed set of cells, extreme ones included, which takes about a minute, and prints which model
+    suits which purpose.
     """
-    from service.cli import output as listing
+    from service.cli import output as text
+    from service.cli.local_service import temporary_service
 
-    format = format_of(output, PICTURES) if output else None
-    with _service(url, workers) as address, connected(address, token) as client:
-        click.echo("measuring, unless it is done already (about half a minute)", err=True)
-        found = client.tradeoff()
+    format = output_format(output, PICTURES) if output else None
+    service = temporary_service(workers) if url is None else nullcontext(url)
+    with service as address, open_client(address, token) as client:
+        click.echo("measuring, unless the service has done so already (about half a minute)", err=True)
+        measurements = client.tradeoff()
         if output and format:
             write_file(output, client.tradeoff_picture(format))
-    click.echo(listing.as_json(found) if as_json else report(found))
+    click.echo(text.as_json(measurements) if as_json else report(measurements))
 
 
-def report(found: dict[str, Any]) -> str:
-    """The table and how to read it."""
-    notes = (
-        "µs: of one core, a cell and plate period, median over lines of cells; dearest: of the dearest line.",
-        "error: of flight times in rad, median and 95th percentile over the cells whose reference repeats.",
-        f"mode: share of all {found['cells']} cells with the reference's outcome and mode; "
-        f"{found['periods']} periods from rest, flights over {found['micro_flight']:g} rad.",
+def report(measurements: Mapping[str, Any]) -> str:
+    """The table, its legend, and the advice; `measurements` is the answer of `GET /v1/tradeoff`."""
+    legend = (
+        "µs: core-µs per cell per plate period, median over lines of cells; max µs: the most expensive line.",
+        "error: of flight times in rad, median and 95th percentile over cells whose reference is periodic.",
+        f"mode: share of all {measurements['cells']} cells with the outcome and mode of the reference; "
+        f"{measurements['periods']} periods from rest, flights over {measurements['micro_flight']:g} rad.",
     )
-    return "\n".join([*lines(found["rows"]), *notes, "", found["advice"]])
+    return "\n".join(
+        [*table_lines(measurements["rows"], measurements["references"]), *legend, "", measurements["advice"]]
+    )
 
 
-def setting(row: Row) -> str:
-    """A model and its settings: `stepped 20 verlet, d = 0.001`."""
+def table_lines(rows: Sequence[Row], references: Mapping[str, str]) -> list[str]:
+    """The table, by what its errors are relative to: core-µs per cell per plate period (median and most expensive line of cells), error of flight
+    times (median and 95th percentile, rad), and the share of cells with the reference's mode."""
+    lines = []
+    for purpose, reference in references.items():
+        lines.append(f"Errors relative to the {reference}")
+        lines += ["".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
+        lines += [_line(row) for row in rows if row["purpose"] == purpose]
+        lines.append("")
+    return lines
+
+
+def _line(row: Row) -> str:
+    errors = "".join(f"{_error(row[name], row):>10}" for name in ("error", "error_95"))
+    costs = "".join(f"{'refused' if row[name] is None else f'{row[name]:.3g}':>10}" for name in _COSTS)
+    return f"{_setting(row):>36}{costs}{errors}{row['agree']:10.0%}"
+
+
+def _setting(row: Row) -> str:
+    """A model and its parameters: `stepped 20 verlet, d = 0.001`."""
     words = [row["model"]]
     if row["steps_per_contact"]:
         words.append(f"{row['steps_per_contact']} {row['scheme']}")
@@ -71,42 +93,7 @@ def setting(row: Row) -> str:
     return text
 
 
-def lines(rows: Sequence[Row]) -> list[str]:
-    """The table: core-µs a cell and plate period (median and dearest line of cells), error of flight times
-    (median and 95th percentile, rad), and how many cells have the reference's mode."""
-    text = []
-    for purpose, title in _TITLES.items():
-        text += [title, "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
-        text += [_line(row) for row in rows if row["purpose"] == purpose]
-        text.append("")
-    return text
-
-
-def _line(row: Row) -> str:
-    errors = "".join(f"{_error(row[name], row):>10}" for name in ("error", "error_95"))
-    costs = "".join(f"{'refused' if row[name] is None else f'{row[name]:.3g}':>10}" for name in COSTS)
-    return f"{setting(row):>36}{costs}{errors}{row['agree']:10.0%}"
-
-
 def _error(error: float | None, row: Row) -> str:
     if error is None:
         return "-"
     return "exact" if error == 0.0 and row["model"] == "soft" else f"{error:.1e}"
-
-
-@contextmanager
-def _service(url: str | None, workers: int | None) -> Iterator[str]:
-    """The address of the service that was named, or of one that lives and keeps its data for this block."""
-    if url is not None:
-        yield url
-        return
-    from worker.kernel_cache import claim_cache
-
-    claim_cache()
-    from service.server import embedded
-
-    click.echo("starting a service and its workers (the first time, a minute to compile)", err=True)
-    with tempfile.TemporaryDirectory(prefix="bounce-") as data:
-        settings = embedded.settings(workers=workers, data=data, host="127.0.0.1", port=0)
-        with embedded.running(settings) as address:
-            yield address

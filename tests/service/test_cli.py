@@ -15,8 +15,10 @@ import pytest
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
+from service.cli import options
 from service.cli.main import main
 from service.client import Client
+from service.client.client import DEFAULT_URL
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor
@@ -197,6 +199,13 @@ def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
     assert "incomplete" in result.stderr
 
 
+# A local service
+
+
+def test_the_commands_use_the_clients_default_address():
+    assert options.DEFAULT_URL == DEFAULT_URL
+
+
 # Errors
 
 
@@ -373,7 +382,7 @@ def test_a_wait_that_is_interrupted_leaves_the_job_alone(tmp_path: Path):
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=DEADLINE)
         assert process.returncode == 130
-        assert f"the job goes on (stop it with: bounce cancel {job.id})" in errors
+        assert f"the job continues (cancel it with: bounce cancel {job.id})" in errors
         assert not job.refresh().finished
 
 

@@ -1,0 +1,61 @@
+"""The command `bounce figure`: a figure of the paper from submission to picture."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Final
+
+import click
+
+from service.cli.options import (
+    PICTURES,
+    data_option,
+    optional_service_options,
+    output_format,
+    workers_option,
+    write_file,
+)
+
+#: Seconds for one answer: the first trajectory waits until the kernels are compiled.
+COMPILE_SECONDS: Final = 300.0
+
+
+@click.command()
+@click.argument("number", metavar="N|all")
+@click.option("-o", "--output", type=click.Path(allow_dash=True),
+              help="File, .png or .svg; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
+@click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
+              help="Format of the files in the folder.")  # fmt: skip
+@data_option
+@workers_option
+@optional_service_options
+def figure(
+    number: str,
+    output: str | None,
+    format: str,
+    data: str | None,
+    workers: int | None,
+    url: str | None,
+    token: str | None,
+) -> None:
+    """Make figure N of the paper, or all of them, from start to end.
+
+    Starts a local service with two worker processes, submits the sweeps of the figures, draws the results and
+    prints what agrees with the paper. A second run finds the finished jobs in the data folder and only draws.
+    """
+    from service.cli.local_service import persistent_service
+    from service.client import Client
+    from service.figures import catalogue
+
+    figures = catalogue.figures(number)
+    if number == "all":
+        folder = Path(output or "figures")
+        folder.mkdir(parents=True, exist_ok=True)
+        targets = [str(folder / f"figure-{figure.number}.{format}") for figure in figures]
+    else:
+        targets = [output or f"figure-{number}.{format}"]
+        format = output_format(targets[0], PICTURES)
+    service = persistent_service(workers, data) if url is None else nullcontext(url)
+    with service as address, Client(address, token, timeout=COMPILE_SECONDS) as client:
+        for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
+            write_file(target, picture.content)
+            click.echo(f"{target}\n{picture.caption}\n", err=True)

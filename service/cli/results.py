@@ -1,0 +1,166 @@
+"""The commands on results: diagram, threshold, modes, export, trajectory."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from service.cli.options import (
+    EXPORTS,
+    PICTURES,
+    TABLES,
+    format_option,
+    job_argument,
+    json_option,
+    line_options,
+    open_client,
+    output_format,
+    output_option,
+    service_options,
+    write_file,
+)
+
+if TYPE_CHECKING:
+    from service.client import Job
+
+_DIAGRAMS: Final = (*PICTURES, *TABLES)
+
+
+@click.command()
+@job_argument
+@line_options
+@format_option(*_DIAGRAMS)
+@output_option
+@service_options
+def diagram(job_id: str, output: str, format: str | None, url: str, token: str | None, **line: Any) -> None:
+    """Draw a job's bifurcation diagram along one axis.
+
+    The formats csv and json write its points instead. For example:
+
+      bounce diagram ID --along gamma --omega 0.5 --xi 0.26 -o fig.png
+    """
+    format = output_format(output, _DIAGRAMS, format)
+    with open_client(url, token) as client:
+        job = client.job(job_id)
+        write_file(output, job.picture(format=format, **line))
+    _warn_unless_done(job, "the diagram is incomplete")
+
+
+@click.command()
+@job_argument
+@click.option("--xi", type=float, help="ξ; the nearest grid value is used.")
+@click.option("--tolerance", type=float, help="Refine to this tolerance in Γ, from the stored states.")
+@json_option
+@service_options
+def threshold(
+    job_id: str, xi: float | None, tolerance: float | None, as_json: bool, url: str, token: str | None
+) -> None:
+    """Print a job's bouncing thresholds per Ω.
+
+    The sweep starts from rest or is ramped along gamma. A threshold is the lowest Γ that bounces, on the way
+    up (or from rest) and on the way down.
+    """
+    from service.cli import output
+
+    with open_client(url, token) as client:
+        thresholds = client.job(job_id).threshold(xi, tolerance=tolerance)
+    view = (
+        output.as_json(output.threshold_view(thresholds)) if as_json else output.threshold_table(thresholds)
+    )
+    click.echo(view)
+
+
+@click.command()
+@job_argument
+@click.option("--xi", type=float, help="ξ; the nearest grid value is used.")
+@click.option(
+    "--direction", type=click.Choice(["up", "down"]), help="Direction, for a sweep ramped both ways."
+)
+@click.option("--every", type=click.IntRange(min=1), help="Take only every n-th value of both axes.")
+@format_option(*TABLES)
+@output_option
+@service_options
+def modes(
+    job_id: str,
+    xi: float | None,
+    direction: str | None,
+    every: int | None,
+    format: str | None,
+    output: str,
+    url: str,
+    token: str | None,
+) -> None:
+    """Write a job's mode map over Γ and Ω, as csv or json."""
+    from service.cli.output import modes_csv, modes_json
+
+    format = output_format(output, TABLES, format)
+    with open_client(url, token) as client:
+        mode_map = client.job(job_id).modes(xi, direction, every=every)
+    write_file(output, modes_json(mode_map) if format == "json" else modes_csv(mode_map))
+
+
+@click.command()
+@job_argument
+@click.option("-o", "--output", type=click.Path(dir_okay=False), required=True,
+              help="File to write, .nc or .parquet.")  # fmt: skip
+@service_options
+def export(job_id: str, output: str, url: str, token: str | None) -> None:
+    """Write all results of a job to one file, NetCDF or Parquet.
+
+    NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell.
+    """
+    output_format(output, EXPORTS)
+    with open_client(url, token) as client:
+        job = client.job(job_id)
+        job.export(Path(output))
+    _warn_unless_done(job, "cells are missing")
+
+
+@click.command()
+@click.option("--gamma", type=float, required=True, help="Γ")
+@click.option("--omega", type=float, required=True, help="Ω")
+@click.option("--xi", type=float, required=True, help="ξ")
+@click.option("--model", default="soft", show_default=True, help="Contact model.")
+@click.option("--restitution", type=float, help="Restitution of the contact.")
+@click.option("--penetration", type=float, help="Penetration of a soft contact, in plate amplitudes.")
+@click.option("--settle", type=int, help="Plate periods before the first sample.  [default: 200]")
+@click.option("--periods", type=int, help="Plate periods to sample.  [default: 4]")
+@click.option("--samples", type=int, help="Samples per plate period.  [default: 200]")
+@format_option(*TABLES)
+@output_option
+@service_options
+def trajectory(
+    model: str,
+    restitution: float | None,
+    penetration: float | None,
+    format: str | None,
+    output: str,
+    url: str,
+    token: str | None,
+    **cell: Any,
+) -> None:
+    """Write the motion of one cell, as csv or json.
+
+    One row per sample; lengths are in plate amplitudes. For example:
+
+      bounce trajectory --gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv
+    """
+    from service.cli.output import trajectory_csv, trajectory_json
+
+    format = output_format(output, TABLES, format)
+    contact = {"kind": model, "restitution": restitution, "penetration": penetration}
+    with open_client(url, token) as client:
+        motion = client.trajectory({**_without_none(cell), "model": _without_none(contact)})
+    write_file(output, trajectory_json(motion) if format == "json" else trajectory_csv(motion))
+
+
+COMMANDS: Final = (diagram, threshold, modes, export, trajectory)
+
+
+def _warn_unless_done(job: "Job", consequence: str) -> None:
+    if job.state != "done":
+        click.echo(f"the job is {job.state} at {job.progress.whole_percent}%: {consequence}", err=True)
+
+
+def _without_none(fields: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if value is not None}
