@@ -41,6 +41,7 @@ def figure(
 
     Starts a local service with two worker processes, submits the sweeps of the figures, draws the results and
     prints what agrees with the paper. A second run finds the finished jobs in the data folder and only draws.
+    If another service uses ./bounce-data, that service is used.
     """
     from service.cli.local_service import persistent_service
     from service.client import Client
@@ -54,7 +55,7 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = output_format(targets[0], PICTURES)
-    service = persistent_service(workers, data) if url is None else nullcontext(url)
+    service = persistent_service(workers, data, token) if url is None else nullcontext(url)
     with service as address, Client(address, token, timeout=COMPILE_SECONDS) as client:
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)

@@ -1,10 +1,13 @@
 """A service inside the command's own process, for `bounce figure` and `bounce tradeoff`."""
 
+import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import click
+
+from service.cli.options import DEFAULT_URL
 
 
 def claim_kernel_cache() -> None:
@@ -25,9 +28,26 @@ def temporary_service(workers: int | None) -> Iterator[str]:
 
 
 @contextmanager
-def persistent_service(workers: int | None, data: str | None) -> Iterator[str]:
-    """The address of a service that keeps its results in the folder `data`, by default ./bounce-data."""
-    with _local_service(workers=workers, data=data) as url:
+def persistent_service(workers: int | None, data: str | None, token: str | None) -> Iterator[str]:
+    """The address of a service that keeps its results in the folder `data`, by default ./bounce-data.
+
+    A folder has one service at a time. If another one uses the default folder, as beside `bounce serve`, that
+    service is used if it answers at BOUNCE_URL or the default address, and a temporary one otherwise. A
+    folder that was named is not replaced: raises NotStarted.
+    """
+    with ExitStack() as stack:
+        try:
+            url = stack.enter_context(_local_service(workers=workers, data=data))
+        except Exception as error:
+            if data is not None or not _is_data_folder_busy(error):
+                raise
+            running = os.environ.get("BOUNCE_URL") or DEFAULT_URL
+            if _answers(running, token):
+                click.echo(f"another service uses the data folder: using the service at {running}", err=True)
+                url = running
+            else:
+                click.echo("another service uses the data folder: using a temporary one", err=True)
+                url = stack.enter_context(temporary_service(workers))
         yield url
 
 
@@ -40,3 +60,21 @@ def _local_service(**options: str | int | None) -> Iterator[str]:
     click.echo("starting a local service (compiling for the first time takes a minute)", err=True)
     with embedded.running(settings) as url:
         yield url
+
+
+def _is_data_folder_busy(error: Exception) -> bool:
+    from service.errors import DataFolderBusy
+
+    return isinstance(error, DataFolderBusy) or isinstance(error.__cause__, DataFolderBusy)
+
+
+def _answers(url: str, token: str | None) -> bool:
+    """Whether a service answers at `url` and accepts the token."""
+    from service.client import BounceError, Client
+
+    try:
+        with Client(url, token, timeout=5.0) as client:
+            client.threshold(omega=1.0, xi=1.0)
+    except BounceError:
+        return False
+    return True

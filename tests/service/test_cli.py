@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import psutil
@@ -19,6 +20,7 @@ from service.cli import options
 from service.cli.main import main
 from service.client import Client
 from service.client.client import DEFAULT_URL
+from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.base import Executor
@@ -204,6 +206,35 @@ def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
 
 def test_the_commands_use_the_clients_default_address():
     assert options.DEFAULT_URL == DEFAULT_URL
+
+
+def test_figure_uses_the_service_that_has_the_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    settings = Settings(port=0, heartbeat_seconds=0.2)
+    with closing(Inline()) as executor, embedded.running(settings, executor) as url:
+        result = bounce("figure", "1", url=url)
+    assert result.exit_code == 0, result.stderr
+    assert f"another service uses the data folder: using the service at {url}\n" in result.stderr
+    assert Path("figure-1.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_computes_in_a_temporary_folder_if_that_service_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    with Ledger(tmp_path / "bounce-data" / "ledger.sqlite"):
+        result = bounce("figure", "1", "--workers", "1", url="http://127.0.0.1:9")
+    assert result.exit_code == 0, result.stderr
+    assert "another service uses the data folder: using a temporary one\n" in result.stderr
+    assert Path("figure-1.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_figure_does_not_replace_a_data_folder_that_was_named(tmp_path: Path):
+    with Ledger(tmp_path / "ledger.sqlite"):
+        result = bounce("figure", "1", "--data", tmp_path, "-o", tmp_path / "figure-1.png")
+    assert result.exit_code == 1
+    assert "another service uses the data folder" in result.stderr
+    assert not (tmp_path / "figure-1.png").exists()
 
 
 # Errors
