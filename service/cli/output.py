@@ -2,9 +2,9 @@
 
 import csv
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
-from math import ceil, isfinite, isnan, log10
+from math import ceil, isclose, isfinite, isnan, log10
 from typing import TYPE_CHECKING, Any, Final
 
 from service.client.display import time_left
@@ -70,19 +70,75 @@ def threshold_view(thresholds: "xarray.Dataset") -> dict[str, Any]:
             "complete": bool(thresholds.attrs["complete"])}  # fmt: skip
 
 
-def threshold_table(thresholds: "xarray.Dataset") -> str:
-    """Thresholds, one Ω per line."""
+def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spec: Mapping[str, Any]) -> str:
+    """Thresholds, one Ω per line; below them, why an entry is a bound or missing.
+
+    `on_grid` contains the thresholds without refinement, the lowest Γ of the grid that bounces; `spec` is the
+    specification of the sweep.
+    """
+    from worker.spec import SweepSpec
+
+    sweep = SweepSpec.parse(dict(spec))
     tolerance = thresholds.attrs.get("tolerance")
     digits = 6 if tolerance is None else min(max(6, 2 + ceil(-log10(tolerance))), 12)
     width = digits + 6
+    notes: dict[str, None] = {}  # in the order of their first use
+
+    def column(name: str) -> list[str]:
+        if name not in ["down" if direction == "down" else "up" for direction in sweep.directions]:
+            notes[f"-: the sweep is not ramped {name}"] = None
+            return ["-"] * thresholds.sizes["omega"]
+        entries = _Entries(sweep.axis_values("gamma").tolist(), bool(on_grid.attrs["complete"]), digits)
+        pairs = zip(thresholds[name].values.tolist(), on_grid[name].values.tolist(), strict=True)
+        texts = [entries.text(*pair) for pair in pairs]
+        notes.update(dict.fromkeys(entries.notes))
+        return texts
+
+    columns = [
+        [f"{value:.{digits}f}" for value in thresholds.omega.values],
+        [
+            f"{value:.{digits}f}" if isfinite(value) else "inf"
+            for value in thresholds.analytic.values.tolist()
+        ],
+        column("up"),
+        column("down"),
+    ]
     precision = f"to {tolerance:g} in gamma" if tolerance else "on the grid of gamma"
     lines = [f"xi = {float(thresholds.xi):g}, {precision}"]
-    lines.append("".join(f"{name:>{width}}" for name in ("OMEGA", "EQ. 25", "UP", "DOWN")))
-    columns = [thresholds[name].values.tolist() for name in ("omega", "analytic", "up", "down")]
-    for row in zip(*columns, strict=True):
-        lines.append("".join(f"{f'{v:.{digits}f}' if isfinite(v) else '-':>{width}}" for v in row))
+    lines += [
+        "".join(f"{text:>{width}}" for text in row)
+        for row in (("OMEGA", "EQ. 25", "UP", "DOWN"), *zip(*columns, strict=True))
+    ]
     incomplete = [] if thresholds.attrs["complete"] else ["the job is not done: thresholds may be missing"]
-    return "\n".join([*lines, *incomplete])
+    return "\n".join([*lines, *notes, *incomplete])
+
+
+class _Entries:
+    """Writes thresholds as text and collects the notes that explain bounds."""
+
+    def __init__(self, gamma: Sequence[float], complete: bool, digits: int) -> None:
+        self._lowest, self._highest = gamma[0], gamma[-1]
+        self._complete, self._digits = complete, digits
+        self.notes: list[str] = []
+
+    def text(self, threshold: float, on_grid: float) -> str:
+        """A threshold, or the bound that the grid gives; NaN stands for none."""
+        if isfinite(on_grid) and isclose(on_grid, self._lowest, rel_tol=1e-12):
+            bound = f"≤ {self._lowest:.{self._digits}g}"
+            return self._noted(bound, f"{bound}: the lowest Γ of the grid bounces already")
+        if isfinite(threshold):
+            return f"{threshold:.{self._digits}f}"
+        if isfinite(on_grid):
+            bound = f"≤ {on_grid:.{self._digits}g}"
+            return self._noted(bound, f"{bound}: not refined; the lowest Γ of the grid that bounces")
+        if self._complete:
+            bound = f"> {self._highest:.{self._digits}g}"
+            return self._noted(bound, f"{bound}: no Γ of the grid bounces, this is the highest")
+        return self._noted("-", "-: not computed yet")
+
+    def _noted(self, text: str, note: str) -> str:
+        self.notes.append(note)
+        return text
 
 
 # Tables of cells and samples

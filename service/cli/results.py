@@ -63,11 +63,13 @@ def threshold(
     from service.cli import output
 
     with open_client(url, token) as client:
-        thresholds = client.job(job_id).threshold(xi, tolerance=tolerance)
-    view = (
-        output.as_json(output.threshold_view(thresholds)) if as_json else output.threshold_table(thresholds)
-    )
-    click.echo(view)
+        job = client.job(job_id)
+        thresholds = job.threshold(xi, tolerance=tolerance)
+        if as_json:
+            click.echo(output.as_json(output.threshold_view(thresholds)))
+            return
+        on_grid = thresholds if tolerance is None else job.threshold(xi)
+    click.echo(output.threshold_table(thresholds, on_grid, job.spec))
 
 
 @click.command()

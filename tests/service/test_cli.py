@@ -173,6 +173,48 @@ def test_a_wait_can_be_given_up(tmp_path: Path):
     assert "the job continues" in result.stderr
 
 
+# Thresholds
+
+
+RAMPED = {**TWO_LINES, "omega": 0.5, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
+
+
+@pytest.mark.parametrize(
+    ("gamma", "row", "notes"),
+    [
+        ([2.0, 2.5], ["≤ 2", "≤ 2"], ["≤ 2: the lowest Γ of the grid bounces already"]),
+        ([0.1, 0.2], ["> 0.2", "> 0.2"], ["> 0.2: no Γ of the grid bounces, this is the highest"]),
+    ],
+)
+@pytest.mark.parametrize("tolerance", [(), ("--tolerance", "1e-5")])
+def test_a_threshold_outside_the_grid_is_printed_as_a_bound(
+    url: str, gamma: list[float], row: list[str], notes: list[str], tolerance: tuple[str, ...]
+):
+    with Client(url) as client:
+        job = client.submit({**RAMPED, "gamma": gamma}).wait(progress=False)
+        eq_25 = client.threshold(0.5, 0.26)
+    result = bounce("threshold", job.id, *tolerance, url=url)
+    _, heading, line, *rest = result.stdout.splitlines()
+    assert heading.split() == ["OMEGA", "EQ.", "25", "UP", "DOWN"]
+    omega, analytic, *bounds = re.split(r" {2,}", line.strip())
+    assert (float(omega), bounds, rest) == (0.5, row, notes)
+    assert float(analytic) == pytest.approx(eq_25, abs=1e-6)
+
+
+def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
+    _, _, *lines, note = bounce("threshold", job, url=url).stdout.splitlines()
+    assert [line.split()[3] for line in lines] == ["-", "-"]
+    assert note == "-: the sweep is not ramped down"
+
+
+def test_a_threshold_that_is_not_computed_yet_is_not_a_bound(tmp_path: Path):
+    with serving(tmp_path, Held()) as url, Client(url) as client:
+        _, _, line, *notes = bounce("threshold", client.submit(sweep()).id, url=url).stdout.splitlines()
+    assert line.split()[2] == "-"
+    assert "-: not computed yet" in notes
+    assert notes[-1] == "the job is not done: thresholds may be missing"
+
+
 # Diagrams
 
 
