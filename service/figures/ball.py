@@ -1,4 +1,4 @@
-"""Figs. 3 and 4: springs so rigid that they bounce like a ball."""
+"""Figs. 3 and 4: rigid springs compared with a bouncing ball."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -10,26 +10,29 @@ from numpy.typing import NDArray
 from kernel.params import Outcome
 from kernel.restitution import restitution_of
 from service.client import Job
-from service.figures.canvas import Drawing, dots, flights_over, label, page, styled
+from service.figures.canvas import Drawing, flight_scales, new_drawing, panel_title, plot_flights, styled
 from service.figures.caption import Caption, Claim, mode
 from service.presets import MICRO_FLIGHT
 
-#: Flight times closer than this are one in a picture, rad.
-ALIKE: Final = 0.05
+#: rad; smaller differences of flight times are invisible in the figure.
+VISIBLE: Final = 0.05
 
-#: Modes of the inelastic ball and the Γ at which they end (MODEL section 5, after the paper's reference 4).
+#: Modes of the inelastic ball and the Γ at which they end (docs/model.md, section 5; from reference 4 of the
+#: paper).
 INELASTIC: Final = {(1, 1): 3.72419, (2, 2): 4.60334, (1, 2): 6.59382}
 
-#: Γ between which both diagrams of Fig. 4 are looked through for flights that do not occur.
-THROUGH: Final = (4.7, 5.3)
+#: The range of Γ of Fig. 4 that is searched for flight times that do not occur.
+GAP_RANGE: Final = (4.7, 5.3)
 
 
 class Comparison(NamedTuple):
-    """Cell by cell, of those periodic in both diagrams."""
+    """Two diagrams compared cell by cell, where both are periodic."""
 
-    periodic: int  # in both
-    same: int  # of these, in the same mode
-    deviations: NDArray[np.float64]  # (same,) rad, the largest between the sorted flights of a cycle
+    periodic: int  # cells periodic in both
+    same: int  # of these, cells in the same mode
+    deviations: NDArray[
+        np.float64
+    ]  # (same,) rad; largest difference between the sorted flight times of a cycle
 
     def __str__(self) -> str:
         return f"{self.same} of {self.periodic} periodic cells are in the same mode"
@@ -37,130 +40,136 @@ class Comparison(NamedTuple):
 
 @styled
 def draw_inelastic(spring: Job, ball: Job, deep: Job) -> Drawing:
-    """Fig. 3: against the completely inelastic ball."""
-    one, two, three = (_seen(job) for job in (spring, ball, deep))
+    """Fig. 3: the spring, the completely inelastic ball, and the spring on a deeper contact."""
+    of_spring, of_ball, of_deep = (_diagram(job) for job in (spring, ball, deep))
     shows = (
         "A rigid spring (ℰ = ξ/Ω = 650, ξ = 10) and the completely inelastic ball (ε = 0), Γ ramped up. "
         "Contact of the spring: adhesive, e = 0, 10⁻⁶ A deep."
     )
     claims = (
-        _indistinguishable(compare(one, two)),
-        *(_ends(one, *end) for end in INELASTIC.items()),
-        _only_when_shallow(compare(three, two.sel(gamma=three.gamma, method="nearest"))),
+        _indistinguishable(compare(of_spring, of_ball)),
+        *(_ends(of_spring, *end) for end in INELASTIC.items()),
+        _only_when_shallow(compare(of_deep, of_ball.sel(gamma=of_deep.gamma, method="nearest"))),
     )
     titles = (r"spring, $\mathcal{E} = 650$, $\xi = 10$", r"ball, $\epsilon = 0$")
-    return _draw(Caption(3, shows, claims), (one, two), titles)
+    return _draw(Caption(3, shows, claims), (of_spring, of_ball), titles)
 
 
 @styled
 def draw_elastic(spring: Job, ball: Job, own: Job) -> Drawing:
-    """Fig. 4: against the ball of restitution 0.15."""
-    one, two, three = (_seen(job) for job in (spring, ball, own))
+    """Fig. 4: the spring, the ball of restitution 0.15, and the ball of restitution f(ξ)."""
+    of_spring, of_ball, of_own = (_diagram(job) for job in (spring, ball, own))
     shows = (
         "A rigid spring of low viscosity (ℰ = 650, ξ = 0.5) and the partially elastic ball (ε = 0.15), "
         f"Γ ramped up; flights under {MICRO_FLIGHT} rad are left out. Contact of the spring: adhesive, "
         "e = 0, 10⁻⁶ A deep."
     )
     claims = (
-        _small_differences(compare(one, two)),
-        _forbidden(one, two),
-        _restitution_of_its_own(compare(one, two), compare(one, three)),
+        _small_differences(compare(of_spring, of_ball)),
+        _forbidden(of_spring, of_ball),
+        _own_restitution(compare(of_spring, of_ball), compare(of_spring, of_own)),
     )
     titles = (r"spring, $\mathcal{E} = 650$, $\xi = 0.5$", r"ball, $\epsilon = 0.15$")
-    return _draw(Caption(4, shows, claims), (one, two), titles)
+    return _draw(Caption(4, shows, claims), (of_spring, of_ball), titles)
 
 
-def compare(one: xarray.Dataset, other: xarray.Dataset) -> Comparison:
-    """Two diagrams over the same Γ."""
-    both = (one.outcome.values == Outcome.PERIODIC) & (other.outcome.values == Outcome.PERIODIC)
-    same = both & (one.bounces.values == other.bounces.values) & (one.periods.values == other.periods.values)
+def compare(first: xarray.Dataset, second: xarray.Dataset) -> Comparison:
+    """Compare two diagrams over the same values of Γ."""
+    both = (first.outcome.values == Outcome.PERIODIC) & (second.outcome.values == Outcome.PERIODIC)
+    same = (
+        both
+        & (first.bounces.values == second.bounces.values)
+        & (first.periods.values == second.periods.values)
+    )
     deviations = [
-        np.max(np.abs(_cycle(one, int(cell)) - _cycle(other, int(cell)))) for cell in np.flatnonzero(same)
+        np.max(np.abs(_cycle(first, int(cell)) - _cycle(second, int(cell)))) for cell in np.flatnonzero(same)
     ]
     return Comparison(int(both.sum()), int(same.sum()), np.array(deviations))
 
 
 def _cycle(diagram: xarray.Dataset, cell: int) -> NDArray[np.float64]:
-    """The flights of one cycle, sorted."""
+    """The flight times of one cycle, sorted."""
     times = diagram.flight_time.values[cell]
     return np.sort(times[np.isfinite(times)][-int(diagram.bounces.values[cell]) :])
 
 
-def _seen(job: Job) -> xarray.Dataset:
+def _diagram(job: Job) -> xarray.Dataset:
     return job.diagram(min_flight=MICRO_FLIGHT)
 
 
 def _draw(caption: Caption, diagrams: Sequence[xarray.Dataset], titles: Sequence[str]) -> Drawing:
-    drawing, room = page(3.9, caption)
+    drawing, area = new_drawing(3.9, caption)
     top = 1.06 * max(float(diagram.flight_time.max()) for diagram in diagrams)
-    panels = room.subplots(2, 1, sharex=True, sharey=True)
+    panels = area.subplots(2, 1, sharex=True, sharey=True)
     for axes, diagram, title in zip(panels, diagrams, titles, strict=True):
-        dots(axes, diagram, size=0.8)
+        plot_flights(axes, diagram, size=0.8)
         values = diagram.gamma.values
-        flights_over(axes, float(values[0]), float(values[-1]), top)
-        label(axes, title)
+        flight_scales(axes, float(values[0]), float(values[-1]), top)
+        panel_title(axes, title)
     panels[-1].set_xlabel(r"$\Gamma$", labelpad=1)
     return drawing
 
 
-def _indistinguishable(found: Comparison) -> Claim:
-    middle, most = np.median(found.deviations), np.quantile(found.deviations, 0.95)
+def _indistinguishable(comparison: Comparison) -> Claim:
+    median, p95 = np.median(comparison.deviations), np.quantile(comparison.deviations, 0.95)
     return Claim(
-        bool(found.same > 0.95 * found.periodic and most < ALIKE),
-        f"{found}, their flight times {middle:.3f} rad apart (median; 95th percentile {most:.3f})",
+        bool(comparison.same > 0.95 * comparison.periodic and p95 < VISIBLE),
+        f"{comparison}, their flight times {median:.3f} rad apart (median; 95th percentile {p95:.3f})",
     )
 
 
-def _ends(spring: xarray.Dataset, which: tuple[int, int], printed: float) -> Claim:
-    in_mode = (spring.bounces.values == which[0]) & (spring.periods.values == which[1])
+def _ends(spring: xarray.Dataset, ending: tuple[int, int], printed: float) -> Claim:
+    in_mode = (spring.bounces.values == ending[0]) & (spring.periods.values == ending[1])
     if not in_mode.any():
-        return Claim(False, f"no cell of the spring is in {mode(*which)}")
+        return Claim(False, f"no cell of the spring is in {mode(*ending)}")
     last = float(spring.gamma.values[in_mode].max())
-    return Claim(abs(last - printed) < 0.06, f"{mode(*which)} ends at Γ = {last:.2f} (the ball's: {printed})")
+    return Claim(
+        abs(last - printed) < 0.06, f"{mode(*ending)} ends at Γ = {last:.2f} (the ball's: {printed})"
+    )
 
 
 def _only_when_shallow(deep: Comparison) -> Claim:
     return Claim(
-        False,  # left open, whatever comes of it
+        False,  # the paper leaves it open
         f"the contact's depth, which the paper leaves open, decides it: 10⁻³ A deep, it is softer than the "
         f"spring's damper, the spring meets the plate as a whole and hops, and {deep}",
     )
 
 
-def _small_differences(found: Comparison) -> Claim:
-    middle = np.median(found.deviations)
+def _small_differences(comparison: Comparison) -> Claim:
+    median = np.median(comparison.deviations)
     return Claim(
-        bool(found.same > 0.6 * found.periodic and middle < ALIKE),
-        f"{found}, their flight times {middle:.4f} rad apart (median)",
+        bool(comparison.same > 0.6 * comparison.periodic and median < VISIBLE),
+        f"{comparison}, their flight times {median:.4f} rad apart (median)",
     )
 
 
-def _forbidden(one: xarray.Dataset, other: xarray.Dataset) -> Claim:
+def _forbidden(first: xarray.Dataset, second: xarray.Dataset) -> Claim:
     """The paper: "forbidden zones exist in both diagrams"."""
-    found = np.sort(np.concatenate([_times(diagram) for diagram in (one, other)]))
-    if len(found) < 2:
-        return Claim(False, "nothing bounces where forbidden zones were looked for")
-    at = int(np.argmax(np.diff(found)))
-    low, high = found[at], found[at + 1]
-    where = "{} to {}".format(*THROUGH)
+    times = np.sort(np.concatenate([_times(diagram) for diagram in (first, second)]))
+    if len(times) < 2:
+        return Claim(False, "nothing bounces where forbidden zones were searched for")
+    gap = int(np.argmax(np.diff(times)))
+    low, high = times[gap], times[gap + 1]
+    gamma_range = "{} to {}".format(*GAP_RANGE)
     return Claim(
         high - low > 1.0,
-        f"forbidden zones: for Γ = {where}, no flight in either lasts {low:.1f} to {high:.1f} rad",
+        f"forbidden zones: for Γ = {gamma_range}, no flight in either lasts {low:.1f} to {high:.1f} rad",
     )
 
 
 def _times(diagram: xarray.Dataset) -> NDArray[np.float64]:
-    """The flights of the cells looked through."""
-    times = diagram.flight_time.sel(gamma=slice(*THROUGH)).values
+    """The flight times of the cells with Γ in GAP_RANGE."""
+    times = diagram.flight_time.sel(gamma=slice(*GAP_RANGE)).values
     return np.asarray(times[np.isfinite(times)])
 
 
-def _restitution_of_its_own(given: Comparison, own: Comparison) -> Claim:
-    theirs, ours = np.median(given.deviations), np.median(own.deviations)
+def _own_restitution(printed: Comparison, own: Comparison) -> Claim:
+    printed_median, own_median = np.median(printed.deviations), np.median(own.deviations)
     f = float(restitution_of(np.array([0.5]))[0])
     return Claim(
         False,
         "ε = f(ξ), which the paper leaves open, is half the restitution of a contact damped like the spring: "
-        f"f(0.5) = {f:.4f}, {'' if ours < theirs else 'not '}closer than 0.15 (median {ours:.4f} rad instead "
-        f"of {theirs:.4f})",
+        f"f(0.5) = {f:.4f}, {'' if own_median < printed_median else 'not '}closer than 0.15 "
+        f"(median {own_median:.4f} rad instead of {printed_median:.4f})",
     )

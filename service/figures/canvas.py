@@ -1,4 +1,8 @@
-"""Paper: how wide, which letters, which colours; the caption under a picture; the picture as a file."""
+"""The common style of the figures: width, fonts, colours, axes, the caption, the encoded file.
+
+The pictures that the service draws have a style of their own in `service.render`. They are made for screens,
+these for a printed column with a caption; and `service.figures` may not import the service.
+"""
 
 import io
 import re
@@ -20,20 +24,20 @@ from PIL.PngImagePlugin import PngInfo
 
 from service.figures.caption import Caption
 
-#: Inches; printed a column (3.4 in) wide, the smallest letters are still 5.5 points high.
+#: Inches. Printed in a column of 3.4 in, the smallest letters are 5.5 points high.
 WIDTH: Final = 4.6
 DPI: Final = 216
-COLOURS: Final = 96
+COLOURS: Final = 96  # of the palette of a PNG
 CAPTION_SIZE: Final = 7.5  # points
-LINE: Final = 1.32 * CAPTION_SIZE / 72  # inches
-ASCENT: Final = 0.76  # of a line's height
-SPACE: Final = 0.33 * CAPTION_SIZE / 72  # inches between words, a little more than there is
+LINE_HEIGHT: Final = 1.32 * CAPTION_SIZE / 72  # inches
+ASCENT: Final = 0.76  # of the line height
+WORD_SPACE: Final = 0.33 * CAPTION_SIZE / 72  # inches; slightly more than the font's, so that lines fit
 MARGIN: Final = 0.06  # inches, on all sides
 
-#: Colours that colour-blind eyes and photocopiers tell apart (Okabe and Ito's).
+#: The palette of Okabe and Ito, distinct for colour-blind readers and in grey.
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 GREY: Final = "0.55"
-TURN: Final = 2 * np.pi
+PERIOD: Final = 2 * np.pi  # rad of plate phase
 
 STYLE: Final[Any] = {
     "font.family": "STIXGeneral",
@@ -51,31 +55,31 @@ STYLE: Final[Any] = {
     "legend.fontsize": 8,
     "legend.frameon": False,
     "lines.linewidth": 1.1,
-    "svg.hashsalt": "bouncing-spring",  # the same picture is the same file
+    "svg.hashsalt": "bouncing-spring",  # the same drawing gives the same bytes
 }
 
-_RAISED: Final = re.compile("[⁺⁻³⁴⁶]+")
-_TOGETHER: Final = re.compile(r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%])|(?<=[⁻³⁶]) (?=A)|(?<=\d) (?=rad)")
-_LOWERED: Final = str.maketrans("⁺⁻³⁴⁶", "+-346")
+_SUPERSCRIPTS: Final = re.compile("[⁺⁻³⁴⁶]+")
+_UNBREAKABLE: Final = re.compile(r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%])|(?<=[⁻³⁶]) (?=A)|(?<=\d) (?=rad)")
+_PLAIN: Final = str.maketrans("⁺⁻³⁴⁶", "+-346")
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """A function that draws in the style of all figures."""
+    """Decorator: the function draws in the style of the figures."""
 
     @wraps(draw)
-    def inside(*args: P.args, **kwargs: P.kwargs) -> T:
+    def draw_styled(*args: P.args, **kwargs: P.kwargs) -> T:
         with mpl.rc_context(STYLE):
             return draw(*args, **kwargs)
 
-    return inside
+    return draw_styled
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A finished figure and what stands under it."""
+    """A finished figure and its caption."""
 
     figure: Figure
     caption: Caption
@@ -85,69 +89,69 @@ class Drawing:
         file = io.BytesIO()
         with mpl.rc_context(STYLE):
             self.figure.savefig(file, format=format, metadata={"Date": None} if format == "svg" else {})
-        return file.getvalue() if format == "svg" else self._small(file)
+        return file.getvalue() if format == "svg" else self._with_palette(file)
 
-    def _small(self, file: io.BytesIO) -> bytes:
-        """The PNG in as few colours as a drawing has, a third of the size, the caption in it as text."""
-        text, small = PngInfo(), io.BytesIO()
+    def _with_palette(self, file: io.BytesIO) -> bytes:
+        """The PNG with a palette, which has a third of the size, and the caption as its Description."""
+        text, reduced = PngInfo(), io.BytesIO()
         text.add_itxt("Description", str(self.caption))
         colours = (
             Image.open(file)
             .convert("RGB")
             .quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
         )
-        colours.save(small, "png", optimize=True, dpi=(DPI, DPI), pnginfo=text)
-        return small.getvalue()
+        colours.save(reduced, "png", optimize=True, dpi=(DPI, DPI), pnginfo=text)
+        return reduced.getvalue()
 
 
-def page(height: float, caption: Caption) -> tuple[Drawing, SubFigure]:
-    """A page with room to draw in, `height` inches high, above the caption."""
+def new_drawing(height: float, caption: Caption) -> tuple[Drawing, SubFigure]:
+    """An empty figure: an area `height` inches high to draw in, above the caption."""
     lines = [line for heading, text in caption.paragraphs for line in _lines(heading, text)]
-    below = LINE * len(lines) + 2 * MARGIN
+    below = LINE_HEIGHT * len(lines) + 2 * MARGIN
     figure = Figure(figsize=(WIDTH, height + below), dpi=DPI, layout="constrained")
     above, under = split(figure, height, below)
     for i, (heading, line) in enumerate(lines):
-        baseline = 1 - (MARGIN + (i + ASCENT) * LINE) / below
-        place: Any = {"y": baseline, "fontsize": CAPTION_SIZE, "va": "baseline", "in_layout": False}
-        under.text(MARGIN / WIDTH, s=heading, fontweight="bold", **place)
-        under.text((MARGIN + _indent(heading)) / WIDTH, s=line, **place)
+        baseline = 1 - (MARGIN + (i + ASCENT) * LINE_HEIGHT) / below
+        style: Any = {"y": baseline, "fontsize": CAPTION_SIZE, "va": "baseline", "in_layout": False}
+        under.text(MARGIN / WIDTH, s=heading, fontweight="bold", **style)
+        under.text((MARGIN + _indent(heading)) / WIDTH, s=line, **style)
     return Drawing(figure, caption), above
 
 
 def split(figure: Figure | SubFigure, above: float, below: float) -> tuple[SubFigure, SubFigure]:
-    """Two parts, one over the other, of heights in this ratio."""
+    """Two areas, one above the other, with heights in this ratio."""
     parts: Any = figure.subfigures(2, 1, height_ratios=(above, below))
     return parts[0], parts[1]
 
 
 def _lines(heading: str, text: str) -> list[tuple[str, str]]:
-    """The words as lines that fit the page; the heading stands before the first of them."""
-    lines, line, wide = [], "", _indent(heading)
-    for word in map(_typeset, _units(text)):
-        wider = wide + _inches(word) + SPACE
-        if line and wider > WIDTH - 3 * MARGIN:
+    """The text in lines that fit the width; the heading precedes the first line."""
+    lines, line, width = [], "", _indent(heading)
+    for word in map(_with_mathtext, _unbreakable(text)):
+        extended = width + _inches(word) + WORD_SPACE
+        if line and extended > WIDTH - 3 * MARGIN:
             lines.append(line)
-            line, wider = "", _inches(word) + SPACE
-        line, wide = f"{line} {word}".strip(), wider
-    return [(heading if not i else "", one) for i, one in enumerate([*lines, line])]
+            line, extended = "", _inches(word) + WORD_SPACE
+        line, width = f"{line} {word}".strip(), extended
+    return [(heading if not i else "", text) for i, text in enumerate([*lines, line])]
 
 
-def _units(text: str) -> list[str]:
-    """Words; what belongs together, `Γ = 2` or `10⁻³ A`, is one."""
+def _unbreakable(text: str) -> list[str]:
+    """Words; formulas and quantities such as `Γ = 2` or `10⁻³ A` count as one word."""
     return [
         unit.replace("\N{NO-BREAK SPACE}", " ")
-        for unit in _TOGETHER.sub("\N{NO-BREAK SPACE}", text).split(" ")
+        for unit in _UNBREAKABLE.sub("\N{NO-BREAK SPACE}", text).split(" ")
     ]
 
 
 def _indent(heading: str) -> float:
-    """Inches that a heading takes before the words after it."""
-    return _inches(heading, "bold") + 1.5 * SPACE if heading else 0.0
+    """Width of a heading and the space after it, in inches."""
+    return _inches(heading, "bold") + 1.5 * WORD_SPACE if heading else 0.0
 
 
-def _typeset(word: str) -> str:
-    """Mathematics where the letters have none of their own."""
-    raised = _RAISED.sub(lambda found: f"$^{{{found[0].translate(_LOWERED)}}}$", word)
+def _with_mathtext(word: str) -> str:
+    """The word with mathtext for what the font lacks: superscripts and Γ_th."""
+    raised = _SUPERSCRIPTS.sub(lambda match: f"$^{{{match[0].translate(_PLAIN)}}}$", word)
     return raised.replace("Γ_th", r"$\Gamma_{\mathrm{th}}$")
 
 
@@ -157,44 +161,44 @@ def _inches(word: str, weight: str = "normal") -> float:
     return float(path.vertices[:, 0].max()) / 72
 
 
-def label(axes: Axes, text: str) -> None:
-    """A panel's letter and what is particular to it, above its left corner."""
+def panel_title(axes: Axes, text: str) -> None:
+    """The letter and the parameters of a panel, above its left corner."""
     axes.set_title(text, loc="left", pad=3)
 
 
-def dots(axes: Axes, diagram: xarray.Dataset, *, colour: str = "black", size: float = 1.0) -> None:
-    """A bifurcation diagram: a dot for every flight, over the axis its cells lie along."""
+def plot_flights(axes: Axes, diagram: xarray.Dataset, *, colour: str = "black", size: float = 1.0) -> None:
+    """Plot a bifurcation diagram: a dot per flight over the axis of the diagram."""
     along = str(diagram.flight_time.dims[0])
     times = diagram.flight_time.values
     values = np.broadcast_to(diagram[along].values[:, None], times.shape)
-    flown = np.isfinite(times)
-    marks(axes, values[flown], times[flown], colour=colour, size=size)
+    flights = np.isfinite(times)
+    plot_dots(axes, values[flights], times[flights], colour=colour, size=size)
 
 
-def marks(axes: Axes, x: Any, y: Any, *, colour: str, size: float) -> None:
-    """Small dots, an image even inside an SVG, `size` points wide."""
+def plot_dots(axes: Axes, x: Any, y: Any, *, colour: str, size: float) -> None:
+    """Plot dots `size` points wide, rasterized also in an SVG."""
     axes.plot(
         x, y, linestyle="none", marker=".", markersize=2 * size, markeredgewidth=0, color=colour,
         rasterized=True, zorder=3,
     )  # fmt: skip
 
 
-def flights_over(axes: Axes, low: float, high: float, top: float) -> None:
-    """The scales of a bifurcation diagram: flight times in rad, whole plate periods as faint lines."""
+def flight_scales(axes: Axes, low: float, high: float, top: float) -> None:
+    """Axes of a bifurcation diagram: flight times in rad, whole plate periods as faint lines."""
     axes.set_xlim(low, high)
     axes.set_ylim(0, top)
     axes.set_ylabel(r"$\varphi$  (rad)")
     axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     minor_ticks(axes)
-    turns = range(1, int(top / TURN) + 1)
+    periods = range(1, int(top / PERIOD) + 1)
     right = axes.secondary_yaxis("right")
-    right.set_yticks([turn * TURN for turn in turns], [rf"${2 * turn}\pi$" for turn in turns])
+    right.set_yticks([n * PERIOD for n in periods], [rf"${2 * n}\pi$" for n in periods])
     right.tick_params(length=0, labelsize=7.5, labelcolor="0.4")
-    for turn in turns:
-        axes.axhline(turn * TURN, color="0.85", linewidth=0.6, zorder=1)
+    for n in periods:
+        axes.axhline(n * PERIOD, color="0.85", linewidth=0.6, zorder=1)
 
 
 def minor_ticks(axes: Axes) -> None:
-    """Ticks between the numbered ones, on both axes."""
+    """Minor ticks on both axes."""
     axes.xaxis.set_minor_locator(AutoMinorLocator())
     axes.yaxis.set_minor_locator(AutoMinorLocator())

@@ -1,11 +1,11 @@
-"""What is said beside a figure: what it shows, what agrees with the paper's text, and what does not."""
+"""Captions: what a figure shows, what agrees with the text of the paper, and what differs."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence on what was found, and whether that is what the paper says."""
+    """A statement on a result, and whether the paper says the same."""
 
     holds: bool
     text: str
@@ -13,7 +13,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Caption:
-    """`shows` says what is drawn and how it was computed."""
+    """The text under a figure; `shows` describes what is drawn and how it was computed."""
 
     number: int
     shows: str
@@ -21,28 +21,28 @@ class Caption:
 
     @property
     def agrees(self) -> str:
-        """What is as the paper says."""
-        return self._said(True)
+        """The claims that agree with the paper."""
+        return self._joined(True)
 
     @property
     def differs(self) -> str:
-        """What is not as the paper says, or left open by it."""
-        return self._said(False)
+        """The claims that differ from the paper, or that it leaves open."""
+        return self._joined(False)
 
     @property
     def paragraphs(self) -> list[tuple[str, str]]:
-        """Heading and text, empty ones left out."""
+        """Headings and texts; paragraphs without text are left out."""
         parts = [(f"Fig. {self.number}.", self.shows), ("Agrees:", self.agrees), ("Differs:", self.differs)]
         return [(heading, text) for heading, text in parts if text]
 
     def __str__(self) -> str:
         return "\n".join(f"{heading} {text}" for heading, text in self.paragraphs)
 
-    def _said(self, holds: bool) -> str:
+    def _joined(self, holds: bool) -> str:
         text = "; ".join(claim.text for claim in self.claims if bool(claim.holds) is holds)
         return f"{text}." if text else ""
 
 
 def mode(bounces: int, periods: int) -> str:
-    """A mode as the paper writes it."""
+    """A mode in the notation of the paper."""
     return f"({bounces}, {periods})"

@@ -1,6 +1,5 @@
-"""Fig. 9: where bouncing begins on the way up, and where it ends on the way down."""
+"""Fig. 9: the threshold with Γ increased, and with Γ decreased."""
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -9,36 +8,45 @@ from numpy.typing import NDArray
 
 from kernel.threshold import threshold
 from service.client import Job
-from service.figures.canvas import BLUE, Drawing, minor_ticks, page, styled
+from service.figures.canvas import BLUE, Drawing, minor_ticks, new_drawing, styled
 from service.figures.caption import Caption, Claim
-from service.figures.thresholds import FINE, apart, extremum
+from service.figures.thresholds import OMEGA_GRID, extremum, max_relative_difference
 from service.presets import XI
 
-#: Higher than where the curves part, Γ.
-TOP: Final = 1.6
-#: Minima less deep than this are steps of the grid.
-DEPTH: Final = 0.02
-#: Two thresholds further apart than this are two, in steps of Γ.
-APART: Final = 3
-#: Below this Ω it matters where the ramp down began.
+#: The top of the frame, above the Γ where the curves differ.
+MAX_GAMMA: Final = 1.6
+#: Shallower minima, in Γ, come from the steps of the grid.
+MIN_DEPTH: Final = 0.02
+#: Thresholds count as different if they are more steps of Γ apart than this.
+STEPS_APART: Final = 3
+#: Below this Ω the threshold depends on where the ramp down begins.
 SLOW: Final = 0.5
 
 
 @styled
 def draw(job: Job, lower: Job) -> Drawing:
-    """Up in gray, down in black, as printed; Eq. 25 under them."""
+    """Up in gray and down in black, as printed, with Eq. 25."""
     loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)
     gamma = job.spec["gamma"]
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
-    drawing, room = page(3.1, _caption(loop, from_lower, step, job.spec["settle"] + job.spec["observe"]))
-    axes = room.subplots()
+    drawing, area = new_drawing(
+        3.1, _caption(loop, from_lower, step, job.spec["settle"] + job.spec["observe"])
+    )
+    axes = area.subplots()
     omega = loop.omega.values
     axes.plot(omega, loop.up.values, color="0.7", linewidth=3, label=r"$\Gamma$ increased")
     axes.plot(omega, loop.down.values, color="black", marker="s", markersize=2, linewidth=0.8,
               label=r"$\Gamma$ decreased")  # fmt: skip
-    axes.plot(FINE, threshold(FINE, XI), color=BLUE, linewidth=0.9, linestyle=(0, (4, 2)), label="Eq. 25")
+    axes.plot(
+        OMEGA_GRID,
+        threshold(OMEGA_GRID, XI),
+        color=BLUE,
+        linewidth=0.9,
+        linestyle=(0, (4, 2)),
+        label="Eq. 25",
+    )
     axes.set_xlim(0, float(loop.omega[-1]))
-    axes.set_ylim(0, TOP)
+    axes.set_ylim(0, MAX_GAMMA)
     axes.set_xlabel(r"$\Omega$", labelpad=1)
     axes.set_ylabel(r"$\Gamma$")
     axes.legend(loc="upper left")
@@ -47,18 +55,18 @@ def draw(job: Job, lower: Job) -> Drawing:
 
 
 def minima(values: NDArray[np.float64], depth: float) -> list[int]:
-    """Places of the local minima that the values rise from by `depth` or more on both sides."""
+    """Indices of the local minima from which the values rise by `depth` or more on both sides."""
     return [
-        place
-        for place in range(1, len(values) - 1)
-        if values[place] <= values[place - 1]
-        and values[place] < values[place + 1]
-        and min(_rise(values[place::-1]), _rise(values[place:])) >= depth
+        i
+        for i in range(1, len(values) - 1)
+        if values[i] <= values[i - 1]
+        and values[i] < values[i + 1]
+        and min(_rise(values[i::-1]), _rise(values[i:])) >= depth
     ]
 
 
 def _rise(values: NDArray[np.float64]) -> float:
-    """How high the values rise over the first one before they fall below it."""
+    """How far the values rise above the first one before they fall below it."""
     below = np.flatnonzero(values < values[0])
     return float(np.max(values[: below[0]] if len(below) else values) - values[0])
 
@@ -74,7 +82,7 @@ def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, periods: 
 
 
 def _on_eq_25(loop: xarray.Dataset) -> Claim:
-    worst = apart(loop)
+    worst = max_relative_difference(loop)
     return Claim(worst < 0.03, f"the gray curve is Eq. 25 (at most {100 * worst:.1f} % apart)")
 
 
@@ -89,25 +97,21 @@ def _lower(loop: xarray.Dataset) -> Claim:
 
 
 def _several(loop: xarray.Dataset) -> Claim:
-    places = minima(loop.down.values, DEPTH)
-    told = ", ".join(f"{float(loop.omega[place]):.2f}" for place in places)
-    return Claim(len(places) > 1, f"decreased, it has {len(places)} minima: Ω = {told}")
+    indices = minima(loop.down.values, MIN_DEPTH)
+    omegas = ", ".join(f"{float(loop.omega[i]):.2f}" for i in indices)
+    return Claim(len(indices) > 1, f"decreased, it has {len(indices)} minima: Ω = {omegas}")
 
 
 def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
-    """Not in the paper: whether it matters how large the "large amplitude" was."""
+    """Not in the paper: whether the threshold depends on the "large amplitude" at the start."""
     same = loop.down.sel(omega=lower.omega, method="nearest").values
-    moved = np.abs(lower.down.values - same) > APART * step
+    moved = np.abs(lower.down.values - same) > STEPS_APART * step
     slow = lower.omega.values < SLOW
-    told: Sequence[int] = (
-        int(moved[slow].sum()),
-        int(slow.sum()),
-        int(moved[~slow].sum()),
-        int((~slow).sum()),
-    )
+    of_slow = f"{moved[slow].sum()} of {slow.sum()}"
+    of_fast = f"{moved[~slow].sum()} of {(~slow).sum()}"
     return Claim(
-        False,  # left open, whatever comes of it
+        False,  # the paper leaves it open
         "the amplitude that the ramp down begins with is not stated; where modes coexist it may matter: from "
-        f"Γ = 1.2 instead of 3, {told[0]} of {told[1]} thresholds below Ω = 0.5 and {told[2]} of {told[3]} "
+        f"Γ = 1.2 instead of 3, {of_slow} thresholds below Ω = 0.5 and {of_fast} "
         "from 0.5 to 0.8 are others",
     )

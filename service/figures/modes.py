@@ -1,4 +1,4 @@
-"""Fig. 2: a bifurcation diagram, and the motion at four of its Γ."""
+"""Fig. 2: a bifurcation diagram, and the motion at four values of Γ."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -9,7 +9,18 @@ from matplotlib.axes import Axes
 
 from kernel.params import Outcome
 from service.client import Client, Job
-from service.figures.canvas import GREY, RED, TURN, Drawing, dots, flights_over, label, page, split, styled
+from service.figures.canvas import (
+    GREY,
+    PERIOD,
+    RED,
+    Drawing,
+    flight_scales,
+    new_drawing,
+    panel_title,
+    plot_flights,
+    split,
+    styled,
+)
 from service.figures.caption import Caption, Claim, mode
 from service.presets import INSETS, SOFT
 
@@ -17,26 +28,26 @@ OMEGA: Final = 0.5
 XI: Final = 0.26
 PERIODS: Final = 6
 
-#: Length at rest of the drawn spring, plate amplitudes: it plays no part in the motion.
+#: Rest length of the drawn spring, in plate amplitudes; the motion does not depend on it.
 LENGTH: Final = 1.6
 
 
 @styled
 def draw(client: Client, job: Job, ramped: Job) -> Drawing:
-    """The diagram from rest above the four insets; the ramp is only spoken of."""
+    """The diagram from rest above the four insets; the ramped sweep is used in the caption only."""
     diagram, up = job.diagram(), ramped.diagram()
     motions = {gamma: _motion(client, gamma) for gamma in INSETS}
-    drawing, room = page(5.0, _caption(diagram, up))
-    above, below = split(room, 2.7, 2.3)
+    drawing, area = new_drawing(5.0, _caption(diagram, up))
+    above, below = split(area, 2.7, 2.3)
     axes = above.subplots()
-    dots(axes, diagram, size=0.7)
+    plot_flights(axes, diagram, size=0.7)
     values = diagram.gamma.values
-    flights_over(axes, float(values[0]), float(values[-1]), 1.06 * float(diagram.flight_time.max()))
+    flight_scales(axes, float(values[0]), float(values[-1]), 1.06 * float(diagram.flight_time.max()))
     axes.set_xlabel(r"$\Gamma$", labelpad=1)
     panels = below.subplots(2, 2, sharex=True, sharey=True)
     for letter, gamma, panel in zip("abcd", INSETS, panels.flat, strict=True):
         _draw_motion(panel, motions[gamma])
-        label(panel, rf"({letter})  $\Gamma = {gamma}$")
+        panel_title(panel, rf"({letter})  $\Gamma = {gamma}$")
         axes.axvline(gamma, color=RED, linewidth=0.6, linestyle=(0, (3, 3)), zorder=2)
         axes.annotate(letter, (gamma, 1), (3, -3), xycoords=("data", "axes fraction"),
                       textcoords="offset points", va="top", color=RED)  # fmt: skip
@@ -51,13 +62,13 @@ def _motion(client: Client, gamma: float) -> xarray.Dataset:
 
 
 def _draw_motion(axes: Axes, motion: xarray.Dataset) -> None:
-    """The spring as a gray band from mass to mass, the plate in black."""
-    turns = motion.phase.values / TURN
+    """Draw the spring as a gray band between its masses, and the plate in black."""
+    periods = motion.phase.values / PERIOD
     lower, upper = motion.z2.values, motion.z1.values - motion.attrs["rest_length"] + LENGTH
-    axes.fill_between(turns, lower, upper, color="0.78", linewidth=0)
-    axes.plot(turns, lower, color=GREY, linewidth=0.7)
-    axes.plot(turns, upper, color=GREY, linewidth=0.7)
-    axes.plot(turns, motion.plate.values, color="black", linewidth=1.2)
+    axes.fill_between(periods, lower, upper, color="0.78", linewidth=0)
+    axes.plot(periods, lower, color=GREY, linewidth=0.7)
+    axes.plot(periods, upper, color=GREY, linewidth=0.7)
+    axes.plot(periods, motion.plate.values, color="black", linewidth=1.2)
     axes.set_xlim(0, PERIODS)
 
 
@@ -77,14 +88,14 @@ def _caption(diagram: xarray.Dataset, up: xarray.Dataset) -> Caption:
     return Caption(2, shows, tuple(claims))
 
 
-def _claim(gamma: float, found: str, printed: tuple[int, int] | None, how: str) -> Claim:
+def _claim(gamma: float, computed: str, printed: tuple[int, int] | None, condition: str) -> Claim:
     expected = mode(*printed) if printed else "aperiodic"
-    holds = found == expected
-    return Claim(holds, f"{found} at Γ = {gamma}{how}" + ("" if holds else f", not {expected}"))
+    holds = computed == expected
+    return Claim(holds, f"{computed} at Γ = {gamma}{condition}" + ("" if holds else f", not {expected}"))
 
 
 def _modes(diagram: xarray.Dataset) -> Mapping[float, str]:
-    """The mode at each inset's Γ, in words."""
+    """The mode, or the outcome, at the Γ of each inset."""
     cells = {gamma: diagram.sel(gamma=gamma, method="nearest") for gamma in INSETS}
     return {gamma: _mode(cell) for gamma, cell in cells.items()}
 

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
-from service.figures.canvas import BLUE, Drawing, page, styled
+from service.figures.canvas import BLUE, Drawing, new_drawing, styled
 from service.figures.caption import Caption, Claim
 
 CAPTION = Caption(
@@ -28,8 +28,8 @@ RADIUS = 0.34
 @styled
 def draw() -> Drawing:
     """The two schematics, side by side on plates of one height."""
-    drawing, room = page(2.7, CAPTION)
-    left, right = room.subplots(1, 2, sharey=True)
+    drawing, area = new_drawing(2.7, CAPTION)
+    left, right = area.subplots(1, 2, sharey=True)
     for axes, width in ((left, 2.2), (right, 2.2)):
         axes.set_aspect("equal")
         axes.set_xlim(-width, width)

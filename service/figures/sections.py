@@ -12,28 +12,36 @@ from numpy.typing import NDArray
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.client import Job
-from service.figures.canvas import BLUE, Drawing, dots, flights_over, label, page, styled
+from service.figures.canvas import (
+    BLUE,
+    Drawing,
+    flight_scales,
+    new_drawing,
+    panel_title,
+    plot_flights,
+    styled,
+)
 from service.figures.caption import Caption, Claim, mode
 from service.presets import CONTACTS, ELASTIC, GAMMAS, LONG_SETTLE, OMEGAS, SHORT_SETTLE, XI
 
-#: Half a figure's worth of Γ: chaos that begins goes on for so long, but for windows.
-STRETCH: Final = 0.5
+#: Chaos begins where the cells over this range of Γ are aperiodic, except in small windows.
+CHAOTIC_RANGE: Final = 0.5
 #: Below this Ω the paper's diagrams are chaotic.
 LOW: Final = 0.4
-#: A flight shorter than this is a dot on the axis, rad.
+#: rad; a flight shorter than this is drawn on the axis.
 HOP: Final = 0.15
 
-#: Modes that fewer of the periodic cells are in are not told.
+#: Modes with a smaller share of the periodic cells are not listed.
 RARE: Final = 0.05
 
 CONTACT: Final = "Contact: adhesive, e = 0, 10⁻³ A deep; faint lines: whole plate periods."
 
 
 @styled
-def draw_along_gamma(job: Job, hardly: Job, settled: Job, *others: Job) -> Drawing:
-    """Fig. 7; `hardly` ... `others` are the cells around Γ = 2 at Ω = 1, settled and touching differently."""
+def draw_along_gamma(job: Job, short: Job, settled: Job, *others: Job) -> Drawing:
+    """Fig. 7; the jobs after the first are cells around Γ = 2 at Ω = 1, in the order of the preset."""
     diagrams = [job.diagram(omega=omega) for omega in OMEGAS]
-    around_two = [one.diagram() for one in (hardly, settled, *others)]
+    around_two = [near_two.diagram() for near_two in (short, settled, *others)]
     shows = (
         "Flight times φ against Γ at ξ = 0.05 for (a) Ω = 0.67, below resonance, (b) 1.00, at resonance, and "
         f"(c) 1.24, beyond it, Γ ramped up. {CONTACT}"
@@ -74,7 +82,7 @@ def draw_along_omega(job: Job) -> Drawing:
 
 
 def aperiodic(diagram: xarray.Dataset, where: NDArray[np.bool_] | None = None) -> float:
-    """Of the cells that bounce, the share that is aperiodic."""
+    """The share of the bouncing cells that is aperiodic; `where` selects cells."""
     outcomes = diagram.outcome.values if where is None else diagram.outcome.values[where]
     bouncing = np.isin(outcomes, (Outcome.PERIODIC, Outcome.APERIODIC))
     return float(np.sum(outcomes == Outcome.APERIODIC) / max(int(bouncing.sum()), 1))
@@ -83,15 +91,15 @@ def aperiodic(diagram: xarray.Dataset, where: NDArray[np.bool_] | None = None) -
 def _stack(
     caption: Caption, diagrams: Sequence[xarray.Dataset], titles: Sequence[str]
 ) -> tuple[Drawing, Sequence[Axes]]:
-    """Panels one over the other, on the same scales."""
-    drawing, room = page(5.0, caption)
-    panels: Sequence[Axes] = list(room.subplots(len(diagrams), 1, sharex=True, sharey=True))
+    """Panels above each other, on the same scales."""
+    drawing, area = new_drawing(5.0, caption)
+    panels: Sequence[Axes] = list(area.subplots(len(diagrams), 1, sharex=True, sharey=True))
     top = 1.04 * max(float(diagram.flight_time.max()) for diagram in diagrams)
     for axes, diagram, title in zip(panels, diagrams, titles, strict=True):
-        dots(axes, diagram, size=0.7)
+        plot_flights(axes, diagram, size=0.7)
         values = diagram[str(diagram.flight_time.dims[0])].values
-        flights_over(axes, 0.0, float(values[-1]), top)
-        label(axes, title)
+        flight_scales(axes, 0.0, float(values[-1]), top)
+        panel_title(axes, title)
     return drawing, panels
 
 
@@ -101,9 +109,9 @@ def _mark(axes: Axes, value: float, name: str) -> None:
                   textcoords="offset points", va="top", color=BLUE)  # fmt: skip
 
 
-def _near(diagram: xarray.Dataset, value: float, reach: float) -> NDArray[np.bool_]:
+def _near(diagram: xarray.Dataset, value: float, distance: float) -> NDArray[np.bool_]:
     along = diagram[str(diagram.flight_time.dims[0])].values
-    return np.asarray(np.abs(along - value) <= reach)
+    return np.asarray(np.abs(along - value) <= distance)
 
 
 def _longest(diagram: xarray.Dataset, where: NDArray[np.bool_]) -> float:
@@ -113,9 +121,9 @@ def _longest(diagram: xarray.Dataset, where: NDArray[np.bool_]) -> float:
 
 def _shorter(diagrams: Sequence[xarray.Dataset]) -> Claim:
     longest = [_longest(diagram, _near(diagram, 3.0, 0.1)) for diagram in diagrams]
-    told = ", ".join(f"{time:.1f}" for time in longest)
+    times = ", ".join(f"{time:.1f}" for time in longest)
     falling = longest[0] > longest[1] > longest[2]
-    return Claim(falling, f"flights shorten as Ω increases: around Γ = 3 the longest last {told} rad")
+    return Claim(falling, f"flights shorten as Ω increases: around Γ = 3 the longest last {times} rad")
 
 
 def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
@@ -123,8 +131,8 @@ def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
     begins = next(
         (
             float(value)
-            for value in values[values < values[-1] - STRETCH]
-            if aperiodic(diagram, (values >= value) & (values <= value + STRETCH)) > 0.9
+            for value in values[values < values[-1] - CHAOTIC_RANGE]
+            if aperiodic(diagram, (values >= value) & (values <= value + CHAOTIC_RANGE)) > 0.9
         ),
         np.inf,
     )
@@ -138,8 +146,8 @@ def _chaos_at(diagram: xarray.Dataset, gamma: float) -> Claim:
 
 def _no_chaos(diagram: xarray.Dataset) -> Claim:
     share = aperiodic(diagram)
-    found = "none" if share == 0 else f"{share:.1%}"
-    return Claim(share < 0.05, f"(c) is not chaotic ({found} of its bouncing cells are aperiodic)")
+    percent = "none" if share == 0 else f"{share:.1%}"
+    return Claim(share < 0.05, f"(c) is not chaotic ({percent} of its bouncing cells are aperiodic)")
 
 
 def _one_period(diagram: xarray.Dataset) -> Claim:
@@ -164,27 +172,27 @@ def _longest_of_shorter(times: NDArray[np.float64]) -> float:
 
 
 def _no_chaos_at_two(diagrams: Sequence[xarray.Dataset]) -> Claim:
-    """The paper: "chaotic behaviors for Γ ≃ 2"; the sweeps are those of `sweeps.figure_7`."""
-    hardly, settled, *others = map(aperiodic, diagrams)
+    """The paper: "chaotic behaviors for Γ ≃ 2"; the order of the diagrams is that of the preset."""
+    short, settled, *others = map(aperiodic, diagrams)
     soft, elastic = others[: len(CONTACTS)], others[len(CONTACTS) :]
-    told = ", ".join(f"{share:.0%} ({name})" for name, share in zip(CONTACTS, soft, strict=True))
+    on_contacts = ", ".join(f"{share:.0%} ({name})" for name, share in zip(CONTACTS, soft, strict=True))
     with_rebound = ", ".join(f"{share:.0%} with e = {e}" for e, share in zip(ELASTIC, elastic, strict=True))
     gamma = diagrams[1].gamma.values
     return Claim(
         settled > 0.5,
         f"at Γ = {gamma[0]:g} to {gamma[-1]:g}, (b) is {'' if settled > 0.5 else 'not '}chaotic: "
-        f"{settled:.0%} of the cells are aperiodic after {LONG_SETTLE} plate periods, {told}; they repeat as "
-        f"{_commonest(diagrams[1])}. Aperiodic are springs that still settle ({hardly:.0%} after "
-        f"{SHORT_SETTLE} periods), or rebound ({with_rebound})",
+        f"{settled:.0%} of the cells are aperiodic after {LONG_SETTLE} plate periods, {on_contacts}; "
+        f"they repeat as {_commonest(diagrams[1])}. Aperiodic are springs that still settle ({short:.0%} "
+        f"after {SHORT_SETTLE} periods), or rebound ({with_rebound})",
     )
 
 
 def _commonest(diagram: xarray.Dataset) -> str:
-    """The modes that most of the periodic cells are in, the commonest first."""
+    """The most frequent modes of the periodic cells, most frequent first."""
     repeats = diagram.outcome.values == Outcome.PERIODIC
     pairs = zip(diagram.bounces.values[repeats], diagram.periods.values[repeats], strict=True)
     cells = Counter((int(bounces), int(periods)) for bounces, periods in pairs)
-    return ", ".join(mode(*one) for one, n in cells.most_common(4) if n > RARE * repeats.sum()) or "nothing"
+    return ", ".join(mode(*pair) for pair, n in cells.most_common(4) if n > RARE * repeats.sum()) or "nothing"
 
 
 def _stops_at(diagram: xarray.Dataset) -> Claim:
@@ -199,15 +207,17 @@ def _stops_at(diagram: xarray.Dataset) -> Claim:
 def _chaos_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
     share = aperiodic(diagram, diagram.omega.values < LOW)
     chaotic = share > 0.5
-    told = "chaotic" if chaotic else "not chaotic"
-    return Claim(chaotic, f"at Γ = {gamma:g} low Ω is {told} ({share:.0%} of the cells below {LOW:g})")
+    verdict = "chaotic" if chaotic else "not chaotic"
+    return Claim(chaotic, f"at Γ = {gamma:g} low Ω is {verdict} ({share:.0%} of the cells below {LOW:g})")
 
 
 def _longer_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
     """The paper: the flight time increases for decreasing Ω."""
-    places = (0.1, 0.5, 1.0)
-    times = [_longest(diagram, _near(diagram, omega, 0.03)) for omega in places]
-    told = ", ".join(f"{time:.1f}" for time in times)
+    omegas = (0.1, 0.5, 1.0)
+    times = [_longest(diagram, _near(diagram, omega, 0.03)) for omega in omegas]
+    longest = ", ".join(f"{time:.1f}" for time in times)
     rising = times[0] > times[1] > times[2]
     trend = "longer" if rising else "not longer"
-    return Claim(rising, f"at Γ = {gamma:g} flights are {trend} at low Ω (up to {told} rad at 0.1, 0.5, 1)")
+    return Claim(
+        rising, f"at Γ = {gamma:g} flights are {trend} at low Ω (up to {longest} rad at 0.1, 0.5, 1)"
+    )

@@ -1,4 +1,4 @@
-"""Figs. 5 and 6: where bouncing begins, by Eq. 25 and as computed, and the sections through the diagrams."""
+"""Figs. 5 and 6: the bouncing threshold by Eq. 25 and as computed, and the sections of Figs. 7 and 8."""
 
 from typing import Any, Final
 
@@ -8,25 +8,30 @@ from matplotlib.axes import Axes
 
 from kernel.threshold import threshold
 from service.client import Job
-from service.figures.canvas import BLUE, GREEN, ORANGE, RED, Drawing, minor_ticks, page, styled
+from service.figures.canvas import BLUE, GREEN, ORANGE, RED, Drawing, minor_ticks, new_drawing, styled
 from service.figures.caption import Caption, Claim
 from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
 
-#: Colour, line and mark of each damping.
-LOOKS: Final = ((BLUE, "-", "o"), (RED, (0, (5, 1.5)), "s"), (GREEN, (0, (1, 1)), "^"), (ORANGE, "-.", "D"))
-TOP: Final = 3.0
-LAST: Final = 2.0  # Ω
-FINE: Final = np.linspace(0.005, LAST, 1500)
+#: Colour, line style and marker of each damping.
+LINE_STYLES: Final = (
+    (BLUE, "-", "o"),
+    (RED, (0, (5, 1.5)), "s"),
+    (GREEN, (0, (1, 1)), "^"),
+    (ORANGE, "-.", "D"),
+)
+MAX_GAMMA: Final = 3.0
+MAX_OMEGA: Final = 2.0
+OMEGA_GRID: Final = np.linspace(0.005, MAX_OMEGA, 1500)
 
 
 @styled
 def draw_dampings(job: Job) -> Drawing:
-    """Fig. 5: four curves, with the onsets computed on them."""
+    """Fig. 5: the curves of four dampings, with the computed thresholds as markers."""
     onsets = {xi: job.threshold(xi=xi) for xi in DAMPINGS}
-    drawing, room = page(2.9, _dampings_caption(onsets))
-    axes = room.subplots()
-    for (xi, onset), (colour, line, mark) in zip(onsets.items(), LOOKS, strict=True):
-        axes.plot(FINE, threshold(FINE, xi), color=colour, linestyle=line)
+    drawing, area = new_drawing(2.9, _dampings_caption(onsets))
+    axes = area.subplots()
+    for (xi, onset), (colour, line, mark) in zip(onsets.items(), LINE_STYLES, strict=True):
+        axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, xi), color=colour, linestyle=line)
         axes.plot(onset.omega, onset.up, linestyle="none", marker=mark, markersize=3.6,
                   markerfacecolor="white", markeredgecolor=colour, markeredgewidth=0.9, zorder=3)  # fmt: skip
         axes.plot([], [], color=colour, linestyle=line, marker=mark, markersize=3.6,
@@ -38,43 +43,43 @@ def draw_dampings(job: Job) -> Drawing:
 
 @styled
 def draw_sections(job: Job) -> Drawing:
-    """Fig. 6: one curve, and the sections of Figs. 7 and 8; Ω upwards, so that those of Fig. 7 lie flat."""
+    """Fig. 6: one curve, and the sections of Figs. 7 and 8; Ω is the vertical axis, as in the paper."""
     onset = job.threshold(xi=XI)
-    drawing, room = page(3.1, _sections_caption(onset))
-    axes = room.subplots()
-    axes.plot(threshold(FINE, XI), FINE, color="black")
+    drawing, area = new_drawing(3.1, _sections_caption(onset))
+    axes = area.subplots()
+    axes.plot(threshold(OMEGA_GRID, XI), OMEGA_GRID, color="black")
     for letter, omega in zip("abc", OMEGAS, strict=True):
         axes.axhline(omega, color=RED, linestyle=(0, (5, 2)), linewidth=1)
-        _name(axes, f"7{letter}", (0, omega), (3, 2), RED, xycoords=("axes fraction", "data"))
+        _annotate(axes, f"7{letter}", (0, omega), (3, 2), RED, xycoords=("axes fraction", "data"))
     for letter, gamma in zip("abc", GAMMAS, strict=True):
         axes.axvline(gamma, color=GREEN, linestyle=(0, (1, 1.2)), linewidth=1.4)
-        _name(axes, f"8{letter}", (gamma, 0), (3, 3), GREEN, xycoords=("data", "axes fraction"))
+        _annotate(axes, f"8{letter}", (gamma, 0), (3, 3), GREEN, xycoords=("data", "axes fraction"))
     axes.plot([], [], color=RED, linestyle=(0, (5, 2)), label=r"$(\Gamma, \varphi)$, Fig. 7")
     axes.plot([], [], color=GREEN, linestyle=(0, (1, 1.2)), label=r"$(\Omega, \varphi)$, Fig. 8")
     axes.plot(onset.up, onset.omega, linestyle="none", marker="o", markersize=4, markerfacecolor="white",
               markeredgecolor="black", label="computed", zorder=4)  # fmt: skip
     axes.legend(loc="upper left", frameon=True, framealpha=1, edgecolor="none", borderpad=0.2)
     axes.set_xlim(0, 3.4)
-    axes.set_ylim(0, LAST)
+    axes.set_ylim(0, MAX_OMEGA)
     axes.set_xlabel(r"$\Gamma$", labelpad=1)
     axes.set_ylabel(r"$\Omega$")
     minor_ticks(axes)
     return drawing
 
 
-def _name(
-    axes: Axes, text: str, at: tuple[float, float], off: tuple[int, int], colour: str, **given: Any
+def _annotate(
+    axes: Axes, text: str, at: tuple[float, float], offset: tuple[int, int], colour: str, **options: Any
 ) -> None:
-    axes.annotate(text, at, off, textcoords="offset points", color=colour, fontsize=8, **given)
+    axes.annotate(text, at, offset, textcoords="offset points", color=colour, fontsize=8, **options)
 
 
-def apart(onset: xarray.Dataset) -> float:
-    """The largest relative distance between an onset as computed and Eq. 25."""
+def max_relative_difference(onset: xarray.Dataset) -> float:
+    """The largest relative difference between a computed threshold and Eq. 25."""
     return float(np.nanmax(np.abs(onset.up / onset.analytic - 1.0)))
 
 
 def extremum(xi: float, *, upper: bool = False) -> tuple[float, float]:
-    """Ω and Γ_th at the minimum of Eq. 25, or at its maximum, which is there for ξ < 1/√6 only.
+    """Ω and Γ_th at the minimum of Eq. 25, or at its maximum, which exists for ξ < 1/√6 only.
 
     2(1 − 6ξ²)Ω² = 3 ∓ √(1 + 48ξ²).
     """
@@ -84,8 +89,8 @@ def extremum(xi: float, *, upper: bool = False) -> tuple[float, float]:
 
 
 def _scales(axes: Axes) -> None:
-    axes.set_xlim(0, LAST)
-    axes.set_ylim(0, TOP)
+    axes.set_xlim(0, MAX_OMEGA)
+    axes.set_ylim(0, MAX_GAMMA)
     axes.set_xlabel(r"$\Omega$", labelpad=1)
     axes.set_ylabel(r"$\Gamma_{\mathrm{th}}$")
     minor_ticks(axes)
@@ -96,7 +101,7 @@ def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
         "Bouncing threshold Γ_th against Ω for four dampings ξ: Eq. 25 (lines), and the Γ at which a spring "
         "on an ideal plate began to bounce, ramped up from rest in steps of 0.5 % (marks)."
     )
-    worst = max(apart(onset) for onset in onsets.values())
+    worst = max(max_relative_difference(onset) for onset in onsets.values())
     lows = {xi: extremum(xi) for xi in (0.2, 0.05, 0.01)}
     near = ", ".join(f"{gamma:.3f} at Ω = {omega:.3f} (ξ = {xi:g})" for xi, (omega, gamma) in lows.items())
     claims = (
@@ -113,9 +118,9 @@ def _not_constant() -> Claim:
     """The paper: "For ξ = 1, the threshold remains constant and equals to Γ_th = 1"."""
     omega, low = extremum(1.0)
     return Claim(
-        bool(np.all(np.abs(threshold(FINE, 1.0) - 1) < 0.01)),
+        bool(np.all(np.abs(threshold(OMEGA_GRID, 1.0) - 1) < 0.01)),
         f"for ξ = 1, Γ_th is not constantly 1: {low:.3f} at Ω = {omega:.3f}, 1 at √(4/3) as for every ξ, "
-        f"{threshold(LAST, 1.0):.3f} at Ω = {LAST:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
+        f"{threshold(MAX_OMEGA, 1.0):.3f} at Ω = {MAX_OMEGA:g}, {threshold(4.0, 1.0):.3f} at Ω = 4, "
         f"{threshold(1e3, 1.0):.3f} far beyond",
     )
 
@@ -128,24 +133,25 @@ def _unmentioned_maximum() -> Claim:
 
 
 def _as_printed() -> list[Claim]:
-    """Eqs. 22 and 24, letter by letter, against the phases that Eqs. 20 and 23 have at ξ = 0.05."""
-    w, x = FINE**2, (2 * XI * FINE) ** 2
-    phase = np.angle((1 + 2j * XI * FINE) / (1 - w + 2j * XI * FINE))
+    """Eqs. 22 and 24 exactly as printed, compared with the phases by Eqs. 20 and 23 at ξ = 0.05."""
+    w, x = OMEGA_GRID**2, (2 * XI * OMEGA_GRID) ** 2
+    phase = np.angle((1 + 2j * XI * OMEGA_GRID) / (1 - w + 2j * XI * OMEGA_GRID))
     eq_22 = -np.arccos(np.sqrt((1 - w + x) ** 2) / np.sqrt((1 + x) * ((1 - w) ** 2 + x)))
-    off = np.abs(eq_22 - phase)
-    takeoff = np.arctan2(2 * XI * FINE**3, 2 + (8 * XI**2 - 3) * w + w**2)
+    error_22 = np.abs(eq_22 - phase)
+    wrong = OMEGA_GRID[error_22 > 1e-6]
+    takeoff = np.arctan2(2 * XI * OMEGA_GRID**3, 2 + (8 * XI**2 - 3) * w + w**2)
     eq_24 = np.arctan(np.tan(takeoff))
-    turned = FINE[np.abs(eq_24 - takeoff) > 1]
+    shifted = OMEGA_GRID[np.abs(eq_24 - takeoff) > 1]
     return [
         Claim(
-            bool(off.max() < 1e-6),
+            bool(error_22.max() < 1e-6),
             f"Eq. 22 as printed squares a bracket and takes its root: at ξ = {XI:g} it is up to "
-            f"{off.max():.2f} rad off above Ω = {FINE[off > 1e-6].min(initial=LAST):.2f}",
+            f"{error_22.max():.2f} rad off above Ω = {wrong.min(initial=MAX_OMEGA):.2f}",
         ),
         Claim(
-            not len(turned),
+            not len(shifted),
             "Eq. 24 needs the two-argument arctangent: else it is off by π from "
-            f"Ω = {turned.min(initial=LAST):.2f} to {turned.max(initial=0.0):.2f}",
+            f"Ω = {shifted.min(initial=MAX_OMEGA):.2f} to {shifted.max(initial=0.0):.2f}",
         ),
     ]
 
@@ -155,15 +161,15 @@ def _sections_caption(onset: xarray.Dataset) -> Caption:
         "Bouncing threshold at ξ = 0.05 (black), and the sections shown in Figs. 7 and 8: dashed, at "
         "constant Ω; dotted, at constant Γ. Circles: where the springs of Fig. 7 began to bounce, ramped up."
     )
-    found = ", ".join(
+    computed = ", ".join(
         f"{float(up):.3f} at Ω = {float(omega):g}"
         for omega, up in zip(onset.omega.values, onset.up.values, strict=True)
     )
-    (low, gamma), worst = extremum(XI), apart(onset)
+    (low, gamma), worst = extremum(XI), max_relative_difference(onset)
     claims = (
-        Claim(worst < 0.02, f"bouncing begins at Γ = {found}, at most {100 * worst:.1f} % from Eq. 25"),
+        Claim(worst < 0.02, f"bouncing begins at Γ = {computed}, at most {100 * worst:.1f} % from Eq. 25"),
         Claim(
-            bool(np.all(threshold(FINE, XI) > gamma - 1e-6) and abs(low - 1) < 0.05),
+            bool(np.all(threshold(OMEGA_GRID, XI) > gamma - 1e-6) and abs(low - 1) < 0.05),
             f"a minimum due to resonance, Γ_th = {gamma:.4f} at Ω = {low:.4f}",
         ),
         _second_onset(),
@@ -172,12 +178,12 @@ def _sections_caption(onset: xarray.Dataset) -> Caption:
 
 
 def _second_onset() -> Claim:
-    """Not in the paper: the threshold falls again beyond its maximum."""
-    highest, _ = extremum(XI, upper=True)
-    again = FINE[(highest < FINE) & (threshold(FINE, XI) < GAMMAS[-1])]
-    where = f"from Ω = {again.min():.2f} on" if len(again) else f"beyond Ω = {LAST:g}"
+    """Not in the paper: the threshold decreases again beyond its maximum."""
+    maximum, _ = extremum(XI, upper=True)
+    again = OMEGA_GRID[(maximum < OMEGA_GRID) & (threshold(OMEGA_GRID, XI) < GAMMAS[-1])]
+    where = f"from Ω = {again.min():.2f} on" if len(again) else f"beyond Ω = {MAX_OMEGA:g}"
     return Claim(
         False,
-        f"the text does not say that the threshold falls again beyond Ω = {highest:.2f}: at "
+        f"the text does not say that the threshold falls again beyond Ω = {maximum:.2f}: at "
         f"Γ = {GAMMAS[-1]:g} springs bounce {where} once more",
     )
