@@ -7,7 +7,6 @@ from typing import Any, Final
 import click
 
 from service.cli.options import (
-    PICTURES,
     json_option,
     open_client,
     optional_service_options,
@@ -15,6 +14,7 @@ from service.cli.options import (
     workers_option,
     write_file,
 )
+from service.formats import PICTURES
 
 Row = Mapping[str, Any]
 
@@ -63,12 +63,15 @@ def report(measurements: Mapping[str, Any]) -> str:
 
 
 def table_lines(rows: Sequence[Row], references: Mapping[str, str]) -> list[str]:
-    """The table, by what its errors are relative to: core-µs per cell per plate period (median and most expensive line of cells), error of flight
-    times (median and 95th percentile, rad), and the share of cells with the reference's mode."""
+    """The table, one part per reference that errors are measured from.
+
+    Columns: core-µs per cell per plate period (median and most expensive line of cells), error of flight
+    times (median and 95th percentile, rad), share of cells with the outcome and mode of the reference.
+    """
+    heading = "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))
     lines = []
     for purpose, reference in references.items():
-        lines.append(f"Errors relative to the {reference}")
-        lines += ["".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
+        lines += [f"Errors relative to the {reference}", heading]
         lines += [_line(row) for row in rows if row["purpose"] == purpose]
         lines.append("")
     return lines
