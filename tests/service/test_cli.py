@@ -11,13 +11,16 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
+import xarray
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
 from service.cli import options
 from service.cli.main import main
+from service.cli.output import threshold_table
 from service.client import Client
 from service.client.client import DEFAULT_URL
 from service.jobs.ledger import Ledger
@@ -205,6 +208,21 @@ def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
     _, _, *lines, note = bounce("threshold", job, url=url).stdout.splitlines()
     assert [line.split()[3] for line in lines] == ["-", "-"]
     assert note == "-: the sweep is not ramped down"
+
+
+def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
+    def dataset(up: float, **attributes: object) -> xarray.Dataset:
+        columns = {"analytic": np.inf, "up": up, "down": np.nan}
+        variables = {name: ("omega", [value]) for name, value in columns.items()}
+        return xarray.Dataset(variables, {"omega": [0.5], "xi": 0.26}, {"complete": 1, **attributes})
+
+    text = threshold_table(dataset(np.nan, tolerance=1e-3), dataset(2.5), TWO_LINES | {"omega": 0.5})
+    _, _, line, *notes = text.splitlines()
+    assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5", "-"]
+    assert notes == [
+        "≤ another value: not refined; the value is the lowest Γ of the grid that bounces",
+        "-: the sweep is not ramped down",
+    ]
 
 
 def test_a_threshold_that_is_not_computed_yet_is_not_a_bound(tmp_path: Path):

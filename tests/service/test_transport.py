@@ -228,6 +228,7 @@ def test_busy_carries_retry_after():
         Answer(200, [1, 2]),
         Answer(200, {"id": ID}),
         Answer(200, view() | {"progress": None}),
+        Answer(200, view() | {"progress": {"percent": 50.0}}),
         Answer(302, b"", Location="http://127.0.0.1:1/"),
     ],
 )
