@@ -218,9 +218,9 @@ def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
 
     text = threshold_table(dataset(np.nan, tolerance=1e-3), dataset(2.5), TWO_LINES | {"omega": 0.5})
     _, _, line, *notes = text.splitlines()
-    assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5", "-"]
+    assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5*", "-"]
     assert notes == [
-        "≤ another value: not refined; the value is the lowest Γ of the grid that bounces",
+        "*: not refined; the lowest Γ of the grid that bounces",
         "-: the sweep is not ramped down",
     ]
 
