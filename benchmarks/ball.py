@@ -3,7 +3,7 @@
     python -m benchmarks.ball [--repeat 9] [--settle 200]
 
 1,000 values of Gamma from 1 to 6, 300 plate periods each from rest; `rigid` is the spring of
-rigidity 650 that the ball stands for. Medians over the repetitions, which take turns.
+rigidity 650 that the ball approximates. Medians over the repetitions, which alternate.
 """
 
 import argparse
@@ -32,7 +32,7 @@ ROWS = [
 
 
 def run(settle: int, model: Model, xi: float, restitution: float) -> Line:
-    """The sweep at rigidity 650; the ball takes no notice of it."""
+    """The sweep at rigidity 650; which does not affect the ball."""
     full = np.full_like
     return run_line(
         GAMMAS, full(GAMMAS, max(xi, 1e-3) / 650.0), full(GAMMAS, xi), model=model,

@@ -1,4 +1,4 @@
-"""What becomes of cells drawn from the whole range of parameters, model by model.
+"""Outcomes and costs of cells drawn from the whole range of parameters, for each model.
 
     python -m benchmarks.extremes [--cells 2000] [--periods 20] [--seed 1] [--worst 3]
 
@@ -6,7 +6,7 @@ Two ranges: the whole one (Omega and xi from 1e-3 to 1e3, Gamma from 1e-3 to 1e2
 and, by itself, exactly 1, penetration 1e-8 to 1e-1; a fifth of the cells exactly at Gamma = 2, Omega = 1,
 xi = 0, 1/sqrt(2) or 1, or within 1e-12 of them) and the default one (Gamma and xi up to 10, Omega from
 0.1 to 10, the specification's contact). All are log-uniform. Half of the periods are settled. The worst
-cells, those without an answer and then the slowest, are listed so that they can be looked at.
+cells, the unresolved and then the slowest, are listed.
 """
 
 import argparse
@@ -125,18 +125,18 @@ def main() -> None:
     parser.add_argument("--periods", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--worst", type=int, default=3)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe())
     for title, draw, kinds in (
         ("whole range", whole_range, WHOLE),
         ("default range", default_range, DEFAULT),
     ):
-        print(f"\n{title}, {given.cells} cells: % of cells, and CPU us per plate period")
+        print(f"\n{title}, {arguments.cells} cells: % of cells, and CPU us per plate period")
         names = [kind.name.lower().replace("_", " ") for kind in list(Outcome)[1:]]
         print(f"{'':28s}" + "".join(f"{name:>10s}" for name in names) + "     median   99th pc.    largest")
         for number, kind in enumerate(kinds):
-            rng = np.random.default_rng([given.seed, number])
-            report(kind, draw(kind, given.cells, rng), given.periods, given.worst)
+            rng = np.random.default_rng([arguments.seed, number])
+            report(kind, draw(kind, arguments.cells, rng), arguments.periods, arguments.worst)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,13 @@
     python -m benchmarks.kernel [--repeat 7] [--only rigid,heyoka,...]
 
 Time: cells are those of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate
-periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, which is how a sweep runs
-them; "alone" runs one cell through the scalar functions. Every figure is the median over the cells of the
-median over repetitions, and the ratios come from the same run. The rivals solve the rigid spring, compiled
-beforehand; the slow ones run fewer periods.
+periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, as a sweep runs
+them; "alone" runs one cell through the scalar functions. Every number is the median over the cells of the
+median over repetitions, and the ratios come from the same run. The general integrators solve the
+rigid spring, compiled beforehand; the slow ones run fewer periods.
 
 Error: of the flight times of tests/golden's rigid cells after 200 periods, the worst of all; those numbers
-are themselves certain to 6e-10. And how far the first three flights from rest are from `rigid`'s.
+have an uncertainty of 6e-10. Then the deviation of the first three flights from rest from those of `rigid`.
 """
 
 import argparse
@@ -106,14 +106,14 @@ def cost_of(run: Callable[[], object], units: float, repeat: int) -> float:
     return statistics.median(times) / units * 1e6
 
 
-def kernel_cost(model: Model, repeat: int, **given: Any) -> float:
+def kernel_cost(model: Model, repeat: int, **options: Any) -> float:
     """Median over CELLS."""
     costs = []
     for gamma, omega, xi in CELLS:
-        spread = np.array([gamma]) if given.get("alone") else gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
+        spread = np.array([gamma]) if options.get("alone") else gamma * np.linspace(0.99, 1.01, NEIGHBOURS)
 
         def run(g: np.ndarray = spread, o: float = omega, x: float = xi) -> Line:
-            return line(g, o, x, model, **given)
+            return line(g, o, x, model, **options)
 
         costs.append(cost_of(run, len(spread) * PERIODS, repeat))
     return statistics.median(costs)
@@ -123,14 +123,14 @@ def golden_error(solve: Solver) -> float:
     """The worst flight of tests/golden's periodic cells, compared in order of length."""
     worst = 0.0
     for cell in GOLDEN:
-        found = solve(cell["gamma"], cell["omega"], cell["xi"], GOLDEN_PERIODS)
-        last = sorted(found[len(found) - cell["bounces"] :])
+        flights = solve(cell["gamma"], cell["omega"], cell["xi"], GOLDEN_PERIODS)
+        last = sorted(flights[len(flights) - cell["bounces"] :])
         worst = max(worst, *(abs(a - b) for a, b in zip(last, sorted(cell["flights"]), strict=True)))
     return worst
 
 
 def first_error(solve: Solver) -> float:
-    """How far a solver's first flights in the same cells are from those of `rigid`, alone."""
+    """The largest deviation of a solver's first flights in the same cells from those of `rigid`, alone."""
     worst = 0.0
     for cell in GOLDEN:
         where = (cell["gamma"], cell["omega"], cell["xi"], 20)
@@ -209,13 +209,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=7)
     parser.add_argument("--only", default=",".join(RIVALS), help="which rivals, with commas; '' for none")
-    given = parser.parse_args()
-    wanted = [name for name in given.only.split(",") if name]
+    arguments = parser.parse_args()
+    selected = [name for name in arguments.only.split(",") if name]
     packages = {"sundials": "scikit-sundae"}
-    print(describe(*(packages.get(name, name) for name in wanted)))
-    rows = own_rows(given.repeat)
-    for name in wanted:
-        rows += RIVALS[name](given.repeat)
+    print(describe(*(packages.get(name, name) for name in selected)))
+    rows = own_rows(arguments.repeat)
+    for name in selected:
+        rows += RIVALS[name](arguments.repeat)
 
     def shown(row: Row) -> list[str]:
         errors = ["" if math.isnan(error) else f"{error:.0e}" for error in (row.golden, row.first)]

@@ -29,19 +29,19 @@ def plate_of(
 ) -> Any:
     """The plate under n cells, from arrays (n,)."""
     module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
-    given: dict[str, Any] = {"restitution": restitution}
+    arguments: dict[str, Any] = {"restitution": restitution}
     if model in (Model.SOFT, Model.STEPPED):
-        given |= {"penetration": penetration, "adhesive": adhesive}
+        arguments |= {"penetration": penetration, "adhesive": adhesive}
     if model is Model.STEPPED:
-        given |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
-    return module.plate(**given)
+        arguments |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
+    return module.plate(**arguments)
 
 
 #: What `plate_of` takes beside the model.
 CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
 
 
-def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **given: Any) -> Line:
+def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **options: Any) -> Line:
     """`kernel.line.run_line` with the plate of a model in one call."""
-    contact = {name: given.pop(name) for name in CONTACT if name in given}
-    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **given)
+    contact = {name: options.pop(name) for name in CONTACT if name in options}
+    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **options)

@@ -14,18 +14,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.browser import LONG_LINE, chromium, longest_task, opened, redraws, wait_shown, watch_tasks
-
 from benchmarks.machine import describe
 from service.client import Client, Job
 from service.server import embedded
+from tests.support.browser import LONG_LINE, chromium, longest_task, opened, redraws, wait_shown, watch_tasks
 
 #: How often a page is opened.
 VIEWS = 7
 #: The first motion of a service's life may wait for a compiler.
 COMPILING_MS = 180_000
 #: What is there once a view is.
-MOVING, SHOWN = ".player[data-phase]", ".panel .plot[data-shows]"
+MOVING, SHOWN = ".player[data-phase]", ".panel .plot[data-shown]"
 
 
 def map_of(cells: int) -> dict[str, Any]:

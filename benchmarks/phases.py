@@ -1,7 +1,7 @@
-"""The rigid spring as a script over a general solver does it: one solve per phase, to its event.
+"""The rigid spring as a script over a general solver computes it: one solve per contact or flight.
 
 On the plate, q (the spring's length from its natural one, in plate amplitudes) moves alone; in flight the gap
-under the lower mass comes with it. What solves a phase is the rival's; which phase comes next is not.
+under the lower mass does so too. The general solver solves each phase; this module chooses the next.
 Equations and units are those of `kernel.models.rigid`.
 """
 
@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-#: A flight is looked at from a moment after take-off: there the gap has a double or triple zero.
+#: A flight is searched from this long (rad) after take-off, where the gap has a double or triple zero.
 LIFT = 1e-3
 
 
@@ -30,7 +30,7 @@ class Spring(NamedTuple):
         return self.dashpot * v + self.stiffness * q
 
     def normal(self, t: float, q: float, v: float) -> float:
-        """What the plate bears; take-off where it falls through 0."""
+        """The normal force; take-off where it falls through zero."""
         return self.gravity - math.cos(t) - self.force(q, v)
 
 
@@ -41,7 +41,7 @@ Fly = Callable[[float, float, float, float], tuple[float, float, float, float] |
 
 
 def march(spring: Spring, periods: int, stick: Stick, fly: Fly) -> list[float]:
-    """Flight times (rad) of a cell from rest, over so many plate periods."""
+    """Flight times (rad) of a cell from rest, over `periods` plate periods."""
     q, v, t, end = -spring.gravity / spring.stiffness, 0.0, 0.0, 2.0 * math.pi * periods
     flying = 2.0 * spring.gravity - 1.0 < 0.0
     flights: list[float] = []
@@ -63,7 +63,7 @@ def march(spring: Spring, periods: int, stick: Stick, fly: Fly) -> list[float]:
 
 
 def lifted(spring: Spring, t: float, q: float, v: float) -> tuple[float, float, float, float]:
-    """gap, gap', q and q' a moment after a take-off, by Taylor's series to the fifth order."""
+    """gap, gap', q and q' LIFT rad after a take-off, by Taylor's series to the fifth order."""
     sin, cos = math.sin(t), math.cos(t)
     q2 = -2.0 * spring.force(q, v)
     q3 = -2.0 * spring.force(v, q2)

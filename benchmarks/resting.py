@@ -1,10 +1,10 @@
-"""What a cell costs that rests on the plate, beside one that bounces: nothing is integrated there.
+"""Cost of a cell at rest on the plate beside one that bounces: a contact without end is one evaluation.
 
     python -m benchmarks.resting [--cells 200] [--repeat 5]
 
 Both at Omega = 0.6, xi = 0.05, Gamma evenly from a tenth to 0.99 of the threshold of Eq. 25 (of 1 for the
 ball), and from 1.1 to 2 times it; on an up ramp and from rest; windows of 300 and of 3,000 plate periods.
-Core-microseconds a cell, the least of several runs. What rests costs the same however long the window is.
+Core-microseconds per cell, the fastest of several runs. The cost at rest does not depend on the window.
 """
 
 import argparse
@@ -31,35 +31,35 @@ def run(model: Model, gamma: np.ndarray, carry: bool, periods: int) -> Line:
 
 
 def cost(model: Model, gamma: np.ndarray, carry: bool, periods: int, repeat: int) -> tuple[float, float]:
-    """Core-microseconds a cell, and the share of cells at rest."""
+    """Core-microseconds per cell, and the share of cells at rest."""
     run(model, gamma[:1], carry, 3)  # compiles
-    least = np.inf
+    fastest = np.inf
     for _ in range(repeat):
         began = time.thread_time()
         line = run(model, gamma, carry, periods)
-        least = min(least, time.thread_time() - began)
-    return least / len(gamma) * 1e6, float(np.mean(line.outcome == Outcome.AT_REST))
+        fastest = min(fastest, time.thread_time() - began)
+    return fastest / len(gamma) * 1e6, float(np.mean(line.outcome == Outcome.AT_REST))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--cells", type=int, default=200)
     parser.add_argument("--repeat", type=int, default=5)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe())
     heads = [f"{state}, {periods} periods" for state in ("resting", "bouncing") for periods in PERIODS]
     print("\ncore-us a cell" + " " * 10 + "".join(f"{head:>24}" for head in heads))
     for model in (Model.BALL, Model.RIGID, Model.SOFT):
         onset = 1.0 if model == Model.BALL else float(threshold(OMEGA, XI))
         for carry in (True, False):
-            found = []
+            columns = []
             for low, high in ((0.1, 0.99), (1.1, 2.0)):
-                gamma = onset * np.linspace(low, high, given.cells)
+                gamma = onset * np.linspace(low, high, arguments.cells)
                 for periods in PERIODS:
-                    spent, resting = cost(model, gamma, carry, periods, given.repeat)
-                    found.append(f"{spent:10.2f} ({resting:4.0%} at rest)")
+                    spent, resting = cost(model, gamma, carry, periods, arguments.repeat)
+                    columns.append(f"{spent:10.2f} ({resting:4.0%} at rest)")
             name = f"{model.name.lower()}, {'up ramp' if carry else 'from rest'}"
-            print(f"{name:24}" + "".join(f"{text:>24}" for text in found))
+            print(f"{name:24}" + "".join(f"{text:>24}" for text in columns))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 A real `bounce serve` on a free port. Eight sweeps come again and again, deleted each time; each must leave
 the bytes that it left when nobody was killed. Prints a line a minute and, at the end, the figures of the
-README's reliability table; exits with 1 if one is missed.
+table of docs/reliability.md; exits with 1 if one is missed.
 """
 
 import argparse

@@ -3,7 +3,7 @@
     python -m benchmarks.stepped [--repeat 9] [--compiler cc]
 
 Fig. 2's cell at Gamma = 1.5 from rest, adhesive contact, 20 steps per contact; the C loop is
-`stepped_loop.c`, compiled here with -O3 -march=native. Medians over the repetitions, which take turns.
+`stepped_loop.c`, compiled here with -O3 -march=native. Medians over the repetitions, which alternate.
 """
 
 import argparse

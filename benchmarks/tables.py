@@ -1,4 +1,4 @@
-"""Tables as Markdown, so that what a benchmark prints can go into the README as it is."""
+"""Tables as Markdown, so that what a benchmark prints can be copied into docs/performance.md."""
 
 from collections.abc import Sequence
 

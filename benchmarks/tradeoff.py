@@ -3,7 +3,7 @@
     python -m benchmarks.tradeoff [-o docs/tradeoff.png]
 
 The same measurement (`worker.analysis.work_precision`), one rung after the other in this process, so that
-rungs do not share the machine; the README's picture and figures come from here.
+rungs do not share the machine; the picture and figures of docs/accuracy.md come from here.
 """
 
 import argparse

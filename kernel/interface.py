@@ -1,9 +1,11 @@
-"""What a contact model answers. Each model registers its own functions, chosen by type.
+"""The functions a contact model implements, chosen at compile time by the type of their first argument.
 
-A model has a *plate*, the contact under each cell of a line, and a *cell*, one cell's
-constants. Its module has a function `plate`, which makes the former from checked arrays (n,).
-A state is (gap, gap', q, q'): the lower mass above the plate and the elongation with their
-velocities; phi is the plate's phase. Times are rad from the start of a phase.
+A model has a *plate*, the contact under each cell of a line, and a *cell*, the constants of one cell. Its
+module has a function `plate`, which makes the former from checked arrays (n,), and registers the functions
+below. A state is (gap, gap', q, q'): the lower mass above the plate and the elongation, in plate
+amplitudes, with their velocities per rad; phi is the plate's phase in rad. Times are in rad from the start
+of a contact or flight; a horizon is the time at which it is cut off, a budget the number of evaluations of
+a phase function it may use.
 """
 
 from typing import Any
@@ -24,37 +26,42 @@ def rest(cell: Any) -> tuple[float, float, float, float]:  # type: ignore[empty-
 
 @by_type
 def flies(cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:  # type: ignore[empty-body]
-    """Whether this state is a flight."""
+    """Whether a phase that begins with this state is a flight."""
 
 
 @by_type
 def contact(  # type: ignore[empty-body]
     cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In contact until take-off, or to the horizon."""
+    """The contact that begins with this state, to its take-off or to the horizon."""
 
 
 @by_type
 def flight(  # type: ignore[empty-body]
     cell: Any, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until landing, or to the horizon."""
+    """The flight that begins with this state, to its landing or to the horizon.
+
+    The state at its end is that after the impact.
+    """
 
 
 @by_type
 def contact_force(cell: Any, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:  # type: ignore[empty-body]
-    """The plate's force on the lower mass in contact, in m A omega**2; `cos` is of the plate's phase."""
+    """The plate's force n on the lower mass in contact, in m A omega**2; `cos` is of the plate's phase."""
 
 
 @by_type
-def repeat(cell: Any, run: Any, window: Any, flights: Any, memory: Any) -> Any:
-    """A run (trajectory.Progress) at a take-off from rest, moved on over all that always follows one.
+def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
+    """A run (`cell.Progress`) at a take-off from rest, advanced through phases known from earlier ones.
 
-    `memory` (MEMORY,) is the cell's own, zeros when it begins.
+    For models in which the same motion follows every take-off from rest. `cache` (CACHE_SIZE,) belongs to
+    the cell and is zero when the cell begins. The default returns the run as it is.
     """
 
 
-@repeat.otherwise
+@replay.otherwise
 @jit
-def _nothing_repeats(cell: Any, run: Any, window: Any, flights: Any, memory: Any) -> Any:
+def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
+    """The run as it is."""
     return run

@@ -1,9 +1,9 @@
-"""A line of cells along a protocol, to record arrays: the one way into the kernels.
+"""A line of cells, from arrays of parameters to arrays of records: the entry to the kernels.
 
-`rest` starts every cell from rest at its own parameters. A ramp carries the state over:
-what is kept is the physical motion, and since A goes like Gamma/Omega**2, lengths in plate
-amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities by
-(Gamma_old/Gamma_new)(Omega_new/Omega_old) (MODEL section 4).
+Under the protocol `rest` every cell starts from rest at its own parameters. A ramp carries the state over
+from cell to cell: the physical motion is kept, and since A is proportional to Gamma/Omega**2, lengths in
+plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities by
+(Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Window, leave, room_for_flights, run_cell, write
+from kernel.cell import Window, allocate_flights, run_cell, store_state, write_record
 from kernel.interface import flies, prepare, rest
 from kernel.models.lockstep import run_lockstep
 from kernel.models.rigid import RigidPlate
@@ -26,27 +26,31 @@ def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any,
     carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
 ) -> None:  # fmt: skip
-    """Run a line cell by cell, from `state` in the units of `before` = (gamma, omega) if `started`."""
-    flights = room_for_flights(line.flight_time.shape[1], 1)
+    """Run a line cell by cell and fill `line`.
+
+    With `carry`, from cell to cell; the first cell goes on from `state` (6,), in the units of `before` =
+    (gamma, omega), if `started`. Both arrays are overwritten.
+    """
+    flights = allocate_flights(line.flight_time.shape[1], 1)
     for i in range(len(gamma)):
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
-        carried = carry and started
-        if carried:
+        if carry and started:
             _rescale(state, before, gamma[i], omega[i])
         else:
             state[0] = 0.0
             state[2], state[3], state[4], state[5] = rest(cell)
         in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
         state[1] = 1.0 if in_flight else 0.0
-        run = run_cell(cell, state, window, flights, carried)
-        leave(run, state)
-        write(line, i, run, flights, 0, state, window)
+        run = run_cell(cell, state, window, flights)
+        store_state(run, state)
+        write_record(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
-        started = run.ending != NON_FINITE  # nothing can be carried on from there
+        started = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
 
 
 @jit
 def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
+    """Convert `state` (6,) from the plate amplitude of `before` = (gamma, omega) to that of the new cell."""
     velocity = before[0] / gamma * (omega / before[1])
     length = velocity * (omega / before[1])
     state[2] *= length
@@ -56,7 +60,7 @@ def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
 
 
 def _check_plate(plate: Any, n: int) -> None:
-    """What a model's `plate` made, for n cells."""
+    """Check that a model's `plate` function made this, for n cells. Raises KernelInputError."""
     if type(plate) not in prepare:
         raise KernelInputError("plate", f"must be made by a model's `plate`, not a {type(plate).__name__}")
     for name, array in plate._asdict().items():
@@ -78,15 +82,16 @@ def run_line(
     settle_tolerance: float = 0.0,
     start: Start | None = None,
 ) -> Line:
-    """Run n cells in the order given and return their record.
+    """Run n cells in the given order and return their record.
 
-    gamma, omega, xi: float64 (n,). plate: what a model's `plate` makes of its own arrays (n,); its
-    type chooses the model. With `carry` each cell goes on from its predecessor's end, the first from
-    `start` or from rest; without, every cell starts from rest. settle, observe: plate periods; keep:
-    flights stored; micro_flight: rad; with a settle_tolerance (rad) > 0, flights that repeat within
-    it end the settling early.
+    gamma, omega, xi: float64 (n,). plate: made by a model's `plate` function from its own arrays (n,); its
+    type selects the model. With `carry` each cell continues from its predecessor's end, the first from
+    `start` or from rest; without, every cell starts from rest. settle, observe: plate periods discarded
+    and recorded. keep: flights stored. micro_flight: rad; shorter flights do not count for outcome and
+    mode. settle_tolerance: rad; if > 0, flights that repeat within it end the settling early.
 
-    A trajectory that fails is an outcome. Raises KernelInputError for arguments no cell can have.
+    A trajectory that fails is an outcome, not an exception. Raises KernelInputError for arguments outside
+    what a kernel can compute.
     """
     arrays = {"gamma": gamma, "omega": omega, "xi": xi}
     check_arrays(arrays)

@@ -1,7 +1,7 @@
-"""What a kernel is given and what it answers, in words the whole project shares.
+"""The kernel's inputs and records, shared by the whole project.
 
-Nothing here needs numba, so the specification, the service and the client may
-import it without compiling anything.
+Nothing here needs numba, so that the specification, the service and the client can import it without
+compiling anything.
 
 Units throughout: phase phi = omega*t in rad, lengths in plate amplitudes A,
 velocities in A per rad of phase, forces in m*A*omega**2.
@@ -26,21 +26,21 @@ class Cell(NamedTuple):
 
 
 class Outcome(IntEnum):
-    """What became of a cell. A failed trajectory is data, not an error."""
+    """How a cell ended. A failed trajectory is data, not an error."""
 
     MISSING = 0  # not computed yet
     PERIODIC = 1  # the flights repeat
     APERIODIC = 2  # they do not, within the window
     AT_REST = 3  # in contact throughout the window
-    UNRESOLVED = 4  # the event budget was spent
+    UNRESOLVED = 4  # the budget of evaluations ran out
     DIVERGED = 5  # a number stopped being finite
 
 
 class KernelInputError(ValueError):
-    """A kernel was called with something it cannot compute; names the argument and the rule."""
+    """An argument outside what a kernel can compute; names the argument and the rule it breaks."""
 
     def __init__(self, argument: str, rule: str) -> None:
-        super().__init__(argument, rule)  # both, so that it survives pickling on its way from a worker
+        super().__init__(argument, rule)  # both, so that it can be pickled and sent from a worker
         self.argument = argument
         self.rule = rule
 
@@ -48,7 +48,7 @@ class KernelInputError(ValueError):
         return f"{self.argument}: {self.rule}"
 
 
-#: The state a ramp carries from cell to cell, and its order in `Line.end_state`.
+#: The state a ramp carries from cell to cell, in the order of `Line.end_state`. Lengths in plate amplitudes.
 STATE_FIELDS: Final = (
     "phase",  # rad, modulo 2*pi
     "in_flight",  # 1.0 in flight, 0.0 in contact
@@ -60,18 +60,18 @@ STATE_FIELDS: Final = (
 
 
 class Start(NamedTuple):
-    """A state to carry on from, with the cell whose units it is in (MODEL: lengths scale with A)."""
+    """A state to continue from, with the cell whose plate amplitude its lengths are measured in."""
 
     state: NDArray[np.float64]  # (len(STATE_FIELDS),)
     cell: Cell
 
 
 class Line(NamedTuple):
-    """The record of n cells in the order they were visited."""
+    """The record of n cells in the order they were computed."""
 
     flight_time: NDArray[np.float64]  # (n, keep) rad; the last `keep` flights, NaN beyond `flights`
     takeoff_phase: NDArray[np.float64]  # (n, keep) rad, modulo 2*pi
-    flights: NDArray[np.int32]  # (n,) flights taken off and landed inside the window
+    flights: NDArray[np.int32]  # (n,) flights that took off and landed inside the window
     outcome: NDArray[np.uint8]  # (n,) an Outcome
     bounces: NDArray[np.int16]  # (n,) flights per cycle, 0 if none was found
     periods: NDArray[np.int16]  # (n,) plate periods per cycle

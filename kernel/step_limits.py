@@ -1,8 +1,8 @@
-"""How long the fixed time steps of `stepped` may be; for whole arrays and without numba.
+"""Limits on the fixed time steps of `stepped`, for arrays; no numba.
 
-The paper's rule (Eq. 13) is a step of the contact's duration over 20 to 100. It looks at the
-contact alone: a stiff spring, a strong dashpot, or a restitution so small that the contact
-lasts long may need a shorter one for the scheme to be stable at all.
+The paper's rule (Eq. 13) is a step of the contact's duration over 20 to 100. It considers the contact
+alone: a stiff spring, a strong dashpot, or a restitution so small that the contact lasts long may need a
+shorter step for the scheme to be stable at all.
 
 Let x = (upper mass, lower mass), x'' = -K x - C x' + f with K = w L + kappa E and
 C = b L + beta E, where L = ((1, -1), (-1, 1)), E = ((0, 0), (0, 1)), w = 1/Omega**2,
@@ -24,21 +24,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from kernel.restitution import contact_time, damping_ratio
 
-#: More steps in a plate period than this are refused; a cell that asks for them is unresolved.
+#: More steps than this in a plate period are refused; a cell that needs them is unresolved. At about 4 ns a
+#: step one such period takes 40 ms.
 MOST_STEPS_PER_PERIOD: Final = 10_000_000
+
+#: Numbers of steps beyond this are cut to it before they are converted to integers, which end at 9.2e18.
+_MAX_COUNT: Final = 1e18
+
+#: Halvings of the bracket of Euler's stable step: to 2**-60 of Verlet's, below rounding.
+_HALVINGS: Final = 60
 
 _Array = NDArray[np.float64]
 
 
 class Scheme(IntEnum):
-    """How a step is taken."""
+    """The integration scheme."""
 
     VERLET = 0  # velocity Verlet, second order; a step's second half uses the velocity at its end
     EULER = 1  # semi-implicit Euler, first order
 
 
 def _largest_eigenvalue(spring: _Array, contact: _Array) -> _Array:
-    """Of spring * L + contact * E."""
+    """The largest eigenvalue of spring * L + contact * E (see the module's text), elementwise."""
     return spring + 0.5 * contact + np.hypot(spring, 0.5 * contact)
 
 
@@ -53,7 +60,8 @@ def largest_stable_step(
 ) -> _Array:
     """The step (rad) below which the scheme is stable in contact and in flight, and above which it is not.
 
-    All arguments but the last two broadcast together.
+    The positional arguments, in the ranges of docs/model.md, section 1, broadcast together. Under Verlet
+    in closed form, under Euler by bisection.
     """
     omega, xi, e, d = np.broadcast_arrays(
         *(np.asarray(a, float) for a in (omega, xi, restitution, penetration))
@@ -64,7 +72,7 @@ def largest_stable_step(
         return np.asarray(verlet)
     b, beta = 2.0 * xi / omega, 2.0 * damping_ratio(e, adhesive) / d
     low, high = np.zeros_like(verlet), verlet
-    for _ in range(60):
+    for _ in range(_HALVINGS):
         h = 0.5 * (low + high)
         stable = _largest_eigenvalue(h * (h * w + 2.0 * b), h * (h * kappa + 2.0 * beta)) < 4.0
         low, high = np.where(stable, h, low), np.where(stable, high, h)
@@ -74,12 +82,13 @@ def largest_stable_step(
 def steps_per_period(
     restitution: ArrayLike, penetration: ArrayLike, steps_per_contact: int, *, adhesive: bool = True
 ) -> NDArray[np.int64]:
-    """Steps in a plate period, so that each is at most the contact's duration over `steps_per_contact`.
+    """Steps per plate period under the paper's rule (Eq. 13), an array of integers.
 
-    The step itself is 2 pi over this: a whole number of steps makes a plate period.
+    The fewest whose length is at most the contact's duration over `steps_per_contact`. A whole number of
+    steps makes a plate period, so that a step is 2 pi over this.
     """
-    wanted = contact_time(restitution, penetration, adhesive) / steps_per_contact
-    return np.maximum(np.ceil(np.minimum(2.0 * np.pi / wanted, 1e18)), 1.0).astype(np.int64)
+    longest = contact_time(restitution, penetration, adhesive) / steps_per_contact
+    return np.maximum(np.ceil(np.minimum(2.0 * np.pi / longest, _MAX_COUNT)), 1.0).astype(np.int64)
 
 
 def stable_steps_per_contact(
@@ -91,7 +100,8 @@ def stable_steps_per_contact(
     adhesive: bool = True,
     scheme: Scheme = Scheme.VERLET,
 ) -> NDArray[np.int64]:
-    """The fewest `steps_per_contact` that are stable; the arguments broadcast together."""
+    """The fewest `steps_per_contact` that are stable; the positional arguments broadcast together."""
     longest = largest_stable_step(omega, xi, restitution, penetration, adhesive=adhesive, scheme=scheme)
     fewest = contact_time(restitution, penetration, adhesive) / longest
-    return np.asarray(np.floor(np.minimum(fewest * (1.0 + 1e-12), 1e18)) + 1.0).astype(np.int64)
+    # stability excludes the limit itself; 1e-12 is far above the rounding of the quotient
+    return np.asarray(np.floor(np.minimum(fewest * (1.0 + 1e-12), _MAX_COUNT)) + 1.0).astype(np.int64)

@@ -1,23 +1,27 @@
-"""When a spring at rest on the plate first leaves it (paper section 3.3.1, mended as in MODEL section 5)."""
+"""When a spring that moves with the plate first takes off (paper section 3.3.1; docs/model.md, section 5)."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
 def threshold(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
-    """Gamma_th of Eq. 25; omega > 0 and xi >= 0 broadcast together.
+    """Gamma_th of Eq. 25, above which the normal force of the driven motion falls to zero.
 
-    Zero for an undamped spring at resonance, infinite for one at Omega = sqrt(2).
+    omega > 0 and xi >= 0 broadcast together. Zero for an undamped spring at resonance, infinite for one at
+    Omega = sqrt(2).
     """
     omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
     square = omega * omega
     with np.errstate(divide="ignore"):
-        stuck = np.hypot(1.0 - square, 2.0 * xi * omega)
-        return np.asarray(2.0 * stuck / np.hypot(2.0 - square, 4.0 * xi * omega))
+        in_contact = np.hypot(1.0 - square, 2.0 * xi * omega)
+        return np.asarray(2.0 * in_contact / np.hypot(2.0 - square, 4.0 * xi * omega))
 
 
 def takeoff_phase(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
-    """Phase (rad, in [0, 2 pi)) at which n first vanishes at Gamma_th: Eq. 24 by atan2."""
+    """Phase (rad, in [0, 2 pi)) at which the normal force n is zero at Gamma_th: Eq. 24, written with atan2.
+
+    omega > 0 and xi >= 0 broadcast together.
+    """
     omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
     square = omega * omega
     # n touches zero where N e^{i phi} is real, N = (2 - Omega^2 + 4 i xi Omega)/(1 - Omega^2 + 2 i xi Omega)

@@ -1,8 +1,8 @@
-"""A trajectory at evenly spaced phases, exact: each sample is a phase run from its start to there.
+"""The trajectory of one cell at evenly spaced phases, as exact as the events.
 
-For pictures of one cell: the masses above the plate, and the force between. Lengths are in plate
-amplitudes, which is the paper's z omega**2/g divided by Gamma (Fig. 2). Plain Python that calls the
-compiled phases, fast enough for thousands of samples.
+Each sample is computed from the beginning of its contact or flight. Lengths are in plate amplitudes, which
+is the paper's z omega**2/g divided by Gamma (Fig. 2). Plain Python that calls the compiled contact and
+flight, fast enough for thousands of samples.
 """
 
 import math
@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 from kernel.cell import BUDGET, SHORTEST_FLIGHT
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
-from kernel.modes import TWO_PI
+from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.params import Cell
 from kernel.validation import check_arrays
 
-#: Contacts and flights that are followed, so that a caller who waits has an answer in seconds.
-MOST_PHASES: Final = 50_000
+#: Contacts and flights computed at most, so that a call ends within seconds.
+MAX_PHASES: Final = 50_000
 
 
 class Trajectory(NamedTuple):
-    """n samples, and the m flights that took off and landed within them."""
+    """n samples of a trajectory, and the m flights that took off and landed within them."""
 
     phase: NDArray[np.float64]  # (n,) rad since the start
     plate: NDArray[np.float64]  # (n,) cos(phase), plate amplitudes
@@ -37,9 +37,9 @@ class Trajectory(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A state at the beginning of a phase."""
+    """The state at the beginning of a contact or flight."""
 
-    phase: float  # of the plate, rad modulo 2 pi, reckoned as `trajectory.record` does
+    phase: float  # of the plate, rad modulo 2 pi, rounded as in `cell.record`
     period: int  # plate periods since the start
     in_flight: bool
     gap: float
@@ -61,12 +61,13 @@ def sample(
     periods: int,
     samples: int,
 ) -> Trajectory:
-    """`samples` per plate period, over `periods` of them, from phase 0.
+    """The trajectory over `periods` plate periods from phase 0, at `samples` instants in each.
 
-    `plate`: what a model's `plate` makes for this one cell. `state`: where it starts (see
-    params.STATE_FIELDS), such as a cell's end state; None for rest.
+    `plate`: made by a model's `plate` function for this one cell. `state` (6,): the initial state (see
+    params.STATE_FIELDS), such as a cell's end state; None for rest. Returns n = periods * samples + 1
+    samples. `stepped` is sampled at the nearest of its own steps.
 
-    `stepped` is sampled at the nearest of its own steps. Raises KernelInputError as `line.run_line`.
+    Raises KernelInputError as `line.run_line` does.
     """
     check_arrays({name: np.array([value], np.float64) for name, value in cell._asdict().items()})
     spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
@@ -75,32 +76,34 @@ def sample(
 
 
 def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
+    """The initial point, from a state (6,) or from rest."""
     gap, gap1, q, q1 = rest(spring) if state is None else (float(value) for value in state[2:])
     return _Point(0.0, 0, bool(flies(spring, 0.0, gap, gap1, q, q1)), gap, gap1, q, q1)
 
 
 def _after(here: _Point, p: Phase) -> _Point:
+    """The beginning of the phase that follows `p`, which began `here`."""
     turns = math.floor((here.phase + p.tau) / TWO_PI)
     phase = here.phase + p.tau - TWO_PI * turns
     return _Point(phase, here.period + turns, p.in_flight, p.gap, p.gap1, p.q, p.q1)
 
 
 class _Walk:
-    """Goes through a trajectory phase by phase and fills in the samples of each."""
+    """Computes a trajectory phase by phase and fills in the samples of each."""
 
     def __init__(self, spring: Any, times: NDArray[np.float64], periods: int) -> None:
         self._spring, self._times, self._periods = spring, times, periods
         self._budget = BUDGET * periods
-        self._phases = MOST_PHASES
+        self._phases = MAX_PHASES
         self._gap, self._q, self._n = (np.full(len(times), np.nan) for _ in range(3))
         self._flies = np.zeros(len(times), np.bool_)
         self._flights: list[tuple[float, float]] = []
         self._next = 0  # the first sample not filled in yet
 
     def run(self, here: _Point) -> Trajectory:
-        """From `here` to the last sample."""
+        """The trajectory from `here` to the last sample."""
         end = float(self._times[-1])
-        flew_in = here.in_flight  # its take-off was not seen
+        flew_in = here.in_flight  # a flight that began before the first sample is not counted
         while self._next < len(self._times):
             p = self._phase(here, end - here.at)
             self._fill(here, p.tau, reached_end=p.ending == HORIZON)
@@ -115,14 +118,15 @@ class _Walk:
         return self._trajectory()
 
     def _phase(self, here: _Point, horizon: float) -> Phase:
-        follow = flight if here.in_flight else contact
-        found: Phase = follow(
+        """The contact or flight that begins `here`, cut off `horizon` rad later."""
+        run = flight if here.in_flight else contact
+        phase: Phase = run(
             self._spring, here.phase, here.gap, here.gap1, here.q, here.q1, max(horizon, 0.0), self._budget
         )
-        return found
+        return phase
 
     def _fill(self, here: _Point, tau: float, *, reached_end: bool) -> None:
-        """The samples within a phase that begins `here` and lasts `tau`."""
+        """Fill in the samples within a phase that begins `here` and lasts `tau` rad."""
         last = len(self._times) if reached_end else int(np.searchsorted(self._times, here.at + tau, "left"))
         for i in range(self._next, last):
             x: Any = here
@@ -136,6 +140,7 @@ class _Walk:
         self._next = max(self._next, last)
 
     def _trajectory(self) -> Trajectory:
+        """The samples filled in so far, with NaN for the rest."""
         flights = np.array(self._flights, np.float64).reshape(-1, 2)
         return Trajectory(
             self._times,

@@ -1,4 +1,7 @@
-"""What a kernel's Python entry accepts; a refusal names the argument and the rule."""
+"""Checks of the arguments of `kernel.line.run_line` and of the models' `plate` functions.
+
+Every function raises KernelInputError, which names the argument and the rule it breaks.
+"""
 
 from collections.abc import Callable
 from typing import Final
@@ -8,10 +11,11 @@ from numpy.typing import NDArray
 
 from kernel.params import STATE_FIELDS, KernelInputError, Start
 
-#: Beyond this, or below its inverse, the kernels' products of four such numbers overflow.
+#: Parameters must lie within this and its inverse. Their squares, such as 1/d^2, then stay within 1e60, and
+#: products of four of those, which the kernels form, within a double's range of 1e308.
 LARGEST: Final = 1e30
 
-#: What a cell's numbers must satisfy: name -> (test, rule).
+#: What each parameter must satisfy: name -> (test, rule).
 _RULES: Final[dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.bool_]], str]]] = {
     "gamma": (lambda a: a > 0.0, "must be > 0"),
     "omega": (lambda a: a > 0.0, "must be > 0"),
@@ -22,7 +26,7 @@ _RULES: Final[dict[str, tuple[Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 
 
 def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
-    """Float64 arrays (n,) of one length, each within its rule."""
+    """Check float64 arrays (n,) of one length, by name, each within its rule."""
     shape = None
     for name, array in arrays.items():
         if not isinstance(array, np.ndarray) or array.dtype != np.float64:
@@ -40,7 +44,7 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
         if len(wrong):
             raise KernelInputError(name, f"{rule} and be finite, got {array[wrong[0]]} at index {wrong[0]}")
         extreme = np.flatnonzero((array != 0.0) & ((array > LARGEST) | (array < 1.0 / LARGEST)))
-        if len(extreme) and name != "restitution":
+        if len(extreme) and name != "restitution":  # which the models limit themselves
             i = extreme[0]
             raise KernelInputError(name, f"must lie within 1e-30 and 1e30, got {array[i]} at index {i}")
 
@@ -48,22 +52,22 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
 def check_window(
     settle: int, observe: int, keep: int, micro_flight: float, settle_tolerance: float = 0.0
 ) -> None:
-    """Plate periods, flights and rad of an observation window."""
-    for name, value, least in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise KernelInputError(name, f"must be an integer >= {least}, got {value!r}")
+    """Check an observation window: settle and observe in plate periods, keep in flights, the rest in rad."""
+    for name, value, minimum in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+            raise KernelInputError(name, f"must be an integer >= {minimum}, got {value!r}")
     for name, length in (("micro_flight", micro_flight), ("settle_tolerance", settle_tolerance)):
         if not np.isfinite(length) or length < 0.0:
             raise KernelInputError(name, f"must be >= 0 and finite, got {length!r}")
 
 
 def checked_state(start: Start) -> NDArray[np.float64]:
-    """A copy of a start's state, finite and complete."""
+    """A copy of the start's state (len(STATE_FIELDS),), checked to be finite and complete."""
     state = np.array(start.state, dtype=np.float64)
     if state.shape != (len(STATE_FIELDS),) or not np.all(np.isfinite(state)):
         raise KernelInputError(
             "start", f"must hold {len(STATE_FIELDS)} finite numbers: {', '.join(STATE_FIELDS)}"
         )
     if not all(np.isfinite(v) and v > 0.0 for v in start.cell[:2]):
-        raise KernelInputError("start", "must name the gamma > 0 and omega > 0 its lengths are measured in")
+        raise KernelInputError("start", "must name the gamma > 0 and omega > 0 of the cell it comes from")
     return state

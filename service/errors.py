@@ -1,26 +1,27 @@
-"""What the service refuses on purpose. `api.problems` says which HTTP status each has.
+"""Errors that the service raises on purpose. They know nothing of HTTP: `api.problems` maps them to statuses.
 
     ServiceError
-    ├── WrongMediaType         the body is declared as something else
+    ├── InvalidRequest         a field breaks a rule; `problems` names both
+    ├── WrongMediaType         the body is not declared as plain JSON
     ├── BodyTimeout            the body did not arrive in time
-    ├── InvalidRequest         a field breaks a rule; names both
-    ├── Unauthenticated           no token came with the request, or a wrong one
-    ├── HostNotAllowed              the Host header names no name of this service
-    ├── CrossOriginRefused            a page from elsewhere asks for a change
+    ├── TooLarge               body, sweep or response above a limit; the text says what would fit
+    ├── Unauthenticated        the access token is missing or wrong
+    ├── HostNotAllowed         the Host header is not one of the service's names
+    ├── CrossOriginRefused     a web page of another origin sent a request that changes something
     ├── UnknownJob             no job has this id
     ├── NotInStore             a job's store has nothing under this key
-    ├── KeyReused              an Idempotency-Key came again with another body
-    ├── IllegalTransition      the job is not in a state that allows this
-    ├── TooLarge               body, sweep or answer above a cap; says what would fit
-    ├── QueueFull              too many jobs wait already
-    ├── Busy                   too many costly requests are being answered already
-    ├── NotComputed            no worker is there to answer, or those that did were lost
-    ├── NoSpace                there is no room for a file of an answer
-    ├── DataFolderBusy         another service uses the data folder (only at start)
-    ├── LedgerUnusable         the ledger is none, or was written by a newer version (only at start)
-    └── LedgerUnavailable      the ledger's file cannot be read or written now
+    ├── KeyReused              an Idempotency-Key was used before with another body
+    ├── IllegalTransition      the job's state does not allow this
+    ├── QueueFull              too many unfinished jobs
+    ├── Busy                   too many concurrent expensive requests
+    ├── NotComputed            no worker could compute the response
+    ├── NoSpace                no disk space for an export
+    ├── LedgerUnavailable      the ledger cannot be read or written at the moment
+    └── NotStarted             the service cannot start; the text says why
+        ├── DataFolderBusy     another service uses the data folder
+        └── LedgerUnusable     a newer version wrote the ledger, or the file is no ledger
 
-A specification that cannot be used is the worker's `SpecError`, told in its own words.
+An invalid specification is the worker's `worker.spec.errors.SpecError`.
 """
 
 from collections.abc import Sequence
@@ -29,19 +30,11 @@ from worker.spec.errors import Problem
 
 
 class ServiceError(Exception):
-    """Root of what the service refuses on purpose; the text is fit to show to a user."""
+    """Base class; the text is fit to show to a user, `problems` names fields and the rules they break."""
 
-    def __init__(self, detail: str, rules: Sequence[Problem] = ()) -> None:
+    def __init__(self, detail: str, problems: Sequence[Problem] = ()) -> None:
         super().__init__(detail)
-        self.problems = tuple(rules)
-
-
-class WrongMediaType(ServiceError):
-    """The body is declared as something else than JSON."""
-
-
-class BodyTimeout(ServiceError):
-    """The body did not arrive in time."""
+        self.problems = tuple(problems)
 
 
 class InvalidRequest(ServiceError):
@@ -53,24 +46,28 @@ class InvalidRequest(ServiceError):
         return cls(f"{field}: {rule}", [Problem(field, rule)])
 
 
+class WrongMediaType(ServiceError):
+    """The body is not declared as plain JSON."""
+
+
+class BodyTimeout(ServiceError):
+    """The body did not arrive in time."""
+
+
+class TooLarge(ServiceError):
+    """Body, sweep or response above a limit."""
+
+
 class Unauthenticated(ServiceError):
-    """No token came with the request, or a wrong one."""
+    """The access token is missing or wrong."""
 
 
 class HostNotAllowed(ServiceError):
-    """The Host header names no name of this service."""
+    """The Host header is not one of the service's names."""
 
 
 class CrossOriginRefused(ServiceError):
-    """A page from elsewhere asks for a change."""
-
-
-class NotInStore(ServiceError):
-    """A job's store has nothing under this key."""
-
-
-class KeyReused(ServiceError):
-    """An Idempotency-Key came again with another body."""
+    """A web page of another origin sent a request that changes something."""
 
 
 class UnknownJob(ServiceError):
@@ -82,37 +79,45 @@ class UnknownJob(ServiceError):
         return cls(f"no job has the id {job_id[:64]!a}")
 
 
+class NotInStore(ServiceError):
+    """A job's store has nothing under this key."""
+
+
+class KeyReused(ServiceError):
+    """An Idempotency-Key was used before with another body."""
+
+
 class IllegalTransition(ServiceError):
-    """The job is not in a state that allows this."""
-
-
-class TooLarge(ServiceError):
-    """Body, sweep or answer above a cap."""
+    """The job's state does not allow this."""
 
 
 class QueueFull(ServiceError):
-    """Too many jobs wait already."""
+    """Too many unfinished jobs."""
 
 
 class Busy(ServiceError):
-    """Too many costly requests are being answered already."""
+    """Too many concurrent expensive requests."""
 
 
 class NotComputed(ServiceError):
-    """No worker is there to compute an answer, or those that did were lost."""
+    """No worker could compute the response."""
 
 
 class NoSpace(ServiceError):
-    """There is no room for a file of an answer."""
-
-
-class DataFolderBusy(ServiceError):
-    """Another service uses the data folder."""
-
-
-class LedgerUnusable(ServiceError):
-    """The ledger was written by a newer version, or the file is no ledger."""
+    """No disk space for an export."""
 
 
 class LedgerUnavailable(ServiceError):
-    """The ledger's file cannot be read or written now."""
+    """The ledger cannot be read or written at the moment."""
+
+
+class NotStarted(ServiceError):
+    """The service cannot start."""
+
+
+class DataFolderBusy(NotStarted):
+    """Another service uses the data folder."""
+
+
+class LedgerUnusable(NotStarted):
+    """A newer version wrote the ledger, or the file is no ledger."""

@@ -25,12 +25,12 @@ def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def instructions(name: str) -> list[str]:
-    """What follows each `name` in the Dockerfile."""
+    """The arguments of each instruction `name` of the Dockerfile."""
     return re.findall(rf"^\s*{name}\s+(.*)$", DOCKERFILE, re.MULTILINE)
 
 
 def locked() -> dict[str, list[Requirement]]:
-    """The lock's pins by library; one may have several, for different Pythons."""
+    """The pins of the lock file by library; a library can have several, for different Pythons."""
     pins: dict[str, list[Requirement]] = {}
     for line in re.findall(r"^([a-z0-9][^\\\n]*==[^\\\n]*)", LOCK, re.MULTILINE):
         pin = Requirement(line)
@@ -43,7 +43,7 @@ def test_compose_file_is_valid():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_dockerfile_has_no_findings():
+def test_dockerfile_passes_hadolint():
     done = tool("hadolint", "Dockerfile")
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
@@ -53,17 +53,19 @@ def test_topology_is_a_scheduler_two_workers_and_the_service():
     assert SERVICES["worker"]["deploy"]["replicas"] == 2
 
 
-def test_scheduler_is_set_as_the_service_wants_it():
-    from worker.executors.connection import SCHEDULER, variable
+def test_scheduler_has_the_settings_that_the_service_needs():
+    from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 
-    given = {name: float(value) for name, value in SERVICES["scheduler"]["environment"].items()}
-    assert given == {variable(name): wanted for name, (wanted, _) in SCHEDULER.items()}
-    readme = (ROOT / "README.md").read_text()
-    assert all(f"{name}={SERVICES['scheduler']['environment'][name]}" in readme for name in given)
+    environment = SERVICES["scheduler"]["environment"]
+    assert {name: float(value) for name, value in environment.items()} == {
+        environment_variable(name): value for name, value in SCHEDULER_SETTINGS.items()
+    }
+    document = (ROOT / "docs" / "deployment.md").read_text()
+    assert all(f"{name}={value}" in document for name, value in environment.items())
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_container_comes_back_is_watched_and_bounded(name: str):
+def test_container_restarts_has_a_health_check_and_a_memory_limit(name: str):
     container = SERVICES[name]
     assert container["restart"] == "unless-stopped"
     assert container["healthcheck"]["test"][0] == "CMD"
@@ -82,7 +84,7 @@ def test_scheduler_and_workers_have_only_the_inner_network():
     assert SERVICES["scheduler"]["networks"] == SERVICES["worker"]["networks"] == ["cluster"]
 
 
-def test_health_pages_of_dask_stay_in_their_containers():
+def test_health_pages_of_dask_listen_inside_their_containers_only():
     for name in ("scheduler", "worker"):
         command = SERVICES[name]["command"]
         assert "--no-dashboard" in command
@@ -114,11 +116,13 @@ def test_image_installs_the_lock_before_it_copies_the_code():
     assert "--no-deps" in "".join(lines[code_at:])
 
 
-def test_image_gets_everything_it_is_built_from():
+def test_build_context_holds_what_the_image_copies():
     sources = {word for line in instructions("COPY") for word in line.split()[:-1]}
     assert all((ROOT / source).exists() for source in sources)
-    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
-    assert sources == let_in
+    in_build_context = {
+        line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")
+    }
+    assert sources == in_build_context
     assert set(PROJECT["project"]["license-files"]) < sources
 
 
@@ -126,13 +130,13 @@ def test_lock_has_every_library_at_a_version_the_project_takes():
     project, pins = PROJECT["project"], locked()
     build = PROJECT["dependency-groups"]["build"]
     for text in (*project["dependencies"], *project["optional-dependencies"]["s3"], *build):
-        wanted = Requirement(text)
-        found = pins.get(canonicalize_name(wanted.name), [])
-        assert found, f"{wanted} is not in requirements.lock: make it anew"
-        for pin in found:
+        requirement = Requirement(text)
+        locked_pins = pins.get(canonicalize_name(requirement.name), [])
+        assert locked_pins, f"{requirement} is not in requirements.lock: renew it (CONTRIBUTING.md)"
+        for pin in locked_pins:
             (version,) = pin.specifier
-            assert wanted.specifier.contains(version.version), (
-                f"{pin} in requirements.lock, {wanted} in pyproject"
+            assert requirement.specifier.contains(version.version), (
+                f"{pin} in requirements.lock, {requirement} in pyproject"
             )
 
 
@@ -140,7 +144,7 @@ def test_lock_covers_the_images_python_and_is_hashed():
     (python,) = re.findall(r"^FROM python:(\d+\.\d+)", DOCKERFILE, re.MULTILINE)
     environment = {"python_full_version": f"{python}.0", "python_version": python, "sys_platform": "linux"}
     for name, pins in locked().items():
-        here = [pin for pin in pins if not pin.marker or pin.marker.evaluate(environment)]
-        assert len(here) <= 1, name
+        applicable = [pin for pin in pins if not pin.marker or pin.marker.evaluate(environment)]
+        assert len(applicable) <= 1, name
     assert len(re.findall(r"==\S+[^\n]*\\\n    --hash=sha256:", LOCK)) == sum(map(len, locked().values()))
     assert "://" not in LOCK

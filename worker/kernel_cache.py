@@ -1,16 +1,16 @@
-"""Room: compiled kernels ready before the first task, each process with a cache of its own.
+"""Numba's cache of compiled kernels, one folder per process.
 
-Standard library only. Must be imported before any kernel is, and imports none itself until told
-to: numba reads `NUMBA_CACHE_DIR` when kernels are declared.
+numba reads `NUMBA_CACHE_DIR` when kernels are declared, so a process claims its cache before it imports any
+kernel. This module therefore uses the standard library only and imports kernels in `warm` alone.
 
-Two processes writing one numba cache can crash, and numba notices a changed source only in
-the outermost function. So compiled kernels live in
+Two processes that write to the same numba cache can crash, and numba notices a change of a source file only
+in the outermost function. So compiled kernels are kept in
 
-    ROOT/DIGEST/slot-N/     one process at a time, held by a lock that dies with it
-    ROOT/DIGEST/ready/      what the first to finish compiling left for the others to copy
+    ROOT/DIGEST/slot-N/     the cache of one process at a time, held by a lock that ends with the process
+    ROOT/DIGEST/ready/      a copy made by the first process that finished compiling, to start others from
 
-where DIGEST names the kernel's sources, and ROOT is what is asked for, or NUMBA_CACHE_DIR,
-or a folder in the user's cache.
+where DIGEST identifies the kernel's sources. ROOT is the argument of `claim_cache`, else `NUMBA_CACHE_DIR`,
+else `bouncing-spring` in the user's cache folder.
 """
 
 import fcntl
@@ -32,36 +32,38 @@ _READY: Final = "ready"
 _COMPILED: Final = "*.nbc"
 _OLD_SECONDS: Final = 14 * 24 * 3600
 
-#: The slot this process holds, until it ends: its lock is never closed on purpose.
+#: The slot this process holds. The lock's file descriptor stays open until the process ends.
 _held: list[Path] = []
 
 
 def warm(root: str | Path | None = None) -> None:
-    """Claim a cache for this process and compile every kernel into it, or read what is there.
+    """Claim a cache for this process, and compile every kernel or load it from the cache.
 
-    Takes a second or so from a cache, and half a minute the first time; of several processes
-    that start together one compiles and the others wait for it.
+    Loading takes about a second, compiling half a minute. Of several processes that start together, one
+    compiles and the others wait for it. May run in a thread if the cache is claimed already.
     """
     slot = claim_cache(root)
-    # Not at the top: the kernels' declarations look for the cache that was just claimed.
+    # Not at the top of the module: kernels are declared here, with the cache that was just claimed.
     from worker.tasks import compile_kernels  # noqa: PLC0415
 
     if slot is None or (slot.parent / _READY).exists():
         if slot is not None:
-            _seed(slot)  # it may have been claimed before there was anything to copy
+            _seed(slot)  # the slot may have been claimed before `ready` existed
         compile_kernels()
         return
-    with (slot.parent / "compiling").open("a") as turn:
-        fcntl.flock(turn, fcntl.LOCK_EX)
+    with (slot.parent / "compiling").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
         _seed(slot)
         compile_kernels()
         _publish(slot)
 
 
 def claim_cache(root: str | Path | None = None) -> Path | None:
-    """Point numba at a cache folder that no other living process uses; it outlives this one.
+    """Set `NUMBA_CACHE_DIR` to a cache folder that no other running process uses, and return the folder.
 
-    The same folder if called again; None if kernels were declared without one already.
+    Called again, returns the same folder. Returns None if kernels have been declared without a cache.
+    The folder stays when the process ends, for the next one. Call it before starting threads: it changes
+    the environment.
     """
     if _held:
         return _held[0]
@@ -75,19 +77,19 @@ def claim_cache(root: str | Path | None = None) -> Path | None:
 
 
 def default_root() -> Path:
-    """Where caches go unless told otherwise."""
-    given = os.environ.get(_VARIABLE)
-    if not given:
+    """The folder of all caches if the caller names none."""
+    configured = os.environ.get(_VARIABLE)
+    if not configured:
         return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "bouncing-spring"
-    # A process that claimed a slot hands its environment down to those it starts.
-    inherited = (Path(given) / _LOCK).exists()
-    return Path(given).parent.parent if inherited else Path(given)
+    # Inherited from a process that claimed a slot: the variable names that slot, not the root.
+    is_slot = (Path(configured) / _LOCK).exists()
+    return Path(configured).parent.parent if is_slot else Path(configured)
 
 
 def _home() -> Path:
     try:
         return Path.home()
-    except RuntimeError:  # a user unknown to the system, as in containers: a folder that is nobody else's
+    except RuntimeError:  # a user without an entry in the password database, as in containers
         return Path(tempfile.mkdtemp(prefix="bouncing-spring-"))
 
 
@@ -108,7 +110,7 @@ def _first_free_slot(folder: Path) -> Path:
         except BlockingIOError:
             os.close(lock)
             continue
-        os.utime(lock)  # when it was last used
+        os.utime(lock)  # the time of last use, for _remove_old
         _held.append(slot)
         _seed(slot)
         return slot
@@ -116,25 +118,25 @@ def _first_free_slot(folder: Path) -> Path:
 
 
 def _seed(slot: Path) -> None:
-    """Give a cache without anything compiled what the first process left, if it has finished."""
+    """Copy the compiled kernels in `ready`, if it exists, to a slot that has none."""
     ready = slot.parent / _READY
-    # Not "an empty cache": numba makes its folders in it when kernels are declared.
+    # Compiled files, not any files: numba creates folders in the slot when kernels are declared.
     if ready.is_dir() and not any(slot.rglob(_COMPILED)):
         shutil.copytree(ready, slot, dirs_exist_ok=True)
 
 
 def _publish(slot: Path) -> None:
-    """Leave a finished cache for others; it appears whole, once, and is never written again."""
+    """Copy a complete cache to `ready`, by renaming, so that others never see part of it. Done once."""
     if (slot.parent / _READY).exists():
         return
     draft = Path(tempfile.mkdtemp(prefix="draft-", dir=slot.parent))
     shutil.copytree(slot, draft, dirs_exist_ok=True, ignore=shutil.ignore_patterns(_LOCK))
     draft.rename(slot.parent / _READY)
-    _forget_old(slot.parent.parent, keep=slot.parent)
+    _remove_old(slot.parent.parent, keep=slot.parent)
 
 
-def _forget_old(root: Path, keep: Path) -> None:
-    """Remove caches of kernels that nobody has run for a fortnight; touches nothing but our own folders."""
+def _remove_old(root: Path, keep: Path) -> None:
+    """Remove the caches of other kernel sources that were last used two weeks ago or earlier."""
     for lock in root.glob(f"*/slot-0/{_LOCK}"):
         folder = lock.parents[1]
         if folder != keep and time.time() - lock.stat().st_mtime > _OLD_SECONDS:
@@ -142,7 +144,7 @@ def _forget_old(root: Path, keep: Path) -> None:
 
 
 def _digest() -> str:
-    """A name for this version of the kernel's sources, by what numba looks at and what it overlooks."""
+    """An identifier of the kernel's sources: modification times, as numba compares, and contents."""
     package = find_spec("kernel")
     folder = Path(next(iter(package.submodule_search_locations or ()))) if package else Path()
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())

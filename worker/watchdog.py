@@ -1,7 +1,7 @@
-"""Room: a chunk computed under watch, in a worker process of a cluster.
+"""Runs a chunk in a worker process of a cluster under a watchdog that can end the process.
 
-A kernel that never comes back cannot be interrupted, only its process ended: by the watch, which
-first says why. The process's nanny, or whoever started it, puts a new one in its place.
+A compiled kernel cannot be interrupted. If a chunk exceeds its time or memory, or ignores the cancel flag,
+the watchdog reports why and ends the process; the process's nanny starts another.
 """
 
 import contextlib
@@ -20,39 +20,42 @@ from worker import store
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkCancelled, ChunkReport
 
-#: Under this name a cluster's workers say what becomes of chunks.
+#: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
+#: watchdog terminates the worker over it.
 TOPIC: Final = "bouncing-spring"
 
-#: How often the watch looks up, and how often at the cancel mark, which may be far away.
-LOOK_SECONDS: Final = 0.1
-MARK_SECONDS: Final = 1.0
-#: A chunk sees the cancel mark by itself; so long after, it does not any more.
-CANCEL_GRACE: Final = 2.0
-#: Of its memory limit that a worker may use; at 0.95 its nanny would end it without a word.
+#: The interval of the checks, and that of the cancel flag, which may be in a distant bucket.
+CHECK_SECONDS: Final = 0.1
+FLAG_SECONDS: Final = 1.0
+#: A chunk checks the cancel flag itself; one that runs so long after the flag was set ignores it.
+CANCEL_GRACE_SECONDS: Final = 2.0
+#: The share of its memory limit that a worker may use. At 0.95 its nanny kills it without giving a reason.
 MEMORY_SHARE: Final = 0.9
-#: For the last words to reach the scheduler.
-WORDS_SECONDS: Final = 0.2
-#: If even the watch hangs, the process ends so long after the chunk's time is up.
-LAST_RESORT: Final = 5.0
-LONGEST: Final = 1e6
+#: Time for the last event to reach the scheduler before the process ends.
+REPORT_SECONDS: Final = 0.2
+#: If the watchdog itself cannot run, the process ends so long after the chunk's time limit.
+HARD_LIMIT_SECONDS: Final = 5.0
+#: The longest timer that faulthandler is given.
+LONGEST_SECONDS: Final = 1e6
 
 
 def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> ChunkReport | ChunkCancelled:
-    """As `studies.run_task`, but in a process that ends itself where the task cannot be stopped otherwise.
+    """`studies.run_task` under a watchdog.
 
-    That is if it takes longer than `seconds`, grows beyond the worker's memory limit, or ignores the cancel
-    flag. `ChunkCancelled` is returned, not raised: the worker logs what is raised as an error.
+    Ends the process if the chunk takes longer than `seconds`, exceeds the worker's memory limit, or ignores
+    the cancel flag. Returns ChunkCancelled instead of raising it: distributed logs what a task raises as an
+    error.
     """
     worker = get_worker()
-    said = {"key": worker.get_current_task(), "worker": worker.address}
-    worker.log_event(TOPIC, said)
+    event = {"key": worker.get_current_task(), "worker": worker.address}
+    worker.log_event(TOPIC, event)
 
-    def end(why: str) -> None:
-        worker.log_event(TOPIC, said | {"why": why})
-        time.sleep(WORDS_SECONDS)
+    def terminate(why: str) -> None:
+        worker.log_event(TOPIC, event | {"why": why})
+        time.sleep(REPORT_SECONDS)
         os._exit(1)
 
-    with _last_resort(seconds + LAST_RESORT), Watchdog(worker, store_url, seconds, end):
+    with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):
         try:
             return run_task(spec, chunk, store_url)
         except ChunkCancelled as cancelled:
@@ -60,15 +63,15 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
 
 
 class Watchdog:
-    """A thread that looks after another one for as long as the block lasts."""
+    """A thread that checks a worker for as long as the block lasts and calls `terminate` with the reason."""
 
-    def __init__(self, worker: Any, store_url: str, seconds: float, end: Callable[[str], None]) -> None:
-        self._worker, self._url, self._seconds, self._end = worker, store_url, seconds, end
+    def __init__(self, worker: Any, store_url: str, seconds: float, terminate: Callable[[str], None]) -> None:
+        self._worker, self._url, self._seconds, self._terminate = worker, store_url, seconds, terminate
         self._over = threading.Event()
         self._began = time.monotonic()
-        self._marked: float | None = None  # when the cancel mark was first seen
-        self._looked = self._began  # at the mark
-        self._thread = threading.Thread(target=self._work, name="watch", daemon=True)
+        self._flag_seen: float | None = None  # when the cancel flag was first seen
+        self._flag_checked = self._began
+        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def __enter__(self) -> None:
         self._thread.start()
@@ -76,37 +79,40 @@ class Watchdog:
     def __exit__(self, *_: object) -> None:
         self._over.set()
 
-    def _work(self) -> None:
-        while not self._over.wait(LOOK_SECONDS):
-            why = self._trouble(time.monotonic())
+    def _watch(self) -> None:
+        while not self._over.wait(CHECK_SECONDS):
+            why = self._reason_to_terminate(time.monotonic())
             if why and not self._over.is_set():
-                self._end(why)
+                self._terminate(why)
 
-    def _trouble(self, now: float) -> str | None:
+    def _reason_to_terminate(self, now: float) -> str | None:
         if now - self._began > self._seconds:
-            return f"it took longer than {self._seconds:g} s, and its worker was ended"
+            return f"it took longer than {self._seconds:g} s; its worker process was terminated"
         limit = self._worker.memory_manager.memory_limit
         used = self._worker.monitor.get_process_memory()
         if limit and used > MEMORY_SHARE * limit:
-            return f"its worker used {used >> 20} MB of memory, {limit >> 20} MB are allowed, and was ended"
-        if self._cancelled(now):
-            return "it was cancelled and did not stop, and its worker was ended"
+            return (
+                f"its worker process used {used >> 20} MB of memory of a limit of {limit >> 20} MB "
+                "and was terminated"
+            )
+        if self._ignores_cancel(now):
+            return "it was cancelled and did not stop; its worker process was terminated"
         return None
 
-    def _cancelled(self, now: float) -> bool:
-        """Whether the cancel mark has been there for so long that it should have been heeded."""
-        if now - self._looked > MARK_SECONDS:
-            self._looked = now
-            with contextlib.suppress(Exception):  # a bucket out of reach, a folder gone: no reason to end
-                self._marked = (self._marked or now) if store.is_cancelled(self._url) else None
-        return self._marked is not None and now - self._marked > CANCEL_GRACE
+    def _ignores_cancel(self, now: float) -> bool:
+        """Whether the cancel flag has been set for longer than a chunk needs to see it."""
+        if now - self._flag_checked > FLAG_SECONDS:
+            self._flag_checked = now
+            with contextlib.suppress(Exception):  # a bucket out of reach, a removed folder: no reason to end
+                self._flag_seen = (self._flag_seen or now) if store.is_cancelled(self._url) else None
+        return self._flag_seen is not None and now - self._flag_seen > CANCEL_GRACE_SECONDS
 
 
 @contextmanager
-def _last_resort(seconds: float) -> Iterator[None]:
-    """End the process after so long even if no thread of it can run Python any more."""
+def _hard_limit(seconds: float) -> Iterator[None]:
+    """End the process after `seconds`, even if none of its threads can run Python any more."""
     with contextlib.suppress(AttributeError, RuntimeError, UnsupportedOperation, ValueError):  # no stderr
-        faulthandler.dump_traceback_later(min(seconds, LONGEST), exit=True)
+        faulthandler.dump_traceback_later(min(seconds, LONGEST_SECONDS), exit=True)
     try:
         yield
     finally:

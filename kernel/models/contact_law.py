@@ -1,61 +1,52 @@
-"""The spring-dashpot contact's two laws: where it ends, what an isolated impact gives back (MODEL section 2).
+"""The spring-dashpot contact that `soft` and `stepped` share (paper Eqs. 9 to 12; docs/model.md, section 2).
 
-gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1: `adhesive` leaves where the gap is zero
-again, `nonadhesive` where the force is.
+With stiffness kappa = 1/d^2 and damping beta = 2 zeta/d the plate pushes the lower mass with
+
+    n = -(kappa gap + beta gap')        (m A omega^2)
+
+An adhesive contact lasts while gap < 0 and may pull; a nonadhesive one while also n > 0.
 """
 
-import math
-from typing import Final
+from kernel.numerics.jit import compilable, inlined, jit
+from kernel.restitution import nonadhesive_restitution, scalar_damping_ratio
 
-from kernel.numerics.jit import inlined, jit
+compilable(nonadhesive_restitution)
+compilable(scalar_damping_ratio)
 
-#: Restitutions below this ask for a damping without meaning; they get its damping.
-SMALLEST: Final = 1e-12
+
+@jit
+def damping_ratio(e: float, adhesive: bool) -> float:
+    """`kernel.restitution.scalar_damping_ratio`, compiled."""
+    return scalar_damping_ratio(e, adhesive)
 
 
 @inlined
-def lets_go(gap: float, gap1: float, kappa: float, beta: float) -> bool:
-    """Whether the plate does not bear a mass in this state; beta is 0 where the contact may pull."""
+def contact_constants(d: float, zeta: float) -> tuple[float, float]:
+    """kappa and beta for penetration d > 0 (plate amplitudes) and damping ratio zeta."""
+    return 1.0 / (d * d), 2.0 * zeta / d
+
+
+@inlined
+def plate_force(kappa: float, beta: float, gap: float, gap1: float) -> float:
+    """n of a mass in contact at this gap and gap'."""
+    return -(kappa * gap + beta * gap1)
+
+
+@inlined
+def lifted_off(gap: float, gap1: float, kappa: float, beta: float) -> bool:
+    """Whether a mass with this gap and gap' is not in contact; pass beta = 0 for the adhesive law.
+
+    Only the ratio of kappa to beta matters.
+    """
     if gap > 0.0 or (gap == 0.0 and gap1 >= 0.0):
         return True
     return beta > 0.0 and kappa * gap + beta * gap1 >= 0.0
 
 
-@jit
-def restitution(zeta: float, adhesive: bool) -> float:
-    """Restitution for a damping ratio zeta >= 0. Adhesive contacts (Eq. 12) do not rebound at zeta >= 1."""
-    if adhesive:
-        return math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta * zeta)) if zeta < 1.0 else 0.0
-    if zeta < 1.0:
-        s = math.sqrt((1.0 - zeta) * (1.0 + zeta))
-        return (
-            math.exp(-zeta / s * math.atan2(2.0 * zeta * s, 2.0 * zeta * zeta - 1.0))
-            if s > 1e-7
-            else math.exp(-2.0)
-        )
-    s = math.sqrt((zeta - 1.0) * (zeta + 1.0))
-    return math.exp(-2.0 * zeta / s * math.asinh(s)) if s > 1e-7 else math.exp(-2.0)
+@inlined
+def static_state(gamma: float, stiffness: float, kappa: float) -> tuple[float, float]:
+    """Gap and elongation (both < 0) of a spring at rest on a plate that does not move.
 
-
-@jit
-def damping_ratio(e: float, adhesive: bool) -> float:
-    """The zeta that gives restitution e in [0, 1]; adhesive e = 0 is critical damping.
-
-    Nonadhesive e -> 0 only as zeta -> infinity: below SMALLEST it is taken as SMALLEST.
+    stiffness = 1/Omega^2. The plate bears both masses, the spring the upper one.
     """
-    if adhesive:
-        if e == 0.0:
-            return 1.0
-        log = -math.log(e)
-        return log / math.hypot(math.pi, log)
-    e = max(e, SMALLEST)
-    low, high = 0.0, max(2.0, 1.0 / math.sqrt(e))
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        if restitution(middle, False) > e:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    return -2.0 / (gamma * kappa), -1.0 / (gamma * stiffness)

@@ -1,48 +1,60 @@
 """A point mass falling towards the plate: gap'' = cos(phi) - 1/Gamma (paper Eq. 3).
 
-The gap bends upward only while cos(phi) > 1/Gamma. So a flight is a walk from one inflection
-to the next, where the gap and its slope need no sine: between two of them the gap is convex or
-concave, and a first zero is bracketed or excluded for certain, however short a graze is.
+The gap is convex only while cos(phi) > 1/Gamma, that is for |phi| < phi_lift = arccos(1/Gamma). So a flight
+is searched from one inflection to the next, where the gap and its slope need no sine: between two of them
+the gap is convex or concave, and its first zero is bracketed or excluded for certain, however short a graze
+is. Lengths in plate amplitudes, phases and times in rad.
 """
 
 import math
 from typing import Final, NamedTuple
 
-from kernel.modes import TWO_PI
-from kernel.numerics.elementary import turned
-from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, ROOT, householder
+from kernel.numerics.elementary import TWO_PI, sincos
+from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, ROOT, householder, polish_step
 from kernel.numerics.jit import jit
 
-#: Below this many rad the gap is summed as a power series, which keeps the digits of small hops.
+#: For times (rad) below this the gap is summed as a power series, which keeps the digits of small hops. The
+#: first term it omits is tau**13/13!, at most 2e-14, and less than EPS for tau below 0.35.
 SHORT: Final = 0.5
 
-#: A take-off from rest nearer than this (rad) to its closed form is it.
-SNAP: Final = 4e-15
+#: A take-off from rest within this (rad) of its closed form, 2 pi - phi_lift, is taken for it. Phases near
+#: 2 pi are rounded to 4.4e-16 each, and reach this point by a few additions; 4e-15 is nine such errors.
+TAKEOFF_TOLERANCE: Final = 4e-15
 
-#: A search goes on from a point nearer than this part of tau by a power series about it.
-NEARBY: Final = 0.25
+#: The polisher expands the gap about an iterate if the next one is within this part of tau of it, which for
+#: short steps needs no further sine. Up to half of tau the difference of the two is exact (Sterbenz).
+EXPANSION_REACH: Final = 0.25
 
-#: How often the tangents of a dip may cross; each time leaves about the square of the gap before.
-CROSSINGS: Final = 100
+#: Cap on the rounds of `_negative_point`, each of which about squares the relative distance of its two
+#: points: a handful ends it.
+TANGENT_ROUNDS: Final = 100
+
+#: phi_lift (rad) below which the plate barely recedes and the first flight from rest is short enough for
+#: the leading terms of its power series to give a guess.
+BARELY_RECEDING: Final = 0.5
+
+#: The plate's position varies by 2, so that no surface is more than 2 above where a flight began. Half an
+#: amplitude more makes `_landing_bound` safe against rounding.
+_HIGHEST_PLATE: Final = 2.5
 
 
 class Drop(NamedTuple):
-    """A flight from what held at tau = 0."""
+    """A flight, from its state at tau = 0."""
 
     gravity: float  # 1/Gamma
-    lift: float  # the gap is convex for |phi| < lift = arccos(1/Gamma); 0 where never
-    slope: float  # sin(lift)
+    phi_lift: float  # the gap is convex for |phi| < phi_lift = arccos(1/Gamma); 0 where it never is
+    sin_lift: float  # sin(phi_lift)
     convex: bool  # at tau = 0
-    bend: float  # tau of the first inflection
+    inflection: float  # tau of the first inflection
     sin: float  # of phi at tau = 0
     cos: float
-    pull: float  # gap'' = cos - gravity, to more digits than these have
+    gap2: float  # gap'' = cos - gravity, to more digits than these have
     gap: float
     gap1: float
 
 
 class Bracket(NamedTuple):
-    """Where the only zero of the gap on an interval lies: gap >= 0 at `low`, < 0 at `high`."""
+    """An interval with one zero of the gap: gap >= 0 at `low`, < 0 at `high` (rad)."""
 
     low: float
     high: float
@@ -54,40 +66,42 @@ class Landing(NamedTuple):
 
     tau: float  # rad
     ending: int  # ROOT, HORIZON or BUDGET_EXHAUSTED
-    gap1: float  # the rest is 0 unless the ending is ROOT
+    gap1: float  # this and the next two are 0 unless the ending is ROOT
     gap2: float
     gap3: float
     used: int  # evaluations
 
 
 @jit
-def lifted(lift: float, phi: float) -> bool:
-    """Whether the plate falls away from a mass resting on it: cos(phi) > 1/Gamma."""
-    return phi < lift or phi >= TWO_PI - lift > math.pi
+def plate_recedes(phi_lift: float, phi: float) -> bool:
+    """Whether cos(phi) > 1/Gamma, phi in [0, 2 pi): the plate accelerates away from a mass at rest on it."""
+    return phi < phi_lift or phi >= TWO_PI - phi_lift > math.pi
 
 
 @jit
-def takes_off(lift: float, phi: float, gap: float, gap1: float) -> bool:
-    """Whether this is the take-off from rest, as near as rounding tells."""
-    return gap == 0.0 and gap1 == 0.0 and lift > 0.0 and abs(phi - (TWO_PI - lift)) <= SNAP
+def takes_off(phi_lift: float, phi: float, gap: float, gap1: float) -> bool:
+    """Whether this state is the take-off from rest, within TAKEOFF_TOLERANCE."""
+    return (
+        gap == 0.0 and gap1 == 0.0 and phi_lift > 0.0 and abs(phi - (TWO_PI - phi_lift)) <= TAKEOFF_TOLERANCE
+    )
 
 
 @jit
-def drop(gravity: float, lift: float, slope: float, phi: float, gap: float, gap1: float) -> Drop:
-    """A flight from gap >= 0 at phi in [0, 2 pi)."""
-    if takes_off(lift, phi, gap, gap1):
-        return Drop(gravity, lift, slope, True, 2.0 * lift, -slope, gravity, 0.0, 0.0, 0.0)
-    convex = lifted(lift, phi)
-    bend = TWO_PI - lift - phi
+def drop(gravity: float, phi_lift: float, sin_lift: float, phi: float, gap: float, gap1: float) -> Drop:
+    """A flight from gap >= 0 and gap' at phi in [0, 2 pi)."""
+    if takes_off(phi_lift, phi, gap, gap1):
+        return Drop(gravity, phi_lift, sin_lift, True, 2.0 * phi_lift, -sin_lift, gravity, 0.0, 0.0, 0.0)
+    convex = plate_recedes(phi_lift, phi)
+    inflection = TWO_PI - phi_lift - phi
     if convex:
-        bend = lift - phi if phi < lift else TWO_PI + lift - phi
-    sin, cos = turned(phi)
-    return Drop(gravity, lift, slope, convex, bend, sin, cos, cos - gravity, gap, gap1)
+        inflection = phi_lift - phi if phi < phi_lift else TWO_PI + phi_lift - phi
+    sin, cos = sincos(phi)
+    return Drop(gravity, phi_lift, sin_lift, convex, inflection, sin, cos, cos - gravity, gap, gap1)
 
 
 @jit
-def _lost(tau: float) -> tuple[float, float]:
-    """tau - sin(tau) and tau^2/2 - 1 + cos(tau) for |tau| < SHORT."""
+def _remainders(tau: float) -> tuple[float, float]:
+    """tau - sin(tau) and tau^2/2 - 1 + cos(tau) for |tau| < SHORT, by their power series."""
     t = tau * tau
     odd = 1.0 / 6.0 - t * (1.0 / 120.0 - t * (1.0 / 5040.0 - t * (1.0 / 362880.0 - t / 39916800.0)))
     even = 1.0 / 24.0 - t * (1.0 / 720.0 - t * (1.0 / 40320.0 - t * (1.0 / 3628800.0 - t / 479001600.0)))
@@ -96,15 +110,15 @@ def _lost(tau: float) -> tuple[float, float]:
 
 @jit
 def state_after(p: Drop, tau: float) -> tuple[float, float, float, float]:
-    """Gap, gap', gap'', gap''' after tau rad."""
+    """gap, gap', gap'', gap''' at tau (rad), which may be negative if |tau| < SHORT."""
     if abs(tau) < SHORT:
-        odd, even = _lost(tau)
+        odd, even = _remainders(tau)
         half = 0.5 * tau * tau
-        sin, less = tau - odd, half - even  # 1 - cos
-        gap = p.gap + tau * p.gap1 + half * p.pull - p.sin * odd - p.cos * even
-        gap1 = p.gap1 + tau * p.pull - p.sin * less - p.cos * odd
-        return gap, gap1, p.pull - p.sin * sin - p.cos * less, p.sin * less - p.cos * sin - p.sin
-    sin, cos = turned(tau)
+        sin, versine = tau - odd, half - even  # sin(tau) and 1 - cos(tau)
+        gap = p.gap + tau * p.gap1 + half * p.gap2 - p.sin * odd - p.cos * even
+        gap1 = p.gap1 + tau * p.gap2 - p.sin * versine - p.cos * odd
+        return gap, gap1, p.gap2 - p.sin * sin - p.cos * versine, p.sin * versine - p.cos * sin - p.sin
+    sin, cos = sincos(tau)
     drift = p.gap1 - p.sin
     gap = p.gap + tau * (drift - 0.5 * p.gravity * tau) + p.sin * sin + p.cos * (1.0 - cos)
     gap1 = drift - p.gravity * tau + p.sin * cos + p.cos * sin
@@ -113,38 +127,41 @@ def state_after(p: Drop, tau: float) -> tuple[float, float, float, float]:
 
 @jit
 def _noise(p: Drop, tau: float) -> float:
-    """What rounding may have done to the gap after tau rad."""
+    """A bound on the rounding error of the gap at tau."""
     if tau < SHORT:
-        return 2.0 * EPS * (p.gap + tau * (abs(p.gap1) + tau * (abs(p.pull) + tau)))
+        return 2.0 * EPS * (p.gap + tau * (abs(p.gap1) + tau * (abs(p.gap2) + tau)))
     return 2.0 * EPS * (p.gap + 2.0 + tau * (abs(p.gap1 - p.sin) + 0.5 * p.gravity * tau))
 
 
 @jit
-def _inflection(p: Drop, tau: float, sine: float) -> tuple[float, float]:
-    """Gap and gap' where cos(phi) = 1/Gamma and sin(phi) = sine."""
+def _at_inflection(p: Drop, tau: float, sine: float) -> tuple[float, float]:
+    """gap and gap' at tau, where cos(phi) = 1/Gamma and sin(phi) = sine."""
     if tau < SHORT:
         gap, gap1, _, _ = state_after(p, tau)
         return gap, gap1
     drift = p.gap1 - p.sin
-    gap = p.gap + p.pull + tau * (drift - 0.5 * p.gravity * tau)
+    gap = p.gap + p.gap2 + tau * (drift - 0.5 * p.gravity * tau)
     return gap, drift + sine - p.gravity * tau
 
 
 @jit
-def _latest(p: Drop) -> float:
-    """A time by which the mass has surely landed: the plate rises by at most 2."""
+def _landing_bound(p: Drop) -> float:
+    """A time by which the mass has surely landed: it falls to the plate's highest position and below."""
     drift = p.gap1 - p.sin
-    return (drift + math.sqrt(drift * drift + 2.0 * p.gravity * (p.gap + 2.5))) / p.gravity
+    return (drift + math.sqrt(drift * drift + 2.0 * p.gravity * (p.gap + _HIGHEST_PLATE))) / p.gravity
 
 
 @jit
-def _dip(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: float) -> tuple[float, int]:
-    """Where the gap, convex from a to b, positive at both and turning between, is below zero; else -1.
+def _negative_point(
+    p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: float
+) -> tuple[float, int]:
+    """A time at which the gap is negative between a and b, or -1 if there is none; and evaluations used.
 
-    Its tangents at a and b cross below it; the crossing replaces one of the two until it is
-    above zero, or as near to it as rounding tells.
+    The gap is convex from a to b, positive at both (fa, fb), falling at a (da) and rising at b (db). Its
+    tangents at a and b cross below it. The crossing replaces one of the two points until it lies above
+    zero, so that the gap does, or until rounding leaves no point between.
     """
-    for used in range(1, CROSSINGS):
+    for used in range(1, TANGENT_ROUNDS):
         step = (fb - fa - db * (b - a)) / (da - db)
         t = a + step
         if fa + da * step > 0.0 or not a < t < b:
@@ -156,92 +173,104 @@ def _dip(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: float
             a, fa, da = t, f, d
         else:
             b, fb, db = t, f, d
-    return -1.0, CROSSINGS
+    return -1.0, TANGENT_ROUNDS
 
 
 @jit
 def _guess(p: Drop, a: float, fa: float, da: float, b: float, fb: float, db: float, convex: bool) -> float:
-    """Near the zero between a and b."""
+    """A first guess of the zero between a and b, from the gap and its slope there; rarely outside.
+
+    Its quality affects the number of evaluations only: the polisher keeps the bracket. The cases are
+    Newton's step from a (on a convex gap never beyond the zero), a hop from the plate to second order in
+    its length, the first flight of a plate that barely recedes, and the zero of a parabola.
+    """
     if convex and da < 0.0:
-        return a - fa / da  # from above, never beyond it
-    press = -p.pull
+        return a - fa / da
+    press = -p.gap2
     if a == 0.0 and fa == 0.0 and press > 0.0:
         hop = 2.0 * da / press
-        bent = 1.0 + p.sin * hop / (3.0 * press)
-        if hop < 0.5 * b and bent > 0.5:
-            return hop / bent
-    if a == p.bend and p.gap == 0.0 and p.gap1 == 0.0 and p.pull == 0.0 and p.lift < 0.5:
-        return 4.0 * p.slope / p.gravity  # a barely lifting plate
+        correction = 1.0 + p.sin * hop / (3.0 * press)
+        # the expansion in the length of the hop serves while the hop is well inside the interval
+        if hop < 0.5 * b and correction > 0.5:
+            return hop / correction
+    if (
+        a == p.inflection
+        and p.gap == 0.0
+        and p.gap1 == 0.0
+        and p.gap2 == 0.0
+        and p.phi_lift < BARELY_RECEDING
+    ):
+        # from rest with gap = sin_lift tau^3/6 - gravity tau^4/24 to leading order
+        return 4.0 * p.sin_lift / p.gravity
     width = b - a
     curve = (fa - fb + db * width) / (width * width)
     root = math.sqrt(max(db * db - 4.0 * curve * fb, 0.0))
-    return b + 2.0 * fb / (root - db) if db < 0.0 else a + 0.5 * width  # a parabola's zero
+    return b + 2.0 * fb / (root - db) if db < 0.0 else a + 0.5 * width
 
 
 @jit
 def _bracket(p: Drop, horizon: float, budget: int) -> tuple[Bracket, int, int]:
     """The interval of the first landing, ROOT | HORIZON | BUDGET_EXHAUSTED, and evaluations used."""
     a, fa, da = 0.0, p.gap, p.gap1
-    b, convex = p.bend, p.convex
-    sine = p.slope if convex else -p.slope
+    b, convex = p.inflection, p.convex
+    sine = p.sin_lift if convex else -p.sin_lift
     for used in range(1, budget + 1):
         if a >= horizon:
             return Bracket(a, a, a), HORIZON, used
-        if p.lift == 0.0:
-            b = _latest(p)
+        if p.phi_lift == 0.0:  # no inflections: concave throughout
+            b = _landing_bound(p)
             fb, db, _, _ = state_after(p, b)
         else:
-            fb, db = _inflection(p, b, sine)
+            fb, db = _at_inflection(p, b, sine)
         if fb < 0.0:
             return Bracket(a, b, _guess(p, a, fa, da, b, fb, db, convex)), ROOT, used
         if convex and da < 0.0 < db:
-            t, more = _dip(p, a, fa, da, b, fb, db)
+            t, more = _negative_point(p, a, fa, da, b, fb, db)
             if t >= 0.0:
                 return Bracket(a, t, a - fa / da), ROOT, used + more
         a, fa, da = b, fb, db
-        b += TWO_PI - 2.0 * p.lift if convex else 2.0 * p.lift
+        b += TWO_PI - 2.0 * p.phi_lift if convex else 2.0 * p.phi_lift
         convex, sine = not convex, -sine
     return Bracket(a, a, a), BUDGET_EXHAUSTED, budget
 
 
 @jit
 def _polish(p: Drop, bracket: Bracket, budget: int) -> Landing:
-    """The zero in a bracket to rounding, by Householder's method; by halving where that leads astray."""
+    """The zero in a bracket to rounding: `first_root.polish_step` on the gap.
+
+    After the first evaluation the gap is expanded about an iterate (`here`, at `origin`), so that the next
+    ones need no sine. The derivatives at the zero follow from the last evaluation's by the Taylor series.
+    """
     low, high, tau = bracket
     if not low < tau < high:
         tau = 0.5 * (low + high)
-    start, here = 0.0, p
+    origin, here = 0.0, p
     for used in range(1, budget + 1):
-        f0, f1, f2, f3 = state_after(here, tau - start)
-        step, left = householder(f0, f1, f2, f3, 1.0)
-        done = f1 < 0.0 and (left <= EPS * tau or abs(f0) <= _noise(p, tau))
-        if f0 > 0.0:
-            low = tau
-        else:
-            high = tau
-        if not done and not (f1 < 0.0 and low <= tau + step <= high):
-            step = 0.5 * (low + high) - tau
-            done = not low < tau + step < high
+        f0, f1, f2, f3 = state_after(here, tau - origin)
+        step, error = householder(f0, f1, f2, f3, 1.0)
+        low, high, step, done = polish_step(low, high, tau, f0, f1, step, error, _noise(p, tau))
         if done:
             cos, half, sixth = f2 + p.gravity, 0.5 * step, step * step / 6.0
             f1 += step * (f2 + half * f3 - sixth * cos)
             f2 += step * (f3 - half * cos - sixth * f3)
             f3 -= step * (cos + half * f3 - sixth * cos)
             return Landing(min(max(tau + step, low), high), ROOT, f1, f2, f3, used)
-        if abs(step) < NEARBY * tau and start == 0.0:  # no more sines
-            here = Drop(p.gravity, p.lift, p.slope, p.convex, p.bend, -f3, f2 + p.gravity, f2, f0, f1)
-            start = tau
+        if abs(step) < EXPANSION_REACH * tau and origin == 0.0:
+            here = Drop(
+                p.gravity, p.phi_lift, p.sin_lift, p.convex, p.inflection, -f3, f2 + p.gravity, f2, f0, f1
+            )
+            origin = tau
         tau += step
-        if abs(tau - start) > NEARBY * tau:
-            start, here = 0.0, p
+        if abs(tau - origin) > EXPANSION_REACH * tau:
+            origin, here = 0.0, p
     return Landing(tau, BUDGET_EXHAUSTED, 0.0, 0.0, 0.0, budget)
 
 
 @jit
 def landing(p: Drop, horizon: float, budget: int) -> Landing:
-    """The first landing before `horizon`, using at most `budget` evaluations."""
+    """The first landing before `horizon` (rad), using at most `budget` evaluations."""
     if p.gap <= 0.0 and (p.gap1 < 0.0 or (p.gap1 == 0.0 and not p.convex)):
-        return Landing(0.0, ROOT, p.gap1, p.pull, -p.sin, 1)
+        return Landing(0.0, ROOT, p.gap1, p.gap2, -p.sin, 1)
     bracket, ending, used = _bracket(p, horizon, budget)
     if ending != ROOT:
         return Landing(horizon, ending, 0.0, 0.0, 0.0, used)

@@ -1,55 +1,82 @@
-"""Phase functions of many cells advanced in lockstep, one lane a cell.
+"""The search for first roots in lanes: phase functions of many cells advanced in lockstep, one lane each.
 
-The same search as `events.first_root`, for phase functions of one form,
+The search is that of `first_root.first_root`, for phase functions of one form,
 
     F(tau) = k0 + k1 tau - k2 tau^2 + a cos(phi + tau) + b sin(phi + tau) + p y + r y',
 
-with y a free damped oscillator: a rigid plate's normal force and the gap of a flight are both
-of it. One call of `advance` evaluates every lane's F once and moves every lane on, without a
-branch, so that the compiler turns it into vector instructions. What a lane does never depends
-on its neighbours.
+with y a free damped oscillator: a rigid plate's normal force and the gap of a flight both have it. One call
+of `advance` evaluates every lane's F once and moves every lane on, without a branch, so that the compiler
+turns it into vector instructions. What a lane does never depends on its neighbours.
+
+A lane differs from the scalar search where vector code requires it: one round of `safe_step` for each
+evaluation, with the width carried from one to the next; Householder's steps without a bracket, and a cap on
+the evaluations, beyond which the caller computes the phase again by the scalar functions.
 """
 
 import math
 from typing import Any, Final
 
-from kernel.numerics.elementary import GENTLE, bent, exp, sincos
-from kernel.numerics.first_root import EPS, NEAR
+from kernel.numerics.elementary import HYPERBOLIC_LIMIT, circular_or_hyperbolic, exp, sincos_small
+from kernel.numerics.first_root import EPS, NEAR, householder_step
 from kernel.numerics.intrinsics import fma
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator
 
-#: Lanes: two vectors of eight doubles, so that one computes while the other waits.
+#: Lanes: two vectors of eight doubles, so that the latency of one hides behind the other.
 LANES: Final = 16
 
-#: Evaluations after which a lane's search is handed to `events.first_root`.
-PATIENCE: Final = 60
+#: Evaluations of one phase after which a lane falls back to the scalar functions. Almost
+#: every search ends long before; the cap keeps one that does not from holding up its lane.
+MAX_EVALUATIONS: Final = 60
+
+#: The lowest rate (1/rad) of an oscillator in lanes. Slower ones turn by so little within a phase that
+#: their closed form cancels, for which the scalar functions have power series.
+SLOWEST: Final = 0.03
+
+#: The first guess of a step's width: this many rad of the plate's phase, ...
+FIRST_WIDTH: Final = 1.5
+
+#: ... or this many over the oscillator's rate, about half a period, if that is less. Guesses affect the
+#: number of evaluations only.
+FIRST_TURN: Final = 3.0
+
+#: After an evaluation the next width is the step times this if the step filled the width, ...
+GROW: Final = 2.0
+
+#: ... and times this if not, as in `first_root.safe_step`.
+KEEP: Final = 1.5
 
 #: A lane's status after `advance`.
 SEARCHING: Final = 0.0
 AT_ROOT: Final = 1.0  # the zero is MOVE away from TAU
 AT_HORIZON: Final = 2.0
-FALLBACK: Final = 3.0  # patience ran out, or a number stopped being finite
+FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 
-# Rows of the table of lanes, each LANES wide: what a phase is, ...
+# Rows of the table of lanes, each LANES wide. The phase: the plate's phase at tau = 0, the oscillator
+# (DAMPING to STIFFNESS; UNDER and NEARLY are 1.0 where it is underdamped or nearly critical), its state at
+# tau = 0, and the coefficients of F.
 (PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0) = range(12)
 (P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(12, 21)
-# ... where the search for its root stands, and what F's last evaluation gave.
+# The search: where it is, the width of the next step, 1.0 once Householder's steps are taken, evaluations,
+# status, the last step to the zero; and y, y', sin(phi + tau), cos(phi + tau) of the last evaluation.
 (TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(21, 31)
 ROWS: Final = 31
 
 
 @inlined
-def fits(osc: Oscillator) -> bool:
+def supports(osc: Oscillator) -> bool:
     """Whether lanes can compute this oscillator: all but very slow ones."""
-    return osc.rate > 0.03
+    return osc.rate > SLOWEST
 
 
 @inlined
 def load(
     table: Any, k: int, osc: Oscillator, phi: float, y: float, v: float, start: float, horizon: float
 ) -> None:
-    """Begin a phase in lane k; its coefficients P to B are the caller's to set, then `settle`."""
+    """Begin a phase in lane k: y and y' = v at tau = 0, the search from `start` to `horizon` (rad).
+
+    The caller then sets the coefficients of F with `coefficients`.
+    """
     table[PHI * LANES + k] = phi
     table[DAMPING * LANES + k] = osc.damping
     table[ROOT * LANES + k] = osc.root
@@ -64,7 +91,7 @@ def load(
     table[V0 * LANES + k] = v
     table[HORIZON * LANES + k] = horizon
     table[TAU * LANES + k] = min(start, horizon)
-    table[GUESS * LANES + k] = min(1.5, 3.0 / osc.rate)
+    table[GUESS * LANES + k] = min(FIRST_WIDTH, FIRST_TURN / osc.rate)
     table[CLOSING * LANES + k] = 0.0
     table[COUNT * LANES + k] = 0.0
 
@@ -73,7 +100,7 @@ def load(
 def coefficients(
     table: Any, k: int, p: float, r: float, k0: float, k1: float, k2: float, a: float, b: float
 ) -> None:
-    """The coefficients of lane k's phase function, and what rounding does to it at tau = 0."""
+    """Set the coefficients of lane k's phase function, and a bound on its rounding error at tau = 0."""
     table[P * LANES + k] = p
     table[R * LANES + k] = r
     table[K0 * LANES + k] = k0
@@ -86,8 +113,11 @@ def coefficients(
 
 
 @jit
-def _parabola(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
-    """One round of events.safe_step: a step of at most h on which F stays positive."""
+def _safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
+    """A step of at most h on which F surely stays positive: one round of `first_root.safe_step`.
+
+    A curvature that is not positive is replaced by the tiniest one, whose parabola is a line.
+    """
     curve = max(max(fma(f4 * (1.0 / 12.0), h, f3 * (-1.0 / 3.0)) * h, 0.0) - f2, 1e-300)
     root = math.sqrt(fma(f1, f1, 2.0 * curve * f0))
     rising = f1 > 0.0
@@ -96,27 +126,41 @@ def _parabola(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -
 
 @jit
 def advance(table: Any) -> None:
-    """Evaluate every lane once and move it on; a lane whose phase has ended stays, with its STATUS."""
+    """Evaluate every lane's F once and move the lane on; a lane whose phase has ended stays where it is.
+
+    The loop runs over the lanes, its body is straight-line code: conditions choose between values that are
+    both computed. Its blocks, in order:
+
+    1. the oscillator at tau: y, y' and, from its equation, the derivatives to the fifth;
+    2. F, three derivatives, a bound on the fourth from now on, and a bound on the ringing part;
+    3. Householder's step and its error, and whether F surely falls through zero at once, after which the
+       lane is `closing`: only Householder's steps are taken;
+    4. otherwise a step that cannot pass a zero, from all of F or, where its ringing part is small, from the
+       smooth part less the ringing's amplitude, whichever is longer;
+    5. the status: AT_ROOT where F is zero to rounding or the step's error is, AT_HORIZON, or FALLBACK;
+    6. the new tau and the state of the search.
+    """
     for k in range(LANES):
+        # 1. the oscillator
         tau = table[TAU * LANES + k]
-        sin, cos = sincos(table[PHI * LANES + k] + tau)
+        sin, cos = sincos_small(table[PHI * LANES + k] + tau)
         damping, stiffness = table[DAMPING * LANES + k], table[STIFFNESS * LANES + k]
         drag = -2.0 * damping
         root, slow, under = table[ROOT * LANES + k], table[SLOW * LANES + k], table[UNDER * LANES + k] > 0.0
-        # the free oscillator, under- and overdamped alike (oscillator.response); from where it is overdamped
-        # and has not turned far yet, by sinh and cosh, which need not know that root may be zero
-        turned = root * tau
-        gentle = (turned <= GENTLE) & (not under)
-        about = under | gentle
-        decay = exp((-damping if about else slow) * tau)
-        lost = exp(-2.0 * turned)
-        turn, turn1 = bent(turned, -1.0 if gentle else 1.0)
+        # C, S and S' as in oscillator.response: by sin and cos where underdamped; overdamped, by sinh and
+        # cosh up to HYPERBOLIC_LIMIT, which are continuous through root = 0, then by two exponentials
+        angle = root * tau
+        hyperbolic = (angle <= HYPERBOLIC_LIMIT) & (not under)
+        product = under | hyperbolic  # of exp(-damping tau) and a circular or hyperbolic function
+        decay = exp((-damping if product else slow) * tau)
+        ratio = exp(-2.0 * angle)  # of the fast exponential to the slow one
+        odd, even = circular_or_hyperbolic(angle, -1.0 if hyperbolic else 1.0)
         fast = -(damping + root)
         scale = 0.5 * decay * table[INVERSE * LANES + k]
-        sine = 2.0 * scale * turn if about else scale * (1.0 - lost)
-        sine = decay * tau if turned == 0.0 else sine
-        cosine = fma(decay, turn1, damping * sine) if about else scale * fma(slow, lost, -fast)
-        sine1 = fma(decay, turn1, -damping * sine) if about else scale * fma(-fast, lost, slow)
+        sine = 2.0 * scale * odd if product else scale * (1.0 - ratio)
+        sine = decay * tau if angle == 0.0 else sine
+        cosine = fma(decay, even, damping * sine) if product else scale * fma(slow, ratio, -fast)
+        sine1 = fma(decay, even, -damping * sine) if product else scale * fma(-fast, ratio, slow)
         y0, v0 = table[Y0 * LANES + k], table[V0 * LANES + k]
         y = fma(y0, cosine, v0 * sine)
         y1 = fma(v0, sine1, -stiffness * sine * y0)
@@ -124,7 +168,7 @@ def advance(table: Any) -> None:
         y3 = fma(drag, y2, -stiffness * y1)
         y4 = fma(drag, y3, -stiffness * y2)
         y5 = fma(drag, y4, -stiffness * y3)
-        # F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
+        # 2. F = smooth + ring with its derivatives, and bounds on the fourth and on the ring from now on
         p, r, a, b = table[P * LANES + k], table[R * LANES + k], table[A * LANES + k], table[B * LANES + k]
         k0, k1, k2 = table[K0 * LANES + k], table[K1 * LANES + k], table[K2 * LANES + k]
         rate, period = table[RATE * LANES + k], table[PERIOD * LANES + k]
@@ -137,45 +181,44 @@ def advance(table: Any) -> None:
         swing, swing1 = fma(rate, abs(y3), abs(y4)), fma(rate, abs(y4), abs(y5))
         fade = half * fma(-slow, abs(fma(-fast, y3, y4)), -fast * abs(fma(slow, y3, -y4)))
         fade1 = half * fma(-slow, abs(fma(-fast, y4, y5)), -fast * abs(fma(slow, y4, -y5)))
-        # for F's bound the roots apart are of use where they are apart
-        whole = under | (table[NEARLY * LANES + k] > 0.0)
-        f4 = fma(abs(p), swing if whole else fade, fma(abs(r), swing1 if whole else fade1, smooth4))
+        # the bound by the two exponentials (oscillator.derivatives) needs roots that are apart
+        by_energy = under | (table[NEARLY * LANES + k] > 0.0)
+        f4 = fma(abs(p), swing if by_energy else fade, fma(abs(r), swing1 if by_energy else fade1, smooth4))
         ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
         clear = smooth - ringing
-        # where F surely falls through zero at once, Householder's step, else one that cannot miss a zero
+        # 3. Householder's step, and whether F surely falls through zero (first_root.monotone_width)
         inverse = 1.0 / f1
-        newton, bend, twist = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
-        move = newton * fma(bend, newton, 1.0) / fma(fma(twist, newton, 2.0 * bend), newton, 1.0)
-        square = newton * newton
-        astray = fma(5.0 * abs(bend), fma(bend, bend, abs(twist)), -f4 * inverse * (1.0 / 24.0))
-        left = square * square * abs(astray)
-        near = square * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
+        newton, c2, c3 = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
+        move, error = householder_step(newton, c2, c3, f4 * abs(inverse) * (1.0 / 24.0), True)
+        near = newton * newton * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
         width = 2.0 * newton
         steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
         falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
         closing = 1.0 if falls else table[CLOSING * LANES + k]
+        # 4. a step that cannot pass a zero
         positive, guess = max(f0, 0.0), table[GUESS * LANES + k]
-        step = _parabola(positive, f1, f2, f3, f4, guess)
-        over = _parabola(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
+        step = _safe_step(positive, f1, f2, f3, f4, guess)
+        over = _safe_step(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
         step = max(step, over if clear > 0.0 else 0.0)
-        # how this evaluation ends
+        # 5. the status
         horizon = table[HORIZON * LANES + k]
         noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
-        exact = (abs(f0) <= noise) | (near & (left <= EPS * tau))
-        there = exact if closing > 0.0 else f0 <= noise
-        found = (f1 < 0.0) & (tau + move <= horizon) & there
-        status = AT_ROOT if found else SEARCHING
-        status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not found) else status
+        exact = (abs(f0) <= noise) | (near & (error <= EPS * tau))
+        zero = exact if closing > 0.0 else f0 <= noise
+        at_root = (f1 < 0.0) & (tau + move <= horizon) & zero
+        status = AT_ROOT if at_root else SEARCHING
+        status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not at_root) else status
         count = table[COUNT * LANES + k] + 1.0
-        lost_way = (count > PATIENCE) | (not (abs(f0) + f4 < math.inf))
-        status = FALLBACK if lost_way else status
+        failed = (count > MAX_EVALUATIONS) | (not (abs(f0) + f4 < math.inf))
+        status = FALLBACK if failed else status
+        # 6. the search's new state
         onward = min(tau + (move if closing > 0.0 else step), horizon)
         table[TAU * LANES + k] = onward if status == SEARCHING else tau
-        table[GUESS * LANES + k] = (2.0 if step >= guess else 1.5) * step
+        table[GUESS * LANES + k] = (GROW if step >= guess else KEEP) * step
         table[CLOSING * LANES + k] = closing
         table[COUNT * LANES + k] = count
         table[STATUS * LANES + k] = status
-        table[MOVE * LANES + k] = move if found else 0.0
+        table[MOVE * LANES + k] = move if at_root else 0.0
         table[Y * LANES + k] = y
         table[Y1 * LANES + k] = y1
         table[SIN * LANES + k] = sin

@@ -1,10 +1,10 @@
-"""The rigid spring, many cells at a time: `rigid` from rest, in lanes.
+"""The event loop of `rigid` from rest for many cells at a time, in lanes.
 
-Every lane holds one cell and one of its phases; `lanes.advance` moves all of them on, and a
-lane whose phase has ended is taken through the landing or the take-off here and given its next
-phase, or, at the end of its window, the next cell of the line. What lanes cannot do well, such
-as a flight short enough to need the power series, is done by the functions of `rigid` there
-and then, so that a cell's record depends on nothing but the cell.
+Every lane holds one cell and one of its contacts or flights. `lanes.advance` moves all lanes on. A lane
+whose phase has ended goes through the landing or take-off here and gets its next phase or, at the end of
+its window, the next cell of the line. Phases that lanes cannot compute well, such as flights so short that
+they need the power series, are computed by the scalar functions of `rigid` at once, so that a cell's record
+depends on nothing but the cell.
 """
 
 import math
@@ -15,13 +15,13 @@ import numpy as np
 from kernel.cell import (
     Progress,
     Window,
-    begin,
+    allocate_flights,
+    end_settling,
     horizon_of,
-    leave,
     record,
-    room_for_flights,
-    settled,
-    write,
+    start_run,
+    store_state,
+    write_record,
 )
 from kernel.interface import contact, flies, flight, prepare, rest
 from kernel.models.lanes import (
@@ -42,31 +42,39 @@ from kernel.models.lanes import (
     Y,
     advance,
     coefficients,
-    fits,
     load,
+    supports,
 )
 from kernel.models.rigid import RigidPlate, Spring, land
 from kernel.numerics.first_root import HORIZON, ROOT, Phase, departure_step
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import derivatives, quiet_after
+from kernel.numerics.oscillator import decay_time, derivatives
 from kernel.params import STATE_FIELDS, Line
 
-#: A flight shorter than this (rad) is left to the power series, ...
-BRIEF: Final = 0.05
+#: Flights shorter than this (rad) are computed again by the scalar functions, whose power series keeps the
+#: digits. The closed form of the gap cancels to the order tau**3: here to 1e-4, which leaves 12 digits.
+SHORT_FLIGHT: Final = 0.05
 
-#: ... and so is one whose first safe step is shorter than this.
-TIMID: Final = 1e-4
+#: So are flights whose first safe step from the plate is shorter than this (rad): there the gap, of the
+#: order of the cube, 1e-12, is near the rounding of the closed form.
+SHORT_START: Final = 1e-4
 
 
 @inlined
-def _load_stuck(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float) -> bool:
-    h = run.q - s.sag - (s.q_re * cos - s.q_im * sin)
+def _load_contact(
+    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
+    """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form.
+
+    sin and cos are of the plate's phase now.
+    """
+    h = run.q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
     h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    quiet = quiet_after(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
-    if quiet == 0.0:
-        return False  # it never takes off again: `contact` says so at once
-    load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, quiet))
+    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    if decayed == 0.0:
+        return False
+    load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))
     coefficients(table, k, -s.stiffness, -s.dashpot, 2.0 * s.gravity, 0.0, 0.0, -s.n_re, s.n_im)
     return True
 
@@ -75,12 +83,13 @@ def _load_stuck(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: f
 def _load_flight(
     table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
+    """Put a flight into lane k, unless it begins with a hop or too close to the plate."""
     if run.gap != 0.0 or run.gap1 != 0.0:
         return False
     q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
     gap2 = max(cos - s.gravity - 0.5 * q2, 0.0)
     start = departure_step(gap2, -sin - 0.5 * q3, 1.0 + 0.5 * q4)
-    if start < TIMID:
+    if start < SHORT_START:
         return False
     load(table, k, s.flight, run.phase, run.q, run.q1, start, horizon)
     coefficients(table, k, -0.5, 0.0, cos + 0.5 * run.q, 0.5 * run.q1 - sin, 0.5 * s.gravity, -1.0, 0.0)
@@ -88,16 +97,24 @@ def _load_flight(
 
 
 @inlined
-def _left_alone(table: Any, k: int, run: Progress) -> bool:
-    """Whether lane k's phase is to be done again by itself: a brief flight, or a contact without an end."""
+def _needs_scalar(table: Any, k: int, run: Progress) -> bool:
+    """Whether lane k's phase must be computed again by the scalar functions.
+
+    So are short flights, searches that failed, and contacts that reached their horizon: it may be the time
+    from which they never end, not the window's.
+    """
     if table[STATUS * LANES + k] == AT_ROOT:
-        return run.in_flight and table[TAU * LANES + k] < BRIEF
+        return run.in_flight and table[TAU * LANES + k] < SHORT_FLIGHT
     return table[STATUS * LANES + k] == FALLBACK or not run.in_flight
 
 
 @inlined
 def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, float, float]:
-    """The phase that ended in lane k, with sin and cos of the plate's phase at its end."""
+    """The phase that ended in lane k, with sin and cos of the plate's phase at its end.
+
+    The state at the zero follows from that at the last evaluation by Taylor series in the last step, MOVE,
+    to the fourth order (y) and third (y'); MOVE is below first_root.NEAR, so that the rest is rounding.
+    """
     sin, cos = table[SIN * LANES + k], table[COS * LANES + k]
     move = table[MOVE * LANES + k]
     tau = table[TAU * LANES + k] + move
@@ -108,12 +125,12 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
     y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
     y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
     square = move * move
-    bent, less = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
-    sin, cos = sin + cos * bent - sin * less, cos - sin * bent - cos * less
+    sine, versine = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
+    sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
     ending = ROOT if table[STATUS * LANES + k] == AT_ROOT else HORIZON
     used = int(table[COUNT * LANES + k])
     if not run.in_flight:
-        q = s.sag + (s.q_re * cos - s.q_im * sin) + y
+        q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + y
         q1 = y1 - (s.q_re * sin + s.q_im * cos)
         return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used), sin, cos
     drift = table[K1 * LANES + k]
@@ -125,8 +142,8 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
 
 
 @jit
-def _by_itself(s: Spring, run: Progress, window: Window) -> Phase:
-    """The next phase by the functions of `rigid`."""
+def _scalar_phase(s: Spring, run: Progress, window: Window) -> Phase:
+    """The run's next phase by the scalar functions of `rigid`."""
     horizon = horizon_of(run, window)
     p: Phase
     if run.in_flight:
@@ -138,34 +155,35 @@ def _by_itself(s: Spring, run: Progress, window: Window) -> Phase:
 
 @inlined
 def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, window: Window) -> bool:
-    """Put the next phase into lane k, unless it is better done by itself."""
+    """Put the run's next phase into lane k; False if it must be computed by the scalar functions."""
     horizon = horizon_of(run, window)
     if run.in_flight:
         loaded = _load_flight(table, k, s, run, sin, cos, horizon)
     else:
-        loaded = _load_stuck(table, k, s, run, sin, cos, horizon)
-    return loaded and fits(s.stuck) and fits(s.flight)
+        loaded = _load_contact(table, k, s, run, sin, cos, horizon)
+    return loaded and supports(s.stuck) and supports(s.flight)
 
 
 @jit
 def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
+    """A run from rest; `state` (6,) is overwritten."""
     state[0] = 0.0
     state[2], state[3], state[4], state[5] = rest(s)
     state[1] = 1.0 if flies(s, 0.0, state[2], state[3], state[4], state[5]) else 0.0
-    return begin(state, window)
+    return start_run(state, window)
 
 
 @jit
 def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line) -> None:
-    """Run a line of independent cells from rest; arrays as in ramp.run_line."""
+    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`."""
     table = np.zeros(ROWS * LANES)
-    table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # an idle lane's phase is over, and stays finite
-    flights = room_for_flights(line.flight_time.shape[1], LANES)
+    table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # F = 1 keeps the arithmetic of idle lanes finite
+    flights = allocate_flights(line.flight_time.shape[1], LANES)
     springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
-    runs = [begin(state, window) for _ in range(LANES)]
+    runs = [start_run(state, window) for _ in range(LANES)]
     index = np.full(LANES, -1)  # the cell in each lane
-    begun, left = 0, len(gamma)
+    begun, left = 0, len(gamma)  # cells put into a lane so far, cells not yet done
     while left > 0:
         for k in range(LANES):
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
@@ -179,19 +197,19 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                 else:
                     first = k * flights.size
                     before = runs[k]
-                    alone = _left_alone(table, k, before)
-                    if alone:
-                        p = _by_itself(springs[k], before, window)
+                    scalar = _needs_scalar(table, k, before)
+                    if scalar:
+                        p = _scalar_phase(springs[k], before, window)
                     else:
                         p, sin, cos = _phase_of(table, k, springs[k], before)
                     runs[k] = record(before, p, window, flights, first)
                     if window.settle_tolerance > 0.0:
-                        runs[k] = settled(before, runs[k], window, flights, first)
-                    if alone:
+                        runs[k] = end_settling(before, runs[k], window, flights, first)
+                    if scalar:
                         sin, cos = math.sin(runs[k].phase), math.cos(runs[k].phase)
                 if runs[k].ending != ROOT:
-                    leave(runs[k], state)
-                    write(line, index[k], runs[k], flights, k * flights.size, state, window)
+                    store_state(runs[k], state)
+                    write_record(line, index[k], runs[k], flights, k * flights.size, state, window)
                     index[k] = -1
                     left -= 1
                 else:

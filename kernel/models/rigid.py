@@ -1,12 +1,11 @@
-"""The bouncing spring on an ideal plate: both phases in closed form (MODEL sections 1 to 3).
+"""The bouncing spring on an ideal plate, contact and flight in closed form (docs/model.md, sections 1 to 3).
 
-While stuck, the lower mass moves with the plate and the elongation q is a driven damped
-oscillator; it takes off where the plate's normal force n falls to zero. In flight the
-centre of mass falls freely and q rings; it lands where the gap falls to zero. There the
-lower mass leaves again at -e times its relative velocity, and where e = 0 takes the plate's.
-A cascade of ever smaller hops is followed hop by hop, each of them a flight, until the plate
-presses steadily over all that is left of it (`kernel.models.chatter`): from there on the mass counts
-as stuck, which over so short a time moves the spring as the hops would.
+In contact the lower mass sticks to the plate and the elongation q is a driven damped oscillator; it takes
+off where the plate's normal force n (Eq. 8) falls to zero. In flight the centre of mass falls freely and q
+oscillates; it lands where the gap falls to zero. There the lower mass leaves again at -e times its relative
+velocity, and for e = 0 takes the plate's. Chatter is followed hop by hop, each of them a flight, until n is
+steady over the rest of it (`kernel.models.chatter`). From there on the mass counts as stuck, which over so
+short a time moves the spring as the hops would.
 """
 
 import math
@@ -17,22 +16,23 @@ from numpy.typing import NDArray
 
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.chatter import chatter_completes
-from kernel.models.flight import landing, state_after, take_off
-from kernel.numerics.elementary import turned
+from kernel.models.flight import begin_flight, landing, state_after
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import Oscillator, derivatives, envelope, motion, oscillator, quiet_after
+from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, envelope, motion, oscillator
 from kernel.validation import check_arrays
 
-#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is
-#: computed as one 5e-9 beside it, where the closed form still has eight digits.
+#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed
+#: as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the closed form, a
+#: difference of two such amplitudes, keeps eight of sixteen digits; nearer to resonance it would lose more.
 NEAREST_RESONANCE: Final = 1e-8
 
 
 class RigidPlate(NamedTuple):
     """The plate under each cell of a line."""
 
-    restitution: NDArray[np.float64]  # (n,)
+    restitution: NDArray[np.float64]  # (n,) e
 
 
 def plate(*, restitution: NDArray[np.float64]) -> RigidPlate:
@@ -48,9 +48,9 @@ class Spring(NamedTuple):
     dashpot: float  # 2 xi/Omega
     stiffness: float  # 1/Omega**2
     restitution: float
-    stuck: Oscillator
-    flight: Oscillator
-    sag: float  # static elongation -Omega**2/Gamma
+    stuck: Oscillator  # the free elongation in contact
+    flight: Oscillator  # and in flight
+    static_elongation: float  # -Omega**2/Gamma
     q_re: float  # the driven elongation is Re(Q e^{i phi})
     q_im: float
     n_re: float  # the driven normal force is 2/Gamma - Re(N e^{i phi}), |N| = 2/Gamma_th
@@ -58,7 +58,7 @@ class Spring(NamedTuple):
 
 
 class Stuck(NamedTuple):
-    """n(tau) = 2/Gamma - Re(N e^{i phi}) + h'', where h is the free part of the elongation."""
+    """The normal force in contact: n(tau) = 2/Gamma - Re(N e^{i phi}) + h'', h being the free elongation."""
 
     spring: Spring
     phi: float
@@ -69,6 +69,7 @@ class Stuck(NamedTuple):
 @prepare.register(RigidPlate)
 @jit
 def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -> Spring:
+    """The constants of cell i."""
     stiffness = 1.0 / (omega * omega)
     dashpot = 2.0 * xi / omega
     if math.hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE:
@@ -84,7 +85,7 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
         restitution=plate.restitution[i],
         stuck=oscillator(0.5 * dashpot, stiffness),
         flight=oscillator(dashpot, 2.0 * stiffness),
-        sag=-1.0 / (gamma * stiffness),
+        static_elongation=-1.0 / (gamma * stiffness),
         q_re=q_re,
         q_im=q_im,
         n_re=1.0 + stiffness * q_re - dashpot * q_im,
@@ -94,36 +95,37 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
 
 @inlined
 def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
-    """n if the lower mass moved with the plate (Eq. 8), cos being the plate's position."""
+    """n of a lower mass that moves with the plate (Eq. 8); cos is of the plate's phase."""
     return s.gravity - cos - s.dashpot * q1 - s.stiffness * q
 
 
 @contact_force.register(Spring)
 @jit
 def _contact_force(s: Spring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
+    """n in contact."""
     return normal_force(s, cos, q, q1)
 
 
 @rest.register(Spring)
 @jit
 def _rest(s: Spring) -> tuple[float, float, float, float]:
-    """Gap, gap', elongation and its velocity of a spring at rest on the plate at phase zero."""
-    return 0.0, 0.0, s.sag, 0.0
+    """On the plate, at the static elongation."""
+    return 0.0, 0.0, s.static_elongation, 0.0
 
 
 @flies.register(Spring)
 @jit
 def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
-    """Whether this state is a flight: off the plate, or on it with nothing to hold it there."""
+    """Off the plate, or on it with n < 0."""
     return gap > 0.0 or gap1 > 0.0 or normal_force(s, math.cos(phi), q, q1) < 0.0
 
 
 @terms.register(Stuck)
 @jit
 def _stuck_terms(p: Stuck, tau: float) -> Terms:
-    """The normal force while stuck."""
+    """The normal force as a phase function: the driven part is smooth, the free part rings."""
     s = p.spring
-    sin, cos = turned(p.phi + tau)
+    sin, cos = sincos(p.phi + tau)
     wave, wave1 = s.n_re * cos - s.n_im * sin, s.n_re * sin + s.n_im * cos
     ring, ring1 = motion(s.stuck, p.ring, p.ring1, tau)
     ring2, ring3, ring4 = derivatives(s.stuck, ring, ring1)
@@ -149,19 +151,22 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
 def _contact(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """Stuck until take-off, or to the horizon (rad from now)."""
-    sin, cos = turned(phi)
-    h = q - s.sag - (s.q_re * cos - s.q_im * sin)
+    """Stuck until n falls to zero.
+
+    The search ends early once the free part of n is too small to bring n to zero.
+    """
+    sin, cos = sincos(phi)
+    h = q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
     h1 = q1 + (s.q_re * sin + s.q_im * cos)
     h2 = -s.dashpot * h1 - s.stiffness * h
     h3 = -s.dashpot * h2 - s.stiffness * h1
-    quiet = quiet_after(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
-    tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, min(horizon, quiet), budget)
-    if ending == HORIZON:  # or n cannot reach zero any more
+    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, min(horizon, decayed), budget)
+    if ending == HORIZON:
         tau = horizon
     h, h1 = motion(s.stuck, h, h1, tau)
-    sin, cos = turned(phi + tau)
-    q = s.sag + (s.q_re * cos - s.q_im * sin) + h
+    sin, cos = sincos(phi + tau)
+    q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + h
     q1 = h1 - (s.q_re * sin + s.q_im * cos)
     return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used)
 
@@ -171,13 +176,13 @@ def _contact(
 def _flight(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until landing, or to the horizon (rad from now)."""
-    p = take_off(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    """In flight until the gap falls to zero."""
+    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
     tau, ending, used = landing(p, 0.0, horizon, budget)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending != ROOT:
         return Phase(tau, ending, True, gap, gap1, q, q1, used)
-    sin, cos = turned(phi + tau)
+    sin, cos = sincos(phi + tau)
     return land(s, sin, cos, tau, gap1, q, q1, used)
 
 
@@ -185,13 +190,13 @@ def _flight(
 def land(
     s: Spring, sin: float, cos: float, tau: float, impact: float, q: float, q1: float, used: int
 ) -> Phase:
-    """What follows an impact at relative velocity < 0: a hop, sticking, or at once a new take-off.
+    """The end of a flight of `tau` rad that lands at relative velocity `impact` <= 0.
 
-    sin and cos are of the plate's phase there.
+    A hop follows, or sticking, or at once a new take-off. sin and cos are of the plate's phase at landing.
     """
     hop = max(-s.restitution * impact, 0.0)
-    q1 += impact  # as if it stuck
-    if hop > 0.0 and _settles(s, sin, cos, hop, q, q1):
+    q1 += impact  # of a mass that sticks; the upper mass keeps its velocity
+    if hop > 0.0 and _chatter_ends(s, sin, cos, hop, q, q1):
         hop = 0.0
     q1 -= hop
     in_flight = hop > 0.0 or normal_force(s, cos, q, q1) < 0.0
@@ -199,9 +204,9 @@ def land(
 
 
 @jit
-def _settles(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float) -> bool:
-    """Whether the cascade that begins with `hop` is over before n, of a mass that sticks, has changed."""
-    h, h1 = q - s.sag - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos)
+def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float) -> bool:
+    """Whether the chatter that begins with `hop` may be summed, n being that of a mass that sticks."""
+    h, h1 = q - s.static_elongation - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos)
     h2, h3, _ = derivatives(s.stuck, h, h1)
     h4, h5, _ = derivatives(s.stuck, h2, h3)
     rate = h3 + s.n_re * sin + s.n_im * cos

@@ -1,11 +1,12 @@
-"""The bouncing spring on a soft plate, solved exactly (paper Eqs. 9 to 12, MODEL section 2).
+"""The bouncing spring on a soft plate, solved exactly (paper Eqs. 9 to 12; docs/model.md, section 2).
 
-In contact the plate pushes with n = -(kappa gap + beta gap'), and the motion is known exactly
-(see `pressed`): no time steps are needed however stiff the contact is, and the search for
-take-off steps over the contact's ringing as soon as it is too small to lift the mass.
+In contact the plate pushes with n = -(kappa gap + beta gap'), and the motion is known in closed form
+(`kernel.models.soft_contact`). No time steps are needed however stiff the contact is, and the search for
+the take-off steps over the contact's ringing as soon as that is too small to lift the mass.
 
 adhesive: contact while gap < 0; take-off and landing are zeros of the gap, and n may pull.
-nonadhesive: contact while gap < 0 and n > 0, so that a flight begins below the plate.
+nonadhesive: contact while gap < 0 and n > 0, so that a flight begins below the plate's surface. Until the
+mass is above it, n would turn positive again where kappa gap + beta gap' falls to zero (`Recontact`).
 """
 
 import math
@@ -15,21 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
-from kernel.models.contact_law import lets_go
-from kernel.models.flight import Flight, flight_terms, landing, state_after, take_off
-from kernel.models.soft_contact import SoftSpring, join, pressed, soft_spring, split
-from kernel.models.soft_liftoff import pressed_until
-from kernel.numerics.elementary import turned
+from kernel.models.contact_law import lifted_off, plate_force
+from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
+from kernel.models.soft_contact import SoftSpring, from_modes, liftoff_function, soft_spring, to_modes
+from kernel.models.soft_liftoff import sure_contact_time
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import jit
-from kernel.numerics.oscillator import derivatives, envelope, motion, quiet_after
+from kernel.numerics.oscillator import decay_time, derivatives, envelope, motion
 from kernel.validation import check_arrays
 
 
 class SoftPlate(NamedTuple):
     """The plate under each cell of a line."""
 
-    restitution: NDArray[np.float64]  # (n,) true restitution of an isolated impact
+    restitution: NDArray[np.float64]  # (n,) e of an isolated impact under the chosen law
     penetration: NDArray[np.float64]  # (n,) d, plate amplitudes
     adhesive: bool
 
@@ -43,16 +44,16 @@ def plate(*, restitution: NDArray[np.float64], penetration: NDArray[np.float64],
     return SoftPlate(np.ascontiguousarray(restitution), np.ascontiguousarray(penetration), bool(adhesive))
 
 
-class Recoil(NamedTuple):
-    """kappa gap + beta gap' while a nonadhesive contact springs back: zero brings the plate back to bear."""
+class Recontact(NamedTuple):
+    """kappa gap + beta gap' as the phase function of a flight below the surface; zero at recontact."""
 
     flight: Flight
     kappa: float
     beta: float
 
 
-class Dip(NamedTuple):
-    """-gap of a lower mass still below the plate."""
+class Emergence(NamedTuple):
+    """-gap as the phase function of a flight below the surface: at its zero the mass emerges."""
 
     flight: Flight
 
@@ -60,25 +61,29 @@ class Dip(NamedTuple):
 @prepare.register(SoftPlate)
 @jit
 def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) -> SoftSpring:
+    """The constants of cell i."""
     return soft_spring(gamma, omega, xi, plate.restitution[i], plate.penetration[i], plate.adhesive)
 
 
 @contact_force.register(SoftSpring)
 @jit
 def _contact_force(s: SoftSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return -(s.kappa * gap + s.beta * gap1)
+    """n in contact."""
+    return plate_force(s.kappa, s.beta, gap, gap1)
 
 
 @rest.register(SoftSpring)
 @jit
 def _rest(s: SoftSpring) -> tuple[float, float, float, float]:
-    return s.dent, 0.0, s.sag, 0.0
+    """At the static gap and elongation."""
+    return s.static_gap, 0.0, s.static_elongation, 0.0
 
 
 @flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
-    return lets_go(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
+    """Not in contact under the cell's law."""
+    return lifted_off(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
 @contact.register(SoftSpring)
@@ -86,28 +91,33 @@ def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: flo
 def _contact(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    m = split(s, phi, gap, gap1, q, q1)
-    p = pressed(s, m, phi)
-    lull = p.still - math.hypot(p.w_re, p.w_im)
+    """In contact until the lift-off function falls to zero.
+
+    The search ends early once both free modes are too small to bring it there.
+    """
+    m = to_modes(s, phi, gap, gap1, q, q1)
+    p = liftoff_function(s, m, phi)
+    margin = p.static - math.hypot(p.wave_re, p.wave_im)
     ringing = envelope(p.slow_osc, p.slow, p.slow1) + envelope(p.fast_osc, p.fast, p.fast1)
-    quiet = 0.0
-    if ringing >= lull:
-        quiet = max(
-            quiet_after(p.slow_osc, p.slow, p.slow1, 0.5 * lull),
-            quiet_after(p.fast_osc, p.fast, p.fast1, 0.5 * lull),
+    decayed = 0.0
+    if ringing >= margin:
+        decayed = max(
+            decay_time(p.slow_osc, p.slow, p.slow1, 0.5 * margin),
+            decay_time(p.fast_osc, p.fast, p.fast1, 0.5 * margin),
         )
-    tau, ending, used = first_root(p, pressed_until(p, terms(p, 0.0)), min(horizon, quiet), budget)
-    if ending == HORIZON:  # or nothing can lift it any more
+    tau, ending, used = first_root(p, sure_contact_time(p, terms(p, 0.0)), min(horizon, decayed), budget)
+    if ending == HORIZON:
         tau = horizon
-    gap, gap1, q, q1 = join(s, m, phi, tau)
+    gap, gap1, q, q1 = from_modes(s, m, phi, tau)
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
 
 
-@terms.register(Dip)
+@terms.register(Emergence)
 @jit
-def _dip_terms(p: Dip, tau: float) -> Terms:
+def _emergence_terms(p: Emergence, tau: float) -> Terms:
+    """The flight's terms with their signs changed."""
     t = flight_terms(p.flight, tau)
     return Terms(
         -t.smooth, -t.smooth1, -t.smooth2, -t.smooth3, t.smooth4,
@@ -115,16 +125,17 @@ def _dip_terms(p: Dip, tau: float) -> Terms:
     )  # fmt: skip
 
 
-@terms.register(Recoil)
+@terms.register(Recontact)
 @jit
-def _recoil_terms(p: Recoil, tau: float) -> Terms:
+def _recontact_terms(p: Recontact, tau: float) -> Terms:
+    """kappa times the flight's terms plus beta times the next higher derivatives; not separated in parts."""
     f = p.flight
     t = flight_terms(f, tau)
     q, q1 = motion(f.osc, f.q, f.q1, tau)
     q2, q3, _ = derivatives(f.osc, q, q1)
     q4, _, _ = derivatives(f.osc, q2, q3)
-    _, _, q5 = derivatives(f.osc, q1, q2)
-    _, cos = turned(f.phi + tau)
+    _, _, bound5 = derivatives(f.osc, q1, q2)
+    _, cos = sincos(f.phi + tau)
     gap4 = -cos - 0.5 * q4
     k, c = p.kappa, p.beta
     return Terms(
@@ -132,7 +143,7 @@ def _recoil_terms(p: Recoil, tau: float) -> Terms:
         smooth1=k * (t.smooth1 + t.ring1) + c * (t.smooth2 + t.ring2),
         smooth2=k * (t.smooth2 + t.ring2) + c * (t.smooth3 + t.ring3),
         smooth3=k * (t.smooth3 + t.ring3) + c * gap4,
-        smooth4=k * (t.smooth4 + t.ring4) + c * (1.0 + 0.5 * q5),
+        smooth4=k * (t.smooth4 + t.ring4) + c * (1.0 + 0.5 * bound5),
         ring=0.0,
         ring1=0.0,
         ring2=0.0,
@@ -144,27 +155,30 @@ def _recoil_terms(p: Recoil, tau: float) -> Terms:
 
 
 @jit
-def _least_pull(p: Flight, time: float) -> float:
-    """A bound <= 0 below gap'' for the first `time` rad of a flight."""
+def _lowest_gap2(p: Flight, time: float) -> float:
+    """A lower bound <= 0 of gap'' over the first `time` rad of a flight."""
     _, q3, q4 = derivatives(p.osc, p.q, p.q1)
     gap3 = -p.sin - 0.5 * q3
     return min(p.gap2 + time * (min(gap3, 0.0) - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
 
 
 @jit
-def _springs_clear(s: SoftSpring, p: Flight, least: float, time: float) -> bool:
+def _no_recontact(s: SoftSpring, p: Flight, lowest_gap2: float, time: float) -> bool:
     """Whether kappa gap + beta gap', zero at take-off, surely only grows for `time` rad."""
-    return s.kappa * (p.gap1 + time * least) + s.beta * least > 0.0
+    return s.kappa * (p.gap1 + time * lowest_gap2) + s.beta * lowest_gap2 > 0.0
 
 
 @jit
-def _clear_by(s: SoftSpring, p: Flight) -> float:
-    """When a mass that takes off below the plate is surely clear of it, never pressed meanwhile; or 0."""
+def _emergence_bound(s: SoftSpring, p: Flight) -> float:
+    """A time (rad) by which a mass that takes off below the surface is surely above it, without recontact.
+
+    Twice -gap/gap', the time at constant velocity; 0 if that is not sure.
+    """
     if p.gap1 <= 0.0:
         return 0.0
     time = -2.0 * p.gap / p.gap1
-    least = _least_pull(p, time)
-    return time if 0.5 * least * time * time > p.gap and _springs_clear(s, p, least, time) else 0.0
+    lowest = _lowest_gap2(p, time)
+    return time if 0.5 * lowest * time * time > p.gap and _no_recontact(s, p, lowest, time) else 0.0
 
 
 @flight.register(SoftSpring)
@@ -172,22 +186,23 @@ def _clear_by(s: SoftSpring, p: Flight) -> float:
 def _flight(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    p = take_off(s.flight, s.gravity, phi, gap, gap1, q, q1)
-    clear, used = 0.0, 0
+    """In flight until landing. One that begins below the surface may return to contact before it emerges."""
+    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    emerged, used = 0.0, 0
     if gap < 0.0:
-        clear = _clear_by(s, p)
-    if gap < 0.0 and clear == 0.0:
-        clear, ending, used = first_root(Dip(p), 0.0, horizon, budget)
-        tau, pressed = clear, HORIZON
-        if not _springs_clear(s, p, _least_pull(p, clear), clear):
-            tau, pressed, more = first_root(Recoil(p, s.kappa, s.beta), 0.0, clear, budget - used)
+        emerged = _emergence_bound(s, p)
+    if gap < 0.0 and emerged == 0.0:
+        emerged, ending, used = first_root(Emergence(p), 0.0, horizon, budget)
+        tau, recontact = emerged, HORIZON
+        if not _no_recontact(s, p, _lowest_gap2(p, emerged), emerged):
+            tau, recontact, more = first_root(Recontact(p, s.kappa, s.beta), 0.0, emerged, budget - used)
             used += more
-        if pressed != HORIZON or ending != ROOT:
-            # the plate bears again before the mass is clear of it, or the window ends first
+        if recontact != HORIZON or ending != ROOT:
+            # contact returns before the mass emerges, or the window ends first
             gap, gap1, q, q1 = state_after(p, tau)
-            ending = ending if pressed == HORIZON else pressed
+            ending = ending if recontact == HORIZON else recontact
             return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used)
-    tau, ending, more = landing(p, clear, horizon, budget - used)
+    tau, ending, more = landing(p, emerged, horizon, budget - used)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending == ROOT:
         gap, gap1 = 0.0, min(gap1, 0.0)

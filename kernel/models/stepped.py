@@ -1,15 +1,16 @@
-"""The soft plate by fixed time steps: the molecular dynamics of the paper (section 2.2, MODEL section 2).
+"""The soft plate by fixed time steps: the paper's molecular dynamics (section 2.2; docs/model.md, section 2).
 
 The contact is that of `kernel.models.soft`, gap'' = b q' + w q - 1/Gamma + cos(phi) - kappa gap - beta gap'
-while it lasts, moved on by one of the schemes of `kernel.models.time_stepping`. A step of h = 2 pi/N rad,
-at most the contact's duration over `steps_per_contact` (`kernel.step_limits`), takes a whole number N of
-steps to the plate period, and the grid of phases on which steps end is the same in every period.
+while it lasts, integrated by one of the schemes of `kernel.models.time_stepping`. The step is h = 2 pi/N
+rad, N being the fewest steps per plate period for which h is at most the contact's duration over
+`steps_per_contact` (Eq. 13, `kernel.step_limits`). So the grid of phases at which steps end is the same in
+every period.
 
-The spring takes off or lands inside a step. That step is shortened so that it ends there (the
-zero of the same scheme's own gap or force), and another shortened one leads back to the grid.
-Without it the force would set in late by up to h, and both schemes would be of first order.
-Only what the steps' ends show is seen: a touch or a hop shorter than a step may be passed over,
-and one that ends before the first point of the grid ends there.
+The spring takes off or lands inside a step. That step is shortened so that it ends there (at the zero of
+the same scheme's own gap or force), and another shortened one leads back to the grid. Otherwise the force
+would set in late by up to h, and both schemes would be of first order. Events are detected at the ends of
+steps only: a touch or a hop shorter than a step may be missed, and one that ends before the first grid
+point ends there.
 """
 
 import math
@@ -19,9 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
-from kernel.models.contact_law import lets_go
-from kernel.models.time_stepping import Grid, Law, March, Point, before, law, march, outset, over, step
-from kernel.modes import TWO_PI
+from kernel.models.contact_law import contact_constants, lifted_off, plate_force, static_state
+from kernel.models.time_stepping import (
+    Grid,
+    Law,
+    March,
+    Point,
+    begin_march,
+    end_function,
+    law,
+    march,
+    previous_point,
+    step,
+)
+from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import jit
 from kernel.params import KernelInputError
@@ -29,16 +41,19 @@ from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
 from kernel.validation import check_arrays
 
-#: Steps between two exact evaluations of the plate's phase; in between a rotation turns it on.
+#: Steps between two evaluations of the plate's sine and cosine; in between a rotation advances them, whose
+#: error grows to some 1024 EPS = 2e-13.
 BLOCK: Final = 1024
 
-#: Where less than this part of a step is left to the next point of the grid, that point is skipped.
-SLIVER: Final = 1e-9
+#: If less than this part of a step is left to the next grid point, that point is skipped: rounding moves
+#: grid points by about N EPS/2 of a step, 1e-9 for the largest N.
+MIN_STEP_FRACTION: Final = 1e-9
 
-#: A gap or elongation beyond this, in plate amplitudes, is that of a scheme that has blown up.
+#: A gap or elongation beyond this, in plate amplitudes, means that the scheme is unstable and has diverged.
 LARGEST: Final = 1e30
 
-#: Rounds of regula falsi for the end of a contact or flight; it needs a handful.
+#: Cap on the rounds of regula falsi (Illinois) for the end of a contact or flight. It converges like a
+#: secant method; halving alone would be down to rounding by then.
 ROUNDS: Final = 60
 
 
@@ -59,8 +74,8 @@ class SteppedSpring(NamedTuple):
     grid: Grid
     contact: Law
     flight: Law
-    sag: float  # static elongation
-    dent: float  # static gap, < 0
+    static_elongation: float  # < 0
+    static_gap: float  # < 0
 
 
 def plate(
@@ -73,7 +88,7 @@ def plate(
 ) -> SteppedPlate:
     """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
 
-    Raises KernelInputError, also for a scheme there is not and for what is no number of steps.
+    steps_per_contact: an integer >= 1; scheme: "verlet" or "euler". Raises KernelInputError.
     """
     check_arrays({"restitution": restitution, "penetration": penetration})
     names = [s.name.lower() for s in Scheme]
@@ -92,14 +107,17 @@ def plate(
 @contact_force.register(SteppedSpring)
 @jit
 def _contact_force(s: SteppedSpring, cos: float, gap: float, gap1: float, q: float, q1: float) -> float:
-    return -(s.contact.kappa * gap + s.contact.beta * gap1)
+    """n in contact."""
+    return plate_force(s.contact.kappa, s.contact.beta, gap, gap1)
 
 
 @prepare.register(SteppedPlate)
 @jit
 def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float) -> SteppedSpring:
-    d = plate.penetration[i]
-    w, b, kappa, beta = 1.0 / (omega * omega), 2.0 * xi / omega, 1.0 / (d * d), 2.0 * plate.damping[i] / d
+    """The constants of cell i."""
+    kappa, beta = contact_constants(plate.penetration[i], plate.damping[i])
+    w, b = 1.0 / (omega * omega), 2.0 * xi / omega
+    static_gap, static_elongation = static_state(gamma, w, kappa)
     lead = 0.0 if plate.adhesive else beta / kappa
     h = TWO_PI / plate.steps[i]
     grid = Grid(plate.steps[i], h, math.cos(h), math.sin(h), plate.implicit)
@@ -108,54 +126,62 @@ def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float)
         grid=grid,
         contact=law(grid, b, w, kappa, beta, lead, False),
         flight=law(grid, b, w, 0.0, 0.0, lead, True),
-        sag=-1.0 / (gamma * w),
-        dent=-2.0 / (gamma * kappa),
+        static_elongation=static_elongation,
+        static_gap=static_gap,
     )
 
 
 @rest.register(SteppedSpring)
 @jit
 def _rest(s: SteppedSpring) -> tuple[float, float, float, float]:
-    return s.dent, 0.0, s.sag, 0.0
+    """At the static gap and elongation."""
+    return s.static_gap, 0.0, s.static_elongation, 0.0
 
 
 @flies.register(SteppedSpring)
 @jit
 def _flies(s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
-    return lets_go(gap, gap1, 1.0, s.flight.lead)
+    """Not in contact under the cell's law, with 1 : lead for kappa : beta."""
+    return lifted_off(gap, gap1, 1.0, s.flight.lead)
 
 
 @jit
 def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Point]:
-    """The length of the step from x at phi that ends where the contact or flight does, and its end."""
+    """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end.
+
+    By regula falsi on `end_function`, as a function of the step's length.
+    """
     m, f0 = s.grid.implicit, math.cos(phi) - s.gravity
     low, high, side = 0.0, s.grid.step, 0
     end = step(law, m, f0, math.cos(phi + high) - s.gravity, x, high)
-    below, above = over(law, x), over(law, end)
+    below, above = end_function(law, x), end_function(law, end)
     h = high
     if below >= 0.0 or above <= 0.0:
         return h, end
     for _ in range(ROUNDS):
         h = high - above * (high - low) / (above - below)
         end = step(law, m, f0, math.cos(phi + h) - s.gravity, x, h)
-        found = over(law, end)
-        if found == 0.0 or high - low <= 4.0 * EPS * s.grid.step:
+        value = end_function(law, end)
+        if value == 0.0 or high - low <= 4.0 * EPS * s.grid.step:
             break
-        if found > 0.0:
+        if value > 0.0:
             below *= 0.5 if side > 0 else 1.0
-            high, above, side = h, found, 1
+            high, above, side = h, value, 1
         else:
             above *= 0.5 if side < 0 else 1.0
-            low, below, side = h, found, -1
+            low, below, side = h, value, -1
     return h, end
 
 
 @jit
 def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[float, int, Point]:
-    """The end of a contact or flight that began at phi and is over at the n-th grid point; as `_run`."""
+    """The end of a contact or flight that began at phi and is over at the n-th grid point.
+
+    Returns rad, ending and state, as `_run` does.
+    """
     if row.taken == 0:
         return n * s.grid.step - phi, ROOT, row.now
-    part, end = _locate(s, law, before(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
+    part, end = _locate(s, law, previous_point(s.grid, row), (n - 1) % s.grid.steps * s.grid.step)
     if not abs(end.gap) + abs(end.q) + abs(part) < LARGEST:
         return n * s.grid.step - phi, NON_FINITE, end
     return (n - 1) * s.grid.step - phi + part, ROOT, end
@@ -165,16 +191,19 @@ def _end(s: SteppedSpring, law: Law, row: March, n: int, phi: float) -> tuple[fl
 def _run(
     s: SteppedSpring, law: Law, phi: float, x: Point, horizon: float, budget: int
 ) -> tuple[float, int, Point]:
-    """Step until the contact or flight is over, or to the horizon: rad, ending and state."""
+    """Step from x at phi until the contact or flight is over, or to the horizon: rad, ending and state.
+
+    The horizon is rounded to the nearest grid point.
+    """
     steps, h, m = s.grid.steps, s.grid.step, s.grid.implicit
     if budget <= 0 or steps > MOST_STEPS_PER_PERIOD:
         return 0.0, BUDGET_EXHAUSTED, x
     last = math.floor((phi + horizon) / h + 0.5)
-    n = math.floor(phi / h + SLIVER) + 1
+    n = math.floor(phi / h + MIN_STEP_FRACTION) + 1
     if n > last:
         return horizon, HORIZON, x
     f0, f1 = math.cos(phi) - s.gravity, math.cos(n % steps * h) - s.gravity
-    row = outset(s.grid, law, f1, step(law, m, f0, f1, x, n * h - phi))
+    row = begin_march(s.grid, law, f1, step(law, m, f0, f1, x, n * h - phi))
     while True:
         c, d = math.cos(n % steps * h), math.sin(n % steps * h)
         row = march(s.grid, law, s.gravity, c, d, row, min(BLOCK, last - n))
@@ -193,7 +222,7 @@ def _run(
 def _contact(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In contact until take-off. The budget counts phases; `kernel.step_limits` bounds the steps."""
+    """In contact until take-off. The budget counts contacts and flights; steps have a limit of their own."""
     tau, ending, x = _run(s, s.contact, phi, Point(gap, gap1, q, q1), horizon, budget)
     gap, gap1 = x.gap, x.gap1
     if ending == ROOT and s.contact.lead == 0.0:
@@ -206,6 +235,7 @@ def _contact(
 def _flight(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
+    """In flight until landing. The budget counts as in `_contact`."""
     tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
     gap, gap1 = x.gap, x.gap1
     if ending == ROOT:

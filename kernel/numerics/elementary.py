@@ -1,9 +1,10 @@
-"""sin, cos and exp as straight-line arithmetic, so that lanes of cells can share one instruction.
+"""sin, cos and exp as straight-line arithmetic, which the compiler can vectorise over lanes of cells.
 
-A call into the C library takes one number at a time. Each function here reduces its argument
-by constants split so that the reduction is exact, then takes a polynomial fitted (Chebyshev,
-in 50-digit arithmetic) below the rounding of the result, summed in pairs to shorten the chain.
-Accurate to two units in the last place; the tests compare with 50 digits.
+A call into the C library takes one number at a time, and its last digit depends on the library. Each
+function here reduces its argument by a constant split into parts, so that the reduction is exact, then
+evaluates a polynomial (a Chebyshev fit in 50-digit arithmetic whose error is below the rounding of the
+result), summed in pairs to shorten the chain of dependent operations. Results are accurate to two units
+in the last place; the tests compare them with 50 digits.
 """
 
 import math
@@ -14,7 +15,13 @@ import numpy as np
 from kernel.numerics.intrinsics import fma, power_of_two
 from kernel.numerics.jit import inlined, jit
 
+TWO_PI: Final = 2.0 * math.pi
+
 _TWO_OVER_PI: Final = 2.0 / math.pi
+
+# pi/2 in three parts and ln 2 in two (Cody and Waite). The first parts of pi/2 have 31 and 32 significant
+# bits, that of ln 2 has 32, so that their products with a number of turns below 2**21 are exact. The parts
+# add up to pi/2 within 1e-37 and to ln 2 within 1.2e-26.
 _HALF_PI_1: Final = 1.5707963267341256
 _HALF_PI_2: Final = 6.077100506303966e-11
 _HALF_PI_3: Final = 2.0222662487959506e-21
@@ -22,27 +29,33 @@ _ONE_OVER_LN2: Final = 1.4426950408889634
 _LN2_1: Final = 0.6931471803691238
 _LN2_2: Final = 1.9082149292705877e-10
 
-#: Beyond this many rad the reduction of `sincos` loses digits.
-_FAR: Final = 1e5
+#: rad up to which `sincos_small` keeps its accuracy: 6.4e4 turns of pi/2, whose products with the parts of
+#: pi/2 are exact, and whose remainder is known to 6.4e4 * 1e-37.
+_REDUCTION_LIMIT: Final = 1e5
 
-#: How far `bent` follows sinh and cosh to rounding.
-GENTLE: Final = 0.25
+#: Up to this argument `circular_or_hyperbolic` gives sinh and cosh to rounding. Its polynomials are fitted
+#: for x^2 > 0, |x| <= pi/4; with -x^2 they are extrapolated, whose error stays below two units in the last
+#: place up to here (measured against 50 digits; a test does so).
+HYPERBOLIC_LIMIT: Final = 0.25
 
-#: Exponents below this are taken as it: 2**k with less would no longer have all its digits.
-_LEAST: Final = -708.0
+#: `exp` of any x below this is exp(-708) = 3.3e-308, about the smallest normal double, which is the least
+#: that `power_of_two` makes.
+_LOWEST_EXPONENT: Final = -708.0
 
 
 @jit
-def sincos(x: float) -> tuple[float, float]:
-    """sin x and cos x for |x| < _FAR rad."""
-    return bent(x, 1.0)
+def sincos_small(x: float) -> tuple[float, float]:
+    """(sin x, cos x) for |x| < 1e5 rad; beyond that the reduction loses digits."""
+    return circular_or_hyperbolic(x, 1.0)
 
 
 @inlined
-def bent(x: float, sign: float) -> tuple[float, float]:
-    """sin x and cos x for |x| < _FAR rad; with sign = -1, sinh x and cosh x for |x| <= GENTLE.
+def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
+    """(sin x, cos x) for sign = 1 and |x| < 1e5 rad; (sinh x, cosh x) for sign = -1 and
+    |x| <= HYPERBOLIC_LIMIT.
 
-    Their power series are the same but for the sign of x squared.
+    The power series of the two pairs differ only in the sign of x squared, so that each lane may choose
+    without a branch.
     """
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
@@ -77,15 +90,15 @@ def bent(x: float, sign: float) -> tuple[float, float]:
 
 
 @jit
-def turned(x: float) -> tuple[float, float]:
-    """sin x and cos x for any x."""
-    return sincos(x) if abs(x) < _FAR else (math.sin(x), math.cos(x))
+def sincos(x: float) -> tuple[float, float]:
+    """(sin x, cos x) for any x in rad."""
+    return sincos_small(x) if abs(x) < _REDUCTION_LIMIT else (math.sin(x), math.cos(x))
 
 
 @jit
 def exp(x: float) -> float:
-    """The exponential of x <= 0; of x < -708 that of -708."""
-    x = max(x, _LEAST)
+    """The exponential of x <= 0; exp(-708) = 3.3e-308 for all x below -708."""
+    x = max(x, _LOWEST_EXPONENT)
     k = math.floor(fma(x, _ONE_OVER_LN2, 0.5))
     r = fma(k, -_LN2_2, fma(k, -_LN2_1, x))
     s = r * r

@@ -1,8 +1,8 @@
-"""Two machine instructions that Python has no name for, for straight-line arithmetic in lanes.
+"""Machine instructions without a Python name, for straight-line arithmetic in lanes.
 
-Written out, a fused multiply-add is the same wherever the code is compiled and inlined; left to
-the compiler's choice it is not (see `kernel.numerics.jit`). Without compilation (NUMBA_DISABLE_JIT=1) its
-product is rounded, so that the last digits may differ there.
+A fused multiply-add that is written out gives the same bits wherever the code is compiled and inlined;
+one left to the compiler does not (see `kernel.numerics.jit`). Without compilation (NUMBA_DISABLE_JIT=1)
+its product is rounded, so that last digits may differ.
 """
 
 import math
@@ -11,7 +11,9 @@ from typing import Any, Final
 from numba import types
 from numba.extending import intrinsic, overload
 
-#: The bits of a double below its exponent, and what its exponent is counted from.
+from kernel.numerics.jit import inlined
+
+#: IEEE double: the bits of the fraction, below the exponent, and the exponent's bias.
 _FRACTION: Final = 52
 _BIAS: Final = 1023
 
@@ -27,6 +29,8 @@ def power_of_two(k: int) -> float:
 
 
 def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """LLVM's fma, as numba's `intrinsic` wants it: a signature and a code generator."""
+
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.fma(*arguments)
 
@@ -34,6 +38,8 @@ def _declare_fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 def _declare_power_of_two(typing: Any, k: Any) -> Any:
+    """The double whose biased exponent is k and whose fraction is zero."""
+
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         bias, fraction = (context.get_constant(types.int64, bits) for bits in (_BIAS, _FRACTION))
         exponent = builder.add(arguments[0], bias)
@@ -45,6 +51,12 @@ def _declare_power_of_two(typing: Any, k: Any) -> Any:
 _fma: Final[Any] = intrinsic(_declare_fma)
 _power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
 _INLINED: Final[Any] = {"forceinline": True}
-# numba wants a Python function as the implementation, not the intrinsic itself
+# numba requires a Python function as the implementation, not the intrinsic itself
 overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
 overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108
+
+
+@inlined
+def multiply_add(a: float, b: float, c: float, fused: bool) -> float:
+    """a * b + c, rounded once if `fused`, else twice; a constant `fused` costs nothing."""
+    return fma(a, b, c) if fused else a * b + c

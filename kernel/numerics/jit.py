@@ -1,9 +1,11 @@
-"""The one way a kernel function is compiled, and the one way it is chosen.
+"""How kernel functions are compiled, and how one is chosen by the type of its first argument.
 
-Compiled code is cached on disk only where NUMBA_CACHE_DIR says so. Numba looks at
-the file of the outermost function alone to decide whether a cached one is stale,
-so whoever sets that folder must name it after the kernel's sources (the worker
-does); a cache beside the sources would outlive a change in an inner file.
+Compiled code is cached on disk only if NUMBA_CACHE_DIR is set. Numba looks at the file of the outermost
+function alone to decide whether a cached one is stale, so the folder must be named after the kernel's
+sources, as `worker.kernel_cache` does; a cache beside the sources would outlive a change in an inner
+file.
+
+Every function also runs without compilation (NUMBA_DISABLE_JIT=1), for coverage and debugging.
 """
 
 import functools
@@ -12,13 +14,13 @@ from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
 import numba
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-# No "contract": which products are fused with sums would hang on how LLVM inlines, and code read from the
-# cache then differs in the last digit from code just compiled. What gains by it writes it out: see
-# `kernel.numerics.intrinsics`.
+# No "contract": which products are fused with sums would depend on how LLVM inlines, and code read from the
+# cache would differ in the last digit from code just compiled. Functions that gain by fused multiply-adds
+# write them out: see `kernel.numerics.intrinsics`.
 _OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
 
 
@@ -28,19 +30,26 @@ def jit(function: _Function) -> _Function:
 
 
 def inlined(function: _Function) -> _Function:
-    """As `jit`, but made part of its caller: for what a lane does every phase, where a call costs as much."""
+    """As `jit`, but inlined into its caller: for short functions whose call would cost as much as they do."""
     return cast(_Function, numba.njit(cache=_cached(), forceinline=True, **_OPTIONS)(function))
 
 
+def compilable(function: _Function) -> _Function:
+    """Let compiled code call a plain Python function, which stays one for its other callers."""
+    return register_jitable(error_model=_OPTIONS["error_model"])(function)
+
+
 def _cached() -> bool:
+    """Whether compiled code goes to disk."""
     return "NUMBA_CACHE_DIR" in os.environ
 
 
 class by_type:  # noqa: N801 - a decorator
-    """A kernel function with one implementation for each type of its first argument, a NamedTuple.
+    """Decorator: a kernel function with one implementation for each type of its first argument.
 
-    Resolved while compiling, so it costs nothing; functions passed as arguments would do the
-    same but cannot be cached. Without compilation (NUMBA_DISABLE_JIT=1) it is an ordinary look-up.
+    The types are NamedTuples. The choice is made at compile time and costs nothing at run time;
+    functions passed as arguments would serve as well but cannot be cached. Called from Python it is a
+    look-up, which raises TypeError for a type without an implementation.
     """
 
     def __init__(self, declaration: Callable[..., Any]) -> None:
@@ -52,7 +61,7 @@ class by_type:  # noqa: N801 - a decorator
     def __call__(self, first: Any, *rest: Any) -> Any:
         chosen = self._chosen(type(first))
         if chosen is None:
-            raise TypeError(f"no model answers this for a {type(first).__name__}")
+            raise TypeError(f"not implemented for {type(first).__name__}")
         return chosen(first, *rest)
 
     def __contains__(self, kind: type) -> bool:
@@ -60,22 +69,24 @@ class by_type:  # noqa: N801 - a decorator
         return kind in self._implementations
 
     def _chosen(self, kind: type) -> Callable[..., Any] | None:
+        """The implementation for a type, or the default one, or None."""
         return self._implementations.get(kind, self._otherwise)
 
     def _resolve(self, first: Any) -> Callable[..., Any] | None:
+        """Numba's side of the call: `first` is the type of the argument, as numba describes it."""
         chosen = self._chosen(getattr(first, "instance_class", type(None)))
         return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
 
     def register(self, kind: type) -> Callable[[_Function], _Function]:
-        """Decorator: this function answers for first arguments of type `kind`."""
+        """Decorator: the implementation for first arguments of type `kind`."""
 
-        def remember(function: _Function) -> _Function:
+        def add(function: _Function) -> _Function:
             self._implementations[kind] = function
             return function
 
-        return remember
+        return add
 
     def otherwise(self, function: _Function) -> _Function:
-        """Decorator: this function answers for first arguments of all other types."""
+        """Decorator: the implementation for first arguments of all other types."""
         self._otherwise = function
         return function

@@ -1,26 +1,29 @@
-"""The free damped oscillator x'' + 2 a x' + w x = 0, safe at every damping.
+"""The free damped oscillator x'' + 2 a x' + w x = 0, without cancellation at any damping.
 
-Its solution is x = x0 C + v0 S and x' = -w S x0 + S' v0. Every derivative of x
-obeys the same equation, which gives n'', gap''' and so on without differencing.
+Its solution is x = x0 C + v0 S and x' = -w S x0 + S' v0, with C and S of docs/model.md, section 3. Every
+derivative of x obeys the same equation, which gives n'', gap''' and so on without differencing. Times are
+in rad of the plate's phase, rates in 1/rad.
 """
 
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import exp, turned
+from kernel.numerics.elementary import TWO_PI, exp, sincos
 from kernel.numerics.jit import inlined, jit
 
-TWO_PI: Final = 2.0 * math.pi
-
-#: Below this ratio of sqrt(D) to a the overdamped formulas give way to ones continuous through D = 0.
+#: Overdamped, C and S are differences of two exponentials over sqrt(D). Above this ratio of sqrt(D) to a
+#: that form loses at most a factor a/sqrt(D) = 10 of the precision, one digit. Below it they are written
+#: with expm1(x)/x, which is continuous through D = 0.
 NEAR_CRITICAL: Final = 0.1
 
-#: The power series below is used for tau * rate under this; its sixteenth term is then under 1e-17.
+#: `displacement` sums its power series to order SHORT_ORDER for tau * rate below SHORT. No root of the
+#: motion is larger than `rate`, so that the first omitted term is of the order 0.5**16/16! = 7e-19.
 SHORT: Final = 0.5
+SHORT_ORDER: Final = 15
 
 
 class Oscillator(NamedTuple):
-    """The constants of one oscillator, worked out once a cell."""
+    """The constants of one oscillator, computed once for each cell."""
 
     damping: float  # a, 1/rad
     stiffness: float  # w > 0, 1/rad**2
@@ -28,7 +31,7 @@ class Oscillator(NamedTuple):
     root: float  # sqrt(|D|)
     slow: float  # where D >= 0, the slow root -w/(a + sqrt(D)), without cancellation
     fast: float  # where D >= 0, the fast root -(a + sqrt(D))
-    rate: float  # the fastest rate in it, 1/rad
+    rate: float  # about the fastest rate of the motion, 1/rad: max(2 a, sqrt(w))
 
 
 @jit
@@ -43,7 +46,7 @@ def oscillator(damping: float, stiffness: float) -> Oscillator:
 
 @jit
 def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
-    """C(tau), S(tau) and S'(tau) of MODEL section 3; tau >= 0 in rad.
+    """C(tau), S(tau) and S'(tau) of docs/model.md, section 3; tau >= 0 in rad.
 
     C(0) = 1, C'(0) = 0, S(0) = 0, S'(0) = 1 and C' = -w S.
     """
@@ -51,34 +54,34 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
         return 1.0, 0.0, 1.0
     if osc.discriminant < 0.0:
         decay = exp(-osc.damping * tau)
-        turn, turn1 = turned(osc.root * tau)
-        cosine = decay * turn1
-        sine = decay * turn / osc.root
+        sin, cos = sincos(osc.root * tau)
+        cosine = decay * cos
+        sine = decay * sin / osc.root
         return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
     slow = exp(osc.slow * tau)
     spread = 2.0 * osc.root * tau
     if osc.root > NEAR_CRITICAL * osc.damping:
-        lost = exp(-spread)
+        ratio = exp(-spread)  # of the fast exponential to the slow one
         scale = slow / (2.0 * osc.root)
         sine = -scale * math.expm1(-spread)
-        return scale * (osc.slow * lost - osc.fast), sine, scale * (osc.slow - osc.fast * lost)
+        return scale * (osc.slow * ratio - osc.fast), sine, scale * (osc.slow - osc.fast * ratio)
     sine = slow * tau if spread == 0.0 else -slow * tau * math.expm1(-spread) / spread
     return slow - osc.slow * sine, sine, slow + osc.fast * sine
 
 
 @jit
 def motion(osc: Oscillator, x0: float, v0: float, tau: float) -> tuple[float, float]:
-    """x and x' at tau from x0 and v0 at zero."""
+    """x and x' at tau >= 0 (rad) from x = x0 and x' = v0 at zero."""
     cosine, sine, sine1 = response(osc, tau)
     return x0 * cosine + v0 * sine, v0 * sine1 - osc.stiffness * sine * x0
 
 
 @inlined
 def derivatives(osc: Oscillator, x: float, v: float) -> tuple[float, float, float]:
-    """Second and third derivative, and a bound on the fourth from now on.
+    """x'', x''' and a bound on |x''''| from now on, with x and v = x' now.
 
-    The energy of the third bounds it. So, overdamped, does the sum of what the two roots
-    contribute, which is tighter once the fast one has died away.
+    The energy of the third derivative bounds the fourth. Overdamped, so does the sum of the two
+    exponentials' amplitudes, which is tighter once the fast one has decayed.
     """
     x2 = -2.0 * osc.damping * v - osc.stiffness * x
     x3 = -2.0 * osc.damping * x2 - osc.stiffness * v
@@ -97,41 +100,52 @@ def envelope(osc: Oscillator, x: float, v: float) -> float:
 
 
 @jit
-def quiet_after(osc: Oscillator, x: float, v: float, level: float) -> float:
-    """A time after which |x| surely stays below `level`; infinite where that is never sure."""
+def decay_time(osc: Oscillator, x: float, v: float, level: float) -> float:
+    """A time (rad) after which |x| surely stays below `level`, with x and v = x' now.
+
+    0 where it does from the start; infinite where `level` <= 0 or nothing damps the motion.
+    """
     if level <= 0.0:
         return math.inf
     if envelope(osc, x, v) < level:
         return 0.0
     if osc.discriminant < 0.0:
-        size, rate = math.hypot(x, (v + osc.damping * x) / osc.root), osc.damping
+        amplitude, rate = math.hypot(x, (v + osc.damping * x) / osc.root), osc.damping
     else:
-        size, rate = (abs(v - osc.fast * x) + abs(v - osc.slow * x)) / (2.0 * osc.root), -osc.slow
-    return max(math.log(size / level), 0.0) / rate if size < math.inf and rate > 0.0 else math.inf
+        amplitude, rate = (abs(v - osc.fast * x) + abs(v - osc.slow * x)) / (2.0 * osc.root), -osc.slow
+    if not (amplitude < math.inf and rate > 0.0):
+        return math.inf
+    return max(math.log(amplitude / level), 0.0) / rate
 
 
 @jit
-def falling_zero(osc: Oscillator, x: float, v: float) -> float:
-    """When a motion from x >= 0, or from below and rising, first falls to zero; infinite if never."""
+def first_falling_zero(osc: Oscillator, x: float, v: float) -> float:
+    """The time (rad) at which a motion from x >= 0, or from x < 0 and rising, first falls to zero.
+
+    Infinite if it never does.
+    """
     push = v + osc.damping * x
     if osc.discriminant < 0.0:
-        turn = math.atan2(x, -push / osc.root)
-        return (turn if x >= 0.0 else turn + TWO_PI) / osc.root
+        angle = math.atan2(x, -push / osc.root)
+        return (angle if x >= 0.0 else angle + TWO_PI) / osc.root
     if x < 0.0 or push >= 0.0:
         return math.inf
     if osc.root == 0.0:
         return -x / push
-    lean = -x * osc.root / push
-    return math.atanh(lean) / osc.root if lean < 1.0 else math.inf
+    tangent = -x * osc.root / push  # of the hyperbolic angle root * tau
+    return math.atanh(tangent) / osc.root if tangent < 1.0 else math.inf
 
 
 @jit
 def displacement(osc: Oscillator, x0: float, v0: float, tau: float) -> float:
-    """x(tau) - x0 for tau * rate < SHORT by its power series, which keeps the digits x0 C - x0 loses."""
+    """x(tau) - x0 by its power series, for tau * rate < SHORT.
+
+    Keeps the digits that x0 C - x0 + v0 S would lose.
+    """
     before, last = x0, v0
     power = tau
     total = v0 * tau
-    for order in range(2, 16):
+    for order in range(2, SHORT_ORDER + 1):
         before, last = last, -2.0 * osc.damping * last - osc.stiffness * before
         power *= tau / order
         total += last * power

@@ -1,8 +1,8 @@
-"""A quartic with positive coefficients as two real quadratics, in each way there is.
+"""A quartic with positive coefficients as the product of two real quadratics, in every way there is.
 
-The free motion of the spring on a soft plate has four roots. Taken in two pairs they are
-two damped oscillators, whose closed forms are safe at every damping; a single root, which
-may be one of a double pair, is never used by itself.
+The free motion of the spring on a soft plate has four roots. In two pairs they are two damped
+oscillators, whose closed forms (`kernel.numerics.oscillator`) do not cancel at any damping. A single root,
+which may be one of a nearly double pair, is never used by itself.
 """
 
 import math
@@ -10,8 +10,30 @@ from typing import Final, NamedTuple
 
 from kernel.numerics.jit import jit
 
-#: Rounds of Aberth's method; a dozen is the rule, wide spreads of roots take more.
+#: Cap on the rounds of Aberth's method. A dozen is usual; roots far apart in size take more. Where the cap
+#: is reached the roots are as good as they get, and `_polished` works from them.
 ROUNDS: Final = 100
+
+#: Relative change of the roots at which Aberth's method, of third order, has converged: the next change
+#: would be far below rounding.
+CONVERGED: Final = 1e-14
+
+#: First guesses, in units of the largest and smallest roots' sizes. The coefficients are positive, so no
+#: root is a positive number: the guesses lie in the left half-plane, residual the real axis so that they can
+#: become complex pairs, at about unit size, and apart from each other and from each other's conjugates, as
+#: symmetric guesses would stay symmetric. Within that the digits are free; they affect the number of
+#: rounds only.
+_FIRST_GUESS: Final = complex(-0.6, 0.8)
+_SECOND_GUESS: Final = complex(-0.8, -0.7)
+
+#: Relative imaginary part above which a pair's sum or product is not that of a real quadratic. Rounding
+#: moves the roots of a double pair by the square root of EPS, 1.5e-8, further where pairs nearly coincide;
+#: the pairs of complex roots that are not conjugates differ by order 1.
+_REAL: Final = 1e-4
+
+#: Newton rounds on a quadratic. Convergence is quadratic from errors of 1e-8 or better; the loop ends
+#: itself as soon as a round does not improve.
+_NEWTON_ROUNDS: Final = 5
 
 
 class Factors(NamedTuple):
@@ -25,31 +47,34 @@ class Factors(NamedTuple):
 
 @jit
 def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex, complex, complex]:
-    """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, c0 > 0, by Aberth's method; the smallest first."""
+    """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, by absolute value, by Aberth's method.
+
+    c3, c2, c1 >= 0, c0 > 0. Not polished: a double root has half of the digits.
+    """
     unit = c0**0.25  # in units of the geometric mean of the roots' sizes
     c3, c2, c1 = c3 / unit, c2 / unit**2, c1 / unit**3
-    size = max(c3, math.sqrt(c2), c1 ** (1.0 / 3.0), 1.0)
+    # about the largest root and, from the reversed polynomial, the smallest, but for factors of order 1
+    large = max(c3, math.sqrt(c2), c1 ** (1.0 / 3.0), 1.0)
     small = 1.0 / max(c1, math.sqrt(c2), c3 ** (1.0 / 3.0), 1.0)
-    z = [complex(-0.6 * size, 0.8 * size), complex(-0.8 * size, -0.7 * size),
-         complex(-0.6 * small, 0.8 * small), complex(-0.8 * small, -0.7 * small)]  # fmt: skip
+    z = [large * _FIRST_GUESS, large * _SECOND_GUESS, small * _FIRST_GUESS, small * _SECOND_GUESS]
     for _ in range(ROUNDS):
         moved = 0.0
         for i in range(4):
             s = z[i]
             value = (((s + c3) * s + c2) * s + c1) * s + 1.0
             slope = ((4.0 * s + 3.0 * c3) * s + 2.0 * c2) * s + c1
-            crowd = complex(0.0, 0.0)
+            repulsion = complex(0.0, 0.0)  # of the other roots: Aberth's term beside Newton's
             for j in range(4):
                 apart = s - z[j]
                 if apart != 0.0:  # a complex division by zero would raise
-                    crowd += 1.0 / apart
-            slope -= crowd * value
+                    repulsion += 1.0 / apart
+            slope -= repulsion * value
             if value == 0.0 or slope == 0.0:
                 continue
             step = value / slope
             z[i] = s - step
             moved = max(moved, abs(step) / abs(s))
-        if moved < 1e-14:
+        if moved < CONVERGED:
             break
     for i in range(1, 4):
         for j in range(i, 0, -1):
@@ -60,11 +85,15 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex,
 
 @jit
 def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Factors]:
-    """The quadratics of {p, q} and {r, s}, and how far apart their roots are, in [0, 1]; 0 if not real."""
+    """The quadratics with the roots {p, q} and {r, s}, and their separation.
+
+    The separation, in [0, 1], is the product of the relative distances between the roots of one and those
+    of the other; 0 stands also for quadratics that are not real.
+    """
     first, second = p * q, r * s
-    strayed = abs(first.imag) / abs(first) + abs(second.imag) / abs(second)
-    strayed += abs((p + q).imag) / (abs(p) + abs(q)) + abs((r + s).imag) / (abs(r) + abs(s))
-    if strayed > 1e-4:
+    imaginary = abs(first.imag) / abs(first) + abs(second.imag) / abs(second)
+    imaginary += abs((p + q).imag) / (abs(p) + abs(q)) + abs((r + s).imag) / (abs(r) + abs(s))
+    if imaginary > _REAL:
         return 0.0, Factors(0.0, 0.0, 0.0, 0.0)
     apart = abs(p - r) / (abs(p) + abs(r)) * (abs(p - s) / (abs(p) + abs(s)))
     apart *= abs(q - r) / (abs(q) + abs(r)) * (abs(q - s) / (abs(q) + abs(s)))
@@ -77,10 +106,10 @@ def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Fac
 def paired(
     c3: float, c2: float, c1: float, c0: float, z: tuple[complex, complex, complex, complex], partner: int
 ) -> tuple[float, Factors]:
-    """The quadratics in which the smallest of the roots z goes with z[partner], 1 to 3.
+    """The factors in which the smallest of the roots z is paired with z[partner], partner 1 to 3.
 
-    First how far apart the two quadratics are, 0 to 1: at 0 they are not real or share a root, and
-    mean nothing.
+    Returns their separation in [0, 1] (see `_pairing`) and the factors. At separation 0 they are not real
+    or share a root, and are not to be used.
     """
     second, third = (2, 3) if partner == 1 else (1, 3) if partner == 2 else (1, 2)
     apart, f = _pairing(z[0], z[partner], z[second], z[third])
@@ -89,28 +118,29 @@ def paired(
 
 @jit
 def _polished(c3: float, c2: float, c1: float, c0: float, f: Factors) -> Factors:
-    """Newton's method on the quadratic with the smaller linear term, a and b; the other is A and B.
+    """The factors to rounding, by Newton's method for the s^2 and s^1 coefficients of their product.
 
-    A = c3 - a and B = c0/b hold by construction, so that nothing is left to cancel in them.
+    The unknowns are a and b of s^2 + a s + b, the factor with the smaller linear term. The other's follow
+    as c3 - a and c0/b, without cancellation.
     """
     swapped = f.a2 < f.a1
     a, b = (f.a2, f.b2) if swapped else (f.a1, f.b1)
     best, best_a, best_b = math.inf, a, b
-    for _ in range(5):
+    for _ in range(_NEWTON_ROUNDS):
         other_a, other_b = c3 - a, c0 / b
-        off2, off1 = b + other_b + a * other_a - c2, a * other_b + other_a * b - c1
-        off = abs(off2) / c2 + abs(off1) / (c1 + math.sqrt(c0 * c2))
-        if off >= best:
-            break  # rounding, or roots so near each other that there is no better
-        best, best_a, best_b = off, a, b
-        # their derivatives by a and b
+        residual2, residual1 = b + other_b + a * other_a - c2, a * other_b + other_a * b - c1
+        residual = abs(residual2) / c2 + abs(residual1) / (c1 + math.sqrt(c0 * c2))
+        if residual >= best:
+            break  # down to rounding, or limited by nearly equal roots
+        best, best_a, best_b = residual, a, b
+        # derivatives of the residuals with respect to a and b
         by_a2, by_b2 = other_a - a, 1.0 - other_b / b
         by_a1, by_b1 = other_b - b, other_a - a * other_b / b
         det = by_a2 * by_b1 - by_b2 * by_a1
         if det == 0.0:
             break
-        a -= (off2 * by_b1 - by_b2 * off1) / det
-        b -= (by_a2 * off1 - off2 * by_a1) / det
+        a -= (residual2 * by_b1 - by_b2 * residual1) / det
+        b -= (by_a2 * residual1 - residual2 * by_a1) / det
     a, b = best_a, best_b
     other_a, other_b = c3 - a, c0 / b
     return Factors(other_a, other_b, a, b) if swapped else Factors(a, b, other_a, other_b)

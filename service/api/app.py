@@ -1,4 +1,4 @@
-"""The application: one data folder, one supervisor, the calls, and nothing that outlives it."""
+"""The ASGI application: routers, error handlers, middleware, and the parts that live while it runs."""
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -10,59 +10,49 @@ from fastapi.openapi.utils import get_openapi
 
 from service.api import problems
 from service.api.capacity import ConcurrencyLimit
-from service.api.damage import damaged
 from service.api.dependencies import Service, reject_repeated_parameters
-from service.api.metrics import Metrics
 from service.api.middleware.access_control import AccessControl
+from service.api.middleware.access_log import AccessLog
 from service.api.middleware.body_limit import BodyLimit
-from service.api.pending import underway
+from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.api.readiness import Health
-from service.api.routers import docs, jobs, model, page, results
-from service.api.routers import health as probes
+from service.api.routers import docs, health, jobs, model, page, page_data, results
 from service.api.schemas import ProblemDocument
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.on_demand import OnDemandCache, Pending
+from service.jobs.on_demand import OnDemandCache
 from service.render import export
 from service.results.trajectory import TrajectorySpec
-from service.server.logging import AccessLog
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.spec import SweepSpec
-from worker.store import StoreDamaged
 
 SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
 
 
 def create_app(settings: Settings, executor: Executor) -> FastAPI:
-    """The service as an ASGI application, computing on `executor`, which stays its owner's to close.
+    """The service as an ASGI application that computes on `executor`; the caller closes the executor.
 
-    Starting it raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
-    version wrote its ledger.
+    Its startup raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
+    version wrote the ledger.
     """
     metrics = Metrics()
     app = FastAPI(
         title="bouncing-spring",
         summary=SUMMARY,
         version="0.1.0",
-        docs_url=None,  # /docs is our own: the usual ones fetch their scripts from elsewhere
+        docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
         dependencies=[Depends(reject_repeated_parameters)],
         lifespan=partial(_lifespan, settings=settings, executor=executor, metrics=metrics),
     )
-    app.include_router(jobs.router)
-    app.include_router(results.router)
-    app.include_router(model.router)
-    app.include_router(probes.router)
-    app.include_router(docs.router)
-    page.install(app)
+    for module in (jobs, results, model, health, docs, page, page_data):
+        app.include_router(module.router)
+    app.mount("/static", page.static_files(), name="static")
     problems.install(app)
-    app.add_exception_handler(StoreDamaged, damaged)
-    app.add_exception_handler(Pending, underway)
-    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, seconds=settings.body_seconds)
+    app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
     app.add_middleware(AccessControl, settings=settings)
-    app.add_middleware(AccessLog, metrics=metrics)  # the outermost: it tells of refusals too
+    app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app
 
@@ -71,7 +61,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
 async def _lifespan(
     app: FastAPI, *, settings: Settings, executor: Executor, metrics: Metrics
 ) -> AsyncIterator[None]:
-    """Open the ledger and compute what it has unfinished until the application stops."""
+    """Open the ledger and compute its unfinished jobs until the application stops."""
     with Ledger(settings.ledger_path) as ledger:
         export.remove_unfinished(settings.exports_path)
         service = _service(settings, ledger, executor, metrics)
@@ -80,33 +70,36 @@ async def _lifespan(
         try:
             yield
         finally:
-            service.answers.close()
+            service.on_demand.close()
             service.manager.stop()
 
 
 def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Metrics) -> Service:
-    health = Health(executor)
-    metrics.watch(ledger, health)
+    readiness = Readiness(executor)
+    metrics.add_jobs(ledger, readiness)
     return Service(
         settings=settings,
         ledger=ledger,
         manager=JobManager(ledger, executor, settings),
-        health=health,
-        watch=ProgressStream(ledger, settings.max_listeners),
+        on_demand=OnDemandCache(executor),
+        export_limit=ConcurrencyLimit("exports", settings.max_exports),
+        trajectory_limit=ConcurrencyLimit("trajectories", settings.max_trajectories),
+        listener_limit=ConcurrencyLimit(
+            "event streams", settings.max_listeners, timeout=0, advice="poll the job instead"
+        ),
+        progress_stream=ProgressStream(ledger),
+        readiness=readiness,
         metrics=metrics,
-        exports=ConcurrencyLimit("files", settings.max_exports),
-        trajectories=ConcurrencyLimit("trajectories", settings.max_trajectories),
-        answers=OnDemandCache(executor),
     )
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:
-    """The API document, with the schemas of what FastAPI does not parse itself."""
+    """The API document, with the schemas of bodies that FastAPI does not parse itself."""
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for kind in (SweepSpec, TrajectorySpec, ProblemDocument):
-            schema = kind.model_json_schema(ref_template="#/components/schemas/{model}")
-            schemas |= schema.pop("$defs", {}) | {kind.__name__: schema}
+        for body_model in (SweepSpec, TrajectorySpec, ProblemDocument):
+            schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
+            schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
         app.openapi_schema = document
     return app.openapi_schema

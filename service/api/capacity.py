@@ -1,4 +1,4 @@
-"""Limits concurrent expensive requests; a caller over the limit waits up to 1 s, then gets 429."""
+"""Limits on concurrent requests that hold resources for long: exports, trajectories, event streams."""
 
 import threading
 from collections.abc import Iterator
@@ -8,18 +8,27 @@ from service.errors import Busy
 
 
 class ConcurrencyLimit:
-    """At most `places` at a time; who waits longer than `seconds` is told to come back."""
+    """At most `limit` blocks run at a time; a caller over the limit waits up to `timeout` s, then gets 429.
 
-    def __init__(self, what: str, places: int, seconds: float = 1.0) -> None:
-        self._what, self._places, self._seconds = what, places, seconds
-        self._free = threading.BoundedSemaphore(places)
+    With a timeout of a second, short requests pass a burst without a retry. In the event loop, where waiting
+    would stop every other request, the timeout must be 0. `activity` names the blocks in the error, `advice`
+    tells what to do instead. Thread-safe.
+    """
+
+    def __init__(self, activity: str, limit: int, timeout: float = 1.0, advice: str = "") -> None:
+        self._limit, self._timeout = limit, timeout
+        self._message = f"too many concurrent {activity}: at most {limit} at a time"
+        if advice:
+            self._message += f"; {advice}"
+        self._slots = threading.BoundedSemaphore(limit)
 
     @contextmanager
-    def turn(self) -> Iterator[None]:
-        """For as long as the block. Raises Busy."""
-        if not self._free.acquire(timeout=self._seconds):
-            raise Busy(f"{self._places} {self._what} are being made already, at most so many at a time")
+    def slot(self) -> Iterator[None]:
+        """Hold a slot during the block. Raises Busy."""
+        acquired = self._slots.acquire(blocking=self._timeout > 0, timeout=self._timeout or None)
+        if not acquired:
+            raise Busy(self._message)
         try:
             yield
         finally:
-            self._free.release()
+            self._slots.release()

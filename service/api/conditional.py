@@ -1,62 +1,82 @@
-"""Results that a caller has already: a done job's change no more, so a tag tells them from all others."""
+"""Conditional requests: ETags of jobs and of their results, and 304 for callers who have them."""
 
 import hashlib
-from collections.abc import Callable, Coroutine
-from typing import Annotated, Any
+from collections.abc import Callable, Coroutine, Mapping
+from http import HTTPStatus
+from typing import Annotated, Any, Final
 
 from fastapi import Depends, Request, Response
 from fastapi.routing import APIRoute
 
-from service.api.dependencies import TheJob
+from service.api.dependencies import JobDep
 from service.jobs.model import JobRecord, JobState
 
+#: Entry of the API document.
+NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
+    304: {"description": "The tag in If-None-Match is current"}
+}
 
-class _NotModified(Exception):
-    """The caller's tag is the right one."""
+
+def job_headers(job: JobRecord, failures: int = 0) -> dict[str, str]:
+    """ETag and Cache-Control of a job's view; the tag is weak, because it ignores the estimated time left."""
+    return _headers(f"W/{_tag(failures, *job.revision)}")
 
 
-class Tagged(APIRoute):
-    """A route whose answers carry the tag of its job's results, where it asks for `Results`."""
+def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:
+    """304 with `headers` if If-None-Match names their ETag or is `*`, else None."""
+    candidates = request.headers.get("if-none-match", "")
+    if candidates == "*" or _matches(candidates, headers["ETag"]):
+        return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
+    return None
+
+
+class ConditionalRoute(APIRoute):
+    """A route whose responses carry the tag of the job's results, if its endpoint takes a `ResultsJob`."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Called by FastAPI."""
-        answer = super().get_route_handler()
+        handler = super().get_route_handler()
 
         async def tagged(request: Request) -> Response:
             try:
-                response = await answer(request)
+                response = await handler(request)
             except _NotModified:
-                response = Response(status_code=304)
+                response = Response(status_code=HTTPStatus.NOT_MODIFIED)
             tag = getattr(request.state, "tag", None)
-            if tag is not None and response.status_code in (200, 304):
-                response.headers.update({"ETag": tag, "Cache-Control": "no-cache"})
+            if tag is not None and response.status_code in (HTTPStatus.OK, HTTPStatus.NOT_MODIFIED):
+                response.headers.update(_headers(tag))
             return response
 
         return tagged
 
 
-def matches(wanted: str, tag: str) -> bool:
-    """Whether an If-None-Match header names the tag; weak and strong ones compare alike."""
-    tags = {one.strip().removeprefix("W/") for one in wanted.split(",")}
-    return tag.removeprefix("W/") in tags
+class _NotModified(Exception):
+    """If-None-Match names the tag of the results."""
 
 
-async def _results(job: TheJob, request: Request) -> JobRecord:
+async def _results_job(job: JobDep, request: Request) -> JobRecord:
+    """The job, with the tag of its results in `request.state` if they are final."""
     if job.state is JobState.DONE:
-        request.state.tag = _tag(job, request.app.version)
-        if matches(request.headers.get("if-none-match", ""), request.state.tag):
+        # An accepted job gives the same bytes under one URL, for as long as this version of the service runs.
+        request.state.tag = _tag(job.id, job.seq, job.created, request.app.version)
+        if _matches(request.headers.get("if-none-match", ""), request.state.tag):
             raise _NotModified
     return job
 
 
-#: A job whose results are asked for; nothing is read for a caller who has them.
-Results = Annotated[JobRecord, Depends(_results)]
-
-#: What the API document says of it.
-NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "the job is done, and this is known"}}
+#: The job whose results a `ConditionalRoute` returns; a caller who has them gets 304 before anything is read.
+ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 
 
-def _tag(job: JobRecord, version: str) -> str:
-    """One accepted job gives the same bytes under one address, for as long as this version answers."""
-    facts = (job.id, job.seq, job.created, version)
+def _headers(tag: str) -> dict[str, str]:
+    return {"ETag": tag, "Cache-Control": "no-cache"}
+
+
+def _tag(*facts: object) -> str:
     return f'"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
+
+
+def _matches(candidates: str, tag: str) -> bool:
+    """Whether an If-None-Match header names the tag, by weak comparison."""
+    tags = {candidate.strip().removeprefix("W/") for candidate in candidates.split(",")}
+    return tag.removeprefix("W/") in tags

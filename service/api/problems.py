@@ -1,7 +1,8 @@
-"""Errors as HTTP: one table from an error to its status, and the problem document that answers it.
+"""Domain errors as HTTP responses: the table of statuses, and the response to each error.
 
-Errors travel as `application/problem+json` (RFC 9457) with an extension:
-`errors`, a list of `{"field", "rule"}`.
+Errors are sent as `application/problem+json` (RFC 9457) with an extension: `errors`, a list of
+`{"field", "rule"}`. Two exceptions need more than a status: `StoreDamaged` starts a repair, and `Pending`,
+which is no error, becomes 202 with the progress of the workers.
 """
 
 import json
@@ -15,6 +16,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
+from service.api.schemas import PartsView, PendingView
 from service.errors import (
     BodyTimeout,
     Busy,
@@ -33,14 +35,14 @@ from service.errors import (
     UnknownJob,
     WrongMediaType,
 )
+from service.jobs.on_demand import Pending
 from worker import store
-from worker.spec.errors import Problem as Broken
-from worker.spec.errors import SpecError, SpecTooLarge, SpecUnreadable
-from worker.store import StoreError
+from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable
+from worker.store import StoreDamaged, StoreError
 
 log = logging.getLogger(__name__)
 
-#: The one table, the first that fits. What is not here is a defect of the service and answers 500.
+#: Status of each error; the first class that matches counts. Any other exception is a defect: 500.
 STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     SpecUnreadable: HTTPStatus.BAD_REQUEST,
     SpecTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
@@ -63,18 +65,22 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
     **dict.fromkeys(store.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
     LedgerUnavailable: HTTPStatus.SERVICE_UNAVAILABLE,
-    OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is gone, or not ours to use
+    OSError: HTTPStatus.SERVICE_UNAVAILABLE,  # the data folder is missing or not accessible
 }
 
-#: Seconds a client is asked to wait before it tries again.
+#: Retry-After, in seconds.
 RETRY_AFTER: Final[Mapping[HTTPStatus, int]] = {
     HTTPStatus.TOO_MANY_REQUESTS: 5,
     HTTPStatus.SERVICE_UNAVAILABLE: 2,
 }
 
 
-class Problem(Response):
-    """A problem document."""
+#: Retry-After of a response that workers are computing, in seconds.
+PENDING_RETRY_AFTER: Final = 1
+
+
+class ProblemResponse(Response):
+    """A problem document (see `schemas.ProblemDocument`) with the headers that belong to its status."""
 
     media_type = "application/problem+json"
 
@@ -82,52 +88,79 @@ class Problem(Response):
         self,
         status: int,
         detail: str,
-        rules: Sequence[Broken] = (),
+        problems: Sequence[Problem] = (),
         headers: Mapping[str, str] | None = None,
     ) -> None:
         status = HTTPStatus(status)
-        waits = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
+        own = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
         if status == HTTPStatus.UNAUTHORIZED:
-            waits = {"WWW-Authenticate": "Bearer"}
+            own = {"WWW-Authenticate": "Bearer"}
         document: dict[str, Any] = {"title": status.phrase, "status": int(status), "detail": detail}
-        if rules:
-            document["errors"] = [rule._asdict() for rule in rules]
-        super().__init__(json.dumps(document), status, {**waits, **(headers or {})})
+        if problems:
+            document["errors"] = [problem._asdict() for problem in problems]
+        # json.dumps escapes lone surrogates, which a caller's input may contain; Pydantic refuses them.
+        super().__init__(json.dumps(document), status, {**own, **(headers or {})})
 
 
 def install(app: FastAPI) -> None:
-    """Make every error of `app` a problem document."""
-    for kind in STATUS:
-        app.add_exception_handler(kind, _refused)
+    """Register the handlers of all errors but defects, which `middleware.access_log` answers."""
+    for error_class in STATUS:
+        app.add_exception_handler(error_class, _refused)
+    app.add_exception_handler(StoreDamaged, _damaged)
+    app.add_exception_handler(Pending, _pending)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
-    app.add_exception_handler(Exception, _defect)
 
 
-def problem_of(error: Exception) -> Problem:
-    """The problem document of an error in STATUS."""
-    status = next(status for kind, status in STATUS.items() if isinstance(error, kind))
+def problem_response(error: Exception) -> ProblemResponse:
+    """The response to an error in STATUS."""
+    status = next(status for error_class, status in STATUS.items() if isinstance(error, error_class))
     if isinstance(error, LedgerUnavailable):
         log.error("%s", error)
     if isinstance(error, store.UNREACHABLE):
-        log.error("the bucket of the results does not answer: %s", error)
-        return Problem(status, "the place of the results does not answer")
+        log.error("the bucket of the stores does not answer: %s", error)
+        return ProblemResponse(status, "the bucket of the stores does not answer")
     if isinstance(error, OSError):
-        log.error("the disk does not do what is asked of it", exc_info=error)
+        log.error("the data folder cannot be used", exc_info=error)
         reason = error.strerror or type(error).__name__
-        return Problem(status, f"the data folder cannot be used now: {reason}; the service's log says more")
-    return Problem(status, str(error), getattr(error, "problems", ()))
+        return ProblemResponse(status, f"the data folder cannot be used: {reason}; see the service log")
+    return ProblemResponse(status, str(error), getattr(error, "problems", ()))
+
+
+def internal_error(request_id: str) -> ProblemResponse:
+    """The response to a defect of the service, whose traceback is in the log under the request's id."""
+    return ProblemResponse(
+        HTTPStatus.INTERNAL_SERVER_ERROR, f"internal error; see the service log (request {request_id})"
+    )
 
 
 def _refused(_: Request, error: Exception) -> Response:
-    return problem_of(error)
+    return problem_response(error)
+
+
+def _damaged(request: Request, error: Exception) -> Response:
+    """Start the repair of damaged results; 503 naming the chunks, which are computed again."""
+    repairer = request.app.state.service.manager.repairer
+    chunks = cast(StoreDamaged, error).chunks
+    detail = repairer.report(request.path_params.get("job_id", ""), chunks)
+    return ProblemResponse(HTTPStatus.SERVICE_UNAVAILABLE, detail)
+
+
+def _pending(_: Request, error: Exception) -> Response:
+    """202 with the progress of the workers."""
+    pending = cast(Pending, error)
+    percent = round(100.0 * pending.done / pending.total, 1)
+    progress = PartsView(parts_done=pending.done, parts_total=pending.total, percent=percent)
+    content = PendingView(progress=progress).model_dump_json()
+    return Response(content, 202, {"Retry-After": str(PENDING_RETRY_AFTER)}, "application/json")
 
 
 def _invalid(_: Request, error: Exception) -> Response:
-    """Query parameters that break a rule; the input is not repeated, it may not be valid JSON."""
+    """422 for query parameters and headers; without the input, which may not be valid JSON."""
     entries = cast(RequestValidationError, error).errors()
-    rules = [Broken(_name(entry["loc"]), _rule(entry)) for entry in entries]
-    return Problem(422, "; ".join(f"{field}: {rule}" for field, rule in rules), rules)
+    problems = [Problem(_name(entry["loc"]), _rule(entry)) for entry in entries]
+    detail = "; ".join(f"{field}: {rule}" for field, rule in problems)
+    return ProblemResponse(HTTPStatus.UNPROCESSABLE_ENTITY, detail, problems)
 
 
 def _name(location: Sequence[str | int]) -> str:
@@ -135,8 +168,8 @@ def _name(location: Sequence[str | int]) -> str:
     return ".".join(str(part) for part in location[1:]) or str(location[0])
 
 
-#: Rules that a pattern does not tell in words.
-_WORDS: Final = {
+#: Rules in words, of parameters that Pydantic checks by a pattern.
+_PATTERN_RULES: Final = {
     "cursor": "should be `next` of the page before",
     "idempotency-key": "should be made of ASCII characters, without spaces",
 }
@@ -144,11 +177,11 @@ _WORDS: Final = {
 
 def _rule(entry: Mapping[str, Any]) -> str:
     if entry["type"] == "extra_forbidden":
-        return "there is no such parameter"
+        return "unknown parameter"
     if entry["type"] == "missing":
         return "is required"
     if entry["type"] == "string_pattern_mismatch":
-        return _WORDS.get(str(entry["loc"][-1]), str(entry["msg"])).removeprefix("String ")
+        return _PATTERN_RULES.get(str(entry["loc"][-1]), str(entry["msg"])).removeprefix("String ")
     message = str(entry["msg"])
     return message.removeprefix("Value error, ").removeprefix("Input ").removeprefix("String ")
 
@@ -156,27 +189,22 @@ def _rule(entry: Mapping[str, Any]) -> str:
 def _http(request: Request, error: Exception) -> Response:
     """Starlette's own 404 and 405."""
     refusal = cast(HTTPException, error)
-    detail = refusal.detail
+    path = request.url.path
     if refusal.status_code == HTTPStatus.NOT_FOUND:
-        detail = f"there is nothing at {request.url.path}; the calls are listed at /docs"
+        return ProblemResponse(HTTPStatus.NOT_FOUND, f"no endpoint {path}; /docs lists the endpoints")
     if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-        detail = f"{request.url.path} does not answer {request.method}"
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
-        return Problem(refusal.status_code, detail, headers={"Allow": ", ".join(allowed)})
-    return Problem(refusal.status_code, detail, headers=refusal.headers)
+        detail = f"{path} does not support {request.method}"
+        return ProblemResponse(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": ", ".join(allowed)})
+    return ProblemResponse(refusal.status_code, refusal.detail, headers=refusal.headers)
 
 
 def _allowed(request: Request, named: str) -> list[str]:
-    """The methods of all calls at an address: the one that refused names only its own."""
-    calls = [route for route in request.app.routes if not isinstance(route, Mount)]
-    found = {
+    """The methods of every route with this path; Starlette's Allow header names those of one route."""
+    routes = [route for route in request.app.routes if not isinstance(route, Mount)]
+    methods = {
         method
         for method in ("DELETE", "GET", "HEAD", "POST")
-        if any(call.matches({**request.scope, "method": method})[0] is Match.FULL for call in calls)
+        if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in routes)
     }
-    return sorted(found | set(named.split(", ")))
-
-
-def _defect(request: Request, error: Exception) -> Response:
-    log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-    return Problem(500, "this is a defect of the service; its log says more")
+    return sorted(methods | set(named.split(", ")))

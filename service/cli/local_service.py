@@ -33,13 +33,15 @@ def persistent_service(workers: int | None, data: str | None, token: str | None)
 
     A folder has one service at a time. If another one uses the default folder, as beside `bounce serve`, that
     service is used if it answers at BOUNCE_URL or the default address, and a temporary one otherwise. A
-    folder that was named is not replaced: raises NotStarted.
+    folder that was named is not replaced: raises DataFolderBusy.
     """
+    from service.errors import DataFolderBusy
+
     with ExitStack() as stack:
         try:
             url = stack.enter_context(_local_service(workers=workers, data=data))
-        except Exception as error:
-            if data is not None or not _is_data_folder_busy(error):
+        except DataFolderBusy:
+            if data is not None:
                 raise
             running = os.environ.get("BOUNCE_URL") or DEFAULT_URL
             if _answers(running, token):
@@ -60,12 +62,6 @@ def _local_service(**options: str | int | None) -> Iterator[str]:
     click.echo("starting a local service (compiling for the first time takes a minute)", err=True)
     with embedded.running(settings) as url:
         yield url
-
-
-def _is_data_folder_busy(error: Exception) -> bool:
-    from service.errors import DataFolderBusy
-
-    return isinstance(error, DataFolderBusy) or isinstance(error.__cause__, DataFolderBusy)
 
 
 def _answers(url: str, token: str | None) -> bool:

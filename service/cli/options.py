@@ -137,8 +137,9 @@ def _with(command: Command, *options: Callable[[Command], Command]) -> Command:
 def _message(error: Exception) -> str | None:
     """The message for the user; None for a defect, or for a closed pipe, which click handles."""
     from service.client.errors import BounceError
+    from service.errors import ServiceError
 
-    if isinstance(error, BounceError):
+    if isinstance(error, BounceError | ServiceError):
         return str(error)
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)

@@ -47,9 +47,6 @@ def _measured_to_table(
             continue
         if _kind(job.submitted) == kind:
             taken += pace.seconds
-            expected += (
-                pace.cells
-                * study_of(job.submitted).estimate(job.submitted, job.plan).core_seconds
-                / job.plan.cells
-            )
+            by_table = job.study.estimate(job.submitted, job.plan)
+            expected += pace.cells * by_table.core_seconds / by_table.cells
     return taken / expected if min(taken, expected) >= MIN_SECONDS else None

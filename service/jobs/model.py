@@ -102,6 +102,11 @@ class JobRecord(NewJob):
     cells_done: int
     choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.Choice, once chosen
 
+    @property
+    def revision(self) -> tuple[object, ...]:
+        """Changes whenever what the job shows changes, except the estimated time left."""
+        return (self.id, self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
+
     def progress(self, now: float) -> Progress:
         """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""
         running = self.state is JobState.RUNNING and self.run_started is not None
@@ -119,7 +124,7 @@ class Failure(NamedTuple):
     """A chunk that was given up; resuming the job tries it again."""
 
     chunk: int
-    place: str  # the chunk's number and cells, as `run.describe_chunk` gives them
+    place: str  # the chunk's number and cells, as `PreparedJob.describe` gives them
     error: str
     traceback: str | None  # None where a worker process died
     tries: int  # failed ones

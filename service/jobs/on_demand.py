@@ -53,7 +53,7 @@ class OnDemandCache:
         try:
             return [part.result() for part in parts]
         except BaseException as error:
-            self._forget(key)
+            self._forget(key, parts)
             if isinstance(error, ExecutorError):
                 raise NotComputed(
                     f"the workers that computed it were lost ({error}): repeat the request"
@@ -83,9 +83,11 @@ class OnDemandCache:
                 del self._results[other]
             return parts
 
-    def _forget(self, key: Hashable) -> None:
+    def _forget(self, key: Hashable, parts: Sequence["Future[Any]"]) -> None:
+        """Forget a failed result, unless another request has already had it computed again."""
         with self._lock:
-            self._results.pop(key, None)
+            if self._results.get(key) is parts:
+                del self._results[key]
 
 
 def _done(parts: Sequence["Future[Any]"]) -> bool:

@@ -62,6 +62,8 @@ class Repairer:
             return
         log.error("job %s: chunks %s are damaged in the store and computed again", job.id, unmarked)
         prepared = self._preparer.prepare(job)
-        for chunk in unmarked:
-            store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
-        self._on_invalidated(job.id, unmarked)
+        try:
+            for chunk in unmarked:
+                store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
+        finally:  # they are unmarked, whether or not their files could be removed
+            self._on_invalidated(job.id, unmarked)

@@ -40,6 +40,7 @@ class JobRun:
         self._cells_in_flight = 0
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
+        self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
         self._failures: list[Failure] = []
         self._saved_failures = 0  # how many of them are in the ledger
         self._fatal = False
@@ -50,10 +51,10 @@ class JobRun:
     def may_submit(self) -> bool:
         """Whether a chunk of this job may be submitted now.
 
-        Not while reports are unsaved: what is computed while the ledger cannot be written may be lost.
+        Not while the ledger cannot be written: what is computed then may be lost.
         """
         stopped = self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
-        return not stopped and self._ready_queue.ready and not self.unsaved_reports
+        return not stopped and self._ready_queue.ready and not self.has_unsaved
 
     def pop(self) -> Chunk:
         """The next chunk to compute."""
@@ -90,11 +91,16 @@ class JobRun:
             fatal=self._fatal,
         )
 
-    def apply(self, chunk: int, action: Action, error: BaseException) -> None:
+    def apply(
+        self, chunk: int, action: Action, error: BaseException, recompute_predecessor: bool = False
+    ) -> None:
         """Carry out the policy's decision on a chunk: count it, then requeue the chunk or record its failure.
 
         A chunk that is given up keeps those that depend on it from being tried; the others go on.
         """
+        predecessor = self.prepared.plan[chunk].after
+        if recompute_predecessor and predecessor is not None:
+            self.unsaved_damage.add(predecessor)
         self._collateral_losses[chunk] += action is Action.COLLATERAL
         self._tries[chunk] += action in FAILED_TRIES
         self._fatal = self._fatal or action is Action.FATAL
@@ -116,8 +122,8 @@ class JobRun:
 
     @property
     def has_unsaved(self) -> bool:
-        """Whether there are reports or failures that the ledger does not have."""
-        return bool(self.unsaved_reports) or bool(self.unsaved_failures)
+        """Whether there are reports, failures or damaged chunks that the ledger does not have."""
+        return bool(self.unsaved_reports or self.unsaved_failures or self.unsaved_damage)
 
     @property
     def unsaved_failures(self) -> list[Failure]:
@@ -125,9 +131,10 @@ class JobRun:
         return self._failures[self._saved_failures :]
 
     def mark_saved(self) -> None:
-        """All reports and failures are in the ledger now."""
+        """All reports, failures and damaged chunks are in the ledger now."""
         self._ready_queue.complete(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
+        self.unsaved_damage.clear()
         self._saved_failures = len(self._failures)
 
     # The end
@@ -148,7 +155,7 @@ class JobRun:
             return None
         first, more = self._failures[0], len(self._failures) - 1
         tries = f" ({first.tries} times)" if first.tries > 1 else ""
-        others = f" (and {more} more chunks failed)" if more else ""
+        others = f" (and {more} more chunk{'s' if more > 1 else ''} failed)" if more else ""
         return f"{first.place}: {first.error}{tries}{others}"
 
 

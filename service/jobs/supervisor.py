@@ -15,6 +15,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
+from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
@@ -166,23 +167,20 @@ class Supervisor:
             log.warning("job %s, chunk %d: %s: %s", run.job.id, chunk, type(error).__name__, error)
         if action is Action.PAUSE:
             self._slots = 0
-        predecessor = run.prepared.plan[chunk].after
-        if recompute_predecessor and predecessor is not None:
-            run.invalidate(self._unmark(run, [predecessor]))
-        run.apply(chunk, action, error)
+        run.apply(chunk, action, error, recompute_predecessor)
 
     def _save(self, run: JobRun) -> None:
-        """Write reports and failures to the ledger, in one transaction."""
+        """Write what has happened to a job's chunks to the ledger, in one transaction.
+
+        The run keeps it until the transaction has succeeded, so that a later step can write it.
+        """
         if run.has_unsaved:
             with self._ledger.writing() as ledger:
                 ledger.mark_done(run.job, run.unsaved_reports)
                 ledger.note_failures(run.job, run.unsaved_failures)
+                unmarked = ledger.unmark(run.job, run.unsaved_damage)
             run.mark_saved()
-
-    def _unmark(self, run: JobRun, chunks: Sequence[int]) -> Sequence[int]:
-        """Have the ledger forget that chunks are done; returns those that were."""
-        with self._ledger.writing() as ledger:
-            return ledger.unmark(run.job, chunks)
+            run.invalidate(unmarked)
 
     def _abandon(self, run: JobRun) -> None:
         """Cancel chunks that wait and make workers stop those they compute; the next start computes them."""
@@ -225,6 +223,8 @@ class Supervisor:
         except store.UNREACHABLE as error:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
             return  # the next sync tries again
+        except LedgerUnavailable:
+            raise  # no fault of the job: the step is retried
         except Exception as error:
             log.exception("job %s cannot start", job_id)
             self._finish(job_id, JobState.FAILED, f"the job cannot start: {type(error).__name__}: {error}")

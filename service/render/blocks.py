@@ -1,34 +1,33 @@
-"""What the files of a whole sweep share: which arrays they hold, the chunks in order, and the attributes."""
+"""What the files of a whole sweep share: which arrays they hold, and the chunks in order."""
 
-import json
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 from numpy.typing import NDArray
 
-from kernel.params import KERNEL_VERSION
 from service.results.selection import Sweep, read
 from worker import schema
-from worker.plan import Chunk, Plan
-from worker.spec import AXES, SweepSpec
+from worker.studies import Plan
 
 #: The exported arrays: all but the states that a ramp carries on from.
 EXPORTED: Final = (*schema.RECORD, schema.OUTCOME)
 
-Arrays = dict[str, NDArray[Any]]
+
+class Block(NamedTuple):
+    """One chunk of a sweep."""
+
+    direction: str
+    cells: Mapping[str, slice]  # the grid indices it spans, by axis in the order of the store
+    arrays: Mapping[str, NDArray[Any]]  # EXPORTED by name: (xi, omega, gamma), then the extra dimension
 
 
-def blocks(sweep: Sweep, plan: Plan) -> Iterator[tuple[Chunk, Arrays]]:
-    """Every chunk and its exported arrays, of shape chunk.shape plus the extra dimension.
+def blocks(sweep: Sweep, plan: Plan) -> Iterator[Block]:
+    """Every chunk of the plan; cells that are not computed yet hold fill values.
 
-    Cells that are not computed yet hold fill values. Raises a `store.StoreError`.
+    Raises a `store.StoreError`.
     """
     names = [array.name for array in EXPORTED]
     for chunk in plan:
-        cells = {axis: slice(*getattr(chunk, axis)) for axis in AXES}
-        yield chunk, read(sweep, names, sweep.spec.directions[chunk.direction], cells)
-
-
-def attributes(spec: SweepSpec) -> dict[str, str]:
-    """What a file says of its origin: the specification as JSON and the kernel's version."""
-    return {"kernel_version": KERNEL_VERSION, "spec": json.dumps(spec.as_submitted())}
+        cells = dict(zip(schema.CELL_DIMS, chunk.slices, strict=True))
+        direction = sweep.spec.directions[cells.pop("direction").start]
+        yield Block(direction, cells, read(sweep, names, direction, cells))

@@ -18,8 +18,8 @@ from service.formats import ExportFormat
 from service.render import netcdf, parquet
 from service.results.selection import Sweep
 from worker import schema
-from worker.plan import Plan
 from worker.spec import SweepSpec
+from worker.studies import Plan
 
 #: Bytes sent at a time.
 PIECE: Final = 256 * 1024

@@ -1,59 +1,62 @@
-"""A sweep as NetCDF 4: the store's arrays, dimensions and attributes, chunk by chunk."""
+"""A sweep as NetCDF 4: the dimensions, coordinates, arrays and attributes of its store, chunk by chunk."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import h5netcdf
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from service.render.blocks import EXPORTED, attributes, blocks
+from service.render.blocks import EXPORTED, blocks
 from service.results.selection import Sweep
-from worker import schema
-from worker.plan import Plan
-from worker.spec import SweepSpec
+from worker.schema import Array, Layout
+from worker.studies import Plan, study_of
 
 
 def write(sweep: Sweep, plan: Plan, path: Path) -> None:
     """Write the sweep's file. Raises OSError, a `store.StoreError`."""
-    spec = sweep.spec
-    used = {dim for array in EXPORTED for dim in array.dims}
+    layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
     with h5netcdf.File(path, "w") as file:
-        file.dimensions = {dim: size for dim, size in schema.sizes(spec).items() if dim in used}
-        for coordinate in schema.COORDINATES:
-            _write_coordinate(file, coordinate, spec)
+        file.dimensions = {
+            dim: size for array in EXPORTED for dim, size in zip(array.dims, layout.shape(array), strict=True)
+        }
+        for name, values in layout.coordinates.items():
+            _write_coordinate(file, name, values)
+            file.variables[name].attrs.update(layout.coordinate_attrs[name])
         for array in EXPORTED:
-            _create_variable(file, array, spec, plan)
-        for chunk, arrays in blocks(sweep, plan):
+            _create_variable(file, array, layout)
+        for block in blocks(sweep, plan):
+            where = (sweep.spec.directions.index(block.direction), *block.cells.values())
             for array in EXPORTED:
-                file.variables[array.name][chunk.slices] = arrays[array.name][np.newaxis]
-        file.attrs.update(
-            {"Conventions": "CF-1.11", "title": spec.name or "bouncing spring", **attributes(spec)}
-        )
+                file.variables[array.name][where] = block.arrays[array.name]
+        file.attrs.update({name: _text(value) for name, value in layout.attributes.items()})
 
 
-def _write_coordinate(file: Any, coordinate: schema.Coordinate, spec: SweepSpec) -> None:
-    name = coordinate.name
-    if name == "direction":
+def _write_coordinate(file: Any, name: str, values: NDArray[Any]) -> None:
+    if values.dtype.kind == "T":  # text of any length, which HDF5 has as a type of its own
         variable = file.create_variable(name, (name,), h5py.string_dtype())
-        variable[...] = np.array(spec.directions, dtype=object)
+        variable[...] = values.astype(object)
     else:
-        variable = file.create_variable(name, (name,), data=spec.axis_values(name))
-    variable.attrs.update(coordinate.attrs)
+        file.create_variable(name, (name,), data=values)
 
 
-def _create_variable(file: Any, array: schema.Array, spec: SweepSpec, plan: Plan) -> None:
-    sizes = schema.sizes(spec)
-    extra = tuple(sizes[dim] for dim in array.extra_dims)
+def _create_variable(file: Any, array: Array, layout: Layout) -> None:
     # Counts have no fill value: CF readers would turn them into floating point.
     fill = array.fill if np.dtype(array.dtype).kind == "f" else None
     variable = file.create_variable(
         array.name, array.dims, np.dtype(array.dtype), fillvalue=fill,
-        chunks=(1, *plan.chunk_shape, *extra), compression="gzip", compression_opts=1, shuffle=True,
+        chunks=layout.chunk_shape(array), compression="gzip", compression_opts=1, shuffle=True,
     )  # fmt: skip
-    variable.attrs.update({name: _attribute(value, array.dtype) for name, value in array.attrs.items()})
+    variable.attrs.update({name: _flags(value, array.dtype) for name, value in array.attrs.items()})
 
 
-def _attribute(value: object, dtype: str) -> object:
+def _flags(value: object, dtype: str) -> object:
     """An attribute as CF wants it: flag values have the type of their variable."""
     return np.array(value, dtype) if isinstance(value, list) else value
+
+
+def _text(value: object) -> str:
+    """An attribute of the file: NetCDF has no nested values, so they are JSON."""
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,5 +1,7 @@
 """A sweep as Parquet: one row per cell, its flights as lists, chunk by chunk."""
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -8,12 +10,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from kernel.params import Outcome
-from service.render.blocks import EXPORTED, Arrays, attributes, blocks
+from kernel.params import KERNEL_VERSION, Outcome
+from service.render.blocks import EXPORTED, Block, blocks
 from service.results.selection import Sweep
 from worker import schema
-from worker.plan import Chunk, Plan
 from worker.spec import AXES, SweepSpec
+from worker.studies import Plan
 
 
 def _column(array: schema.Array) -> tuple[str, pa.DataType]:
@@ -35,24 +37,25 @@ _SCHEMA: Final = pa.schema(
 
 def write(sweep: Sweep, plan: Plan, path: Path) -> None:
     """Write the sweep's file. Raises OSError, a `store.StoreError`."""
-    table = _SCHEMA.with_metadata(attributes(sweep.spec))
+    origin = {"kernel_version": KERNEL_VERSION, "spec": json.dumps(sweep.spec.as_submitted())}
+    table = _SCHEMA.with_metadata(origin)
     with parquet.ParquetWriter(path, table, compression="zstd") as file:
-        for chunk, arrays in blocks(sweep, plan):
-            file.write_batch(_rows(sweep.spec, chunk, arrays, table))
+        for block in blocks(sweep, plan):
+            file.write_batch(_rows(sweep.spec, block, table))
 
 
-def _rows(spec: SweepSpec, chunk: Chunk, arrays: Arrays, table: pa.Schema) -> pa.RecordBatch:
-    values = [spec.axis_values(axis)[slice(*getattr(chunk, axis))] for axis in AXES]
+def _rows(spec: SweepSpec, block: Block, table: pa.Schema) -> pa.RecordBatch:
+    values = [spec.axis_values(axis)[block.cells[axis]] for axis in AXES]
     grid = dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
     outcomes = np.array([outcome.name.lower() for outcome in Outcome])
-    columns = {array.name: _values(array, arrays) for array in EXPORTED}
+    columns = {array.name: _values(array, block.arrays) for array in EXPORTED}
     columns |= {axis: grid[axis].ravel() for axis in AXES}
-    columns["direction"] = np.full(chunk.cells, spec.directions[chunk.direction])
+    columns["direction"] = np.full(len(columns[_OUTCOME]), block.direction)
     columns[_OUTCOME] = outcomes[columns[_OUTCOME]]
     return pa.record_batch([pa.array(columns[name]) for name in table.names], schema=table)
 
 
-def _values(array: schema.Array, arrays: Arrays) -> Any:
+def _values(array: schema.Array, arrays: Mapping[str, NDArray[Any]]) -> Any:
     """One value per cell; of an array with a value per flight, the list of those that are kept."""
     values = arrays[array.name]
     return _lists(values, arrays["flights"].ravel()) if array.extra_dims else values.ravel()

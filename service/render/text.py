@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from kernel.modes import TWO_PI
+from kernel.numerics.elementary import TWO_PI
 from kernel.params import Outcome
 from service.results.diagram import DIAGRAM_ARRAYS, Diagram
 from service.results.mode_map import Plane

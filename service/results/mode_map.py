@@ -42,8 +42,8 @@ def modes(sweep: Sweep, xi: float | None, direction: str | None, max_points: int
     what = f"{omegas:,} values of omega × {gammas:,} of gamma"
     check_points(omegas * gammas, max_points, what, thinning(lengths, 1, max_points))
     part = slice(None, None, every)
-    found = plane(sweep, xi, resolve_direction(sweep.spec, direction), MODE_ARRAYS, part, part)
-    return replace(found, every=every)
+    cells = plane(sweep, xi, resolve_direction(sweep.spec, direction), MODE_ARRAYS, part, part)
+    return replace(cells, every=every)
 
 
 def modes_between(
@@ -62,8 +62,8 @@ def modes_between(
     rows = _between(sweep.spec.axis_values("omega"), *omega)
     every = thinning((len(rows), len(columns)), 1, max_points) or 1
     part = (slice(rows.start, rows.stop, every), slice(columns.start, columns.stop, every))
-    found = plane(sweep, xi, resolve_direction(sweep.spec, direction), MODE_ARRAYS, *part)
-    return replace(found, every=every)
+    cells = plane(sweep, xi, resolve_direction(sweep.spec, direction), MODE_ARRAYS, *part)
+    return replace(cells, every=every)
 
 
 def plane(

@@ -78,11 +78,11 @@ def refined(
     _check_cost(sweep, omegas)
     xi = int(np.searchsorted(sweep.spec.axis_values("xi"), coarse.xi))
 
-    def begin(executor: Executor) -> list[Future[Refined]]:
+    def submit(executor: Executor) -> list[Future[Refined]]:
         blocks = [tuple(range(low, min(low + BLOCK, omegas))) for low in range(0, omegas, BLOCK)]
         return [executor.call(refine, sweep.spec, sweep.url, xi, block, tolerance) for block in blocks]
 
-    parts = on_demand.get((job.id, job.chunks_done, xi, tolerance), begin)
+    parts = on_demand.get((job.id, job.chunks_done, xi, tolerance), submit)
     lowest: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in Refined._fields
     }

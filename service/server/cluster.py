@@ -1,4 +1,4 @@
-"""The cluster the settings ask for: of this machine, one that is there, or one that a function makes."""
+"""The Dask cluster of the settings: embedded, an existing one, or one that a user's function creates."""
 
 import importlib
 import sys
@@ -10,17 +10,17 @@ import dask
 from distributed import Security
 
 from service.settings import Settings
-from worker.executors.connection import SCHEDULER
+from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
 
 
 @contextmanager
-def computing(settings: Settings) -> Iterator[Dask]:
-    """A connection to that cluster; what was made for it is closed with it. Raises ClusterLost."""
-    with _made(settings.cluster) as made:
+def connected_cluster(settings: Settings) -> Iterator[Dask]:
+    """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost."""
+    with _created(settings.cluster) as created:
         cluster = Dask(
-            settings.scheduler if made is None else made,
+            settings.scheduler if created is None else created,
             scheduler_file=settings.scheduler_file,
             security=_tls(settings),
             workers=settings.workers,
@@ -33,17 +33,17 @@ def computing(settings: Settings) -> Iterator[Dask]:
 
 
 @contextmanager
-def _made(name: str | None) -> Iterator[Any]:
-    """What the function named `module:function` gives; None without a name. Its errors are ClusterLost."""
+def _created(name: str | None) -> Iterator[Any]:
+    """The cluster that the function `module:function` returns; None without a name. Raises ClusterLost."""
     if name is None:
         yield None
         return
     module, _, function = name.partition(":")
     if "" not in sys.path:
-        sys.path.insert(0, "")  # as `python -m` would: the module may lie in the current folder
+        sys.path.insert(0, "")  # as `python -m` does: the module may be in the current folder
     try:
-        # For a scheduler in this process; another's has to be started so.
-        dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()})
+        # Counts for a scheduler in this process; a remote one must be started with these settings.
+        dask.config.set(SCHEDULER_SETTINGS)
         cluster = getattr(importlib.import_module(module), function)()
     except Exception as error:
         raise ClusterLost(f"no cluster from {name}: {type(error).__name__}: {error}") from error
@@ -55,7 +55,7 @@ def _made(name: str | None) -> Iterator[Any]:
 
 
 def _tls(settings: Settings) -> Any:
-    """What distributed needs to speak TLS with the scheduler, if the settings ask for it."""
+    """The TLS settings of the connection to the scheduler; None for a plain connection."""
     if settings.scheduler_ca is None:
         return None
     return Security(  # type: ignore[no-untyped-call]

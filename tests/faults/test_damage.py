@@ -1,10 +1,9 @@
-"""Stored results that are flipped, cut or gone: never a silent wrong answer; named, and computed again."""
+"""Stored bytes that are flipped, truncated or deleted: reported, never returned as data, computed again."""
 
 import contextlib
 import os
 import random
 import shutil
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +22,7 @@ from worker.spec import SweepSpec
 from worker.store import chunks as stored
 from worker.tasks import run_chunk
 
-#: Of reading alone, and of reading over HTTP and computing again.
+#: The number of damaged files that are read, and of those that are requested over HTTP.
 TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "200"))
 HTTP_TRIALS = TRIALS // 10
 
@@ -41,7 +40,7 @@ RAMP = SWEEP | {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both
 
 
 class Service:
-    """The application on a folder, one job in it, and every answer that the job can give."""
+    """The application on a data folder, and requests of it."""
 
     def __init__(self, client: TestClient, executor: Scripted, folder: Path) -> None:
         self.client, self.executor, self.folder = client, executor, folder
@@ -55,7 +54,7 @@ class Service:
         wait_for(lambda: self.client.get(here).json()["state"] == "done", lambda: self.client.get(here).text)
 
     def answers(self, here: str, spec: dict[str, Any]) -> list[Any]:
-        """All lines of the grid in all directions, and the thresholds; the answers themselves."""
+        """The responses for all lines of the grid in all directions, and for all thresholds."""
         directions = ["up", "down"] if "protocol" in spec else ["rest"]
         lines = [
             self.client.get(f"{here}/diagram", params={"omega": omega, "xi": xi, "direction": direction})
@@ -79,13 +78,13 @@ def running(folder: Path) -> Iterator[Service]:
 
 
 def files(url: Path) -> dict[str, bytes]:
-    """What is stored; a file that is just being put in its place is not there yet."""
-    found = {}
+    """All files of a store. A file that is being renamed is left out."""
+    contents = {}
     for path in url.rglob("*"):
         with contextlib.suppress(FileNotFoundError):
             if path.is_file():
-                found[str(path.relative_to(url))] = path.read_bytes()
-    return found
+                contents[str(path.relative_to(url))] = path.read_bytes()
+    return contents
 
 
 def flip(path: Path, chance: random.Random) -> None:
@@ -102,21 +101,21 @@ def delete(path: Path, chance: random.Random) -> None:
     path.unlink()
 
 
-def harmed(url: Path, chance: random.Random) -> str:
-    """Flip a bit of, cut, or delete one stored chunk of one array, at random; gives its address."""
+def damage(url: Path, chance: random.Random) -> str:
+    """Flip a bit of, truncate, or delete one stored chunk of one array; returns its key."""
     chunk = chance.choice(sorted(path for path in url.glob("*/c/**/*") if path.is_file()))
-    if len(chunk.relative_to(url).parts) < 6:  # coordinates: nothing that is answered comes from them
-        return harmed(url, chance)
+    if len(chunk.relative_to(url).parts) < 6:  # of a coordinate, which no response reads
+        return damage(url, chance)
     chance.choice([flip, cut, delete])(chunk, chance)
     return str(chunk.relative_to(url))
 
 
-def place_in(address: str) -> store.ChunkCoords:
-    """The chunk that a file belongs to."""
+def coords_of(address: str) -> store.ChunkCoords:
+    """The chunk to which a file belongs."""
     return tuple(map(int, address.split("/")[2:6]))
 
 
-def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
+def test_every_read_of_a_damaged_chunk_is_an_error(tmp_path: Path):
     chance, spec = random.Random(3), SweepSpec(**RAMP | {"settle": 20})
     plan, url = make_plan(spec, chunk_shape=(1, 1, 4)), tmp_path / "sweep.zarr"
     store.create(str(url), layout(spec, plan.chunk_shape))
@@ -125,16 +124,16 @@ def test_no_read_of_a_harmed_store_is_silently_wrong(tmp_path: Path):
     names = [array.name for array in schema.arrays(spec)]
     intact = {path: path.read_bytes() for path in url.rglob("*") if path.is_file()}
     for _ in range(TRIALS):
-        address = harmed(url, chance)
-        with pytest.raises(store.StoreDamaged) as met:
-            store.read_chunk(str(url), plan[plan.number(*place_in(address))], names, complete=True)
-        assert met.value.chunks == (place_in(address),)
+        address = damage(url, chance)
+        with pytest.raises(store.StoreDamaged) as caught:
+            store.read_chunk(str(url), plan[plan.number(*coords_of(address))], names, complete=True)
+        assert caught.value.chunks == (coords_of(address),)
         (url / address).write_bytes(intact[url / address])
 
 
 @pytest.mark.parametrize("spec", [SWEEP, RAMP], ids=["rest", "ramp"])
-def test_queries_never_answer_with_damage_and_it_is_computed_again(tmp_path: Path, spec: dict[str, Any]):
-    """Right answers, or 503 that names the chunk, or one that says it is incomplete; soon, right ones."""
+def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path, spec: dict[str, Any]):
+    """Each response is right, 503 with the chunk's name, or marked incomplete; all are right in the end."""
     chance = random.Random(4)
     with running(tmp_path) as service:
         here = service.submit(spec)
@@ -142,15 +141,15 @@ def test_queries_never_answer_with_damage_and_it_is_computed_again(tmp_path: Pat
         intact = files(service.store(here))
         for _ in range(HTTP_TRIALS):
             before = len(service.executor.tried)
-            address = harmed(service.store(here), chance)
+            address = damage(service.store(here), chance)
             for answer, right in zip(service.answers(here, spec), expected, strict=True):
                 if answer.status_code == 503:
                     assert "chunk" in answer.json()["detail"]
-                elif answer.json()["complete"]:  # what is not says so itself
+                elif answer.json()["complete"]:  # an incomplete one is marked so
                     assert answer.json() == right, address
             service.wait(here)
             assert len(service.executor.tried) - before <= 1, address
-            if files(service.store(here)) != intact:  # in an array or place that no answer read
+            if files(service.store(here)) != intact:  # in an array that no response reads
                 assert address.startswith("end_state")
                 (service.store(here) / address).write_bytes(intact[address])
 
@@ -164,7 +163,7 @@ def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed
         here = service.submit(spec)
         intact = files(service.store(here))
     for _ in range(2):
-        addresses = {harmed(service.store(here), chance) for _ in range(4)}
+        addresses = {damage(service.store(here), chance) for _ in range(4)}
         chunks = {tuple(address.split("/")[2:6]) for address in addresses}
         with running(tmp_path) as service:
             wait_for(lambda here=here, intact=intact: files(service.store(here)) == intact)
@@ -172,8 +171,8 @@ def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed
             assert len(service.executor.tried) == len(chunks)
 
 
-def test_a_chunk_in_which_a_ramp_goes_on_is_computed_again_first(tmp_path: Path):
-    """The job is half done when the end it goes on from is lost."""
+def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
+    """The job is half done when the end state from which it continues is lost."""
     with running(tmp_path) as service:
         service.executor.script[6] = [ValueError("not yet")] * 3
         here = str(service.client.post("/v1/jobs", json=RAMP).headers["Location"])
@@ -196,7 +195,7 @@ def test_a_store_that_is_gone_is_computed_again(tmp_path: Path):
         intact = files(service.store(here))
         shutil.rmtree(service.store(here))
         assert all(answer.status_code == 503 for answer in service.answers(here, SWEEP)[:1])
-        for _ in range(12):  # a chunk or two with each answer
+        for _ in range(12):  # each response finds one or two chunks
             service.answers(here, SWEEP)
             service.wait(here)
             if files(service.store(here)) == intact:
@@ -208,7 +207,7 @@ def test_a_store_that_is_gone_is_computed_again(tmp_path: Path):
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"zarr_format": 3', None])
-def test_a_damaged_description_is_mended_without_computing(tmp_path: Path, content: bytes | None):
+def test_damaged_metadata_is_repaired_without_computing(tmp_path: Path, content: bytes | None):
     with running(tmp_path) as service:
         here = service.submit(SWEEP)
         intact = files(service.store(here))
@@ -220,7 +219,7 @@ def test_a_damaged_description_is_mended_without_computing(tmp_path: Path, conte
         assert service.executor.tried == []
 
 
-def test_leftovers_of_an_earlier_life_are_swept(tmp_path: Path):
+def test_leftovers_of_an_earlier_run_are_removed(tmp_path: Path):
     with running(tmp_path) as service:
         here = service.submit(SWEEP)
     url = service.store(here)
@@ -241,6 +240,7 @@ def test_stores_beside_an_empty_ledger_are_left_alone(tmp_path: Path):
     for path in tmp_path.glob("ledger*"):
         path.unlink()
     with running(tmp_path) as service:
-        time.sleep(0.3)
+        scrubber = service.client.app.state.service.manager._scrubber  # type: ignore[attr-defined]
+        scrubber._thread.join()
         assert service.store(here).exists()
         assert service.submit(SWEEP) == here

@@ -1,4 +1,4 @@
-"""No room for results: the job fails with the reason, the service lives, and resuming finishes it."""
+"""A full disk: the job fails with the reason, the service goes on, and resuming finishes the job."""
 
 import resource
 import subprocess
@@ -16,22 +16,22 @@ from worker.executors.dask import Dask
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 2 MB, where this machine lets us have one."""
-    place = tmp_path / "small"
-    place.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(place)]
+    """A file system of 2 MB; skips where none can be mounted."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
     try:
         mounted = subprocess.run(command, capture_output=True, check=False).returncode == 0
     except FileNotFoundError:
         mounted = False
     if not mounted:
         pytest.skip("file systems cannot be mounted here")
-    yield place
-    subprocess.run(["umount", "-l", str(place)], check=True)
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def fill(path: Path) -> None:
-    """Take what room there is, to the last byte."""
+    """Write until not a byte is free."""
     with path.open("wb", buffering=0) as file:
         for size in (1 << 16, 1 << 12, 1):
             try:
@@ -41,8 +41,8 @@ def fill(path: Path) -> None:
                 continue
 
 
-def test_a_full_disk_fails_the_job_and_no_more(small_disk: Path):
-    """Ledger and stores on it; what the ledger keeps aside is enough to say what happened."""
+def test_a_full_disk_fails_the_job_only(small_disk: Path):
+    """Ledger and stores are on it; the space that the ledger reserves is enough to record the failure."""
     held, spec = Held(capacity=1), sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
     with running(small_disk / "data", held, window=1) as service:
         job = service.submit(spec)
@@ -61,10 +61,8 @@ def test_a_full_disk_fails_the_job_and_no_more(small_disk: Path):
         assert (service.outcomes(job) != Outcome.MISSING).all()
 
 
-def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(
-    small_disk: Path, caplog: pytest.LogCaptureFixture
-):
-    """Not even the ledger can say what happened, until then."""
+def test_a_job_waits_while_the_disk_has_no_byte_left(small_disk: Path, caplog: pytest.LogCaptureFixture):
+    """Not even the ledger can record the failure until there is space again."""
     held = Held()
     with running(small_disk / "data", held) as service:
         job = service.submit(sweep())
@@ -82,7 +80,7 @@ def test_a_disk_without_a_byte_left_delays_a_job_until_there_is_room(
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
 
 
-def test_a_limit_on_the_size_of_files_fails_the_job_and_no_more(tmp_path: Path, cluster: Dask):
+def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask):
     spec = sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
     run = cluster._connection.client.run
     with running(tmp_path, cluster) as service:

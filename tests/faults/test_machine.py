@@ -1,4 +1,4 @@
-"""Submit, compute, cancel, crash, restart, delete and query in any order, against a model of what must hold.
+"""Submit, compute, cancel, crash, restart, delete and query in any order: what is done stays done.
 
 `BOUNCE_TEST_CASES=500` for the long version.
 """
@@ -35,7 +35,7 @@ jobs = st.integers(0, len(SWEEPS) - 1)
 
 
 class Machine(RuleBasedStateMachine):
-    """The service's own threads run, and a chunk is computed when a rule says so."""
+    """The service's threads run; the rules `compute` and `finish` compute chunks."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class Machine(RuleBasedStateMachine):
         self._settings = Settings(
             data=Path(self._folder.name), heartbeat_seconds=0.02, window_seconds=0, active_jobs=4
         )
-        self.marked: dict[str, int] = {}  # chunks that were once seen as done, by job
+        self.marked: dict[str, int] = {}  # the number of chunks last seen as done, by job
 
     @initialize()
     def start(self) -> None:
@@ -69,7 +69,7 @@ class Machine(RuleBasedStateMachine):
 
     @rule(number=jobs)
     def finish(self, number: int) -> None:
-        """Compute until a job ends; one that is not cancelled ends done, with everything there."""
+        """Compute until a job ends; unless it was cancelled it ends done, with all outcomes stored."""
         job = self._find(number)
         if job is None or job.state not in UNFINISHED:
             return
@@ -104,7 +104,7 @@ class Machine(RuleBasedStateMachine):
             self.marked.pop(SWEEPS[number].job_id("1"), None)
 
     def _stop(self) -> None:
-        """As at the end of a process: none of its threads goes on."""
+        """Stop as at the end of a process, with all threads."""
         self.manager.stop()
         for part in (self.manager._scrubber, self.manager._supervisor):
             part._thread.join()
@@ -117,7 +117,7 @@ class Machine(RuleBasedStateMachine):
 
     @rule()
     def crash(self) -> None:
-        """Nothing reaches the ledger from here on; chunks at the workers are computed all the same."""
+        """The ledger closes first, while workers still compute their chunks."""
         self.ledger.close()
         while self.held.held():
             self.held.let_go()
@@ -146,7 +146,7 @@ class Machine(RuleBasedStateMachine):
                 self.marked[job.id] = job.chunks_done
 
     def teardown(self) -> None:
-        if hasattr(self, "lifecycle"):
+        if hasattr(self, "manager"):
             self._stop()
             self.ledger.close()
         self._folder.cleanup()

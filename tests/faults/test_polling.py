@@ -1,6 +1,6 @@
-"""Many who ask while a job runs: all are answered, and the job is hardly slower.
+"""Many clients poll while a job runs: all get answers, and the job ends.
 
-The figures of a machine with nothing else to do: `BOUNCE_TEST_P99=0.25,0.75` for the strict version.
+`BOUNCE_TEST_P99=0.25,0.75` checks the latencies of a machine with nothing else to do.
 """
 
 import os
@@ -18,7 +18,7 @@ from service.server import embedded
 from service.settings import Settings
 from worker.executors.dask import Dask
 
-#: Seconds that 99 of 100 answers take at most, with 8 and with 64 connections.
+#: Limits of the 99th percentile of the latency (s), with 8 and with 64 connections.
 P99 = [float(limit) for limit in os.environ.get("BOUNCE_TEST_P99", "60,60").split(",")]
 
 

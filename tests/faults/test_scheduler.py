@@ -1,7 +1,7 @@
-"""A scheduler that freezes, and one that is killed and started again: said, found again, nothing done twice.
+"""A scheduler that freezes, and one that is killed and restarted: found again, and nothing is computed twice.
 
-Scheduler and workers are processes of their own, started again whenever they end, as `restart:
-unless-stopped` does. The figures of a machine with nothing else to do:
+Scheduler and workers are processes of their own that are restarted whenever they end, as with `restart:
+unless-stopped`. With the limits for a machine with nothing else to do:
 
     BOUNCE_TEST_FREEZE=60 BOUNCE_TEST_BACK=15 pytest -n 0 -m long tests/faults/test_scheduler.py
 """
@@ -22,21 +22,21 @@ from paths import CACHE, ROOT
 from running import Counting, Running, costing, running
 from scripted import free_port, wait_for
 
-from service.api.readiness import Health
+from service.api.monitoring import Readiness
 from service.jobs.model import JobRecord, JobState
-from worker.executors.connection import SCHEDULER, variable
+from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 from worker.executors.dask import Dask
 from worker.kernel_cache import warm
 
-#: Seconds; 15 where nothing else runs: scheduler and workers have to start.
+#: The longest time (s) until the job goes on: scheduler and workers have to start. 15 on a quiet machine.
 BACK = float(os.environ.get("BOUNCE_TEST_BACK", "60"))
 #: Chunks in flight, of one job on two workers.
 WINDOW = 4
 FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
 
 
-class Kept:
-    """A command that is started again whenever it ends, until told to end."""
+class Restarted:
+    """A command that is restarted whenever it ends, until `end`."""
 
     def __init__(self, folder: Path, *command: str) -> None:
         self._command, self._log = command, folder / f"{command[1]}.log"
@@ -47,7 +47,7 @@ class Kept:
 
     def _start(self) -> "subprocess.Popen[bytes]":
         program = str(Path(sys.executable).with_name(self._command[0]))
-        settings = {variable(name): f"{wanted:g}" for name, (wanted, _) in SCHEDULER.items()}
+        settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
         variables = os.environ | settings | {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)}
         with self._log.open("ab") as log:
             return subprocess.Popen([program, *self._command[1:]], stdout=log, stderr=log, env=variables)
@@ -69,16 +69,16 @@ class Kept:
 
 
 @pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[tuple[Kept, str]]:
+def scheduler(tmp_path: Path) -> Iterator[tuple[Restarted, str]]:
     warm(CACHE)
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
-    scheduler = Kept(
+    scheduler = Restarted(
         tmp_path, "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port),
         "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
     )  # fmt: skip
     folder = str(tmp_path / "dask")
-    workers = Kept(
+    workers = Restarted(
         tmp_path, "dask", "worker", address, "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1",
         "--no-dashboard", "--local-directory", folder, "--death-timeout", "10",
     )  # fmt: skip
@@ -90,47 +90,47 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[Kept, str]]:
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_scheduler_that_freezes_and_one_that_dies(
-    tmp_path: Path, scheduler: tuple[Kept, str], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, scheduler: tuple[Restarted, str], capsys: pytest.CaptureFixture[str]
 ):
-    kept, address = scheduler
+    restarted, address = scheduler
     executor = Dask(address, timeout=60)
-    counting, health = Counting(executor), Health(executor)
+    counting, readiness = Counting(executor), Readiness(executor)
     try:
         wait_for(lambda: executor.ready() and executor.workers() == 2, seconds=90)
         with running(tmp_path / "data", counting) as service:
             job = service.submit(costing(chunks=150, seconds=0.1))
 
-            def told() -> str:
+            def status() -> str:
                 return f"{counting.submitted} submitted to {executor.workers()} workers: {service.job(job)}"
 
             def goes_on(since: float) -> float:
-                """Seconds until a chunk is done that was not done at `since`, by which nothing moved."""
+                """Seconds from `since` until another chunk is done."""
                 done = service.job(job).chunks_done
-                wait_for(lambda: service.job(job).chunks_done > done, told, 90)
+                wait_for(lambda: service.job(job).chunks_done > done, status, 90)
                 return time.monotonic() - since
 
-            wait_for(lambda: service.job(job).chunks_done >= 2, told, 90)
+            wait_for(lambda: service.job(job).chunks_done >= 2, status, 90)
 
-            kept.process.send_signal(signal.SIGSTOP)
+            restarted.process.send_signal(signal.SIGSTOP)
             frozen = time.monotonic()
-            wait_for(lambda: not health.ready())
+            wait_for(lambda: not readiness.ready())
             noticed = time.monotonic() - frozen
             time.sleep(max(FREEZE - noticed, 0))
-            again = Resubmitted(service, job, counting)
-            kept.process.send_signal(signal.SIGCONT)
+            repetition = NoRepetition(service, job, counting)
+            restarted.process.send_signal(signal.SIGCONT)
             thawed = goes_on(time.monotonic())
-            again.check()
+            repetition.check()
 
-            wait_for(lambda: executor.ready() and executor.workers() == 2, told, 90)
+            wait_for(lambda: executor.ready() and executor.workers() == 2, status, 90)
             killed = time.monotonic()
-            kept.process.kill()
-            wait_for(lambda: not health.ready())
+            restarted.process.kill()
+            wait_for(lambda: not readiness.ready())
             time.sleep(0.5)
-            again = Resubmitted(service, job, counting)
+            repetition = NoRepetition(service, job, counting)
             back = goes_on(killed)
-            again.check()
+            repetition.check()
             job = service.until(job, JobState.DONE, seconds=120)
-            again.check()
+            repetition.check()
             assert counting.submitted <= job.chunks_total + 2 * WINDOW
         with capsys.disabled():
             sys.stderr.write(
@@ -143,12 +143,13 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
         executor.close()
 
 
-class Resubmitted:
-    """What is given to workers from now on, beside what is marked as done now: they must not meet."""
+class NoRepetition:
+    """Checks that no chunk is submitted from now on that is marked as done now."""
 
     def __init__(self, service: Running, job: JobRecord, counting: Counting) -> None:
         self._done = set(np.flatnonzero(service.ledger.done_mask(job)))
-        self._counting, self._given = counting, counting.submitted
+        self._counting, self._first = counting, counting.submitted
 
     def check(self) -> None:
-        assert not self._done & set(self._counting.given[self._given :])
+        assert not self._done & set(self._counting.chunks[self._given :])
+        assert not self._done & set(self._counting.given[self._first :])

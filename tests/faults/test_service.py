@@ -1,6 +1,6 @@
-"""A service that is killed: at every step between accepting a job and its end, and at any moment.
+"""A service that is killed: at every step between accepting a job and its end, and at random moments.
 
-Nothing is lost, nothing orphaned, and no more is computed again than was in flight.
+Nothing is lost or orphaned, and only chunks that were in flight are computed again.
 `BOUNCE_TEST_RUNS=10` for the long version.
 """
 
@@ -10,11 +10,12 @@ import random
 import re
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ SWEEP: dict[str, Any] = {
 
 
 class Lives:
-    """Lives of a service, one after the other, on one data folder."""
+    """Runs of a service, one after the other, on one data folder (see service_life.py)."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "data"
@@ -75,16 +76,18 @@ class Lives:
         assert self._process.stdout
         self._process.stdin.write(json.dumps([step, times, seconds]) + "\n")
         self._process.stdin.flush()
-        return json.loads(self._process.stdout.readline())
+        line = self._process.stdout.readline()
+        assert line, f"service_life.py ended with {self._process.wait()}"
+        return json.loads(line)
 
     def forget(self) -> None:
         for path in sorted(self.folder.rglob("*"), reverse=True):
             path.unlink() if path.is_file() else path.rmdir()
 
     def files(self) -> dict[str, bytes]:
-        """All that is there, but the ledger."""
-        found = (path for path in (self.folder / "stores").rglob("*") if path.is_file())
-        return {str(path.relative_to(self.folder)): path.read_bytes() for path in found}
+        """The files of the stores."""
+        paths = (path for path in (self.folder / "stores").rglob("*") if path.is_file())
+        return {str(path.relative_to(self.folder)): path.read_bytes() for path in paths}
 
     def end(self) -> None:
         with self._process:
@@ -101,7 +104,7 @@ def lives(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lives]:
 
 @pytest.fixture(scope="module")
 def calm(lives: Lives) -> dict[str, bytes]:
-    """What a life without trouble leaves."""
+    """The files after a run without faults."""
     assert lives.live()["state"] == "done"
     return lives.files()
 
@@ -120,7 +123,7 @@ def test_killed_at_a_step_nothing_is_lost_and_little_is_computed_again(
         second = lives.live()
         assert second["state"] == "done"
         again = set(first["chunks"]) & set(second["chunks"])
-        assert len(again) <= 2  # the one in work; and one marked as its news was on its way
+        assert len(again) <= 2  # one in work, and one whose report was on its way
     assert lives.files() == calm
 
 
@@ -138,12 +141,14 @@ def test_killed_at_any_moment(lives: Lives, calm: dict[str, bytes]):
 
 
 class Serving:
-    """The real thing: `bounce serve` in a process of its own."""
+    """`bounce serve` in a process of its own; `ignoring_sigint`, as a script starts background jobs."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, ignoring_sigint: bool = False) -> None:
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         command = [sys.executable, "-m", "service.cli.main", "serve", "--port", str(self.port)]
+        if ignoring_sigint:
+            command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
         with (folder / "service.log").open("ab") as log:
             self.process = subprocess.Popen(
                 [*command, "--data", str(folder / "data")],
@@ -175,8 +180,8 @@ class Serving:
 
 
 @contextmanager
-def serving(folder: Path) -> Iterator[Serving]:
-    service = Serving(folder)
+def serving(folder: Path, *, ignoring_sigint: bool = False) -> Iterator[Serving]:
+    service = Serving(folder, ignoring_sigint)
     family: list[psutil.Process] = []
     try:
         service.wait()
@@ -194,14 +199,17 @@ def serving(folder: Path) -> Iterator[Serving]:
 
 
 def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
-    """kill -9 with chunks at its workers; then SIGTERM with a request that never ends; then to the end."""
+    """kill -9 with chunks at its workers; SIGTERM with a request that never ends; SIGINT, ignored at first.
+
+    The last two with SIGINT ignored by whoever started the service: it stops on both signals all the same.
+    """
     sweep = SWEEP | {"gamma": {"start": 2.0, "stop": 5.0, "num": 2000}, "settle": 12_000}
     with serving(tmp_path) as service:
         path = service.ask("POST", "/v1/jobs", json=sweep).headers["Location"]
         wait_for(lambda: service.done(path) >= 2)
         service.process.send_signal(signal.SIGKILL)
         service.process.wait()
-    with serving(tmp_path) as service:
+    with serving(tmp_path, ignoring_sigint=True) as service:
         done = service.done(path)
         assert done >= 2
         wait_for(lambda: service.done(path) > done)
@@ -210,20 +218,19 @@ def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
             time.sleep(0.2)
             service.process.terminate()
             assert service.process.wait(DEADLINE) == 0
-    with serving(tmp_path) as service:
+    with serving(tmp_path, ignoring_sigint=True) as service:
         job = service.ask("GET", path).json()
         assert job["state"] in ("running", "queued", "done")
         assert job["progress"]["chunks_done"] > done
         service.ask("POST", f"{path}/cancel")
         wait_for(lambda: service.ask("GET", path).json()["state"] in ("cancelled", "done"))
         check(tmp_path / "data", sweep)
+        service.process.send_signal(signal.SIGINT)
+        assert service.process.wait(DEADLINE) == 0
 
 
 def check(data: Path, sweep: dict[str, Any]) -> None:
-    """Everything marked as done is in the store, and nothing half written."""
-    import sqlite3
-    from contextlib import closing
-
+    """Every chunk that the ledger marks as done is in the store, and whole."""
     spec = SweepSpec(**sweep)
     with closing(sqlite3.connect(data / "ledger.sqlite")) as ledger:
         [[shape]] = ledger.execute("SELECT chunk_shape FROM jobs").fetchall()

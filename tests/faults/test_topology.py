@@ -1,4 +1,4 @@
-"""The compose file's containers as plain processes here: same commands, same health checks, one job."""
+"""The containers of docker-compose.yml as plain processes: same commands, same health checks, one job."""
 
 import json
 import os
@@ -19,17 +19,17 @@ from scripted import free_port
 SERVICES: dict[str, dict] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]
 
 #: Seconds for a process to become healthy (longest: the service, whose workers may have to compile the
-#: kernels first), and to end when asked to.
+#: kernels first), and to end after SIGTERM.
 PATIENCE = 240
 FAREWELL = 120
 
-#: MODEL: what Fig. 2 has at these values of gamma; below threshold the mass never leaves the plate.
+#: Fig. 2 of the paper: flight times (rad) at these values of gamma; below threshold there are none.
 GAMMA = [0.5, 1.5, 2.3, 3.6]
 EXPECTED = [[], [4.855013427295], [3.722384327764, 6.284615845152], [11.246604305128]]
 
 
 class Process:
-    """One container's command, its words for the inside of a container replaced by this machine's."""
+    """A container's command as a process; `words` replaces what is true inside a container only."""
 
     def __init__(self, container: str, name: str, words: dict[str, str], folder: Path) -> None:
         self._container, self.name, self._words = SERVICES[container], name, words
@@ -45,15 +45,15 @@ class Process:
             )
 
     def _here(self, command: list[str]) -> list[str]:
-        """The command as it reads on this machine; all words in one pass, so that none is replaced twice."""
+        """The command for this machine; all words in one pass, so that none is replaced twice."""
         pattern = re.compile("|".join(map(re.escape, sorted(self._words, key=len, reverse=True))))
-        program, *arguments = (pattern.sub(lambda found: self._words[found[0]], word) for word in command)
+        program, *arguments = (pattern.sub(lambda match: self._words[match[0]], word) for word in command)
         return [str(Path(sys.executable).with_name(program)), *arguments]
 
     def _environment(self) -> dict[str, str]:
-        """The container's own variables, but for those that its user gives."""
-        given = self._container.get("environment", {})
-        return {name: value for name, value in given.items() if not value.startswith("${")}
+        """The container's variables, except those that its user provides."""
+        variables = self._container.get("environment", {})
+        return {name: value for name, value in variables.items() if not value.startswith("${")}
 
     def wait_until_healthy(self) -> None:
         """Run the container's own health check until it passes."""
@@ -68,7 +68,7 @@ class Process:
         return self._log.read_text(errors="replace")[-5000:]
 
     def end(self) -> int:
-        """Stop it as `docker stop` would, and answer its exit code; nothing it started outlives it."""
+        """Stop it as `docker stop` does and return its exit code; ends all that it started."""
         if self.popen.poll() is not None:
             return self.popen.returncode
         family = psutil.Process(self.popen.pid).children(recursive=True)
@@ -104,7 +104,7 @@ class Topology:
             process.wait_until_healthy()
 
     def _begin(self, container: str, name: str) -> Process:
-        # A container has its port 8788 to itself; processes of one machine do not.
+        # Each container has its own port 8788; processes of one machine share theirs.
         process = Process(container, name, self._words | {"8788": str(free_port())}, self._folder)
         self.processes.append(process)
         return process
@@ -114,12 +114,12 @@ class Topology:
         return f"http://127.0.0.1:{self._words['8000']}"
 
     def workers(self) -> int:
-        """How many workers the scheduler knows of, by its own count."""
+        """The number of workers, by the scheduler's count."""
         with urlopen(f"http://127.0.0.1:{self._words['8787']}/json/counts.json", timeout=PATIENCE) as answer:
             return json.load(answer)["workers"]
 
     def end(self) -> dict[str, int]:
-        """Exit codes by process, the service's first to go."""
+        """Stop all, the service first; exit codes by process."""
         return {process.name: process.end() for process in reversed(self.processes)}
 
 
@@ -152,12 +152,12 @@ def test_compose_topology_as_plain_processes_computes_a_job(topology: Topology):
 
     assert topology.workers() == 2
     for line, known in zip(diagram["flight_time"].values, EXPECTED, strict=True):
-        found = line[line > 0]
-        nearest = [min(known, key=lambda one: abs(one - flight)) for flight in found]
+        flights = line[line > 0]
+        nearest = [min(known, key=lambda expected: abs(expected - flight)) for flight in flights]
         assert set(nearest) == set(known)
-        assert found == pytest.approx(nearest, abs=1e-9)
+        assert flights == pytest.approx(nearest, abs=1e-9)
 
-    assert "start it with" not in topology.processes[-1].log()  # the scheduler is set as it has to be
+    assert "start it with" not in topology.processes[-1].log()  # the scheduler has all required settings
 
     codes = topology.end()
     assert codes["service"] == 0, topology.processes[-1].log()

@@ -1,6 +1,6 @@
-"""Workers that die, hang, and eat memory: only the job that is to blame suffers, and nothing is lost.
+"""Workers that die, hang, or exceed their memory: only the job to blame fails, and nothing is lost.
 
-Real worker processes, really killed. The long version, on a machine with nothing else to do:
+The long version, on a machine with nothing else to do:
 
     BOUNCE_TEST_RUNS=10 pytest -n 0 -m "long or not long" tests/faults/test_workers.py
 """
@@ -27,26 +27,26 @@ from worker.kernel_cache import warm
 from worker.spec import SweepSpec
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
-#: Whether times are those of a machine with nothing else to do.
+#: Whether to check times, on a machine with nothing else to do.
 STRICT = RUNS >= 10
 MEMORY = 600 << 20
-#: Seconds that a chunk may take: a hung one takes them, no other comes near them on a busy machine.
+#: The time limit of a chunk (s): far above what a chunk needs on a busy machine.
 HUNG = 10.0
 PATIENCE = 180.0
 
 
 @pytest.fixture(scope="module")
 def fragile() -> Iterator[Dask]:
-    """A cluster of this module's own, whose workers do the harm that a sweep's name asks for."""
+    """A cluster for this module, with workers that fail as a sweep's name says (see harm.py)."""
     warm(CACHE)
-    with dask.config.set({"distributed.worker.memory.terminate": False}):  # it is our watch that is tried
+    with dask.config.set({"distributed.worker.memory.terminate": False}):  # the watchdog is under test
         executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
     executor._connection.client.register_plugin(Harm())
     yield executor
     executor.close()
 
 
-#: Cells of a huge job: none of them rests, which costs next to nothing.
+#: Cells of a huge job. None is at rest: such cells cost next to nothing.
 BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
 
 
@@ -54,8 +54,8 @@ def pids(executor: Dask) -> list[int]:
     return list(executor._connection.client.run(os.getpid).values())
 
 
-def whole(executor: Dask) -> None:
-    """Wait until both workers are there."""
+def wait_until_ready(executor: Dask) -> None:
+    """Wait until both workers are ready."""
     wait_for(lambda: executor.ready() and executor.workers() == 2)
 
 
@@ -76,7 +76,7 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
         expected = contents(service, calm.id)
     inline.close()
     for run in range(RUNS):
-        whole(fragile)
+        wait_until_ready(fragile)
         counting = Counting(fragile)
         with running(tmp_path / str(run), counting) as service:
             job = service.submit(costing())
@@ -84,16 +84,16 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             time.sleep(chance.uniform(0, 0.5))
             os.kill(chance.choice(pids(fragile)), signal.SIGKILL)
             service.until(job, JobState.DONE)
-            found = contents(service, job.id)
-            assert {name: found[name] for name in expected} == expected
+            stored = contents(service, job.id)
+            assert {name: stored[name] for name in expected} == expected
             assert counting.submitted - calm.chunks_total <= 4  # the window
 
 
 @pytest.mark.timeout(400)
-def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
-    """A hung, a greedy, a poisonous and a failing chunk at once, beside jobs that have none."""
-    whole(fragile)
-    tries = 2  # so that who is busy or unlucky once is not counted among the guilty
+def test_only_the_job_to_blame_fails(tmp_path: Path, fragile: Dask):
+    """Chunks that hang, exceed the memory, crash and raise, all at once, beside two jobs without any."""
+    wait_until_ready(fragile)
+    tries = 2  # a chunk may be slow or unlucky once
     terms = {"chunk_seconds": HUNG, "chunk_tries": tries}
     with running(tmp_path, fragile, **terms) as service:
         bad = {
@@ -123,8 +123,8 @@ def test_only_the_job_that_is_to_blame_suffers(tmp_path: Path, fragile: Dask):
 
 
 def test_nothing_waits_behind_a_chunk_that_hangs(tmp_path: Path, fragile: Dask):
-    """Its own job's other chunks, and another job, are done long before its time is up."""
-    whole(fragile)
+    """The other chunks of its job, and another job, end long before its time limit."""
+    wait_until_ready(fragile)
     with running(tmp_path, fragile, chunk_seconds=PATIENCE) as service:
         hung, good = service.submit(costing("hang:0")), service.submit(costing(omega=0.6))
         service.until(good, JobState.DONE)
@@ -135,7 +135,7 @@ def test_nothing_waits_behind_a_chunk_that_hangs(tmp_path: Path, fragile: Dask):
 
 
 def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, fragile: Dask):
-    whole(fragile)
+    wait_until_ready(fragile)
     with running(tmp_path, fragile) as service:
         hung, busy = (
             service.submit(costing("hang:0")),
@@ -150,20 +150,20 @@ def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, f
         for job in (hung, busy):
             service.until(job, JobState.CANCELLED)
         assert time.monotonic() - began < (5 if STRICT else 30)
-        whole(fragile)
+        wait_until_ready(fragile)
 
 
 @pytest.mark.skipif(not STRICT, reason="long: BOUNCE_TEST_RUNS=10")
 def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
-    whole(fragile)
+    wait_until_ready(fragile)
     with running(tmp_path, fragile, chunk_seconds=2.0, chunk_tries=1) as service:
         job = service.until(service.submit(costing("freeze:1")), JobState.FAILED)
         assert job.chunks_done == job.chunks_total - 1
 
 
 def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: Path, fragile: Dask):
-    """While it is computed hardly a chunk of the huge one is, though dozens wait."""
-    whole(fragile)
+    """While it runs, at most three chunks of the huge job are computed, though dozens wait."""
+    wait_until_ready(fragile)
     with running(tmp_path, fragile) as service:
         huge = service.submit(costing("huge", gamma=BOUNCING))
         wait_for(lambda: service.job(huge).chunks_done >= 2)
@@ -172,7 +172,7 @@ def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: P
             wait_for(lambda small=small: service.job(small).chunks_done >= 1)
             first = service.job(huge).chunks_done
             service.until(small, JobState.DONE)
-            # One on each worker when it came, and one more as its last chunk was computed on the other.
+            # One on each worker at the start, and one beside the last chunk of the small job.
             assert service.job(huge).chunks_done - first <= 3
         assert service.job(huge).state is JobState.RUNNING
         service.manager.cancel(huge.id)
@@ -184,8 +184,8 @@ def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: P
 def test_a_small_job_beside_a_huge_one_is_hardly_delayed(
     tmp_path: Path, fragile: Dask, capsys: pytest.CaptureFixture[str]
 ):
-    """Within three times its time alone and a second, which a chunk of the huge one takes at most."""
-    whole(fragile)
+    """Takes at most three times its time alone, plus a second: the longest chunk of the huge job."""
+    wait_until_ready(fragile)
     with running(tmp_path, fragile, window_seconds=0.5) as service:
         alone = [timed(service, small(0.6 + run / 100)) for run in range(3)]
         huge = service.submit(costing("huge", gamma=BOUNCING))

@@ -14,8 +14,8 @@ from kernel_runs import Model, run_line
 from scipy.optimize import brentq
 
 from kernel import interface, restitution
-from kernel.cell import MEMORY
-from kernel.models import ball, chatter, contact_law, free_fall
+from kernel.cell import CACHE_SIZE
+from kernel.models import ball, chatter, free_fall
 from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import ROOT
 from kernel.params import Cell, Line, Outcome, Start
@@ -125,8 +125,8 @@ def test_saddle_node(epsilon: float, n: int):
 
     def is_gone(gamma: float) -> bool:
         line = run(gamma, epsilon, carry=True, settle=20_000, start=locked(gamma, epsilon, n))
-        found = flights(line)
-        return len(found) == 0 or abs(found[-1] - TWO_PI * n) > 0.05
+        times = flights(line)
+        return len(times) == 0 or abs(times[-1] - TWO_PI * n) > 0.05
 
     node = n * math.pi * (1.0 - epsilon) / (1.0 + epsilon)
     assert bisect(is_gone, node - 0.01, node + 0.01) == pytest.approx(node, abs=1e-6)
@@ -190,7 +190,7 @@ def test_every_cell_is_resolved(epsilon: float):
     assert ((line.outcome == Outcome.AT_REST) == (gammas <= 1.0))[gammas < 10.0].all()
 
 
-def test_grazes_are_told_from_misses():
+def test_grazes_are_distinguished_from_misses():
     """The plate comes up to just touch the ball, or just not, and lets it go on."""
     gamma, phi, gap1 = 4.0, 4.9, -0.5
     taus = np.linspace(0.0, 2.0, 20_001)
@@ -216,7 +216,7 @@ def test_small_hops_keep_their_digits():
             )
 
 
-# --- cascades -------------------------------------------------------------------------------
+# --- chatter --------------------------------------------------------------------------------
 
 
 def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> float:
@@ -231,7 +231,7 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
 
 @pytest.mark.parametrize("epsilon", [0.05, 0.3, 0.7, 0.95])
 @pytest.mark.parametrize("phi", [1.2, 2.0, math.pi, 5.0])
-def test_collapse_is_that_of_the_hops(epsilon: float, phi: float):
+def test_chatter_ends_when_its_hops_do(epsilon: float, phi: float):
     gamma = 2.0
     press, press1 = 1.0 / gamma - math.cos(phi), math.sin(phi)
     hop = bisect(lambda v: chatter.chatter_completes(v, press, press1, 1.0, epsilon), 0.0, 0.1)
@@ -240,7 +240,7 @@ def test_collapse_is_that_of_the_hops(epsilon: float, phi: float):
     assert closed < 2e-3 * math.sqrt(press)
 
 
-def test_cascade_closes_only_on_a_plate_that_presses():
+def test_chatter_is_summed_only_on_a_plate_that_presses():
     assert not chatter.chatter_completes(1e-9, -1.0, 0.0, 1.0, 0.5)
     assert not chatter.chatter_completes(1e-9, 1e-9, -1.0, 1.0, 0.5)
     assert not chatter.chatter_completes(1e-9, 1.0, 0.0, 1.0, 1.0)
@@ -251,47 +251,51 @@ def test_flights_are_the_hops_one_by_one():
     gamma, epsilon = 1.5, 0.5
     line = run(gamma, epsilon, settle=50, observe=5)
     phi, hop, expected = TWO_PI - math.acos(1.0 / gamma), 0.0, []
-    found = flights(line)
+    times = flights(line)
     per_cycle = int(line.bounces[0])
     for _ in range(per_cycle):
         end = free_fall.landing(make_drop(gamma, phi, 0.0, hop), 1e4, 10_000)
         expected.append(end.tau)
         phi, hop = (phi + end.tau) % TWO_PI, -epsilon * end.gap1
-    assert np.sort(found[-per_cycle:]) == pytest.approx(np.sort(expected), abs=1e-12)
+    assert np.sort(times[-per_cycle:]) == pytest.approx(np.sort(expected), abs=1e-12)
     assert 2.0 * hop / (1.0 / gamma - math.cos(phi)) < 2e-3
 
 
-def test_what_is_known_of_a_round_has_room():
-    """Compiled code would write beyond its memory without a word."""
-    assert ball.FIRST + ball.WIDTH * ball.KNOWN <= MEMORY
+def test_cached_phases_fit_into_the_cache():
+    """Compiled code would write beyond the array without an error."""
+    assert ball.FIRST + ball.WIDTH * ball.CACHED_PHASES <= CACHE_SIZE
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.5])
-def test_a_round_that_is_known_is_the_one_that_would_be_computed(epsilon: float):
-    """Phase by phase through the model's own functions, without memory, beside what a run records."""
+def test_replayed_phases_are_those_that_would_be_computed(epsilon: float):
+    """Phase by phase through the model's own functions, without the cache, beside what a run records."""
     gammas, orbits = np.linspace(1.05, 5.5, 40), 0
     line = run(gammas, epsilon, settle=40, observe=60, keep=2000)
     for i, gamma in enumerate(gammas):
         cell = interface.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
-        phi, period, hop, flying, found = 0.0, 0, 0.0, True, []
+        phi, period, hop, flying, expected = 0.0, 0, 0.0, True, []
         while period < 100:
             end = (interface.flight if flying else interface.contact)(
                 cell, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000
             )
             landed = period + math.floor((phi + end.tau) / TWO_PI)
             if flying and period >= 40 and landed < 100:
-                found.append((end.tau, phi))
+                expected.append((end.tau, phi))
             period, phi = landed, (phi + end.tau) % TWO_PI
             flying, hop = end.in_flight, end.gap1
         if line.outcome[i] == Outcome.PERIODIC:  # others depart from each other by what rounding does
             orbits += 1
-            assert line.flights[i] == len(found)
-            np.testing.assert_allclose(line.flight_time[i, : len(found)], [f[0] for f in found], atol=1e-10)
-            np.testing.assert_allclose(line.takeoff_phase[i, : len(found)], [f[1] for f in found], atol=1e-10)
+            assert line.flights[i] == len(expected)
+            np.testing.assert_allclose(
+                line.flight_time[i, : len(expected)], [f[0] for f in expected], atol=1e-10
+            )
+            np.testing.assert_allclose(
+                line.takeoff_phase[i, : len(expected)], [f[1] for f in expected], atol=1e-10
+            )
     assert orbits > 10
 
 
-def test_settling_skips_whole_rounds():
+def test_settling_skips_whole_cycles():
     """A billion periods of a ball that comes to rest take no longer than a few."""
     for gamma, epsilon in ((1.5, 0.0), (1.5, 0.5), (2.0, 0.15)):
         short, long = (run(gamma, epsilon, settle=settle, keep=64) for settle in (120, 120 + 10**9))
@@ -300,7 +304,7 @@ def test_settling_skips_whole_rounds():
             np.testing.assert_allclose(getattr(short, name), getattr(long, name), atol=1e-12)
 
 
-def test_elastic_ball_ends_and_says_so():
+def test_elastic_ball_ends_unresolved():
     start = Start(np.array([3.0, 1.0, 0.0, 1e-7, 0.0, 0.0]), Cell(0.5, 1.0, 1.0))
     line = run(0.5, 1.0, carry=True, settle=0, observe=1, start=start)
     assert line.outcome[0] == Outcome.UNRESOLVED
@@ -324,7 +328,7 @@ def test_ramp_does_not_depend_on_how_it_is_cut():
             start = Start(part.end_state[-1], Cell(gammas[piece][-1], 1.0, 1.0))
 
 
-def test_window_may_end_within_a_collapse():
+def test_window_may_end_within_chatter():
     """The same motion, whether or not a window ends between the hops that are summed up."""
     epsilon = 0.5
     cell = Cell(0.6, 1.0, 1.0)
@@ -356,7 +360,9 @@ def test_restitution_of_a_rigid_spring():
     assert restitution.restitution_of(0.0) == 0.5
     zetas = np.concatenate([np.linspace(0.0, 3.0, 61), [1.0 - 1e-12, 1.0 + 1e-12, 1e3]])
     np.testing.assert_allclose(
-        restitution.restitution_of(zetas), [0.5 * contact_law.restitution(z, False) for z in zetas], rtol=1e-7
+        restitution.restitution_of(zetas),
+        [0.5 * restitution.nonadhesive_restitution(z) for z in zetas],
+        rtol=1e-7,
     )
 
 
@@ -365,7 +371,7 @@ def test_isolated_impacts_are_those_of_the_compiled_kernel(adhesive: bool):
     e = np.concatenate([np.logspace(-11, 0, 40), [0.0, 0.5]])
     zeta = restitution.damping_ratio(e, adhesive)
     np.testing.assert_allclose(
-        zeta, [contact_law.damping_ratio(x, adhesive) for x in e], rtol=1e-12, atol=1e-15
+        zeta, [restitution.scalar_damping_ratio(x, adhesive) for x in e], rtol=1e-12, atol=1e-15
     )
     reached = restitution.restitution(zeta, adhesive)
     np.testing.assert_allclose(reached, np.where(e > 0.0, e, 0.0 if adhesive else 1e-12), rtol=1e-8)
@@ -411,6 +417,7 @@ def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
 INTERPRETED = """
 import json
 import numpy as np
+from kernel_runs import Model, run_line
 for model, e in ((Model.BALL, 0.3), (Model.STEPPED, 0.5)):
     g = np.array([1.7, 2.9])
     line = run_line(g, 0.5 + 0 * g, 0.3 + 0 * g, model=model, restitution=e + 0 * g, penetration=0.05 + 0 * g,
@@ -422,10 +429,12 @@ for model, e in ((Model.BALL, 0.3), (Model.STEPPED, 0.5)):
 def test_interpreted_kernels_say_the_same():
     printed = []
     for disabled in ("0", "1"):
-        environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
+        environment = os.environ | {
+            "NUMBA_DISABLE_JIT": disabled,
+            "PYTHONPATH": os.pathsep.join(map(str, (paths.SUPPORT, paths.ROOT))),
+        }
         done = subprocess.run(
             [sys.executable, "-c", INTERPRETED], env=environment, capture_output=True, text=True, check=True,
-            cwd=paths.ROOT,
         )  # fmt: skip
         printed.append([json.loads(line) for line in done.stdout.splitlines()])
     for compiled, interpreted in zip(*printed, strict=True):

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Model, Step, examples, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, Model, Step, compile_models, examples, phases, recorded, run, run_setting
 from naive import Setting
 from naive_exact import Exact, energy, exact, instants, work
 
-from kernel.line import warm
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Line, Outcome
 from kernel.threshold import threshold
@@ -45,15 +44,15 @@ CELLS = {
 #: soft, restitution, penetration, adhesive
 CONTACTS = {
     "rigid": (False, 0.0, 1e-3, True),
-    "rigid, half given back": (False, 0.5, 1e-3, True),
-    "rigid, all given back": (False, 1.0, 1e-3, True),
+    "rigid, e = 0.5": (False, 0.5, 1e-3, True),
+    "rigid, e = 1": (False, 1.0, 1e-3, True),
     "soft": (True, 0.01, 1e-3, True),
     "very stiff": (True, 0.01, 1e-8, True),
     "critically damped": (True, 0.0, 1e-5, True),
     "very soft, elastic": (True, 1.0, 1e-1, True),
-    "very soft, no pull": (True, 0.5, 1e-1, False),
-    "very stiff, no pull": (True, 0.01, 1e-8, False),
-    "hardly anything given back, no pull": (True, 1e-6, 1e-3, False),
+    "very soft, nonadhesive": (True, 0.5, 1e-1, False),
+    "very stiff, nonadhesive": (True, 0.01, 1e-8, False),
+    "e = 1e-6, nonadhesive": (True, 1e-6, 1e-3, False),
 }
 
 
@@ -71,8 +70,8 @@ def resonant(s: Setting) -> bool:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    """So that no test's time is the compiler's."""
-    warm()
+    """Compile before the first test: these tests bound the time of a run."""
+    compile_models()
 
 
 # --- outcomes -------------------------------------------------------------------------------
@@ -117,7 +116,7 @@ def anything(draw: st.DrawFn) -> Setting:
     soft, adhesive = draw(st.booleans()), draw(st.booleans())
     e = draw(st.one_of(st.sampled_from([0.0, 0.01, 1.0]), st.floats(0.0, 1.0)))
     d = draw(powers(-8.0, -1.0))
-    assume(xi > 0.0 or abs(omega / d - 1.0) > 1e-3)  # see test_kernel_soft: a plate as soft as the spring
+    assume(xi > 0.0 or abs(omega / d - 1.0) > 1e-3)  # see test_soft: a plate as soft as the spring
     return Setting(gamma, omega, xi, soft, e if adhesive else max(e, 1e-6), d, adhesive)
 
 
@@ -168,7 +167,7 @@ def before_impact(s: Setting, step: Step, motion: Exact) -> tuple[float, float, 
         return step.after
     impact = float(motion.state(step.tau)[1])
     assert impact <= 1e-9
-    # it leaves at e times the speed of the impact, or stays if what remains of the cascade is too small
+    # it leaves at e times the speed of the impact, or stays if its chatter may be summed
     assert gap1 == 0.0 or gap1 == pytest.approx(-s.restitution * impact, rel=1e-6, abs=1e-12)
     return gap, impact, q, q1 + gap1 - impact
 
@@ -204,13 +203,13 @@ def check_energy(s: Setting, step: Step, motion: Exact, end: tuple[float, float,
 
 
 def check_the_side_of_the_plate(s: Setting, step: Step, motion: Exact) -> None:
-    """In flight above it, but for a recoil; in contact below it, and no deeper than the contact gives."""
+    """In flight above the plate (but after a nonadhesive contact), in contact below it and not too deep."""
     digits, size = rounding(s, step, motion), sizes(s, step)[0]
     taus = instants(motion, step.tau, 400)
     gaps = motion.gaps(taus)
     if step.flying:
-        recoil = s.soft and not s.adhesive
-        deepest = min(step.before[0], 0.0) if recoil else 0.0
+        below_surface = s.soft and not s.adhesive
+        deepest = min(step.before[0], 0.0) if below_surface else 0.0
         assert gaps.min() >= deepest * (1.0 + 1e-9) - 10.0 * digits * size
         return
     if not s.soft:
@@ -242,7 +241,7 @@ def test_phase_stays_exact_over_a_million_periods():
 
 @pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])
 def test_a_spring_at_rest_stays_at_rest(model):
-    """However long: a million periods cost one look."""
+    """However long: a million periods cost one evaluation."""
     began = time.process_time()
     line = run(0.5, 2.0, 0.3, model, settle=1_000_000, observe=10)
     assert line.outcome[0] == Outcome.AT_REST

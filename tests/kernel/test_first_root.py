@@ -1,18 +1,30 @@
 """First roots: none missed, none early, over the whole range; the oscillator that they are made of."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import Step, examples, one_phase
+from kernel_runs import Model, Step, examples, one_phase, run
 from mpmath import mp, mpf
 from naive import Setting, State
 from naive_exact import Exact, exact, instants, lowest, response
 
 from kernel.numerics import oscillator
-from kernel.numerics.first_root import HORIZON, ROOT, safe_step
+from kernel.numerics.first_root import (
+    BUDGET_EXHAUSTED,
+    HORIZON,
+    NON_FINITE,
+    ROOT,
+    Terms,
+    polish,
+    safe_step,
+    terms,
+)
+from kernel.numerics.jit import jit
+from kernel.params import Outcome
 
 HORIZON_RAD = 4.0 * math.pi
 BUDGET = 20_000
@@ -56,8 +68,8 @@ def check(s: Setting, step: Step, what: str) -> None:
     rounding = digits * (1.0 + 0.01 * step.tau * motion.fastest()) * size_of(s, step, motion, what)
     if step.tau > 0.0:
         taus = instants(motion, step.tau, 12_000)
-        least, where = lowest(values, taus[taus > 0.0])
-        assert least >= -rounding - slope(motion, what, where) * 1e-13 * step.tau, (where, "missed")
+        minimum, where = lowest(values, taus[taus > 0.0])
+        assert minimum >= -rounding - slope(motion, what, where) * 1e-13 * step.tau, (where, "missed")
     if step.ending == ROOT:
         value = abs(float(motion.force(step.tau) if what == "force" else motion.state(step.tau)[0]))
         assert value <= rounding + slope(motion, what, step.tau) * 1e-13 * step.tau, (step.tau, "early")
@@ -140,7 +152,7 @@ def test_no_release_without_adhesion_is_missed(
 
 @given(**CELLS, **SOFT, depth=powers(-6.0, -1.0), q=signed(1.0), q1=signed(2.0))
 @examples(40)
-def test_a_recoil_ends_where_the_plate_bears_again(
+def test_a_flight_below_the_surface_ends_at_recontact(
     gamma, omega, xi, phi, penetration, restitution, depth, q, q1
 ):
     """Released below the plate with n = 0: the flight ends where gap < 0 and n > 0 again."""
@@ -247,6 +259,63 @@ def test_a_safe_step_is_safe_and_a_step(f0, f1, f2, f3, f4, guess):
     bound = f0 + s * (f1 + s * (f2 / 2.0 + s * (f3 / 6.0 - s * f4 / 24.0)))
     size = f0 + s * (abs(f1) + s * (abs(f2) / 2.0 + s * (abs(f3) / 6.0 + s * f4 / 24.0)))
     assert np.all(bound >= -1e-12 * size)
+
+
+# --- the polisher ---------------------------------------------------------------------------
+
+
+class Rough(NamedTuple):
+    """1 - tau with an unstated error, and a bound that makes Householder's error estimate infinite."""
+
+    error: float
+
+
+@terms.register(Rough)
+@jit
+def _rough_terms(p: Rough, tau: float) -> Terms:
+    value = 1.0 - tau + p.error * math.sin(1e9 * tau)
+    return Terms(value, -1.0, 0.0, 0.0, 1e15, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0)
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-12, 1e-5, 1e-2])
+@pytest.mark.parametrize("guess", [0.0, 0.3, 1.0, 1.9999, 2.0])
+def test_polishing_ends_however_rough_the_function(error, guess):
+    tau, ending, used = polish(Rough(error), 0.0, 2.0, guess, 1000)
+    assert ending == ROOT
+    assert used <= 64  # a halving for each digit, at worst
+    assert tau == pytest.approx(1.0, abs=error + 1e-15)
+
+
+class Wave(NamedTuple):
+    """sin(tau), whose slope vanishes on the way to its zero."""
+
+    bound: float
+
+
+@terms.register(Wave)
+@jit
+def _wave_terms(p: Wave, tau: float) -> Terms:
+    sin, cos = math.sin(tau), math.cos(tau)
+    return Terms(sin, cos, -sin, -cos, p.bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 1e-16)
+
+
+@pytest.mark.parametrize("guess", [1e-3, 0.5, 0.5 * math.pi, 1.6, 3.0, 4.7])
+def test_polishing_halves_where_a_step_leaves_the_bracket(guess):
+    tau, ending, used = polish(Wave(1.0), 0.0, 4.71, guess, 100)
+    assert (tau, ending) == (pytest.approx(math.pi, abs=1e-15), ROOT)
+    assert used < 12
+
+
+def test_polishing_gives_up_where_its_budget_or_its_numbers_end():
+    assert polish(Rough(1e-5), 0.0, 2.0, 0.3, 3)[1:] == (BUDGET_EXHAUSTED, 3)
+    assert polish(Rough(math.nan), 0.0, 2.0, 0.3, 100)[1:] == (NON_FINITE, 1)
+
+
+def test_contacts_with_much_rounding_end():
+    """Nonadhesive, e = 1e-6: the error of n is far above its stated noise."""
+    line = run(4.21, 1.0, 0.05, Model.SOFT, restitution=1e-6, penetration=1e-7, adhesive=False, settle=200,
+               observe=100)  # fmt: skip
+    assert line.outcome[0] in (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
 # --- the oscillator -------------------------------------------------------------------------

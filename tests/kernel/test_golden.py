@@ -70,7 +70,7 @@ EDGES = {"flight_is_2_pi_up_to": (1, 1), "two_two_up_to": (2, 2), "one_two_up_to
 
 @pytest.mark.parametrize("edge", EDGES)
 def test_edges_of_the_inelastic_balls_modes(edge):
-    """Followed upwards to a hundredth below, past one above; test_kernel_ball has them to 1e-6."""
+    """Followed upwards to a hundredth below, past one above; test_ball has them to 1e-6."""
     last = FACTS["ball"][edge]
     gamma = np.append(np.linspace(last - 0.2, last - 0.01, 40), last + 0.01)
     line = run(gamma, 1.0, 1.0, Model.BALL, carry=True, settle=2000)

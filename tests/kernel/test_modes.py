@@ -1,4 +1,4 @@
-"""Modes: the shortest cycle of the last flights, against its definition; what a run's outcome says."""
+"""Modes: the shortest cycle of the last flights, against its definition; the outcomes of runs."""
 
 import math
 

@@ -17,7 +17,7 @@ from kernel.threshold import threshold
 
 MODELS = [
     pytest.param(Model.RIGID, {}, id="rigid"),
-    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, half given back"),
+    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, e = 0.5"),
     pytest.param(Model.SOFT, {"restitution": 0.05}, id="adhesive"),
     pytest.param(Model.SOFT, {"restitution": 0.3, "adhesive": False}, id="nonadhesive"),
 ]
@@ -88,11 +88,11 @@ def test_windows_of_one_cell_join_to_one_run(model, contact):
     times = recorded(whole)
     joined = np.concatenate([recorded(pieces, i) for i in range(10)])
     # each flight of the pieces is one of the whole, in the same order
-    place = 0
+    position = 0
     for flown in joined:
-        while not math.isclose(times[place], flown, abs_tol=1e-9):
-            place += 1
-        place += 1
+        while not math.isclose(times[position], flown, abs_tol=1e-9):
+            position += 1
+        position += 1
     assert len(times) - len(joined) <= 9
 
 
@@ -107,7 +107,7 @@ def test_a_flight_under_way_at_the_windows_end_is_carried_on():
 
 
 def test_down_follows_up_into_hysteresis():
-    """MODEL's protocol `both`: going down it bounces where going up it did not."""
+    """The protocol `both` (docs/model.md, section 4): going down it bounces where going up it did not."""
     up = np.linspace(0.5, 1.0, 51)
     gamma = np.concatenate([up, up[::-1]])
     line = run(gamma, 0.6, 0.05, settle=60, observe=40, carry=True)

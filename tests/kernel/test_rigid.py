@@ -28,7 +28,7 @@ CELLS = [
 
 @pytest.mark.parametrize("cell", CELLS, ids=lambda s: f"{s.gamma}-{s.omega}-{s.xi:.3g}-{s.restitution}")
 def test_every_flight_is_the_integrated_one(cell):
-    """The last hops of a cascade are summed up, so that only flights above a thousandth are compared."""
+    """The last hops of chatter are summed, so that only flights above a thousandth are compared."""
     longer = 1e-3 if cell.restitution else 0.0
     expected = [f for f in trajectory(cell, 4.0) if f.time > longer]
     line = run_setting(cell, settle=0, observe=4, keep=300)
@@ -98,7 +98,7 @@ def test_a_landing_gives_back_the_restitution(restitution):
     ("omega", "xi"), [(0.3, 0.2), (0.5, 0.26), (1.0, 0.05), (1.2, 1.0), (3.0, 0.7), (20.0, 2.0)]
 )
 def test_ascending_threshold(omega, xi):
-    """Raised slowly, the plate lets go at Eq. 25's Gamma and not before."""
+    """Raised slowly, the mass takes off at Eq. 25's Gamma and not before."""
     steps = np.concatenate([np.linspace(0.5, 0.999, 40), 1.0 + np.array([-1e-6, -1e-8, 1e-8, 1e-6])])
     settle = int(40 * max(1.0, omega / xi, xi * omega))
     line = run(threshold(omega, xi) * steps, omega, xi, carry=True, settle=settle, observe=settle, keep=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 
-from kernel.cell import Flights, Progress, Window, begin, record, settled
+from kernel.cell import Flights, Progress, Window, end_settling, record, start_run
 from kernel.numerics.first_root import ROOT, Phase
 from kernel.params import Line, Outcome
 
@@ -21,27 +21,27 @@ def run(gamma, settle_tolerance, *, settle=400, carry=False, model=Model.RIGID) 
 @pytest.mark.parametrize("carry", [False, True])
 def test_periodic_cells_keep_their_flights_within_the_tolerance(carry):
     gamma = np.linspace(1.3, 3.6, 24)
-    patient, early = run(gamma, 0.0, carry=carry), run(gamma, 1e-7, carry=carry)
-    both = (patient.outcome == Outcome.PERIODIC) & (early.outcome == Outcome.PERIODIC)
-    both &= patient.bounces == early.bounces
+    full, early = run(gamma, 0.0, carry=carry), run(gamma, 1e-7, carry=carry)
+    both = (full.outcome == Outcome.PERIODIC) & (early.outcome == Outcome.PERIODIC)
+    both &= full.bounces == early.bounces
     assert both.sum() >= 15
     for i in np.flatnonzero(both):
-        cycles = [np.sort(line.flight_time[i][: line.bounces[i]]) for line in (patient, early)]
+        cycles = [np.sort(line.flight_time[i][: line.bounces[i]]) for line in (full, early)]
         np.testing.assert_allclose(cycles[0], cycles[1], atol=1e-5)
 
 
 def test_settling_really_ends_early():
-    """Flights all alike, one a plate period: the window begins after the first look, not the 1000th."""
+    """Equal flights, one a plate period: the window begins after the first test, not after 1000 periods."""
     window = Window(1000, 10, 0.0, 1e-9)
     flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
     state = np.zeros(6)
     state[1] = 1.0
-    progress: Progress = begin(state, window)
+    progress: Progress = start_run(state, window)
     steps = 0
     while progress.ending == ROOT:
         hop = Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1)
         before, progress = progress, record(progress, hop, window, flights, 0)
-        progress = settled(before, progress, window, flights, 0)
+        progress = end_settling(before, progress, window, flights, 0)
         steps += 1
     assert steps < 40
     assert progress.recorded == 10
@@ -52,7 +52,7 @@ def test_off_by_default():
     assert run(gamma, 0.0, settle=30).flights[0] == run(gamma, 0.0, settle=30).flights[0]
     window = Window(30, 10, 0.0, 0.0)
     flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
-    progress = begin(np.array([0.0, 1.0, 0, 0, 0, 0]), window)
+    progress = start_run(np.array([0.0, 1.0, 0, 0, 0, 0]), window)
     steps = 0
     while progress.ending == ROOT:
         progress = record(progress, Phase(2 * np.pi, ROOT, True, 0.0, 0.0, 0.0, 0.0, 1), window, flights, 0)

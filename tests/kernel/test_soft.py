@@ -25,12 +25,12 @@ from naive import Setting, bounce, damping_for, restitution_of, trajectory
 from naive_exact import pressed
 from paths import GOLDEN
 
-from kernel.models.contact_law import damping_ratio, restitution
-from kernel.models.soft_contact import join, soft_spring, split
-from kernel.models.soft_contact import pressed as in_contact
-from kernel.models.soft_liftoff import pressed_until
+from kernel.models.contact_law import damping_ratio
+from kernel.models.soft_contact import from_modes, liftoff_function, soft_spring, to_modes
+from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.quartic import Factors, paired, roots
+from kernel.restitution import restitution
 
 FACTS = json.loads((GOLDEN / "facts.json").read_text())["restitution"]
 
@@ -89,7 +89,7 @@ def test_restitution_is_continuous_through_critical_damping():
 
 @pytest.mark.parametrize("adhesive", [True, False])
 @pytest.mark.parametrize("e", [0.05, 0.2, 0.5, 0.9, 1.0])
-def test_the_kernels_contact_gives_the_restitution_asked_for(e, adhesive):
+def test_the_kernels_contact_gives_the_requested_restitution(e, adhesive):
     """A fast impact on a stiff plate, the spring too soft to be felt; the trap would give 0.2137 for 0.05."""
     s = Setting(100.0, 1000.0, 0.0, True, e, 1e-6, adhesive)
     impact = one_phase(s, False, math.pi / 2, (0.0, -1.0, 0.0, 0.0), 1.0, 1000)
@@ -99,7 +99,7 @@ def test_the_kernels_contact_gives_the_restitution_asked_for(e, adhesive):
 
 @pytest.mark.parametrize("fact", FACTS["trap"])
 def test_the_trap_is_real(fact):
-    """Adhesive's damping in a contact that cannot pull gives back more than was asked for."""
+    """Adhesive's damping in a contact that cannot pull gives a larger restitution than the requested one."""
     got = restitution(damping_ratio(fact["asked"], True), False)
     assert got == pytest.approx(fact["got"], abs=5e-4)
 
@@ -138,7 +138,7 @@ def test_take_off_keeps_its_digits_however_stiff_the_contact(penetration, e, adh
 
 
 def test_soft_tends_to_rigid():
-    """Linearly in d, where nothing is given back."""
+    """Linearly in d, for e = 0."""
     rigid = last_cycle(run(1.5, 0.5, 0.26, settle=300), 1)[0]
     off = []
     for d in (1e-3, 1e-4, 1e-5, 1e-6):
@@ -237,10 +237,10 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
     """Any state, pressed for any time: all four numbers against 80 digits."""
     s = contact(**wide)
     if abs(s.omega - 1.0) < 1e-3 and s.xi == 0.0:
-        return  # resonance is computed beside itself: see test_kernel_rigid
+        return  # resonance is computed beside itself: see test_rigid
     state, tau = (gap * s.penetration, gap1, q * min(1.0, s.omega**2), q1), 10.0**tau
     cell = constants(s)
-    got = join(cell, split(cell, phase, *state), phase, tau)
+    got = from_modes(cell, to_modes(cell, phase, *state), phase, tau)
     true = [float(x) for x in pressed(s, phase, state).state(tau)]
     size = 1.0 + abs(gap1) + abs(q1)
     # a phase error grows with every ringing that is still there
@@ -251,7 +251,7 @@ def test_the_motion_in_contact_is_the_exact_one(phase, gap, gap1, q, q1, tau, **
 
 
 def test_no_contact_ends_while_its_ringing_is_stepped_over():
-    """Impacts all over the range: what is stepped over is positive at 400 instants; most are."""
+    """Impacts all over the range: the function is positive at 400 instants of the time stepped over."""
     rng = np.random.default_rng(7)
     jumps = 0
     for _ in range(300):
@@ -260,10 +260,10 @@ def test_no_contact_ends_while_its_ringing_is_stepped_over():
         e = rng.uniform(0.001, 1.0) ** 2
         s = soft_spring(gamma, omega, xi, e, d, adhesive)
         state = (rng.uniform(0, TWO_PI), 0.0, -(10.0 ** rng.uniform(-6, 1)), *rng.normal(0, 2, 2))
-        contact = in_contact(s, split(s, *state), state[0])
-        end = pressed_until(contact, terms(contact, 0.0))
+        contact = liftoff_function(s, to_modes(s, *state), state[0])
+        end = sure_contact_time(contact, terms(contact, 0.0))
         jumps += end > 0.0
         for tau in np.linspace(0.0, end, 400):
             t = terms(contact, tau)
-            assert t.smooth + t.wake >= -4.0 * t.noise
+            assert t.smooth + t.ring >= -4.0 * t.noise
     assert jumps > 150

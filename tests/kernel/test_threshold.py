@@ -1,4 +1,4 @@
-"""The bouncing threshold: MODEL section 5's facts, and the onset itself searched for naively."""
+"""The bouncing threshold: the facts of docs/model.md, section 5, and a naive search for the onset."""
 
 import json
 import math
@@ -59,16 +59,16 @@ def test_undamped():
 def test_extrema(xi):
     """Omega**2 = (3 -+ sqrt(1 + 48 xi**2))/(2 (1 - 6 xi**2)); both exist below xi = 1/sqrt(6)."""
     root = math.sqrt(1.0 + 48.0 * xi**2)
-    least, most = (math.sqrt((3.0 + sign * root) / (2.0 * (1.0 - 6.0 * xi**2))) for sign in (-1.0, 1.0))
+    minimum, maximum = (math.sqrt((3.0 + sign * root) / (2.0 * (1.0 - 6.0 * xi**2))) for sign in (-1.0, 1.0))
     if xi > 0.0:
-        found = minimize_scalar(
+        optimum = minimize_scalar(
             lambda o: float(threshold(o, xi)), bounds=(0.3, 1.15), options={"xatol": 1e-10}
         )
-        assert found.x == pytest.approx(least, abs=1e-6)
-        found = minimize_scalar(
+        assert optimum.x == pytest.approx(minimum, abs=1e-6)
+        optimum = minimize_scalar(
             lambda o: -float(threshold(o, xi)), bounds=(1.2, 9.0), options={"xatol": 1e-10}
         )
-        assert found.x == pytest.approx(most, abs=1e-5)
+        assert optimum.x == pytest.approx(maximum, abs=1e-5)
 
 
 def test_no_maximum_beyond_the_root_of_a_sixth():

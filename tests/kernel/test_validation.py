@@ -1,4 +1,4 @@
-"""What the kernel's Python entry refuses, and how it says so."""
+"""Arguments that the kernel refuses, and the messages."""
 
 import math
 from itertools import product
@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from kernel_runs import Model, assert_same_bytes, run_line
 
+from kernel import line
+from kernel.models.rigid import RigidPlate
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Start
 
 ONE = np.ones(3)
@@ -18,7 +20,7 @@ def call(**changed: Any) -> Line:
         "gamma": 1.5 * ONE,
         "omega": 0.5 * ONE,
         "xi": 0.26 * ONE,
-        "model": Model.RIGID,
+        "model": Model.SOFT if "penetration" in changed else Model.RIGID,
         "restitution": 0.0 * ONE,
         "penetration": 1e-3 * ONE,
         "adhesive": True,
@@ -31,7 +33,7 @@ def call(**changed: Any) -> Line:
 
 
 ARRAYS = ("gamma", "omega", "xi", "restitution", "penetration")
-LEAST = {"gamma": 0.0, "omega": 0.0, "penetration": 0.0}
+EXCLUSIVE_LOWER_BOUND = {"gamma": 0.0, "omega": 0.0, "penetration": 0.0}
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -45,7 +47,7 @@ def test_numbers_outside_their_range(name, bad):
     assert isinstance(refused.value, ValueError)
 
 
-@pytest.mark.parametrize("name", LEAST)
+@pytest.mark.parametrize("name", EXCLUSIVE_LOWER_BOUND)
 def test_zero_where_physics_needs_more(name):
     with pytest.raises(KernelInputError, match=f"^{name}: must be > 0"):
         call(**{name: 0.0 * ONE})
@@ -109,10 +111,19 @@ def test_windows_that_cannot_be(name, bad):
         call(**{name: bad})
 
 
-@pytest.mark.parametrize("bad", ["soft", -1, 17, None])
-def test_models_that_are_not(bad):
-    with pytest.raises(KernelInputError, match=r"^model: must be one of soft, .*rigid"):
-        call(model=bad)
+@pytest.mark.parametrize("bad", ["soft", -1, None, (np.zeros(3),), Cell(1.0, 1.0, 0.0)])
+def test_plates_of_an_unknown_type(bad):
+    with pytest.raises(KernelInputError, match=rf"^plate: .*not a {type(bad).__name__}$") as refused:
+        line.run_line(1.5 * ONE, ONE, ONE, plate=bad, carry=False, settle=2, observe=3, keep=4)
+    assert refused.value.argument == "plate"
+
+
+def test_a_plate_for_another_number_of_cells():
+    plate = RigidPlate(np.zeros(4))
+    with pytest.raises(
+        KernelInputError, match=r"^restitution: must have the shape of gamma, \(3,\), got \(4,\)$"
+    ):
+        line.run_line(1.5 * ONE, ONE, ONE, plate=plate, carry=False, settle=2, observe=3, keep=4)
 
 
 STATE = np.zeros(len(STATE_FIELDS))
@@ -166,9 +177,9 @@ def test_arguments_are_left_as_they_were():
 def test_one_cell_is_a_line(model):
     one = np.ones(1)
     cell = {"gamma": 1.5 * one, "omega": 0.5 * one, "xi": 0.26 * one}
-    line = call(**cell, restitution=0.1 * one, penetration=1e-3 * one, model=model)
-    assert line.flight_time.shape == (1, 4)
-    assert [field.dtype.str[1:] for field in line] == ["f8", "f8", "i4", "u1", "i2", "i2", "f8"]
+    record = call(**cell, restitution=0.1 * one, penetration=1e-3 * one, model=model)
+    assert record.flight_time.shape == (1, 4)
+    assert [field.dtype.str[1:] for field in record] == ["f8", "f8", "i4", "u1", "i2", "i2", "f8"]
 
 
 def test_numpy_integers_are_integers():
@@ -190,6 +201,6 @@ def test_the_largest_and_smallest_numbers_end_with_an_outcome(model):
     for numbers in product(extremes, extremes, (0.0, *extremes), (1e-30, 1e30)):
         gamma, omega, xi, penetration = (number * ONE[:1] for number in numbers)
         restitution = np.array([0.5])
-        line = call(gamma=gamma, omega=omega, xi=xi, penetration=penetration, restitution=restitution,
-                    model=model, settle=0, observe=1)  # fmt: skip
-        assert 1 <= line.outcome[0] <= 5
+        record = call(gamma=gamma, omega=omega, xi=xi, penetration=penetration, restitution=restitution,
+                      model=model, settle=0, observe=1)  # fmt: skip
+        assert 1 <= record.outcome[0] <= 5

@@ -1,8 +1,8 @@
 """Ball, time steps and lanes over the whole range of parameters, each beside its slow twin.
 
-What `test_kernel_extremes` asks of the rigid and the soft plate: an outcome in time, every phase where the
+As `test_extremes` does for the rigid and the soft plate: an outcome in time, every phase where the
 equations lead, energy closed, nothing below the plate, no event missed. Of time steps the energy is
-closed to the scheme's order only (test_kernel_stepped has that); everything else holds for them too.
+closed to the scheme's order only (test_stepped has that); everything else holds for them too.
 """
 
 import math
@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Model, examples, phases, recorded, run
+from kernel_runs import TWO_PI, Model, compile_models, examples, phases, recorded, run
 from naive import Setting
 from naive_ball import Fall, trajectory
 from naive_steps import Stepper
 
 from kernel import interface
-from kernel.line import warm
 from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
@@ -30,8 +29,8 @@ SETTLED = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled():
-    """So that no test's time is the compiler's."""
-    warm()
+    """Compile before the first test: these tests bound the time of a run."""
+    compile_models()
 
 
 def powers(low: float, high: float) -> st.SearchStrategy[float]:
@@ -116,20 +115,20 @@ def test_a_ball_flies_as_its_twin(gamma, epsilon):
     line = run(gamma, 1.0, 1.0, Model.BALL, restitution=epsilon, settle=0, observe=3, keep=4096)
     mine = recorded(line)
     twin = np.array([flown.time for flown in trajectory(gamma, epsilon, 3)])
-    shortest = 5e-3  # a cascade's last hops are summed up
+    shortest = 5e-3  # the last hops of chatter are summed
     mine, twin = mine[mine > shortest], twin[twin > shortest]
     if len(mine) == len(twin):
         np.testing.assert_allclose(mine, twin, rtol=0, atol=1e-6)
     else:  # one of them is about as short as that
-        least = min(len(mine), len(twin))
-        np.testing.assert_allclose(np.sort(mine)[-least:], np.sort(twin)[-least:], rtol=0, atol=1e-2)
+        count = min(len(mine), len(twin))
+        np.testing.assert_allclose(np.sort(mine)[-count:], np.sort(twin)[-count:], rtol=0, atol=1e-2)
 
 
 # --- time steps -----------------------------------------------------------------------------
 
 
 @st.composite
-def stepped(draw: st.DrawFn, least: float) -> tuple[Setting, int, str]:
+def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str]:
     """A cell with a contact of at least that depth, and steps that a specification would accept."""
     name = draw(st.sampled_from([scheme.name.lower() for scheme in Scheme]))
     s = Setting(
@@ -138,7 +137,7 @@ def stepped(draw: st.DrawFn, least: float) -> tuple[Setting, int, str]:
         xi=draw(st.one_of(st.sampled_from([0.0, math.sqrt(0.5), 1.0]), powers(-3.0, 1.5))),
         soft=True,
         restitution=draw(st.one_of(st.just(1.0), powers(-3.0, 0.0))),
-        penetration=draw(powers(least, -0.5)),
+        penetration=draw(powers(smallest, -0.5)),
         adhesive=draw(st.booleans()),
     )
     fewest = stable_steps_per_contact(
@@ -157,28 +156,28 @@ def run_stepped(s: Setting, number: int, name: str, **window):
     )  # fmt: skip
 
 
-@given(asked=stepped(-4.0))
+@given(case=stepped(-4.0))
 @examples(200)
-def test_any_stepped_cell_ends_with_an_outcome(asked):
-    """Finite, its flights counted, and above the plate where it says that it flies."""
-    line = run_stepped(*asked, settle=1, observe=2)
+def test_any_stepped_cell_ends_with_an_outcome(case):
+    """Finite, its flights counted, and above the plate where it is in flight."""
+    line = run_stepped(*case, settle=1, observe=2)
     assert line.outcome[0] in SETTLED
     end = line.end_state[0]
     assert np.all(np.isfinite(end))
-    assert end[2] >= 0.0 if end[1] == 1.0 and asked[0].adhesive else end[2] <= 0.0 or end[1] == 1.0
+    assert end[2] >= 0.0 if end[1] == 1.0 and case[0].adhesive else end[2] <= 0.0 or end[1] == 1.0
     times, takeoffs = recorded(line), line.takeoff_phase[0, : len(recorded(line))]
     assert np.all(times > 0.0)
     assert np.sum(times) <= 2.0 * TWO_PI * (1.0 + 1e-12)
     assert np.all((takeoffs >= 0.0) & (takeoffs < TWO_PI))
 
 
-@given(asked=stepped(-2.0))
+@given(case=stepped(-2.0))
 @examples(40)
-def test_time_steps_are_those_of_their_twin(asked):
-    s, number, name = asked
+def test_time_steps_are_those_of_their_twin(case):
+    s, number, name = case
     steps = int(steps_per_period(s.restitution, s.penetration, number, adhesive=s.adhesive))
     assume(steps < 4000)
-    mine = recorded(run_stepped(*asked, settle=0, observe=1, keep=4096))
+    mine = recorded(run_stepped(*case, settle=0, observe=1, keep=4096))
     twin = Stepper(s, steps, 0.5 if name == "verlet" else 0.0).flights(1)
     shortest = 1e-6
     twin = np.array([flown.time for flown in twin])

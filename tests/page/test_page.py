@@ -1,5 +1,6 @@
-"""The page's files, and what it looks at: the same numbers as the calls that everybody uses."""
+"""The page's files and the data of its views, which agree with the public API."""
 
+import graphlib
 import gzip
 import json
 import re
@@ -14,9 +15,12 @@ from fastapi.testclient import TestClient
 from scripted import Held
 from served import computing, finished, get, service
 
+from kernel.params import Outcome
 from service.api.routers import page
 from service.figures.catalogue import FIGURES
 from worker.spec import SweepSpec
+
+SCRIPTS = page.FILES / "js"
 
 LINE: dict[str, Any] = {
     "name": "Fig. 2, coarse",
@@ -56,65 +60,105 @@ def ramp(client: TestClient) -> str:
 
 
 def unpacked(client: TestClient, path: str, **query: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """As static/js/api.js reads it."""
-    answer = client.get(path, params=query)
-    assert answer.status_code == 200, answer.text
-    head, _, body = answer.content.partition(b"\n")
-    facts = json.loads(head)
-    assert (len(head) + 1) % 8 == 0
+    """Decode the binary form as static/js/lib/api.js does: (header, arrays)."""
+    response = client.get(path, params=query)
+    assert response.status_code == 200, response.text
+    line, _, body = response.content.partition(b"\n")
+    header = json.loads(line)
+    assert (len(line) + 1) % 8 == 0
     arrays = {
         name: np.frombuffer(body, np.dtype(kind), length, offset)
-        for name, (kind, offset, length) in facts.pop("arrays").items()
+        for name, (kind, offset, length) in header.pop("arrays").items()
     }
-    return facts, arrays
+    return header, arrays
 
 
 # Files
 
 
-def test_the_page_may_load_nothing_but_its_own_files(client: TestClient):
-    answer = client.get("/")
-    assert answer.headers["content-type"].startswith("text/html")
-    policy = answer.headers["content-security-policy"]
+def test_the_page_loads_only_its_own_files(client: TestClient):
+    response = client.get("/")
+    assert response.headers["content-type"].startswith("text/html")
+    policy = response.headers["content-security-policy"]
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
-    assert not re.search(r"<script(?![^>]*\bsrc=)|\bon[a-z]+=|\bstyle=", answer.text)
+    assert not re.search(r"<script(?![^>]*\bsrc=)|\bon[a-z]+=|\bstyle=", response.text)
 
 
-def test_every_file_that_a_file_names_is_there(client: TestClient):
-    wanted, seen = ["/"], set[str]()
-    while wanted:
-        path = wanted.pop()
+def test_the_page_s_files_refer_to_each_other_and_to_nothing_missing(client: TestClient):
+    paths, seen = ["/"], set[str]()
+    while paths:
+        path = paths.pop()
         if path in seen:
             continue
         seen.add(path)
-        answer = client.get(path)
-        assert answer.status_code == 200, path
-        named = re.findall(r'(?:src|href)="((?:static|/docs)[^"]*)"', answer.text) if path == "/" else []
+        response = client.get(path)
+        assert response.status_code == 200, path
+        references = (
+            re.findall(r'(?:src|href)="((?:static|/docs)[^"]*)"', response.text) if path == "/" else []
+        )
         if path.endswith(".js"):
-            assert "javascript" in answer.headers["content-type"]
-            named = re.findall(r'from "(\./[^"]+)"', answer.text)
-        wanted += [urljoin(path, one) for one in named]
+            assert "javascript" in response.headers["content-type"]
+            references = re.findall(r'from "(\.\.?/[^"]+)"', response.text)
+        paths += [urljoin(path, reference) for reference in references]
     shipped = {f"/static/{file.relative_to(page.FILES)}" for file in page.FILES.rglob("*") if file.is_file()}
     assert shipped - seen == {"/static/index.html"}
 
 
 @pytest.mark.parametrize("file", sorted(page.FILES.rglob("*.*")), ids=lambda file: str(file.name))
-def test_files_are_small_and_name_no_other_place(file: Path):
+def test_files_name_no_other_host(file: Path):
     text = file.read_text()
-    assert len(text.splitlines()) <= 250
     assert set(re.findall(r"https?://[^\s\"'`)]+", text)) <= {"http://www.w3.org/2000/svg"}
 
 
-def test_the_paper_s_sweeps_are_those_of_the_command(client: TestClient):
+#: Folders of scripts; each may import from itself and from those listed.
+LAYERS: dict[str, set[str]] = {
+    "lib": set(),
+    "plot": {"lib"},
+    "motion": {"plot", "lib"},
+    "form": {"lib"},
+    "views": {"form", "motion", "plot", "lib"},
+}
+
+
+@pytest.mark.parametrize("folder", LAYERS)
+def test_scripts_import_only_from_the_layers_below(folder: str):
+    files = sorted((SCRIPTS / folder).glob("*.js"))
+    assert 0 < len(files) <= 16
+    imported = {name for file in files for name in re.findall(r'from "\.\./([^/"]+)', file.read_text())}
+    assert imported <= LAYERS[folder]
+
+
+def test_the_scripts_do_not_import_each_other_in_cycles():
+    imports = {
+        file: [(file.parent / path).resolve() for path in re.findall(r'from "([^"]+)"', file.read_text())]
+        for file in SCRIPTS.rglob("*.js")
+    }
+    graph = graphlib.TopologicalSorter(imports)
+    graph.prepare()  # raises CycleError
+
+
+def test_the_scripts_know_the_kernel_s_outcome_codes():
+    text = (SCRIPTS / "lib" / "physics.js").read_text()
+    listed = re.search(r"OUTCOME = \{ (.*?) \}", text)
+    assert listed
+    codes = dict(pair.split(": ") for pair in listed[1].split(", "))
+    names = {
+        re.sub("[A-Z]", lambda letter: f"_{letter[0]}", name).upper(): int(code)
+        for name, code in codes.items()
+    }
+    assert names == {outcome.name: outcome.value for outcome in Outcome}
+
+
+def test_the_presets_are_the_sweeps_of_the_command_line_figures(client: TestClient):
     figures = get(client, "/v1/figures")
-    assert [one["number"] for one in figures] == [2, 3, 4, 5, 6, 7, 8, 9]
-    for one in figures:
-        specs = [SweepSpec.parse(sweep) for sweep in one["sweeps"]]
-        assert specs == [SweepSpec.parse(dict(sweep)) for sweep in FIGURES[one["number"]].sweeps]
+    assert [figure["number"] for figure in figures] == [2, 3, 4, 5, 6, 7, 8, 9]
+    for figure in figures:
+        specs = [SweepSpec.parse(sweep) for sweep in figure["sweeps"]]
+        assert specs == [SweepSpec.parse(dict(sweep)) for sweep in FIGURES[figure["number"]].sweeps]
 
 
-def test_files_outside_the_folder_are_out_of_reach(client: TestClient):
+def test_files_outside_the_folder_are_not_served(client: TestClient):
     for path in ("/static/../page.py", "/static/%2e%2e/page.py", "/static/js/..%2f..%2fpage.py"):
         assert client.get(path).status_code == 404
 
@@ -124,50 +168,52 @@ def test_files_outside_the_folder_are_out_of_reach(client: TestClient):
 
 def test_points_are_the_flights_of_the_diagram(client: TestClient, line: str):
     query = {"along": "gamma", "omega": 0.6, "min_flight": 0.5}
-    facts, arrays = unpacked(client, f"{line}/line", **query)
+    header, arrays = unpacked(client, f"{line}/line", **query)
     diagram = get(client, f"{line}/diagram", **query)
-    assert (facts["fixed"], facts["direction"]) == (diagram["fixed"], diagram["direction"])
-    assert facts["missing"] == 0
+    assert (header["fixed"], header["direction"]) == (diagram["fixed"], diagram["direction"])
+    assert header["missing"] == 0
     assert arrays["values"].tolist() == diagram["values"]
     for name in ("outcome", "bounces", "periods"):
         assert arrays[name].tolist() == diagram[name]
     assert arrays["shown"].tolist() == [len(times) for times in diagram["flight_time"]]
     flights = np.concatenate(diagram["flight_time"])
     np.testing.assert_allclose(arrays["flight_time"], flights, rtol=1e-6)
-    assert facts["points"] == len(flights)
-    assert facts["highest"] == pytest.approx(flights.max(), rel=1e-6)
+    assert header["points"] == len(flights)
+    assert header["highest"] == pytest.approx(flights.max(), rel=1e-6)
 
 
 @pytest.mark.parametrize("log", [False, True])
 def test_density_counts_the_points(client: TestClient, line: str, log: bool):
     window = {"left": 1.5, "right": 4.0, "bottom": 2.0, "top": 12.0, "width": 50, "height": 40, "log": log}
     _, points = unpacked(client, f"{line}/line", omega=0.5)
-    facts, arrays = unpacked(client, f"{line}/line", omega=0.5, most=100, **window)
+    header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=100, **window)
     assert "flight_time" not in arrays
     x = np.repeat(points["values"], points["shown"])
     warp = np.log if log else np.asarray
     edges = np.linspace(warp(1.5), warp(4.0), 51), np.linspace(2.0, 12.0, 41)
     expected, *_ = np.histogram2d(warp(x), points["flight_time"].astype(float), edges)
     counts = arrays["density"].reshape(40, 50).astype(int)
-    # Values on the border between two columns may round to either.
+    # Values on the border between two columns may be counted in either.
     assert abs(counts.sum() - expected.sum()) <= 0.02 * expected.sum()
     np.testing.assert_allclose(counts.sum(axis=1), expected.sum(axis=0), atol=2)
-    assert facts["points"] == len(x)
+    assert header["points"] == len(x)
 
 
-def test_density_of_everything_loses_no_flight(client: TestClient, line: str):
-    facts, arrays = unpacked(client, f"{line}/line", omega=0.5, most=0, width=300, height=500)
-    assert arrays["density"].sum() == facts["points"]
+def test_the_density_of_a_whole_line_counts_every_flight(client: TestClient, line: str):
+    header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=0, width=300, height=500)
+    assert arrays["density"].sum() == header["points"]
 
 
-def test_density_comes_squeezed_for_those_who_can_take_it(client: TestClient, line: str):
-    answer = client.get(f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "gzip"})
+def test_density_is_compressed_where_the_client_accepts_it(client: TestClient, line: str):
+    response = client.get(
+        f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "gzip"}
+    )
     plain = client.get(
         f"{line}/line", params={"omega": 0.5, "most": 0}, headers={"Accept-Encoding": "identity"}
     )
-    assert answer.headers["content-encoding"] == "gzip"
+    assert response.headers["content-encoding"] == "gzip"
     assert "content-encoding" not in plain.headers
-    assert answer.content == plain.content
+    assert response.content == plain.content
     assert len(gzip.compress(plain.content, 1)) < len(plain.content) / 5
 
 
@@ -185,29 +231,27 @@ def test_density_comes_squeezed_for_those_who_can_take_it(client: TestClient, li
         ({"omega": 0.5, "bottom": 3, "top": 2}, "top"),
     ],
 )
-def test_a_line_that_is_not_there_is_refused(
-    client: TestClient, line: str, query: dict[str, Any], field: str
-):
-    answer = client.get(f"{line}/line", params=query)
-    assert answer.status_code == 422
-    assert answer.json()["errors"][0]["field"] == field
+def test_an_invalid_line_query_is_refused(client: TestClient, line: str, query: dict[str, Any], field: str):
+    response = client.get(f"{line}/line", params=query)
+    assert response.status_code == 422
+    assert response.json()["errors"][0]["field"] == field
 
 
 # A plane
 
 
 def test_a_plane_is_the_mode_map(client: TestClient, line: str):
-    facts, arrays = unpacked(client, f"{line}/plane", xi=0.26)
+    header, arrays = unpacked(client, f"{line}/plane", xi=0.26)
     modes = get(client, f"{line}/modes", xi=0.26)
     whole = {"every_gamma": 1, "every_omega": 1}
-    assert facts == {"xi": 0.26, "direction": "rest", "complete": True} | whole
+    assert header == {"xi": 0.26, "direction": "rest", "complete": True} | whole
     for name in ("gamma", "omega"):
         assert arrays[name].tolist() == modes[name]
     for name in ("outcome", "bounces", "periods"):
         assert arrays[name].tolist() == np.concatenate(modes[name]).tolist()
 
 
-def test_the_mode_map_and_the_diagram_come_thinned_where_asked(client: TestClient, line: str):
+def test_the_mode_map_and_the_diagram_are_thinned_on_request(client: TestClient, line: str):
     whole, part = (get(client, f"{line}/modes", xi=0.26, every=every) for every in (1, 50))
     assert "every" not in whole
     assert (part["every"], part["gamma"], part["omega"]) == (50, whole["gamma"][::50], [0.5])
@@ -216,7 +260,7 @@ def test_the_mode_map_and_the_diagram_come_thinned_where_asked(client: TestClien
     assert (thinned["every"], thinned["values"]) == (50, whole["gamma"][::50])
 
 
-def test_a_window_of_a_plane_is_that_part_of_it(client: TestClient, line: str):
+def test_a_window_of_a_plane_holds_the_cells_inside(client: TestClient, line: str):
     _, whole = unpacked(client, f"{line}/plane")
     _, part = unpacked(client, f"{line}/plane", left=2.0, right=3.51, bottom=0.55)
     inside = (whole["gamma"] >= 2.0) & (whole["gamma"] <= 3.51)
@@ -228,61 +272,59 @@ def test_a_window_of_a_plane_is_that_part_of_it(client: TestClient, line: str):
     assert between["gamma"][0] == pytest.approx(2.05)
 
 
-def test_a_plane_too_large_for_one_answer_comes_thinned(tmp_path: Path):
+def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
     with computing(tmp_path, max_points=60) as client:
         here = finished(client, LINE)
-        facts, arrays = unpacked(client, f"{here}/plane")
-        assert (facts["every_gamma"], facts["every_omega"]) == (2, 2)
+        header, arrays = unpacked(client, f"{here}/plane")
+        assert (header["every_gamma"], header["every_omega"]) == (2, 2)
         assert len(arrays["gamma"]) == 51
         assert arrays["omega"].tolist() == [0.5]
-        facts, arrays = unpacked(client, f"{here}/plane", left=1.0, right=2.0)
-        assert (facts["every_gamma"], arrays["outcome"].size) == (1, 42)
+        header, arrays = unpacked(client, f"{here}/plane", left=1.0, right=2.0)
+        assert (header["every_gamma"], arrays["outcome"].size) == (1, 42)
 
 
-def test_a_line_too_long_to_be_read_comes_thinned(
-    client: TestClient, line: str, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_line_of_too_many_cells_is_thinned(client: TestClient, line: str, monkeypatch: pytest.MonkeyPatch):
     whole, cells = unpacked(client, f"{line}/line", omega=0.5)
     assert whole["every"] == 1
     monkeypatch.setattr("service.results.line.MAX_READ", 40 * 16)
-    facts, arrays = unpacked(client, f"{line}/line", omega=0.5)
-    assert facts["every"] == 3
+    header, arrays = unpacked(client, f"{line}/line", omega=0.5)
+    assert header["every"] == 3
     assert arrays["values"].tolist() == cells["values"][::3].tolist()
     assert arrays["shown"].tolist() == cells["shown"][::3].tolist()
 
 
-# A cell in motion
+# The trajectory of a cell
 
 
-def test_a_cell_from_rest_moves_as_the_sweep_saw_it(client: TestClient, line: str):
-    found = get(client, f"{line}/trajectory", gamma=2.3, omega=0.5, periods=6)
-    assert found["gamma"] == pytest.approx(2.3)
-    times = np.array(found["flights"]["flight_time"])
+def test_the_trajectory_of_a_cell_from_rest_has_the_stored_flights(client: TestClient, line: str):
+    trajectory = get(client, f"{line}/trajectory", gamma=2.3, omega=0.5, periods=6)
+    assert trajectory["gamma"] == pytest.approx(2.3)
+    times = np.array(trajectory["flights"]["flight_time"])
     np.testing.assert_allclose(sorted(times)[:2], [3.722384327764] * 2, atol=1e-6)
     np.testing.assert_allclose(sorted(times)[-2:], [6.284615845152] * 2, atol=1e-6)
 
 
 @pytest.mark.parametrize(("direction", "bounces"), [("up", False), ("down", True)])
-def test_a_cell_of_a_ramp_goes_on_from_where_the_ramp_left_it(
+def test_the_trajectory_of_a_ramp_cell_starts_from_its_stored_state(
     client: TestClient, ramp: str, direction: str, bounces: bool
 ):
-    """At Γ = Ω = 0.6, ξ = 0.05 the spring rests on the way up and bounces on the way down."""
-    found = get(client, f"{ramp}/trajectory", gamma=0.6, direction=direction, periods=10)
-    assert any(found["in_flight"]) == bounces
+    """At Γ = Ω = 0.6, ξ = 0.05 the spring rests on the ramp up and bounces on the ramp down."""
+    trajectory = get(client, f"{ramp}/trajectory", gamma=0.6, direction=direction, periods=10)
+    assert any(trajectory["in_flight"]) == bounces
     if bounces:
         stored = get(client, f"{ramp}/diagram", along="gamma", direction=direction)
         cell = int(np.argmin(np.abs(np.array(stored["values"]) - 0.6)))
         known = np.array(stored["flight_time"][cell])
-        for time in found["flights"]["flight_time"]:
+        for time in trajectory["flights"]["flight_time"]:
             assert np.min(np.abs(known - time)) < 1e-4
 
 
-def test_a_cell_that_no_ramp_has_reached_is_refused(tmp_path: Path):
+def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
-        answer = client.get(f"{here}/trajectory", params={"gamma": 0.6})
-        assert answer.status_code == 422
-        assert "not computed yet" in answer.json()["detail"]
-        facts, arrays = unpacked(client, f"{here}/line")
-        assert facts["missing"] == len(arrays["values"]) == 81
+        response = client.get(f"{here}/trajectory", params={"gamma": 0.6})
+        assert response.status_code == 422
+        assert "not computed yet" in response.json()["detail"]
+        header, arrays = unpacked(client, f"{here}/line")
+        assert header["missing"] == len(arrays["values"]) == 81
         assert len(arrays["flight_time"]) == 0

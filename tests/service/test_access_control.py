@@ -1,4 +1,4 @@
-"""Nobody gets in who should not: by name, by page, by token, by accident."""
+"""Access control: tokens, Host, Origin, security headers; the log; TLS to the scheduler."""
 
 import io
 import json
@@ -17,20 +17,21 @@ from scripted import Held, sweep
 from service.api.app import create_app
 from service.cli.main import main
 from service.client import Client
+from service.errors import NotStarted
 from service.server import embedded
-from service.server import logging as logs
+from service.server.logging import log_to_stderr
 from service.settings import Settings
 
 TOKEN = "a-token-of-thirty-two-characters"
 SWEEP = sweep().as_submitted()
 
-#: Queries without which a call is refused for another reason; a token comes before reasons.
+#: Required parameters, without which the endpoint itself would refuse the request.
 QUERIES = {"/v1/jobs/{job_id}/export": "?format=nc", "/v1/threshold": "?omega=1&xi=1"}
 
-#: What answers anybody.
+#: Paths that require no token.
 PROBES = [("GET", "/healthz"), ("GET", "/readyz")]
 
-#: Every call that there is, for one job, as the API document has it. None may answer without the token.
+#: Every operation of the API document, for one job. Each requires the token.
 CALLS = [
     (method.upper(), path.format(job_id="{job}", key="zarr.json") + QUERIES.get(path, ""))
     for path, methods in create_app(Settings(), Held()).openapi()["paths"].items()
@@ -58,17 +59,17 @@ def bearer(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
 
 
-# The token
+# Tokens
 
 
-def test_the_list_is_not_empty():
+def test_the_list_of_calls_is_complete():
     assert len(CALLS) > 15
     assert ("POST", "/v1/jobs/{job}/cancel") in CALLS
 
 
 @pytest.mark.parametrize(("method", "path"), CALLS)
 @pytest.mark.parametrize("given", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
-def test_without_the_token_nothing_answers(guarded: TestClient, method: str, path: str, given: str):
+def test_every_endpoint_requires_the_token(guarded: TestClient, method: str, path: str, given: str):
     job = guarded.post("/v1/jobs", json=SWEEP, headers=bearer(TOKEN)).json()
     answer = guarded.request(method, path.format(job=job["id"]), headers=bearer(given) if given else {})
     assert answer.status_code == 401
@@ -81,40 +82,40 @@ def test_without_the_token_nothing_answers(guarded: TestClient, method: str, pat
 
 
 @pytest.mark.parametrize("header", [TOKEN, f"Basic {TOKEN}", f"Bearer{TOKEN}", "Bearer", "Bearer \u00e9"])
-def test_the_token_must_be_borne(guarded: TestClient, header: str):
+def test_the_token_must_be_a_bearer_token(guarded: TestClient, header: str):
     answer = guarded.get("/v1/jobs", headers={"Authorization": header.encode("latin-1")})
     assert answer.status_code == 401
 
 
-def test_with_the_token_it_answers(guarded: TestClient):
+def test_requests_with_the_token_are_answered(guarded: TestClient):
     assert guarded.get("/v1/jobs", headers=bearer(TOKEN)).status_code == 200
     assert guarded.get("/v1/jobs", headers={"Authorization": f"bearer  {TOKEN} "}).status_code == 200
 
 
-def test_two_tokens_are_none(guarded: TestClient):
+def test_two_authorization_headers_are_refused(guarded: TestClient):
     both = [("Authorization", f"Bearer {TOKEN}"), ("Authorization", "Bearer x")]
     assert guarded.get("/v1/jobs", headers=both).status_code == 401
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz", "/docs", "/openapi.json"])
-def test_what_tells_nothing_of_anybody_is_open(guarded: TestClient, path: str):
+def test_open_paths_require_no_token(guarded: TestClient, path: str):
     assert guarded.get(path).status_code == 200
 
 
 @pytest.mark.parametrize(
     "path", ["/static/../v1/jobs", "/docs/../v1/jobs", "//v1/jobs", "/healthz/../v1/jobs"]
 )
-def test_no_way_round_leads_past_the_token(guarded: TestClient, path: str):
+def test_path_traversal_does_not_bypass_the_token(guarded: TestClient, path: str):
     request = guarded.build_request("GET", "http://localhost/")
     request.url = request.url.copy_with(raw_path=path.encode())
     assert guarded.send(request).status_code in (401, 404)
 
 
-# Starting
+# Settings
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "example.org"])
-def test_it_does_not_listen_elsewhere_without_a_token(tmp_path: Path, host: str):
+def test_listening_beyond_loopback_requires_a_token(tmp_path: Path, host: str):
     done = CliRunner().invoke(
         main, ["serve", "--host", host, "--data", str(tmp_path)], env={"BOUNCE_TOKEN": ""}
     )
@@ -125,18 +126,18 @@ def test_it_does_not_listen_elsewhere_without_a_token(tmp_path: Path, host: str)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost", "127.8.8.8", "LOCALHOST"])
-def test_loopback_needs_none(host: str):
+def test_loopback_requires_no_token(host: str):
     assert Settings(host=host).token is None
 
 
 @pytest.mark.parametrize("token", ["short", "x" * 15, "sixteen characters with spaces", "s\u00e9cret-" * 5])
-def test_a_token_that_can_be_guessed_is_refused(token: str):
-    with pytest.raises(embedded.NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
+def test_a_weak_token_is_refused(token: str):
+    with pytest.raises(NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
         embedded.settings(token=token)
     assert token not in str(refused.value)
 
 
-def test_the_token_is_not_shown():
+def test_the_token_is_not_in_the_repr_of_the_settings():
     assert TOKEN not in repr(Settings(token=TOKEN))
 
 
@@ -154,12 +155,12 @@ def test_the_token_is_not_shown():
         ({"log_level": "loud"}, "log_level"),
     ],
 )
-def test_a_setting_that_cannot_be_is_named(given: dict[str, Any], rule: str):
-    with pytest.raises(embedded.NotStarted, match=rule):
+def test_an_invalid_setting_is_named(given: dict[str, Any], rule: str):
+    with pytest.raises(NotStarted, match=rule):
         embedded.settings(**given)
 
 
-# The host's name
+# Host
 
 
 @pytest.mark.parametrize(
@@ -167,30 +168,30 @@ def test_a_setting_that_cannot_be_is_named(given: dict[str, Any], rule: str):
     ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8000", "", "[::1",
      "a@localhost", "localhost\u00e9", "0.0.0.0", "169.254.169.254"],
 )  # fmt: skip
-def test_another_name_is_refused(local: TestClient, host: str):
+def test_another_host_is_refused(local: TestClient, host: str):
     answer = local.get("/v1/jobs", headers={"Host": host.encode("latin-1")})
     assert answer.status_code == 421
     assert "BOUNCE_ALLOWED_HOSTS" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST:9", "127.0.0.1:8000", "[::1]:8000", "localhost."])
-def test_its_own_names_are_not(local: TestClient, host: str):
+def test_loopback_hosts_are_allowed(local: TestClient, host: str):
     assert local.get("/v1/jobs", headers={"Host": host}).status_code == 200
 
 
-def test_names_are_added_by_the_operator(guarded: TestClient, tmp_path: Path):
+def test_the_operator_can_allow_hosts(guarded: TestClient, tmp_path: Path):
     assert guarded.get("/healthz", headers={"Host": "bounce.example.org"}).status_code == 200
     assert guarded.get("/healthz", headers={"Host": "other.example.org"}).status_code == 421
     assert Settings(allowed_hosts=" a.org , B.org,").allowed_hosts == {"a.org", "b.org"}
     assert "192.0.2.7" in Settings(host="192.0.2.7", token=TOKEN).hosts
 
 
-def test_names_come_from_the_environment(monkeypatch: pytest.MonkeyPatch):
+def test_allowed_hosts_come_from_the_environment(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("BOUNCE_ALLOWED_HOSTS", "a.org,b.org")
     assert Settings().allowed_hosts == {"a.org", "b.org"}
 
 
-# Pages from elsewhere
+# Origin
 
 
 FOREIGN = [
@@ -204,7 +205,7 @@ FOREIGN = [
 
 @pytest.mark.parametrize("headers", FOREIGN, ids=lambda headers: "".join(headers.values()))
 @pytest.mark.parametrize("way", [("POST", "/cancel"), ("POST", "/resume"), ("DELETE", "")])
-def test_a_page_from_elsewhere_changes_nothing(
+def test_a_page_of_another_origin_changes_nothing(
     local: TestClient, headers: dict[str, str], way: tuple[str, str]
 ):
     job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
@@ -213,22 +214,22 @@ def test_a_page_from_elsewhere_changes_nothing(
     assert local.get(job).json()["state"] in ("queued", "running")
 
 
-def test_its_own_page_may(local: TestClient):
+def test_its_own_page_may_submit(local: TestClient):
     own = {"Origin": "http://localhost:8000", "Sec-Fetch-Site": "same-origin"}
     assert local.post("/v1/jobs", json=SWEEP, headers=own).status_code == 202
 
 
-def test_no_page_from_elsewhere_may_read(local: TestClient):
+def test_no_page_of_another_origin_may_read(local: TestClient):
     answer = local.get("/v1/jobs", headers={"Origin": "https://evil.example"})
     assert not [name for name in answer.headers if name.startswith("access-control-")]
-    ahead = {"Origin": "https://evil.example", "Access-Control-Request-Method": "POST"}
-    asked = local.options("/v1/jobs", headers=ahead)
-    assert asked.status_code == 405
-    assert not [name for name in asked.headers if name.startswith("access-control-")]
+    preflight = {"Origin": "https://evil.example", "Access-Control-Request-Method": "POST"}
+    answer = local.options("/v1/jobs", headers=preflight)
+    assert answer.status_code == 405
+    assert not [name for name in answer.headers if name.startswith("access-control-")]
 
 
 @pytest.mark.parametrize("path", ["/docs", "/v1/jobs", "/v1/jobs/none", "/nowhere", "/healthz"])
-def test_every_answer_tells_the_browser_to_be_careful(local: TestClient, path: str):
+def test_every_response_has_the_security_headers(local: TestClient, path: str):
     headers = local.get(path).headers
     assert headers["X-Content-Type-Options"] == "nosniff"
     assert headers["X-Frame-Options"] == "DENY"
@@ -236,7 +237,7 @@ def test_every_answer_tells_the_browser_to_be_careful(local: TestClient, path: s
     assert "server" not in headers
 
 
-def test_refusals_are_careful_too(local: TestClient):
+def test_refusals_have_the_security_headers(local: TestClient):
     headers = local.get("/docs", headers={"Host": "evil.example"}).headers
     assert headers["X-Content-Type-Options"] == "nosniff"
     assert headers["X-Request-Id"]
@@ -254,38 +255,38 @@ def logged(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
     log = io.StringIO()
     with monkeypatch.context() as patch:
         patch.setattr(sys, "stderr", log)
-        with logs.to_standard_error("info"):
+        with log_to_stderr("info"):
             yield log
 
 
 def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     job = local.post("/v1/jobs", json=SWEEP).json()
     answer = local.get(job["links"]["self"])
-    (line,) = [one for one in lines(logged) if one.get("id") == answer.headers["X-Request-Id"]]
+    (line,) = [line for line in lines(logged) if line.get("id") == answer.headers["X-Request-Id"]]
     assert (line["event"], line["method"], line["route"]) == ("request", "GET", "/v1/jobs/{job_id}")
     assert (line["status"], line["job"]) == (200, job["id"])
     assert line["ms"] >= 0
 
 
-def test_what_a_caller_sends_makes_no_lines(local: TestClient, logged: io.StringIO):
+def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO):
     local.get("/v1/jobs/%0a%7b%22level%22:%22error%22%7d")
     local.get("/nowhere%0aevil", headers={"Authorization": "Bearer secret-of-somebody"})
-    found = [one for one in lines(logged) if one["event"] == "request"]
-    assert len(found) == 2
-    assert "secret-of-somebody" not in json.dumps(found)
+    requests = [line for line in lines(logged) if line["event"] == "request"]
+    assert len(requests) == 2
+    assert "secret-of-somebody" not in json.dumps(requests)
 
 
-def test_a_traceback_stays_in_its_line(logged: io.StringIO):
+def test_a_traceback_is_part_of_its_line(logged: io.StringIO):
     try:
         raise ValueError("two\nlines")
     except ValueError:
-        logging.getLogger("service.x").exception("it stumbled")
+        logging.getLogger("service.x").exception("step failed")
     (line,) = lines(logged)
-    assert (line["event"], line["level"]) == ("it stumbled", "error")
+    assert (line["event"], line["level"]) == ("step failed", "error")
     assert "ValueError: two\nlines" in line["traceback"]
 
 
-def test_a_defect_is_told_to_the_log_and_not_to_the_caller(
+def test_a_traceback_goes_to_the_log_and_not_to_the_caller(
     tmp_path: Path, logged: io.StringIO, monkeypatch: pytest.MonkeyPatch
 ):
     with TestClient(create_app(Settings(data=tmp_path), Held()), base_url="http://localhost") as client:
@@ -293,7 +294,7 @@ def test_a_defect_is_told_to_the_log_and_not_to_the_caller(
         answer = client.get("/v1/jobs/none")
     assert answer.status_code == 500
     assert "division" not in answer.text
-    (line,) = [one for one in lines(logged) if one["event"] == "a defect"]
+    (line,) = [line for line in lines(logged) if line["event"] == "internal error"]
     assert "ZeroDivisionError" in line["traceback"]
     assert line["id"] == answer.headers["X-Request-Id"]
     assert line["id"] in answer.json()["detail"]
@@ -302,7 +303,7 @@ def test_a_defect_is_told_to_the_log_and_not_to_the_caller(
 # TLS to the scheduler
 
 
-def test_it_speaks_tls_with_a_scheduler_that_asks_for_it(tmp_path: Path):
+def test_tls_to_the_scheduler(tmp_path: Path):
     secret = Security.temporary()
     files = {
         "scheduler_ca": secret.tls_ca_file,

@@ -1,4 +1,4 @@
-"""The calls over HTTP, from submission to the last format of a diagram."""
+"""The HTTP API, from the submission of a sweep to every format of its diagram."""
 
 import csv
 import io
@@ -31,14 +31,14 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 
 @pytest.fixture(scope="module")
 def figure_2(client: TestClient) -> str:
-    """Where the finished job is."""
+    """Path of the finished job."""
     return finished(client, FIGURE_2)
 
 
 # Jobs
 
 
-def test_a_submission_is_accepted_and_says_where_to_look(tmp_path: Path):
+def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         answer = client.post("/v1/jobs", json=FIGURE_2)
         assert answer.status_code == 202
@@ -62,7 +62,7 @@ def test_a_submission_is_accepted_and_says_where_to_look(tmp_path: Path):
         assert view["spec"]["gamma"] == {"start": 0.5, "stop": 6.0, "num": 111, "spacing": "linear"}
 
 
-def test_a_finished_job_says_so(client: TestClient, figure_2: str):
+def test_the_view_of_a_finished_job(client: TestClient, figure_2: str):
     view = get(client, figure_2)
     assert (view["state"], view["progress"]["percent"]) == ("done", 100.0)
     assert view["created"] <= view["started"] <= view["finished"]
@@ -76,10 +76,10 @@ def test_the_same_sweep_however_it_is_written_is_the_same_job(client: TestClient
     assert answer.json()["name"] == "figure 2, coarse"
 
 
-def test_an_unchanged_job_is_not_sent_again(client: TestClient, figure_2: str):
+def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
     tag = client.get(figure_2).headers["ETag"]
-    for wanted in (tag, f'"other", {tag}', tag.removeprefix("W/"), "*"):
-        answer = client.get(figure_2, headers={"If-None-Match": wanted})
+    for candidates in (tag, f'"other", {tag}', tag.removeprefix("W/"), "*"):
+        answer = client.get(figure_2, headers={"If-None-Match": candidates})
         assert (answer.status_code, answer.content, answer.headers["ETag"]) == (304, b"", tag)
     assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
 
@@ -97,7 +97,7 @@ def test_progress_changes_the_tag(tmp_path: Path):
         assert answer.json()["progress"]["eta_seconds"] > 0
 
 
-def test_a_job_that_takes_long_asks_for_patience(tmp_path: Path):
+def test_a_long_job_sends_retry_after(tmp_path: Path):
     held = Held()
     with service(tmp_path, held) as client:
         long = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 100_000}, omega=[*range(1, 31)]).as_submitted()
@@ -148,7 +148,7 @@ def test_cancel_and_resume(tmp_path: Path):
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
 
 
-def test_a_failed_job_tells_why(tmp_path: Path):
+def test_a_failed_job_gives_the_reason(tmp_path: Path):
     (tmp_path / "stores").write_text("in the way of the stores")
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
@@ -156,14 +156,14 @@ def test_a_failed_job_tells_why(tmp_path: Path):
         assert "cannot start" in client.get(here).json()["error"]
 
 
-def test_jobs_outlive_the_service(tmp_path: Path):
+def test_jobs_continue_after_a_restart(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
     with computing(tmp_path) as client:
         wait_for(lambda: client.get(here).json()["state"] == "done")
 
 
-def test_a_data_folder_serves_one_service(tmp_path: Path):
+def test_two_services_cannot_use_one_data_folder(tmp_path: Path):
     with service(tmp_path, Held()), pytest.raises(DataFolderBusy), service(tmp_path, Held()):
         pass
 
@@ -178,7 +178,7 @@ def test_the_cluster_computes_what_inline_computes(
 
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
-    """By the workers' own clocks; the seconds that pass on a quiet machine: `python -m benchmarks.figure`."""
+    """CPU time of the workers; for wall-clock time on a quiet machine, run `python -m benchmarks.figure`."""
     pids = cluster._connection.client.run(os.getpid).values()
 
     def spent() -> float:
@@ -207,20 +207,20 @@ def test_a_diagram_holds_every_cell_and_no_more_than_its_flights(client: TestCli
 
 def test_figure_2s_modes(client: TestClient, figure_2: str):
     answer = get(client, f"{figure_2}/diagram")
-    cell = {round(gamma, 9): place for place, gamma in enumerate(answer["values"])}
+    index = {round(gamma, 9): i for i, gamma in enumerate(answer["values"])}
     modes = {
-        gamma: (answer["bounces"][cell[gamma]], answer["periods"][cell[gamma]]) for gamma in (1.5, 2.3, 3.6)
+        gamma: (answer["bounces"][index[gamma]], answer["periods"][index[gamma]]) for gamma in (1.5, 2.3, 3.6)
     }
     assert modes == {1.5: (1, 1), 2.3: (2, 2), 3.6: (1, 2)}
-    assert answer["outcome"][cell[5.0]] == 2
+    assert answer["outcome"][index[5.0]] == 2
     threshold = get(client, "/v1/threshold", omega=0.5, xi=0.26)["threshold"]
-    for gamma, place in cell.items():
-        assert (answer["outcome"][place] == 3) == (gamma < threshold)
-        assert answer["flights"][place] > 0 or gamma < threshold
+    for gamma, i in index.items():
+        assert (answer["outcome"][i] == 3) == (gamma < threshold)
+        assert answer["flights"][i] > 0 or gamma < threshold
 
 
 @pytest.mark.parametrize("name", ["rigid", "soft"])
-def test_the_reference_flights_come_out_of_the_service(client: TestClient, name: str):
+def test_diagrams_contain_the_reference_flights(client: TestClient, name: str):
     tolerance = {"rigid": 1e-9, "soft": 1e-8}[name]
     for cell in json.loads((GOLDEN / f"{name}.json").read_text()):
         model = {key: cell[key] for key in ("restitution", "penetration", "adhesive") if key in cell}
@@ -258,7 +258,7 @@ def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
         assert get(client, f"{queued}/threshold")["up"] == [None]
 
 
-def test_a_ramp_both_ways_shows_its_first_direction_unless_told(client: TestClient):
+def test_a_ramp_in_both_directions_shows_the_first_by_default(client: TestClient):
     ramp = {"kind": "ramp", "axis": "gamma", "direction": "both"}
     spec = {**FIGURE_2, "protocol": ramp, "gamma": {"start": 0.6, "stop": 1.4, "num": 9}, "settle": 20}
     here = finished(client, spec)
@@ -271,7 +271,7 @@ def test_a_ramp_both_ways_shows_its_first_direction_unless_told(client: TestClie
 @pytest.mark.parametrize(
     ("format", "media_type"), [("csv", "text/csv"), ("png", "image/png"), ("svg", "image/svg+xml")]
 )
-def test_a_diagram_comes_as_a_file(client: TestClient, figure_2: str, format: str, media_type: str):
+def test_formats_of_a_diagram(client: TestClient, figure_2: str, format: str, media_type: str):
     answer = client.get(f"{figure_2}/diagram", params={"format": format})
     assert answer.status_code == 200
     assert answer.headers["Content-Type"].partition(";")[0] == media_type
@@ -308,7 +308,7 @@ def test_eq_25(client: TestClient):
     assert get(client, "/v1/threshold", omega=1, xi=0)["threshold"] == 0.0
 
 
-# The rest
+# Operation
 
 
 def test_health(tmp_path: Path):
@@ -322,7 +322,7 @@ def test_health(tmp_path: Path):
         wait_for(lambda: client.get("/readyz").status_code == 200)
 
 
-def test_the_api_document_is_whole(client: TestClient):
+def test_the_api_document_defines_every_schema_it_refers_to(client: TestClient):
     document = get(client, "/openapi.json")
     assert {"/v1/jobs", "/v1/jobs/{job_id}/diagram", "/v1/threshold", "/readyz"} <= set(document["paths"])
     references = set(re.findall(r'"#/components/schemas/([^"]+)"', json.dumps(document)))
@@ -330,7 +330,17 @@ def test_the_api_document_is_whole(client: TestClient):
     assert "SweepSpec" in references
 
 
-def test_the_page_of_calls_fetches_nothing(client: TestClient):
+def test_every_endpoint_has_a_summary_and_a_description(client: TestClient):
+    paths = get(client, "/openapi.json")["paths"]
+    operations = [operation for methods in paths.values() for operation in methods.values()]
+    assert len(operations) > 15
+    for operation in operations:
+        function = operation["summary"].lower().replace(" ", "_")  # FastAPI's default: the function's name
+        assert not operation["operationId"].startswith(f"{function}_"), operation["summary"]
+        assert operation["description"]
+
+
+def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient):
     answer = client.get("/docs")
     assert answer.headers["Content-Type"].startswith("text/html")
     for path in get(client, "/openapi.json")["paths"]:

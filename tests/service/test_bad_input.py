@@ -1,4 +1,4 @@
-"""Bad requests, one line each: the status, a piece of the message, and the service still answers."""
+"""Bad requests: the status and part of the message of each, after which the service still answers."""
 
 import asyncio
 import contextlib
@@ -20,7 +20,9 @@ from served import computing, finished, service
 
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
-from service.server.head_timeout import with_head_timeout
+from service.api.problems import STATUS
+from service.errors import NotStarted, ServiceError
+from service.server.web_server import with_head_timeout
 from service.settings import Settings
 from worker.executors.inline import Inline
 
@@ -59,7 +61,7 @@ def without(field: str) -> bytes:
 
 
 def raw(name: str, gamma: str, status: int, message: str) -> Body:
-    """`gamma` as it stands in the body, which Python would not write."""
+    """A body with `gamma` verbatim, which Python's json would not write."""
     return text(name, '{"omega": 0.5, "xi": 0.26, "gamma": %s}' % gamma, status, message)  # noqa: UP031
 
 
@@ -124,11 +126,11 @@ BODIES = [
     Body("no type", json.dumps(GOOD).encode(), 415, "Content-Type: application/json", ""),
 ]  # fmt: skip
 
-#: Method, path ({job} is one that is done), status, and a piece of the message.
+#: Method, path ({job} is a done job), status, and part of the message.
 REQUESTS = {
-    "nowhere": ("GET", "/v2/jobs", 404, "there is nothing at /v2/jobs"),
-    "a method not known": ("DELETE", "/v1/jobs", 405, "does not answer DELETE"),
-    "a made-up method": ("BREW", "/v1/jobs", 405, "does not answer BREW"),
+    "nowhere": ("GET", "/v2/jobs", 404, "no endpoint /v2/jobs"),
+    "a method not known": ("DELETE", "/v1/jobs", 405, "/v1/jobs does not support DELETE"),
+    "a made-up method": ("BREW", "/v1/jobs", 405, "/v1/jobs does not support BREW"),
     "an unknown id": ("GET", "/v1/jobs/" + "0" * 32, 404, "no job has the id"),
     "an id with a quote": ("GET", "/v1/jobs/'%20OR%201=1", 404, "no job has the id"),
     "an id with a null": ("GET", "/v1/jobs/%00", 404, "no job has the id"),
@@ -142,7 +144,7 @@ REQUESTS = {
     "a limit in words": ("GET", "/v1/jobs?limit=all", 422, "limit: should be a valid integer"),
     "a limit without end": ("GET", "/v1/jobs?limit=" + "9" * 5000, 422, "limit"),
     "a cursor of one's own": ("GET", "/v1/jobs?cursor=two", 422, "cursor: should be `next` of the page"),
-    "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: there is no such parameter"),
+    "a misspelt parameter": ("GET", "/v1/jobs?sate=done", 422, "sate: unknown parameter"),
     "along nothing": ("GET", "{job}/diagram?along=time&omega=0.5", 422, "along: should be 'gamma', 'omega'"),
     "a missing parameter": ("GET", "{job}/diagram", 422, "omega: is required: the sweep has 2 values"),
     "the axis itself": ("GET", "{job}/diagram?gamma=1&omega=0.5", 422, "gamma: is the axis the diagram"),
@@ -201,17 +203,26 @@ def test_bad_request(client: TestClient, job: str, method: str, path: str, statu
     assert client.get(job).json()["state"] == "done"
 
 
-def test_a_broken_rule_is_named_by_field_and_in_words(client: TestClient):
+def test_errors_name_the_field_and_the_rule(client: TestClient):
     problem = client.post("/v1/jobs", json={**GOOD, "omega": -1, "keep": 0}).json()
     assert [error["field"] for error in problem["errors"]] == ["omega", "keep"]
     assert [error["rule"].startswith("must be") for error in problem["errors"]] == [True, True]
 
 
-def test_no_refused_sweep_has_left_anything(client: TestClient, job: str):
+def test_every_error_has_a_status():
+    """All but those that stop the service from starting."""
+
+    def subclasses(error_class: type[ServiceError]) -> set[type[ServiceError]]:
+        return {error_class}.union(*map(subclasses, error_class.__subclasses__()))
+
+    assert subclasses(ServiceError) - subclasses(NotStarted) - {ServiceError} <= set(STATUS)
+
+
+def test_refused_sweeps_leave_no_job(client: TestClient, job: str):
     assert client.get("/v1/jobs").json()["total"] == 1
 
 
-def test_a_full_queue_says_when_to_come_back(tmp_path: Any):
+def test_a_full_queue_sends_retry_after(tmp_path: Any):
     with service(tmp_path, Held(), max_queue=1) as client:
         assert client.post("/v1/jobs", json={**GOOD, "xi": 0.3}).status_code == 202
         answer = client.post("/v1/jobs", json=GOOD)
@@ -219,7 +230,7 @@ def test_a_full_queue_says_when_to_come_back(tmp_path: Any):
         assert int(answer.headers["Retry-After"]) > 0
 
 
-def test_an_answer_too_large_says_what_fits(tmp_path: Any):
+def test_a_response_too_large_names_the_thinning_that_fits(tmp_path: Any):
     with computing(tmp_path, max_points=100) as client:
         here = finished(client, GOOD)
         for format in ("json", "csv"):
@@ -237,46 +248,44 @@ def test_a_parameter_given_twice_is_refused(client: TestClient, path: str):
     check_refusal(client.get(path), 422, "is given 2 times")
 
 
-def test_a_sweep_is_not_accepted_by_a_request_that_also_says_validate_only(client: TestClient, job: str):
+def test_contradicting_validate_only_parameters_accept_nothing(client: TestClient, job: str):
     before = client.get("/v1/jobs").json()["total"]
     answer = client.post("/v1/jobs?validate_only=true&validate_only=false", json={**GOOD, "xi": 0.77})
     check_refusal(answer, 422, "validate_only: is given 2 times")
     assert client.get("/v1/jobs").json()["total"] == before
 
 
-def test_a_compressed_body_is_refused_as_such(client: TestClient):
+def test_a_compressed_body_is_refused(client: TestClient):
     headers = {"Content-Type": "application/json", "Content-Encoding": "gzip"}
     answer = client.post("/v1/jobs", content=gzip.compress(json.dumps(GOOD).encode()), headers=headers)
     check_refusal(answer, 415, "the body is compressed (Content-Encoding: gzip)")
 
 
-def test_a_refused_method_is_told_all_that_there_are(client: TestClient, job: str):
+def test_the_allow_header_names_the_methods_of_all_routes(client: TestClient, job: str):
     assert client.put("/v1/jobs").headers["Allow"] == "GET, POST"
     assert client.put(job).headers["Allow"] == "DELETE, GET"
     assert client.put("/v1/trajectories").headers["Allow"] == "POST"
 
 
 @pytest.mark.parametrize("path", ["diagram?omega=0.5", "modes", "export?format=nc"])
-def test_a_data_folder_out_of_order_is_no_defect_of_the_service(tmp_path: Path, path: str):
+def test_an_unusable_data_folder_answers_503(tmp_path: Path, path: str):
     with computing(tmp_path) as client:
         here = finished(client, GOOD)
         stores, away = tmp_path / "stores", tmp_path / "away"
         stores.rename(away)
         stores.touch()
-        check_refusal(
-            client.get(f"{here}/{path}"), 503, "the data folder cannot be used now: Not a directory"
-        )
+        check_refusal(client.get(f"{here}/{path}"), 503, "the data folder cannot be used: Not a directory")
         stores.unlink()
         away.rename(stores)
         assert client.get(f"{here}/{path}").status_code == 200
 
 
-def test_thresholds_of_a_ramp_along_omega_are_no_thresholds(client: TestClient):
+def test_a_ramp_along_omega_has_no_thresholds(client: TestClient):
     here = finished(client, {**GOOD, "protocol": {"kind": "ramp", "axis": "omega", "direction": "up"}})
     check_refusal(client.get(f"{here}/threshold"), 422, "protocol.axis: is omega")
 
 
-# Bodies on the wire, where a client may stop in the middle
+# Requests on a real connection, which a client may stop sending
 
 
 @pytest.fixture
@@ -295,16 +304,16 @@ def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor.close()
 
 
-def spoken(address: tuple[str, int], *pieces: bytes) -> bytes:
-    """All the service answers until it closes the connection."""
+def exchange(address: tuple[str, int], *pieces: bytes) -> bytes:
+    """Everything that the service sends until it closes the connection."""
     head = b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
     with socket.create_connection(address, timeout=DEADLINE) as connection:
         connection.sendall(head + b"".join(pieces))
         return b"".join(iter(lambda: connection.recv(65536), b""))
 
 
-def test_a_stalled_body_is_given_up(address: tuple[str, int]):
-    answer = spoken(address, b"Content-Length: 100\r\n\r\n", b'{"gamma": ')
+def test_a_stalled_body_times_out(address: tuple[str, int]):
+    answer = exchange(address, b"Content-Length: 100\r\n\r\n", b'{"gamma": ')
     assert answer.startswith(b"HTTP/1.1 408 ")
     assert b"did not arrive within 0.5 s" in answer
 
@@ -314,8 +323,8 @@ HEAD = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 
 @pytest.mark.parametrize("before", [b"", HEAD + b"\r\n"], ids=["first", "next"])
 @pytest.mark.parametrize("pieces", [[HEAD], [bytes([byte]) for byte in HEAD]], ids=["stalled", "dripping"])
-def test_a_head_that_does_not_come_is_given_up(address: tuple[str, int], before: bytes, pieces: list[bytes]):
-    """On a fresh connection, and on one that has had an answer."""
+def test_an_incomplete_head_times_out(address: tuple[str, int], before: bytes, pieces: list[bytes]):
+    """On a new connection, and on one that has had a response."""
     with socket.create_connection(address, timeout=DEADLINE) as connection:
         if before:
             connection.sendall(before)
@@ -329,13 +338,13 @@ def test_a_head_that_does_not_come_is_given_up(address: tuple[str, int], before:
             assert rest.startswith(b"HTTP/1.1 408 ")
 
 
-def test_a_connection_without_a_word_is_given_up(address: tuple[str, int]):
+def test_a_connection_without_a_head_times_out(address: tuple[str, int]):
     with socket.create_connection(address, timeout=DEADLINE) as connection:
         assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
 
 
-def test_who_asks_again_and_again_is_not_given_up(address: tuple[str, int]):
-    """For longer than a head may take, unless this machine pauses for so long itself."""
+def test_a_connection_in_use_does_not_time_out(address: tuple[str, int]):
+    """The connection lasts longer than the timeout; retried, because a slow machine may pause for so long."""
 
     def connections() -> int:
         with httpx2.Client(base_url=f"http://127.0.0.1:{address[1]}", timeout=DEADLINE) as client:
@@ -351,16 +360,16 @@ def test_who_asks_again_and_again_is_not_given_up(address: tuple[str, int]):
 
 
 def test_a_body_declared_too_long_is_refused_unread(address: tuple[str, int]):
-    assert spoken(address, b"Content-Length: 99999999999\r\n\r\n").startswith(b"HTTP/1.1 413 ")
+    assert exchange(address, b"Content-Length: 99999999999\r\n\r\n").startswith(b"HTTP/1.1 413 ")
 
 
-def test_a_body_in_chunks_is_refused_where_it_gets_too_long(address: tuple[str, int]):
+def test_a_chunked_body_is_refused_at_the_limit(address: tuple[str, int]):
     chunk = b"1000\r\n" + b" " * 0x1000 + b"\r\n"
-    answer = spoken(address, b"Transfer-Encoding: chunked\r\n\r\n", *[chunk] * 5)
+    answer = exchange(address, b"Transfer-Encoding: chunked\r\n\r\n", *[chunk] * 5)
     assert answer.startswith(b"HTTP/1.1 413 ")
 
 
-def test_a_client_that_goes_away_in_the_middle_of_its_body_reaches_no_route():
+def test_a_client_that_disconnects_within_its_body_reaches_no_route():
     reached: list[str] = []
 
     async def app(scope: Any, receive: Any, send: Any) -> None:
@@ -374,6 +383,6 @@ def test_a_client_that_goes_away_in_the_middle_of_its_body_reaches_no_route():
     async def send(message: Any) -> None:
         raise AssertionError(message)
 
-    limit = BodyLimit(app, max_bytes=100, seconds=1.0)
+    limit = BodyLimit(app, max_bytes=100, timeout=1.0)
     asyncio.run(limit({"type": "http", "path": "/", "headers": []}, receive, send))
     assert reached == []

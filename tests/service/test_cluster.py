@@ -1,11 +1,13 @@
-"""Computing with a cluster that a function makes, as dask-jobqueue and dask-gateway do."""
+"""The embedded service: startup errors, and clusters created by a user's function as with dask-jobqueue."""
 
 import sys
 from pathlib import Path
 
 import pytest
+from scripted import Held
 
 from service.client import Client
+from service.errors import DataFolderBusy, NotStarted
 from service.server import embedded
 
 MAKER = """
@@ -19,7 +21,7 @@ def two_processes():
     return made[-1]
 
 
-def nothing_to_be_had():
+def no_cluster():
     raise RuntimeError("the queue is closed")
 """
 
@@ -35,14 +37,14 @@ SPEC = {
 
 @pytest.fixture
 def maker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A module in the current folder, as a user has it."""
+    """A user's module in the current folder."""
     (tmp_path / "queue_of_mine.py").write_text(MAKER)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "queue_of_mine", raising=False)
     return "queue_of_mine"
 
 
-def test_a_cluster_that_a_function_makes_computes_and_is_closed(tmp_path: Path, maker: str):
+def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker: str):
     settings = embedded.settings(
         host="127.0.0.1", port=0, data=tmp_path / "data", cluster=f"{maker}:two_processes"
     )
@@ -57,19 +59,37 @@ def test_a_cluster_that_a_function_makes_computes_and_is_closed(tmp_path: Path, 
 
 @pytest.mark.parametrize(
     ("function", "why"),
-    [("nothing_to_be_had", "RuntimeError: the queue is closed"), ("missing", "no attribute 'missing'")],
+    [("no_cluster", "RuntimeError: the queue is closed"), ("missing", "no attribute 'missing'")],
 )
-def test_a_function_that_makes_none_says_why(tmp_path: Path, maker: str, function: str, why: str):
+def test_a_function_that_fails_gives_the_reason(tmp_path: Path, maker: str, function: str, why: str):
     settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
-    with pytest.raises(embedded.NotStarted, match=why), embedded.running(settings):
+    with pytest.raises(NotStarted, match=why), embedded.running(settings):
         pass
 
 
-def test_only_one_cluster_can_be_named(tmp_path: Path):
-    with pytest.raises(embedded.NotStarted, match="only one of scheduler, scheduler_file and cluster"):
+def test_two_clusters_are_refused(tmp_path: Path):
+    with pytest.raises(NotStarted, match="only one of scheduler, scheduler_file and cluster"):
         embedded.settings(data=tmp_path, cluster="a:b", scheduler="tcp://127.0.0.1:8786")
 
 
-def test_a_cluster_is_named_by_module_and_function(tmp_path: Path):
-    with pytest.raises(embedded.NotStarted, match="cluster"):
+def test_a_cluster_needs_module_and_function(tmp_path: Path):
+    with pytest.raises(NotStarted, match="cluster"):
         embedded.settings(data=tmp_path, cluster="slurm")
+
+
+def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
+    with embedded.running(embedded.settings(data=tmp_path / "1", port=0), Held()) as url:
+        port = int(url.rpartition(":")[2])
+        same_folder = embedded.settings(data=tmp_path / "1", port=0)
+        with pytest.raises(DataFolderBusy, match="another service"), embedded.running(same_folder, Held()):
+            pass
+        same_port = embedded.settings(data=tmp_path / "2", port=port)
+        with pytest.raises(NotStarted, match="cannot listen on"), embedded.running(same_port, Held()):
+            pass
+
+
+def test_a_damaged_ledger_is_a_startup_error(tmp_path: Path):
+    (tmp_path / "ledger.sqlite").write_bytes(b"not a ledger" * 1000)
+    settings = embedded.settings(data=tmp_path, port=0)
+    with pytest.raises(NotStarted, match="sqlite cannot be used"), embedded.running(settings, Held()):
+        pass

@@ -41,9 +41,9 @@ def made(**changes: Any) -> Diagram:
     return Diagram(**(fields | changes))
 
 
-def spec(**given: Any) -> SweepSpec:
+def spec(**changes: Any) -> SweepSpec:
     fields: dict[str, Any] = {"gamma": [0.5, 1.5, 2.5, 3.5], "omega": 0.5, "xi": 0.26, "keep": 2}
-    return SweepSpec(**(fields | given))
+    return SweepSpec(**(fields | changes))
 
 
 def long(cells: int, keep: int, seed: int = 1, **changes: Any) -> Diagram:
@@ -182,10 +182,10 @@ def test_density_covers_what_points_would(values: np.ndarray, monkeypatch: pytes
 
 def _near(dark: np.ndarray) -> np.ndarray:
     """Within two pixels of something dark."""
-    found = dark.copy()
+    near = dark.copy()
     for axis in (0, 1):
-        found = np.logical_or.reduce([np.roll(found, shift, axis) for shift in range(-2, 3)])
-    return found
+        near = np.logical_or.reduce([np.roll(near, shift, axis) for shift in range(-2, 3)])
+    return near
 
 
 def test_a_dense_picture_of_two_directions_names_both():
@@ -227,7 +227,9 @@ def test_the_threshold_is_marked_where_it_is_in_the_picture(omega: float):
     inside = made(fixed={"omega": omega, "xi": 0.26}, values=np.array([onset - 1, onset + 1, 6, 7]))
     outside = made(fixed={"omega": omega, "xi": 0.26}, values=np.array([onset + 1, onset + 2, 8, 9]))
     along_omega = made(along="omega", fixed={"gamma": 2.0, "xi": 0.26})
-    marked = [r"mathrm{th}" in words(draw([one], spec(), "svg")) for one in (inside, outside, along_omega)]
+    marked = [
+        r"mathrm{th}" in words(draw([diagram], spec(), "svg")) for diagram in (inside, outside, along_omega)
+    ]
     assert marked == [True, False, False]
 
 

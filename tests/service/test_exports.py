@@ -1,6 +1,7 @@
 """A sweep as a file, as a mode map, and as the store itself over HTTP: the same numbers everywhere."""
 
 import io
+import json
 import time
 from collections.abc import Iterator
 from http.client import HTTPConnection
@@ -16,7 +17,9 @@ from scripted import DEADLINE, Held
 from served import RAMP, computing, finished, get, occupied, service
 
 from kernel.params import Outcome
-from service.results.mode_map import modes
+from service import formats
+from service.api import schemas
+from service.results.mode_map import MODE_ARRAYS, modes
 from service.results.selection import Sweep
 from service.server import embedded
 from service.settings import Settings
@@ -50,13 +53,17 @@ def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
     assert answer.headers["Content-Disposition"].endswith('.nc"')
     assert answer.headers["Bounce-Complete"] == "true"
     (tmp_path / "sweep.nc").write_bytes(answer.content)
-    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as found:
+    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
         for name, array in done.store.drop_vars("end_state").variables.items():
-            np.testing.assert_array_equal(found[name], array, err_msg=str(name))
-            assert found[name].dims == array.dims
-        assert found["flight_time"].attrs["units"] == "rad"
-        assert found["outcome"].dtype == np.uint8
-        assert SweepSpec.from_json(found.attrs["spec"]) == SweepSpec(**RAMP)
+            np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
+            assert dataset[name].dims == array.dims
+        assert dataset["flight_time"].attrs["units"] == "rad"
+        assert dataset["outcome"].dtype == np.uint8
+        assert SweepSpec.from_json(dataset.attrs["spec"]) == SweepSpec(**RAMP)
+        attributes = {name: value for name, value in done.store.attrs.items() if name in dataset.attrs}
+        assert attributes.pop("spec") == json.loads(dataset.attrs["spec"])
+        assert {name: dataset.attrs[name] for name in attributes} == attributes
+        assert {"Conventions", "title", "kernel_version", "model"} <= set(attributes)
 
 
 def test_parquet_holds_a_row_for_every_cell(done: Done):
@@ -72,6 +79,29 @@ def test_parquet_holds_a_row_for_every_cell(done: Done):
         assert row["flight_time"] == cell.flight_time.values[:kept].tolist()
         assert row["takeoff_phase"] == cell.takeoff_phase.values[:kept].tolist()
     assert SweepSpec.from_json(table.schema.metadata[b"spec"]) == SweepSpec(**RAMP)
+
+
+def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
+    """A variable added to `worker.schema` needs no change in the modules that render it."""
+    stored = {array.name for array in (*schema.RECORD, schema.OUTCOME)}
+    axes = {coordinate.name for coordinate in schema.COORDINATES}
+    netcdf = tmp_path / "sweep.nc"
+    netcdf.write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    with xarray.open_dataset(netcdf, engine="h5netcdf") as dataset:
+        assert set(dataset.variables) == stored | axes
+    content = done.client.get(f"{done.here}/export?format=parquet").content
+    assert set(parquet.read_schema(io.BytesIO(content)).names) == stored | axes
+    line = {"omega": 0.5, "xi": 0.26}
+    diagram = get(done.client, f"{done.here}/diagram", **line)
+    assert stored <= set(diagram)
+    header = done.client.get(f"{done.here}/diagram", params={"format": "csv", **line}).text.splitlines()[0]
+    columns = {column.removesuffix("_rad") for column in header.split(",")}
+    assert columns == (stored - {"flights"}) | axes | {"flight"}  # a row is a flight: nothing to count
+    assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
+
+
+def test_every_format_has_a_media_type():
+    assert {*formats.TABLES, *formats.PICTURES, *formats.EXPORTS} == set(formats.MEDIA_TYPES)
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet"])
@@ -108,7 +138,7 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
     service_ = done.client.app.state.service  # type: ignore[attr-defined]
-    with service_.exports.turn(), service_.exports.turn():
+    with service_.export_limit.slot(), service_.export_limit.slot():
         answer = done.client.get(f"{done.here}/export?format=nc")
     assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
     assert done.client.get(f"{done.here}/export?format=nc").status_code == 200
@@ -125,12 +155,12 @@ def test_an_export_needs_a_format(done: Done, query: str):
 @pytest.mark.parametrize("direction", ["up", "down", None])
 def test_the_mode_map_is_the_stores_plane(done: Done, direction: str | None):
     query = {"xi": 0.26, **({"direction": direction} if direction else {})}
-    found = get(done.client, f"{done.here}/modes", **query)
-    plane = done.store.sel(xi=0.26, direction=direction or "up")
-    assert (found["xi"], found["direction"], found["complete"]) == (0.26, direction or "up", True)
-    assert found["omega"] == [0.5, 0.7]
+    mode_map = get(done.client, f"{done.here}/modes", **query)
+    stored = done.store.sel(xi=0.26, direction=direction or "up")
+    assert (mode_map["xi"], mode_map["direction"], mode_map["complete"]) == (0.26, direction or "up", True)
+    assert mode_map["omega"] == [0.5, 0.7]
     for name in ("outcome", "bounces", "periods"):
-        assert found[name] == plane[name].values.tolist()
+        assert mode_map[name] == stored[name].values.tolist()
 
 
 def test_a_mode_map_needs_a_xi_of_the_grid(done: Done):
@@ -158,9 +188,13 @@ def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
             }
             store.write_chunk(url, chunk, record)
         began = time.process_time()
-        found = get(client, f"{here}/modes")
+        mode_map = get(client, f"{here}/modes")
         took = time.process_time() - began
-        assert (len(found["outcome"]), len(found["outcome"][0]), found["complete"]) == (250, 400, True)
+        assert (len(mode_map["outcome"]), len(mode_map["outcome"][0]), mode_map["complete"]) == (
+            250,
+            400,
+            True,
+        )
         assert took < 2.0
         assert modes(Sweep(spec, url), None, None, 10**6).complete
 
@@ -175,9 +209,9 @@ def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
         here = finished(client, RAMP)  # type: ignore[arg-type]
-        found = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
+        dataset = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
         (url,) = tmp_path.rglob("*.zarr")
-        xarray.testing.assert_identical(found, xarray.open_zarr(url, chunks=None).load())
+        xarray.testing.assert_identical(dataset, xarray.open_zarr(url, chunks=None).load())
         head = client.head(f"{here}/zarr/zarr.json")
         assert (head.status_code, head.content) == (200, b"")
     executor.close()
@@ -223,8 +257,8 @@ def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, s
         embedded.running(settings, executor) as address,
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
     ):
-        one, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
-        yield address.removeprefix("http://"), one, other
+        first, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
+        yield address.removeprefix("http://"), first, other
     executor.close()
 
 

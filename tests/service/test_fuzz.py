@@ -1,6 +1,6 @@
-"""Requests made up from the API document: whatever comes, no answer is a defect, and all are as documented.
+"""Generated requests: no response is a 500, and every response is as the API document says.
 
-A few hundred here; the long run is
+A few hundred requests by default; a long run:
 
     BOUNCE_FUZZ=5000 pytest tests/service/test_fuzz.py --timeout 3600
 """
@@ -31,8 +31,8 @@ from service.server import embedded
 from service.settings import Settings
 from worker.executors.inline import Inline
 
-#: Seconds for an answer, on a machine that does much else.
-PATIENCE = 60
+#: Seconds for a response on a busy machine.
+TIMEOUT = 60
 CASES = int(os.environ.get("BOUNCE_FUZZ", "300"))
 
 DONE: dict[str, Any] = {
@@ -49,20 +49,20 @@ CHECKS = [
 ]
 
 
-#: Sequences from one seed: answers depend on what was asked before, and hypothesis gives up where the same
-#: draws come to something else than before.
+#: Sequences per seed: responses depend on earlier requests, and hypothesis gives up if the same draws lead to
+#: different ones.
 AT_A_TIME = 4
 
 
 class Idle(Inline):
-    """Is there, and begins no job: made-up sweeps may be long."""
+    """Starts no job: generated sweeps may be long."""
 
     def workers(self) -> int:
         return 0
 
 
 class Api(NamedTuple):
-    """A service with one job done, and one that never begins."""
+    """A service with one done job and one that never starts."""
 
     address: str
     done: str
@@ -87,30 +87,32 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     ):
         queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
         schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
-        # Measures for half a minute, and answers 202 until it has: no place for thousands of requests.
+        # /v1/tradeoff computes for half a minute and answers 202 meanwhile.
         yield Api(address, done, queued, schema.exclude(path="/v1/tradeoff"))
     idle.close()
 
 
 def requests_of(api: Api) -> st.SearchStrategy[Any]:
-    """Cases of every call, good and bad, most of those that name a job naming one that there is."""
-    calls = [found.ok() for found in api.schema.get_all_operations()]
+    """Valid and invalid requests to every operation; most of those with a job id use one that exists."""
+    operations = [result.ok() for result in api.schema.get_all_operations()]
     modes = (GenerationMode.POSITIVE, GenerationMode.NEGATIVE)
-    cases = st.one_of([call.as_strategy(generation_mode=mode) for call in calls for mode in modes])
+    cases = st.one_of(
+        [operation.as_strategy(generation_mode=mode) for operation in operations for mode in modes]
+    )
 
     def named(pair: tuple[Any, str | None]) -> Any:
         case, job = pair
         if job is None or "job_id" not in (case.path_parameters or {}):
             return case
         if case.method.upper() == "DELETE" or (case.path.endswith("/events") and job != api.done):
-            return case  # the job is needed; it would go on for as long as the job does
+            return case  # keep the jobs; the stream of an unfinished job never ends
         case.path_parameters["job_id"] = job
         return case
 
     return st.tuples(cases, st.sampled_from([api.done, api.done, api.queued, None])).map(named)
 
 
-def test_no_request_is_answered_with_a_defect(api: Api):
+def test_single_requests_are_answered_as_documented(api: Api):
     session = requests.Session()
 
     @settings(
@@ -130,14 +132,14 @@ def test_no_request_is_answered_with_a_defect(api: Api):
     assert requests.get(f"{api.address}/v1/jobs/{api.done}", timeout=DEADLINE).json()["state"] == "done"
 
 
-def test_no_sequence_of_requests_is_answered_with_a_defect(api: Api):
-    """Ids that calls answer with go into later calls, by the links between them."""
-    schema = api.schema.exclude(path_regex="/events$")  # of a job that never begins, they never end
+def test_sequences_of_requests_are_answered_as_documented(api: Api):
+    """Ids in responses are used in later requests, by the links of the API document."""
+    schema = api.schema.exclude(path_regex="/events$")  # an unfinished job's never end
     machine = schema.as_state_machine()
     machine.validate_response = lambda self, response, case, additional_checks=(), **rest: (
         case.validate_response(response, checks=CHECKS)
     )
-    machine.get_call_kwargs = lambda self, case: {"timeout": PATIENCE}
+    machine.get_call_kwargs = lambda self, case: {"timeout": TIMEOUT}
     machine.TestCase.settings = settings(
         max_examples=AT_A_TIME,
         stateful_step_count=12,

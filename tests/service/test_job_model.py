@@ -29,7 +29,7 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
             check_transition(old, new)
 
 
-def test_every_state_has_its_transitions_and_its_place():
+def test_every_state_has_its_transitions_and_is_unfinished_resumable_or_done():
     assert set(LEGAL) == set(JobState)
     assert set(UNFINISHED) | set(RESUMABLE) | {JobState.DONE} == set(JobState)
 
@@ -40,12 +40,12 @@ def test_percent_is_100_only_when_all_is_done():
     assert Progress(9, 9, 1_000_000, 1_000_000).percent == 100
 
 
-def test_eta_goes_by_the_pace_of_this_run_alone():
+def test_eta_uses_the_rate_of_this_run_alone():
     # 900 of 1000 cells were done before; this run did 20 in 4 s, 80 are left
     progress = Progress(0, 0, 920, 1000, run_seconds=4.0, run_cells=20)
     assert progress.eta_seconds == pytest.approx(16.0)
 
 
-def test_eta_is_unknown_before_there_is_a_pace():
+def test_eta_is_unknown_without_a_rate():
     assert Progress(0, 9, 0, 1000, run_seconds=3.0, run_cells=0).eta_seconds is None
     assert Progress(5, 9, 500, 1000).eta_seconds is None

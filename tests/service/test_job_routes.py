@@ -1,7 +1,6 @@
-"""Calls on jobs beyond the simplest: keys, costs, pages, events, resume, delete, figures for Prometheus."""
+"""Endpoints of jobs: idempotency keys, estimates, lists, links, ETags, resume, delete, events, metrics."""
 
 import json
-import re
 import threading
 import time
 from contextlib import ExitStack
@@ -10,11 +9,9 @@ from typing import Any
 
 import httpx2
 import pytest
-from paths import ROOT
 from scripted import DEADLINE, Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
 
-from service.api.app import create_app
 from service.server import embedded
 from service.settings import Settings
 
@@ -36,7 +33,7 @@ def test_a_request_repeated_under_its_key_changes_nothing(tmp_path: Path):
         assert again.json()["id"] == first.json()["id"]
 
 
-def test_a_cancelled_job_stays_so_when_its_request_is_repeated_and_goes_on_under_a_new_key(tmp_path: Path):
+def test_a_cancelled_job_resumes_under_a_new_key_only(tmp_path: Path):
     with occupied(tmp_path) as client:
         here = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"}).headers["Location"]
         client.post(f"{here}/cancel")
@@ -55,7 +52,7 @@ def test_a_key_for_another_body_is_refused(tmp_path: Path):
         assert get(client, "/v1/jobs")["total"] == 1
 
 
-def test_a_key_is_forgotten_in_time(tmp_path: Path):
+def test_a_key_expires(tmp_path: Path):
     with service(tmp_path, Held(), key_seconds=0.05) as client:
         client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
         time.sleep(0.1)
@@ -63,7 +60,7 @@ def test_a_key_is_forgotten_in_time(tmp_path: Path):
         assert answer.status_code == 202
 
 
-def test_a_key_outlives_the_service(tmp_path: Path):
+def test_keys_survive_a_restart(tmp_path: Path):
     for status in (202, 200):
         with service(tmp_path, Held(capacity=0)) as client:
             answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
@@ -74,7 +71,7 @@ def test_a_key_outlives_the_service(tmp_path: Path):
 
 
 @pytest.mark.parametrize("key", ["", "two words", "x" * 256, "tab\t"])
-def test_a_key_must_be_a_word(tmp_path: Path, key: str):
+def test_a_key_must_be_ascii_without_spaces(tmp_path: Path, key: str):
     with service(tmp_path, Held()) as client:
         answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": key})
         assert answer.status_code == 422
@@ -82,10 +79,10 @@ def test_a_key_must_be_a_word(tmp_path: Path, key: str):
         assert "pattern" not in answer.json()["detail"]
 
 
-# Costs
+# Estimates
 
 
-def test_validate_only_accepts_nothing_and_says_what_it_would_cost(tmp_path: Path):
+def test_validate_only_accepts_nothing_and_estimates_the_cost(tmp_path: Path):
     with service(tmp_path, Held()) as client:
         answer = client.post("/v1/jobs?validate_only=true", json=FIGURE_2)
         assert answer.status_code == 200
@@ -104,7 +101,7 @@ def test_validate_only_still_refuses(tmp_path: Path):
         assert wrong.status_code == 422
 
 
-def test_the_cost_comes_from_what_was_measured_here(tmp_path: Path):
+def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
     with computing(tmp_path) as client:
         work = {
             **SWEEP,
@@ -126,15 +123,15 @@ def test_the_cost_comes_from_what_was_measured_here(tmp_path: Path):
 # Lists
 
 
-def test_pages_follow_each_other_without_gap_or_repeat(tmp_path: Path):
+def test_pages_have_no_gaps_and_no_repeats(tmp_path: Path):
     with occupied(tmp_path) as client:
         ids = [job["id"] for job in get(client, "/v1/jobs")["jobs"]]
         ids += [client.post("/v1/jobs", json={**SWEEP, "xi": xi / 100}).json()["id"] for xi in range(1, 7)]
         page = get(client, "/v1/jobs", limit=3)
         found = [job["id"] for job in page["jobs"]]
-        client.post("/v1/jobs", json={**SWEEP, "xi": 0.9})  # belongs before the first page
+        client.post("/v1/jobs", json={**SWEEP, "xi": 0.9})  # comes before the first page
         client.post(f"/v1/jobs/{found[-1]}/cancel")
-        assert client.delete(f"/v1/jobs/{found[-1]}").status_code == 204  # what the cursor points at
+        assert client.delete(f"/v1/jobs/{found[-1]}").status_code == 204  # the job of the cursor
         while page["next"] is not None:
             page = get(client, "/v1/jobs", limit=3, cursor=page["next"])
             found += [job["id"] for job in page["jobs"]]
@@ -153,7 +150,7 @@ def test_the_last_page_has_no_next_even_if_it_is_full(tmp_path: Path):
 # Links
 
 
-def test_links_name_every_part_and_nothing_of_the_machine(tmp_path: Path):
+def test_links_name_every_resource_and_no_path_of_the_machine(tmp_path: Path):
     with computing(tmp_path) as client:
         view = get(client, finished(client, SWEEP))
         assert str(tmp_path) not in json.dumps(view)
@@ -164,7 +161,7 @@ def test_links_name_every_part_and_nothing_of_the_machine(tmp_path: Path):
         assert client.get(f"{view['links']['zarr']}/zarr.json").status_code == 200
 
 
-# Results that a caller has already
+# Conditional requests
 
 
 @pytest.mark.parametrize(
@@ -179,23 +176,25 @@ def test_links_name_every_part_and_nothing_of_the_machine(tmp_path: Path):
         "zarr/gamma/c/0",
     ],
 )
-def test_results_of_a_done_job_are_not_sent_twice(tmp_path: Path, part: str):
+def test_results_of_a_done_job_answer_304(tmp_path: Path, part: str):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
         first = client.get(f"{here}/{part}")
         tag = first.headers["ETag"]
         assert (first.status_code, tag[0]) == (200, '"')
-        assert client.get(f"{here}/{part}").content == first.content  # which a strong tag promises
+        assert client.get(f"{here}/{part}").content == first.content  # as a strong tag requires
         again = client.get(f"{here}/{part}", headers={"If-None-Match": f'"other", {tag}'})
         assert (again.status_code, again.content, again.headers["ETag"]) == (304, b"", tag)
         assert client.get(f"{here}/{part}", headers={"If-None-Match": '"other"'}).content == first.content
         assert client.delete(here).status_code == 204
         assert client.get(f"{here}/{part}", headers={"If-None-Match": tag}).status_code == 404
         finished(client, SWEEP)
-        assert client.get(f"{here}/{part}").headers["ETag"] != tag  # accepted anew: its label may differ
+        assert (
+            client.get(f"{here}/{part}").headers["ETag"] != tag
+        )  # accepted again, perhaps with another name
 
 
-def test_results_that_may_change_and_errors_have_no_tag(tmp_path: Path):
+def test_incomplete_results_and_errors_have_no_tag(tmp_path: Path):
     with service(tmp_path, held := Held()) as client:
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
         wait_for(lambda: held.held() > 0)
@@ -212,7 +211,7 @@ def test_results_that_may_change_and_errors_have_no_tag(tmp_path: Path):
 # Resume, delete
 
 
-def test_resume_goes_on_and_is_refused_when_done(tmp_path: Path):
+def test_resume_continues_a_cancelled_job_and_refuses_a_done_one(tmp_path: Path):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
         answer = client.post(f"{here}/resume")
@@ -225,7 +224,7 @@ def test_resume_goes_on_and_is_refused_when_done(tmp_path: Path):
         assert (answer.status_code, answer.json()["state"]) == (202, "queued")
 
 
-def test_a_deleted_job_is_gone_with_all_it_had(tmp_path: Path):
+def test_deleting_a_job_removes_its_results(tmp_path: Path):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
         assert list((tmp_path / "stores").glob("*.zarr"))
@@ -235,7 +234,7 @@ def test_a_deleted_job_is_gone_with_all_it_had(tmp_path: Path):
         for path in (here, f"{here}/diagram", f"{here}/zarr/zarr.json", f"{here}/events"):
             assert client.get(path).status_code == 404
         assert client.delete(here).status_code == 404
-        assert finished(client, SWEEP) == here  # and it can be computed again
+        assert finished(client, SWEEP) == here  # and it can be submitted again
 
 
 # Events
@@ -248,7 +247,7 @@ def events(text: str) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
-def test_events_of_a_finished_job_are_one(tmp_path: Path):
+def test_a_finished_job_sends_one_event(tmp_path: Path):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
         answer = client.get(f"{here}/events")
@@ -257,7 +256,7 @@ def test_events_of_a_finished_job_are_one(tmp_path: Path):
         assert (name, view["state"], view["spec"]) == ("end", "done", None)
 
 
-def test_many_listen_and_everything_else_goes_on(tmp_path: Path):
+def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
     held, listeners = Held(), 60
     settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
     heard: list[str] = []
@@ -281,23 +280,23 @@ def test_many_listen_and_everything_else_goes_on(tmp_path: Path):
         for thread in threads:
             thread.start()
         wait_for(lambda: len(listening) == listeners)
-        for _ in range(20):  # before anything happens that a listener waits for
+        for _ in range(20):  # while the listeners wait for a change
             assert client.get(here).status_code == 200
         assert client.get("/metrics").status_code == 200
         held.let_go_until(lambda: client.get(here).json()["state"] == "done")
         for thread in threads:
             thread.join(DEADLINE)
     assert len(heard) == listeners
-    for one in map(events, heard):
-        names = [name for name, _ in one]
+    for stream in map(events, heard):
+        names = [name for name, _ in stream]
         assert names[-1] == "end"
         assert set(names[:-1]) <= {"progress"}
-        done = [view["progress"]["chunks_done"] for _, view in one]
+        done = [view["progress"]["chunks_done"] for _, view in stream]
         assert done == sorted(done)
-        assert one[-1][1]["state"] == "done"
+        assert stream[-1][1]["state"] == "done"
 
 
-def test_listeners_are_counted_and_do_not_hold_up_the_end(tmp_path: Path):
+def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
     settings = Settings(data=tmp_path, port=0, max_listeners=1, shutdown_seconds=1000)
     with httpx2.Client(timeout=DEADLINE) as client, ExitStack() as listening:
         with embedded.running(settings, Held()) as address:
@@ -308,13 +307,13 @@ def test_listeners_are_counted_and_do_not_hold_up_the_end(tmp_path: Path):
             assert refused.status_code == 429
             assert "poll the job" in refused.json()["detail"]
             began = time.monotonic()
-        assert time.monotonic() - began < DEADLINE  # not after the seconds for answers under way
+        assert time.monotonic() - began < DEADLINE  # and does not wait shutdown_seconds for the open response
 
 
-# Figures for Prometheus
+# Metrics
 
 
-def test_metrics_tell_of_requests_and_jobs(tmp_path: Path):
+def test_metrics_count_requests_and_jobs(tmp_path: Path):
     with computing(tmp_path) as client:
         here = finished(client, SWEEP)
         client.get(f"{here}/nowhere")
@@ -326,18 +325,3 @@ def test_metrics_tell_of_requests_and_jobs(tmp_path: Path):
     assert 'bounce_http_requests_total{method="GET",route="/v1/jobs/{job_id}",status="404"} 1.0' in text
     assert 'bounce_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0' in text
     assert here.rsplit("/", 1)[1] not in text
-
-
-def test_the_readme_names_calls_that_there_are():
-    text = (ROOT / "README.md").read_text()
-    table = text.split("| call | answers |")[1].split("\n\n")[0]
-    found = set()
-    for row in re.findall(r"^\| (.*?) \| ", table, re.MULTILINE):
-        calls = re.findall(r"`(?:(GET|POST|DELETE) )?(/[^`]*)`", row)
-        for n, (method, path) in enumerate(calls):
-            job = "/v1/jobs/{job_id}" if calls[0][1].startswith("/v1/jobs/{job_id}") else ""
-            found.add((method or calls[0][0], path if n == 0 or path.startswith("/v1") else job + path))
-    paths = create_app(Settings(), Held()).openapi()["paths"]
-    there = {(method.upper(), path) for path, methods in paths.items() for method in methods}
-    assert found <= there
-    assert len(found) >= 17  # the page has calls of its own, which the table leaves out

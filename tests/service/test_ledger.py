@@ -1,4 +1,4 @@
-"""The ledger keeps what it was told, whole transactions only, for one service at a time."""
+"""The ledger keeps whole transactions only, survives kills, and serves one process at a time."""
 
 import sqlite3
 import subprocess
@@ -32,10 +32,10 @@ def new_job(job_id: str = "a" * 32, chunks: int = 4) -> NewJob:
 def accept(ledger: Ledger, job_id: str = "a" * 32, chunks: int = 4) -> JobRecord:
     with ledger.writing() as writing:
         writing.insert(new_job(job_id, chunks), now=100.0)
-    return found(ledger, job_id)
+    return current(ledger, job_id)
 
 
-def found(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
+def current(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
     job = ledger.find(job_id)
     assert job is not None
     return job
@@ -48,7 +48,7 @@ def reports(*chunks: int) -> list[ChunkReport]:
 def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
     with ledger.writing() as writing:
         writing.run(job, now)
-    return found(ledger, job.id)
+    return current(ledger, job.id)
 
 
 def mark_and_finish(ledger: Ledger, job: JobRecord) -> None:
@@ -57,7 +57,7 @@ def mark_and_finish(ledger: Ledger, job: JobRecord) -> None:
         writing.finish(job, JobState.DONE, 300.0)
 
 
-def mark_and_break_off(ledger: Ledger, job: JobRecord) -> None:
+def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
         raise KeyboardInterrupt
@@ -87,7 +87,7 @@ def test_a_job_runs_and_ends(ledger: Ledger):
     assert (job.state, job.started, job.run_started) == (JobState.RUNNING, 200.0, 200.0)
     with ledger.writing() as writing:
         writing.finish(job, JobState.FAILED, 300.0, "because")
-    job = found(ledger)
+    job = current(ledger)
     assert (job.state, job.finished, job.error) == (JobState.FAILED, 300.0, "because")
 
 
@@ -97,8 +97,8 @@ def test_a_resumed_job_keeps_its_chunks_and_loses_its_error(ledger: Ledger):
         writing.mark_done(job, reports(0, 1))
         writing.finish(job, JobState.FAILED, 300.0, "because")
     with ledger.writing() as writing:
-        writing.queue(found(ledger))
-    job = run(ledger, found(ledger), now=400.0)
+        writing.queue(current(ledger))
+    job = run(ledger, current(ledger), now=400.0)
     assert (job.error, job.finished, job.chunks_done) == (None, None, 2)
     assert (job.started, job.run_started, job.run_cells) == (200.0, 400.0, 20)
     assert job.progress(410.0).eta_seconds is None  # nothing done in this run yet
@@ -108,7 +108,7 @@ def test_an_illegal_step_changes_nothing(ledger: Ledger):
     job = accept(ledger)
     with pytest.raises(IllegalTransition):
         mark_and_finish(ledger, job)
-    assert found(ledger) == job
+    assert current(ledger) == job
 
 
 def test_chunks_are_marked_once(ledger: Ledger):
@@ -116,8 +116,8 @@ def test_chunks_are_marked_once(ledger: Ledger):
     for chunks in (reports(0, 2), reports(2, 3)):
         with ledger.writing() as writing:
             writing.mark_done(job, chunks)
-    assert found(ledger).chunks_done == 3
-    assert found(ledger).cells_done == 30
+    assert current(ledger).chunks_done == 3
+    assert current(ledger).cells_done == 30
     assert ledger.done_mask(job).tolist() == [True, False, True, True]
 
 
@@ -131,7 +131,7 @@ def test_jobs_do_not_share_chunks(ledger: Ledger):
 def test_newest_first_and_counted(ledger: Ledger):
     for letter in "abc":
         accept(ledger, letter * 32)
-    run(ledger, found(ledger, "b" * 32))
+    run(ledger, current(ledger, "b" * 32))
     with ledger.reading() as reading:
         assert [job.id[0] for job in reading.newest(None, 10)] == ["c", "b", "a"]
         assert [job.id[0] for job in reading.newest(None, 2)] == ["c", "b"]
@@ -143,10 +143,10 @@ def test_newest_first_and_counted(ledger: Ledger):
 def test_unfinished_are_the_running_ones_and_then_the_queue(ledger: Ledger):
     for letter in "abcd":
         accept(ledger, letter * 32)
-    run(ledger, found(ledger, "c" * 32))
+    run(ledger, current(ledger, "c" * 32))
     with ledger.writing() as writing:
-        writing.finish(found(ledger, "a" * 32), JobState.CANCELLED, 1.0)
-        writing.set_cancel_requested(found(ledger, "c" * 32), True)
+        writing.finish(current(ledger, "a" * 32), JobState.CANCELLED, 1.0)
+        writing.set_cancel_requested(current(ledger, "c" * 32), True)
     with ledger.reading() as reading:
         assert [(job.id[0], job.cancel_requested) for job in reading.unfinished(9)] == [
             ("c", True),
@@ -159,18 +159,18 @@ def test_unfinished_are_the_running_ones_and_then_the_queue(ledger: Ledger):
 def test_a_transaction_is_all_or_nothing(ledger: Ledger):
     job = accept(ledger)
     with pytest.raises(KeyboardInterrupt):
-        mark_and_break_off(ledger, job)
-    assert found(ledger).chunks_done == 0
+        mark_and_interrupt(ledger, job)
+    assert current(ledger).chunks_done == 0
     with ledger.writing() as writing:  # and the next one works
         writing.mark_done(job, reports(1))
-    assert found(ledger).chunks_done == 1
+    assert current(ledger).chunks_done == 1
 
 
 def test_a_reader_does_not_wait_for_a_writer(ledger: Ledger):
     job = accept(ledger)
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
-        assert found(ledger).chunks_done == 0
+        assert current(ledger).chunks_done == 0
 
 
 def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
@@ -186,7 +186,7 @@ def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
         thread.start()
     for thread in threads:
         thread.join()
-    assert found(ledger).chunks_done == 200
+    assert current(ledger).chunks_done == 200
     assert ledger.done_mask(job).all()
 
 
@@ -195,12 +195,12 @@ def test_it_survives_closing(tmp_path: Path):
     with Ledger(path) as ledger:
         accept(ledger)
     with Ledger(path) as ledger:
-        assert found(ledger).name == "a name"
+        assert current(ledger).name == "a name"
     assert sqlite3.connect(path).execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
 
 
-def test_it_says_what_was_said_last_before_a_kill(tmp_path: Path):
-    """A process that marks chunks one by one and tells us of each is killed in the middle."""
+def test_what_a_transaction_returned_survives_a_kill(tmp_path: Path):
+    """A process that marks chunks one by one and prints each is killed in the middle."""
     program = (
         "import sys; from pathlib import Path; sys.path[:0] = sys.argv[2:]\n"
         "from service.jobs.ledger import Ledger; from test_ledger import accept, reports\n"
@@ -213,12 +213,12 @@ def test_it_says_what_was_said_last_before_a_kill(tmp_path: Path):
     command = [sys.executable, "-c", program, str(path), str(Path(__file__).parent), str(SUPPORT)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        told = [int(process.stdout.readline()) for _ in range(50)]
+        printed = [int(process.stdout.readline()) for _ in range(50)]
         process.kill()
     with Ledger(path) as ledger:
-        mask = ledger.done_mask(found(ledger))
-        assert mask[told].all()
-        assert np.count_nonzero(mask) == found(ledger).chunks_done
+        mask = ledger.done_mask(current(ledger))
+        assert mask[printed].all()
+        assert np.count_nonzero(mask) == current(ledger).chunks_done
 
 
 def test_one_service_at_a_time(tmp_path: Path):
@@ -233,7 +233,7 @@ def test_a_newer_ledger_is_left_alone(tmp_path: Path):
     newer = sqlite3.connect(path)
     newer.execute("PRAGMA user_version = 99")
     newer.close()
-    for _ in range(2):  # the folder is let go of, too
+    for _ in range(2):  # the folder is unlocked, too
         with pytest.raises(LedgerUnusable, match="version 99"):
             Ledger(path)
 
@@ -241,7 +241,7 @@ def test_a_newer_ledger_is_left_alone(tmp_path: Path):
 def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     path.write_bytes(b"not a database, and not one line of it " * 99)
-    for _ in range(2):  # the folder is let go of, too
+    for _ in range(2):  # the folder is unlocked, too
         with pytest.raises(LedgerUnusable, match=r"ledger\.sqlite cannot be used: file is not a database"):
             Ledger(path)
     assert path.read_bytes().startswith(b"not a database")

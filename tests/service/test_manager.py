@@ -1,6 +1,6 @@
-"""Jobs from submission to their end, through everything that may come between.
+"""Jobs from submission to their end, through cancels, restarts and errors.
 
-The executors here compute with the real task into real stores; a script says what goes wrong.
+The executors compute with the real task into real stores; scripts raise the errors.
 """
 
 import errno
@@ -20,7 +20,8 @@ from running import running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 
 from kernel.params import Outcome
-from service.errors import IllegalTransition, QueueFull, UnknownJob
+from service.errors import IllegalTransition, LedgerUnavailable, QueueFull, UnknownJob
+from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState
 from worker import store
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
@@ -29,6 +30,7 @@ from worker.plan import Chunk, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecTooLarge
+from worker.store import StoreDamaged
 from worker.tasks import ChunkReport
 
 
@@ -110,7 +112,7 @@ def test_a_ramps_chunks_go_one_after_the_other(tmp_path: Path):
         assert np.all(service.outcomes(job) != Outcome.MISSING)
 
 
-def test_no_more_is_in_flight_than_the_window_has_places(tmp_path: Path):
+def test_no_more_is_in_flight_than_the_window_allows(tmp_path: Path):
     held = Held(capacity=1)
     with running(tmp_path, held, window=2) as service:
         job = service.submit(sweep())
@@ -259,10 +261,10 @@ def test_a_job_that_is_done_cannot_be_cancelled(tmp_path: Path, inline: Inline):
 # What goes wrong
 
 
-def come_to(
+def run_script(
     state: JobState, folder: Path, script: Script, spec: SweepSpec | None = None, **limits: int
 ) -> tuple[JobRecord, list[int]]:
-    """A job whose chunks meet the errors of the script, when it has ended, and the chunks that were tried."""
+    """A job whose chunks raise the errors of the script, once it is in `state`, and the chunks tried."""
     with closing(Scripted(script)) as executor, running(folder, executor, **limits) as service:
         return service.until(service.submit(spec or sweep()), state), executor.tried
 
@@ -289,13 +291,13 @@ def test_a_chunk_that_fails_fails_the_job_and_the_rest_is_computed(tmp_path: Pat
 
 def test_what_waits_for_a_chunk_that_failed_is_not_tried(tmp_path: Path):
     ramp = sweep(protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
-    _, tried = come_to(JobState.FAILED, tmp_path, {1: [ValueError("no")]}, ramp, chunk_tries=1)
+    _, tried = run_script(JobState.FAILED, tmp_path, {1: [ValueError("no")]}, ramp, chunk_tries=1)
     assert tried == [0, 1]
 
 
 def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
     script: Script = {chunk: [ValueError("no")] for chunk in range(100)}
-    job, tried = come_to(JobState.FAILED, tmp_path, script, failed_chunks=3, chunk_tries=1)
+    job, tried = run_script(JobState.FAILED, tmp_path, script, failed_chunks=3, chunk_tries=1)
     assert len(tried) <= 3 + 2 < job.chunks_total
     assert job.error is not None
     assert "more chunks failed" in job.error
@@ -310,27 +312,27 @@ def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
     ids=["an error", "a dead worker"],
 )
 def test_a_chunk_that_fails_is_tried_again(tmp_path: Path, script: Script):
-    _, tried = come_to(JobState.DONE, tmp_path, script, chunk_tries=3)
+    _, tried = run_script(JobState.DONE, tmp_path, script, chunk_tries=3)
     assert (tried.count(0), tried.count(2)) == (2, 3)
 
 
 def test_a_chunk_whose_neighbour_killed_the_worker_is_not_blamed(tmp_path: Path):
-    _, tried = come_to(JobState.DONE, tmp_path, {0: [WorkerLost("gone")] * 5}, chunk_tries=1)
+    _, tried = run_script(JobState.DONE, tmp_path, {0: [WorkerLost("gone")] * 5}, chunk_tries=1)
     assert tried.count(0) == 6
 
 
 def test_a_chunk_that_always_has_bad_neighbours_is_given_up_in_the_end(tmp_path: Path):
-    _, tried = come_to(JobState.FAILED, tmp_path, {0: [WorkerLost("gone")] * 99}, chunk_tries=1)
+    _, tried = run_script(JobState.FAILED, tmp_path, {0: [WorkerLost("gone")] * 99}, chunk_tries=1)
     assert tried.count(0) == 10
 
 
 def test_a_lost_cluster_costs_no_tries(tmp_path: Path):
-    _, tried = come_to(JobState.DONE, tmp_path, {0: [ClusterLost("gone")] * 5}, chunk_tries=1)
+    _, tried = run_script(JobState.DONE, tmp_path, {0: [ClusterLost("gone")] * 5}, chunk_tries=1)
     assert tried.count(0) == 6
 
 
 def test_a_chunk_that_kills_its_workers_is_given_up(tmp_path: Path):
-    job, tried = come_to(JobState.FAILED, tmp_path, {2: [WorkerDied("gone")] * 9}, chunk_tries=3)
+    job, tried = run_script(JobState.FAILED, tmp_path, {2: [WorkerDied("gone")] * 9}, chunk_tries=3)
     assert tried.count(2) == 3
     assert job.error is not None
     assert job.error.endswith("gone (3 times)")
@@ -387,6 +389,61 @@ def test_a_ledger_that_cannot_be_written_delays_the_job_and_no_more(tmp_path: Pa
         wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
 
 
+def test_a_ledger_that_does_not_answer_while_a_job_starts_does_not_fail_the_job(
+    tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch
+):
+    errors, done_mask = [LedgerUnavailable("disk I/O error")] * 2, Ledger.done_mask
+
+    def failing(ledger: Ledger, job: JobRecord) -> np.ndarray:
+        if errors:
+            raise errors.pop()
+        return done_mask(ledger, job)
+
+    monkeypatch.setattr(Ledger, "done_mask", failing)
+    with running(tmp_path, inline) as service:
+        service.until(service.submit(sweep()), JobState.DONE, JobState.FAILED)
+        assert service.job(service.submit(sweep())).state is JobState.DONE
+    assert not errors
+
+
+def test_a_damaged_predecessor_is_computed_again_though_the_ledger_does_not_answer_at_first(tmp_path: Path):
+    held = Held(capacity=1)
+    ramp = sweep(protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+    with running(tmp_path, held) as service:
+        job = service.submit(ramp)
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 1)
+        service.ledger._writer.execute("PRAGMA busy_timeout = 50")
+        with closing(sqlite3.connect(service.settings.ledger_path, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            future, *_ = held.chunks.pop()
+            future.set_exception(StoreDamaged("chunk 0 cannot be read"))
+            time.sleep(0.5)  # several tries to unmark it
+            other.execute("ROLLBACK")
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+    assert [chunk for _, chunk in held.order[:4]] == [0, 1, 0, 1]
+
+
+def test_chunks_whose_damaged_files_cannot_be_removed_are_computed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def refused(*_: Any) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    held = Held(capacity=1)
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+        monkeypatch.setattr(store, "discard", refused)
+        with pytest.raises(PermissionError):
+            service.manager.repairer.invalidate(job, [0])
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+    assert [chunk for _, chunk in held.order].count(0) == 2
+
+
 def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline: Inline):
     spec = sweep()
     with running(tmp_path, inline) as service:
@@ -421,7 +478,7 @@ def test_a_full_queue_refuses(tmp_path: Path):
         service.submit(sweep(omega=0.6))
         with pytest.raises(QueueFull, match="2 jobs are queued or running already, at most 2"):
             service.submit(sweep(omega=0.7))
-        assert not service.manager.submit(sweep(omega=0.5)).accepted  # what is there is no news
+        assert not service.manager.submit(sweep(omega=0.5)).accepted  # it is known already
 
 
 @pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}])
@@ -436,7 +493,7 @@ def test_a_sweep_that_is_too_large_is_refused_before_anything_is_made(
 
 
 def test_waiting_takes_no_processor_time(tmp_path: Path):
-    """By the clocks of the service's own threads: others of this process may have something to do."""
+    """By the clocks of the service's own threads: other threads of this process may be busy."""
     held, others = Held(), {thread.native_id for thread in threading.enumerate()}
 
     def spent() -> float:

@@ -1,4 +1,4 @@
-"""Jobs whose model a worker chooses: remembered before anything is computed, told, and always the same."""
+"""Jobs whose model a worker chooses: recorded before anything is computed, shown, and reproducible."""
 
 import json
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ FIELDS = ("flight_time", "takeoff_phase", "outcome", "bounces", "periods")
 
 
 class Unlucky(Inline):
-    """Calls fail with what `errors` holds, one after the other, before they succeed."""
+    """Calls fail with these errors, one after the other, before they succeed."""
 
     def __init__(self, *errors: Exception) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ def files(folder: Path) -> dict[str, bytes]:
     }
 
 
-def test_the_job_tells_what_was_chosen_and_why(done):
+def test_the_job_shows_what_was_chosen_and_why(done):
     _, job, _ = done
     assert job["state"] == "done", job["error"]
     choice = job["choice"]
@@ -80,7 +80,7 @@ def test_the_job_tells_what_was_chosen_and_why(done):
     assert job["spec"]["model"]["kind"] == "auto"
 
 
-def test_the_store_tells_it_too_and_nothing_of_the_clock(done):
+def test_the_store_has_the_choice_without_timings(done):
     _, job, folder = done
     attributes = store.read_attrs(str(folder / "stores" / f"{job['id']}.zarr"))
     assert attributes["model"] == "rigid"
@@ -101,7 +101,7 @@ def test_its_numbers_are_those_of_the_model_chosen(done):
     assert rigid["choice"] is None
 
 
-def test_it_is_drawn_as_what_it_is(done):
+def test_its_diagram_names_the_chosen_model(done):
     client, job, _ = done
     picture = client.get(f"/v1/jobs/{job['id']}/diagram", params={"format": "svg"})
     assert picture.status_code == 200
@@ -112,8 +112,8 @@ def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(done, tmp_path: Path, 
     _, job, folder = done
     with service(tmp_path, cluster) as client:
         assert ended(client)["choice"]["reason"] == job["choice"]["reason"]
-    place = Path("stores") / f"{job['id']}.zarr"
-    assert files(tmp_path / place) == files(folder / place)
+    path = Path("stores") / f"{job['id']}.zarr"
+    assert files(tmp_path / path) == files(folder / path)
 
 
 def test_a_choice_whose_worker_or_cluster_is_lost_is_made_again(tmp_path: Path):
@@ -137,13 +137,13 @@ def test_a_choice_that_kills_every_worker_fails_the_job_which_may_be_tried_again
 
 
 def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_path: Path):
-    """The service goes away between the two; the next one computes with what was chosen."""
+    """The service stops between the two; the next one computes with the recorded choice."""
 
-    class Deaf(Unlucky):
+    class Refusing(Unlucky):
         def submit(self, *_: Any, **__: Any) -> Any:
             raise ClusterLost("nobody computes")
 
-    with closing(Deaf()) as executor, service(tmp_path, executor) as client:
+    with closing(Refusing()) as executor, service(tmp_path, executor) as client:
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
         wait_for(lambda: client.get(here).json()["state"] == "running")
         chosen = client.get(here).json()["choice"]
@@ -153,12 +153,12 @@ def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_pat
     assert (job["state"], job["choice"]) == ("done", chosen)
 
 
-def test_a_service_that_goes_away_while_choosing_chooses_anew(tmp_path: Path):
-    class Silent(Unlucky):
+def test_a_service_that_stops_while_choosing_chooses_again(tmp_path: Path):
+    class Unreachable(Unlucky):
         def call(self, *_: Any) -> Any:
             raise ClusterLost("nobody is there")
 
-    with closing(Silent()) as executor, service(tmp_path, executor) as client:
+    with closing(Unreachable()) as executor, service(tmp_path, executor) as client:
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
     with closing(Unlucky()) as executor, service(tmp_path, executor) as client:
         wait_for(lambda: client.get(here).json()["state"] == "done")
@@ -166,7 +166,7 @@ def test_a_service_that_goes_away_while_choosing_chooses_anew(tmp_path: Path):
 
 
 def test_the_plan_is_that_of_the_model_chosen(tmp_path: Path):
-    """A ball is a fortieth of the work, so that there are fewer chunks to it."""
+    """A ball costs a fortieth, so that the job has fewer chunks."""
     rest = SWEEP | {"gamma": {"start": 0.1, "stop": 0.4, "num": 2000}, "observe": 1}
     with closing(Inline()) as executor, service(tmp_path, executor) as client:
         job = ended(client, rest)

@@ -113,6 +113,12 @@ def test_a_prepared_job_is_what_the_record_says(preparer: JobPreparer, tmp_path:
     assert prepared.attributes == {}
 
 
+def test_a_chunk_is_described_by_its_number_and_cells(preparer: JobPreparer):
+    prepared = preparer.prepare(replace(record(small(omega=0.5)), chunk_shape=(2, 1, 1)))
+    described = prepared.describe(prepared.plan[3])
+    assert described == "chunk 3 (rest, gamma 2, omega 0.5, xi 0.05 to 0.26)"
+
+
 def test_it_is_the_same_value_until_the_job_changes(preparer: JobPreparer):
     job = record(small())
     prepared = preparer.prepare(job)

@@ -45,7 +45,7 @@ def diagram(
 
 
 def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
-    """A store whose outcomes, (direction, xi, omega, gamma), are as given."""
+    """A store whose outcomes, (direction, xi, omega, gamma), are `outcomes`."""
     plan = make_plan(spec, chunk_shape=spec.shape[1:])
     url = str(folder / "made.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
@@ -63,23 +63,23 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
 
 
 @pytest.mark.parametrize(
-    ("along", "given"),
+    ("along", "values"),
     [
         ("gamma", {"omega": 0.7, "xi": 0.26}),
         ("omega", {"gamma": 2.0, "xi": 0.05}),
         ("xi", {"gamma": 3.5, "omega": 1.0}),
     ],
 )
-def test_a_line_is_the_stores_own(sweep: Sweep, along: str, given: dict[str, float]):
-    found = diagram(sweep, along, **given)
-    assert found.fixed == given
-    assert found.values.tolist() == sweep.spec.axis_values(along).tolist()
-    places = {
-        axis: int(np.flatnonzero(sweep.spec.axis_values(axis) == value)[0]) for axis, value in given.items()
+def test_a_line_is_the_stores_own(sweep: Sweep, along: str, values: dict[str, float]):
+    line = diagram(sweep, along, **values)
+    assert line.fixed == values
+    assert line.values.tolist() == sweep.spec.axis_values(along).tolist()
+    indices = {
+        axis: int(np.flatnonzero(sweep.spec.axis_values(axis) == value)[0]) for axis, value in values.items()
     }
-    for name, array in store.read_slice(sweep.url, ARRAYS, direction=0, **places).items():
-        np.testing.assert_array_equal(found.arrays[name], array)
-    assert found.complete
+    for name, array in store.read_slice(sweep.url, ARRAYS, direction=0, **indices).items():
+        np.testing.assert_array_equal(line.arrays[name], array)
+    assert line.complete
 
 
 def test_fixed_values_snap_to_the_grid(sweep: Sweep):
@@ -94,7 +94,7 @@ def test_a_value_off_the_end_by_rounding_is_on_the_grid(sweep: Sweep):
 
 
 @pytest.mark.parametrize(
-    ("given", "field", "rule"),
+    ("values", "field", "rule"),
     [
         ({"omega": 1.01, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 1.01"),
         ({"omega": 0.4999, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 0.4999"),
@@ -102,14 +102,14 @@ def test_a_value_off_the_end_by_rounding_is_on_the_grid(sweep: Sweep):
         ({"omega": 0.5, "xi": 0.05, "gamma": 1.0}, "gamma", "leave it out"),
     ],
 )
-def test_what_is_not_on_the_grid_is_named(sweep: Sweep, given: dict[str, float], field: str, rule: str):
+def test_a_parameter_outside_the_grid_is_named(sweep: Sweep, values: dict[str, float], field: str, rule: str):
     with pytest.raises(InvalidRequest) as error:
-        diagram(sweep, **given)
+        diagram(sweep, **values)
     assert [problem.field for problem in error.value.problems] == [field]
     assert rule in str(error.value)
 
 
-def test_the_only_value_of_an_axis_needs_no_giving(tmp_path: Path):
+def test_the_only_value_of_an_axis_may_be_left_out(tmp_path: Path):
     sweep = computed(tmp_path, spec(omega=0.5, xi=0.26))
     assert diagram(sweep).fixed == {"omega": 0.5, "xi": 0.26}
     with pytest.raises(InvalidRequest, match=r"xi: must be within .*, which is at 0\.26 alone, not 0\.3"):
@@ -117,8 +117,8 @@ def test_the_only_value_of_an_axis_needs_no_giving(tmp_path: Path):
 
 
 def test_a_line_of_one_cell(tmp_path: Path):
-    found = diagram(computed(tmp_path, spec(gamma=1.5, omega=0.5, xi=0.26)))
-    assert (found.values.tolist(), found.flight_time.shape) == ([1.5], (1, 8))
+    line = diagram(computed(tmp_path, spec(gamma=1.5, omega=0.5, xi=0.26)))
+    assert (line.values.tolist(), line.flight_time.shape) == ([1.5], (1, 8))
 
 
 def test_directions(tmp_path: Path, sweep: Sweep):
@@ -127,8 +127,8 @@ def test_directions(tmp_path: Path, sweep: Sweep):
     assert diagram(both, **point).direction == "up"
     down = store.read_slice(both.url, ("flight_time",), direction=1, xi=0, omega=0)["flight_time"]
     np.testing.assert_array_equal(diagram(both, direction="down", **point).flight_time, down)
-    found = diagrams.diagrams(both, "gamma", point, None, 0.0, 1000)
-    assert [diagram.direction for diagram in found] == ["up", "down"]
+    lines = diagrams.diagrams(both, "gamma", point, None, 0.0, 1000)
+    assert [line.direction for line in lines] == ["up", "down"]
     with pytest.raises(InvalidRequest, match="direction: must be 'up' or 'down' in this sweep"):
         diagram(both, direction="rest", **point)
     with pytest.raises(InvalidRequest, match="direction: must be 'rest' in this sweep"):
@@ -136,28 +136,28 @@ def test_directions(tmp_path: Path, sweep: Sweep):
 
 
 def test_shown_are_the_recorded_flights_that_are_long_enough(sweep: Sweep):
-    found = diagrams.diagram(sweep, "gamma", {"omega": 1.0, "xi": 0.05}, None, 3.0, 1000)
-    kept = np.minimum(found.arrays["flights"], 8)
-    assert np.all(np.isnan(found.flight_time[kept == 0]))
-    assert not found.shown[np.isnan(found.flight_time)].any()
-    assert np.all(found.flight_time[found.shown] >= 3.0)
-    assert found.shown.sum() == np.sum(found.flight_time >= 3.0) > 0
+    line = diagrams.diagram(sweep, "gamma", {"omega": 1.0, "xi": 0.05}, None, 3.0, 1000)
+    kept = np.minimum(line.arrays["flights"], 8)
+    assert np.all(np.isnan(line.flight_time[kept == 0]))
+    assert not line.shown[np.isnan(line.flight_time)].any()
+    assert np.all(line.flight_time[line.shown] >= 3.0)
+    assert line.shown.sum() == np.sum(line.flight_time >= 3.0) > 0
 
 
 def test_half_a_sweep_is_incomplete(tmp_path: Path):
     half = computed(tmp_path, spec(omega=0.5, xi=0.26), chunks=1)
-    found = diagram(half)
-    assert (found.complete, found.missing) == (False, 5)
-    assert not found.shown[5:].any()
-    assert found.arrays["flights"][5:].tolist() == [0] * 5
+    line = diagram(half)
+    assert (line.complete, line.missing) == (False, 5)
+    assert not line.shown[5:].any()
+    assert line.arrays["flights"][5:].tolist() == [0] * 5
 
 
 def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
     queued = Sweep(spec(omega=0.5, xi=0.26), str(tmp_path / "nothing.zarr"))
-    found = diagram(queued)
-    assert (found.complete, found.missing, found.flight_time.shape) == (False, 10, (10, 8))
-    assert np.isnan(found.flight_time).all()
-    assert found.arrays["flights"].dtype == np.int32
+    line = diagram(queued)
+    assert (line.complete, line.missing, line.flight_time.shape) == (False, 10, (10, 8))
+    assert np.isnan(line.flight_time).all()
+    assert line.arrays["flights"].dtype == np.int32
     assert not thresholds.on_grid(queued, None, 1000).complete
     missing = mode_map.modes(queued, None, None, 1000)
     assert (missing.arrays["bounces"].shape, missing.complete) == ((1, 10), False)
@@ -197,34 +197,34 @@ def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[st
     assert reads == []
 
 
-@pytest.mark.parametrize(("most", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
-def test_what_is_refused_is_told_what_would_fit(sweep: Sweep, most: int, every: int | None):
+@pytest.mark.parametrize(("max_points", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
+def test_a_refusal_names_the_thinning_that_fits(sweep: Sweep, max_points: int, every: int | None):
     """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
     point = {"omega": 0.5, "xi": 0.05}
-    assert selection.thinning((10,), 8, most) == every
+    assert selection.thinning((10,), 8, max_points) == every
     if every is None:
         with pytest.raises(TooLarge, match=r"the limit is \d+: open the store itself, which has no"):
-            diagrams.diagram(sweep, "gamma", point, None, 0.0, most)
+            diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points)
         return
-    assert diagrams.diagram(sweep, "gamma", point, None, 0.0, most, every).every == every
+    assert diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points, every).every == every
     if every > 1:
         with pytest.raises(TooLarge, match=f"every={every} fits"):
-            diagrams.diagram(sweep, "gamma", point, None, 0.0, most, every - 1)
+            diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points, every - 1)
 
 
 @pytest.mark.parametrize("every", [1, 2, 3, 4, 7, 10, 99])
 def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
     for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
         whole = diagrams.diagram(sweep, along, point, None, 0.0, 1000)
-        found = diagrams.diagram(sweep, along, point, None, 0.0, 1000, every)
-        np.testing.assert_array_equal(found.values, whole.values[::every])
+        thinned = diagrams.diagram(sweep, along, point, None, 0.0, 1000, every)
+        np.testing.assert_array_equal(thinned.values, whole.values[::every])
         for name in ARRAYS:
-            np.testing.assert_array_equal(found.arrays[name], whole.arrays[name][::every])
-    whole_map, found_map = (mode_map.modes(sweep, 0.05, None, 1000, n) for n in (1, every))
-    np.testing.assert_array_equal(found_map.omega, whole_map.omega[::every])
-    np.testing.assert_array_equal(found_map.gamma, whole_map.gamma[::every])
+            np.testing.assert_array_equal(thinned.arrays[name], whole.arrays[name][::every])
+    whole_map, thinned_map = (mode_map.modes(sweep, 0.05, None, 1000, n) for n in (1, every))
+    np.testing.assert_array_equal(thinned_map.omega, whole_map.omega[::every])
+    np.testing.assert_array_equal(thinned_map.gamma, whole_map.gamma[::every])
     for name in mode_map.MODE_ARRAYS:
-        np.testing.assert_array_equal(found_map.arrays[name], whole_map.arrays[name][::every, ::every])
+        np.testing.assert_array_equal(thinned_map.arrays[name], whole_map.arrays[name][::every, ::every])
 
 
 def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: list[str]):
@@ -236,11 +236,11 @@ def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: l
 def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
     """What can be read for it, every n-th cell."""
     monkeypatch.setattr(diagrams, "MAX_READ", 40)
-    (found,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
-    assert (found.every, len(found.values)) == (2, 5)
+    (line,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
+    assert (line.every, len(line.values)) == (2, 5)
     monkeypatch.setattr(diagrams, "MAX_READ", 8)
-    (found,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
-    assert len(found.values) == 1
+    (line,) = diagrams.diagrams_to_draw(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0)
+    assert len(line.values) == 1
 
 
 def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
@@ -255,8 +255,8 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
     point = {"gamma": 2.0, "omega": 0.5, "xi": 0.5}
     for along, chunks in zip(("xi", "omega", "gamma"), plan.counts, strict=True):
         reads.clear()
-        given = {axis: value for axis, value in point.items() if axis != along}
-        assert diagrams.diagram(Sweep(large, url), along, given, None, 0.0, 10**6).missing > 0
+        values = {axis: value for axis, value in point.items() if axis != along}
+        assert diagrams.diagram(Sweep(large, url), along, values, None, 0.0, 10**6).missing > 0
         assert len(reads) == 1 + chunks  # the description, and outcomes, which are not there
 
 
@@ -264,21 +264,21 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
 
 
 def test_a_plane_is_the_stores_own(sweep: Sweep):
-    found = mode_map.plane(sweep, 0.2, "rest", ("bounces", "periods"))
-    assert (found.xi, found.omega.tolist(), len(found.gamma)) == (0.26, [0.5, 0.7, 1.0], 10)
+    plane = mode_map.plane(sweep, 0.2, "rest", ("bounces", "periods"))
+    assert (plane.xi, plane.omega.tolist(), len(plane.gamma)) == (0.26, [0.5, 0.7, 1.0], 10)
     for name, array in store.read_slice(sweep.url, ("bounces", "periods"), direction=0, xi=1).items():
-        np.testing.assert_array_equal(found.arrays[name], array)
+        np.testing.assert_array_equal(plane.arrays[name], array)
 
 
 def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
     fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
-    found = thresholds.on_grid(fine, None, 1000)
+    result = thresholds.on_grid(fine, None, 1000)
     gamma = fine.spec.axis_values("gamma")
     expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
-    np.testing.assert_allclose(found.up, expected)
-    np.testing.assert_array_equal(found.analytic, threshold([0.5, 0.7, 1.0], 0.05))
-    assert np.isnan(found.down).all()
-    assert found.complete
+    np.testing.assert_allclose(result.up, expected)
+    np.testing.assert_array_equal(result.analytic, threshold([0.5, 0.7, 1.0], 0.05))
+    assert np.isnan(result.down).all()
+    assert result.complete
 
 
 def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -300,11 +300,11 @@ def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     outcomes[1, 0, 0, 2:] = Outcome.APERIODIC
     outcomes[:, 0, 1, 3:] = Outcome.UNRESOLVED  # not known to bounce
     outcomes[1, 0, 2, 0] = Outcome.PERIODIC
-    found = thresholds.on_grid(handmade(tmp_path, outcomes, both), 0.05, 1000)
+    result = thresholds.on_grid(handmade(tmp_path, outcomes, both), 0.05, 1000)
     gamma = both.axis_values("gamma")
-    np.testing.assert_array_equal(found.up, [gamma[4], np.nan, np.nan])
-    np.testing.assert_array_equal(found.down, [gamma[2], np.nan, gamma[0]])
-    assert found.complete
+    np.testing.assert_array_equal(result.up, [gamma[4], np.nan, np.nan])
+    np.testing.assert_array_equal(result.down, [gamma[2], np.nan, gamma[0]])
+    assert result.complete
 
 
 def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
@@ -312,9 +312,9 @@ def test_thresholds_of_a_ramp_down_alone(tmp_path: Path):
     outcomes = np.full(down.shape, Outcome.AT_REST)
     outcomes[..., 6:] = Outcome.PERIODIC
     outcomes[..., 9] = Outcome.MISSING
-    found = thresholds.on_grid(handmade(tmp_path, outcomes, down), None, 1000)
-    assert (found.down.tolist(), found.complete) == ([down.axis_values("gamma")[6]], False)
-    assert np.isnan(found.up).all()
+    result = thresholds.on_grid(handmade(tmp_path, outcomes, down), None, 1000)
+    assert (result.down.tolist(), result.complete) == ([down.axis_values("gamma")[6]], False)
+    assert np.isnan(result.up).all()
 
 
 def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Which chunk comes next."""
+"""The order in which chunks are computed, each after its predecessor."""
 
 from collections.abc import Callable
 
@@ -13,14 +13,14 @@ from worker.plan import make_plan
 from worker.spec import SweepSpec
 
 
-def queue(after: list[int], done: tuple[int, ...] = ()) -> ReadyQueue:
-    mask = np.zeros(len(after), np.bool_)
+def ready_queue(predecessors: list[int], done: tuple[int, ...] = ()) -> ReadyQueue:
+    mask = np.zeros(len(predecessors), np.bool_)
     mask[list(done)] = True
-    return ReadyQueue(np.array(after, np.int64), mask)
+    return ReadyQueue(np.array(predecessors, np.int64), mask)
 
 
 def drain(queue: ReadyQueue) -> list[int]:
-    """Take and complete one chunk at a time."""
+    """Pop and complete one chunk at a time."""
     order = []
     while queue.ready:
         order.append(queue.pop())
@@ -29,11 +29,11 @@ def drain(queue: ReadyQueue) -> list[int]:
 
 
 def test_independent_chunks_come_in_their_order():
-    assert drain(queue([NONE] * 5)) == [0, 1, 2, 3, 4]
+    assert drain(ready_queue([NONE] * 5)) == [0, 1, 2, 3, 4]
 
 
 def test_a_chunk_waits_for_the_one_before_it():
-    chain = queue([NONE, 0, 1])
+    chain = ready_queue([NONE, 0, 1])
     assert chain.pop() == 0
     assert not chain.ready
     chain.complete([0])
@@ -41,30 +41,30 @@ def test_a_chunk_waits_for_the_one_before_it():
 
 
 def test_chains_move_on_together():
-    assert drain(queue([NONE, NONE, 0, 1, 2, 3])) == [0, 1, 2, 3, 4, 5]
+    assert drain(ready_queue([NONE, NONE, 0, 1, 2, 3])) == [0, 1, 2, 3, 4, 5]
 
 
-def test_what_is_done_is_not_taken_and_frees_what_waits_for_it():
-    assert drain(queue([NONE, 0, 1, NONE], done=(0, 3))) == [1, 2]
+def test_a_done_chunk_is_not_popped_and_makes_its_successor_ready():
+    assert drain(ready_queue([NONE, 0, 1, NONE], done=(0, 3))) == [1, 2]
 
 
-def test_a_chunk_put_back_is_taken_again():
-    two = queue([NONE, NONE])
+def test_a_requeued_chunk_is_popped_again():
+    two = ready_queue([NONE, NONE])
     two.requeue(two.pop())
     assert [two.pop(), two.pop()] == [1, 0]
     assert not two.ready
     assert not two.finished
 
 
-def test_what_waits_for_a_chunk_that_is_to_be_done_again_waits_again():
-    chain = queue([NONE, 0, 1, NONE], done=(0, 3))
+def test_successors_of_an_invalidated_chunk_wait_for_it_again():
+    chain = ready_queue([NONE, 0, 1, NONE], done=(0, 3))
     chain.invalidate([0, 3])
     assert sorted(drain(chain)) == [0, 1, 2, 3]
     assert chain.finished
 
 
-def test_a_chunk_in_work_is_not_taken_twice_when_its_predecessor_is_done_again():
-    chain = queue([NONE, 0, 1], done=(0,))
+def test_a_popped_chunk_is_not_popped_twice_when_its_predecessor_is_invalidated():
+    chain = ready_queue([NONE, 0, 1], done=(0,))
     assert chain.pop() == 1
     chain.invalidate([0])
     assert chain.pop() == 0
@@ -74,8 +74,8 @@ def test_a_chunk_in_work_is_not_taken_twice_when_its_predecessor_is_done_again()
     assert drain(chain) == [2]
 
 
-def test_a_chunk_put_back_waits_for_a_predecessor_that_is_done_again():
-    chain = queue([NONE, 0], done=(0,))
+def test_a_requeued_chunk_waits_for_an_invalidated_predecessor():
+    chain = ready_queue([NONE, 0], done=(0,))
     assert chain.pop() == 1
     chain.invalidate([0])
     chain.requeue(1)
@@ -83,13 +83,13 @@ def test_a_chunk_put_back_waits_for_a_predecessor_that_is_done_again():
 
 
 def test_it_is_finished_when_all_are_done():
-    assert queue([NONE, 0], done=(0, 1)).finished
-    assert not queue([NONE, 0], done=(0, 1)).ready
+    assert ready_queue([NONE, 0], done=(0, 1)).finished
+    assert not ready_queue([NONE, 0], done=(0, 1)).ready
 
 
-def test_taking_from_nothing_is_an_error():
+def test_popping_from_an_empty_queue_is_an_error():
     with pytest.raises(IndexError):
-        queue([NONE], done=(0,)).pop()
+        ready_queue([NONE], done=(0,)).pop()
 
 
 @given(st.data())
@@ -97,7 +97,7 @@ def test_every_chunk_comes_once_and_after_its_predecessor(data: st.DataObject):
     size = data.draw(st.integers(1, 30))
     after = [data.draw(st.integers(NONE, index - 1)) for index in range(size)]
     done = data.draw(st.sets(st.integers(0, size - 1)))
-    order = drain(queue(after, tuple(done)))
+    order = drain(ready_queue(after, tuple(done)))
     assert sorted(order) == [index for index in range(size) if index not in done]
     place = {index: position for position, index in enumerate(order)}
     assert all(
@@ -111,12 +111,12 @@ def test_every_chunk_comes_once_and_after_its_predecessor(data: st.DataObject):
     {"kind": "ramp", "axis": "omega", "direction": "both"},
     {"kind": "ramp", "axis": "xi", "direction": "down"},
 ])  # fmt: skip
-def test_predecessors_are_what_the_plans_chunks_say(
+def test_predecessors_are_those_of_the_plans_chunks(
     small_spec: Callable[..., SweepSpec], protocol: dict[str, str]
 ):
     plan = make_plan(small_spec(protocol=protocol), chunk_shape=(1, 2, 3))
-    said = [NONE if chunk.after is None else chunk.after for chunk in plan.chunks]
-    assert predecessors(plan).tolist() == said
+    expected = [NONE if chunk.after is None else chunk.after for chunk in plan.chunks]
+    assert predecessors(plan).tolist() == expected
 
 
 def test_a_million_chunks_take_a_few_bytes_each():

@@ -14,6 +14,7 @@ from served import service
 
 from kernel.params import Cell, KernelInputError
 from kernel.trajectory import Trajectory
+from service.api import schemas
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -25,50 +26,51 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-def asked(client: TestClient, **changes: Any) -> dict[str, Any]:
+def trajectory(client: TestClient, **changes: Any) -> dict[str, Any]:
     answer = client.post("/v1/trajectories", json={**CELL, **changes})
     assert answer.status_code == 200, answer.text
-    found: dict[str, Any] = answer.json()
-    return found
+    document: dict[str, Any] = answer.json()
+    assert set(document) == set(schemas.Trajectory.model_fields)  # as the API document says
+    return document
 
 
-def sampled(model: Model, restitution: float = 0.0, **given: Any) -> Trajectory:
-    one = np.ones(1)
+def sampled(model: Model, restitution: float = 0.0, **sampling: Any) -> Trajectory:
+    ones = np.ones(1)
     line = run_line(
-        2.3 * one, 0.5 * one, 0.26 * one, model=model, restitution=restitution * one, penetration=1e-3 * one,
-        adhesive=True, carry=False, settle=0, observe=60, keep=1,
+        2.3 * ones, 0.5 * ones, 0.26 * ones, model=model, restitution=restitution * ones,
+        penetration=1e-3 * ones, adhesive=True, carry=False, settle=0, observe=60, keep=1,
     )  # fmt: skip
     contact = {"restitution": restitution}
-    return sample(Cell(2.3, 0.5, 0.26), contact, line.end_state[0], model=model, **given)
+    return sample(Cell(2.3, 0.5, 0.26), contact, line.end_state[0], model=model, **sampling)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
 def test_lengths_fit_together(client: TestClient, model: dict[str, Any]):
-    found = asked(client, model=model)
-    z1, z2, plate = (np.array(found[name]) for name in ("z1", "z2", "plate"))
-    flies = np.array(found["in_flight"])
-    assert len(z1) == len(found["phase"]) == 4 * 50 + 1
-    np.testing.assert_allclose(plate, np.cos(found["phase"]), atol=1e-12)
-    assert found["rest_length"] == pytest.approx(10.0)
+    path = trajectory(client, model=model)
+    z1, z2, plate = (np.array(path[name]) for name in ("z1", "z2", "plate"))
+    flies = np.array(path["in_flight"])
+    assert len(z1) == len(path["phase"]) == 4 * 50 + 1
+    np.testing.assert_allclose(plate, np.cos(path["phase"]), atol=1e-12)
+    assert path["rest_length"] == pytest.approx(10.0)
     assert np.all(z2 - plate >= (-0.02 if model["kind"] == "soft" else -1e-9))
-    assert np.all(np.array(found["force"])[flies] == 0)
+    assert np.all(np.array(path["force"])[flies] == 0)
     assert np.any(flies)
-    assert found["complete"]
+    assert path["complete"]
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any]):
-    found = asked(client, model=model)["flights"]
+    flights = trajectory(client, model=model)["flights"]
     kind = Model[model["kind"].upper()]
-    one = np.ones(1)
+    ones = np.ones(1)
     line = run_line(
-        2.3 * one, 0.5 * one, 0.26 * one, model=kind, penetration=1e-3 * one, adhesive=True, carry=False,
-        restitution=model.get("restitution", 0.01 if kind is Model.SOFT else 0.0) * one,
+        2.3 * ones, 0.5 * ones, 0.26 * ones, model=kind, penetration=1e-3 * ones, adhesive=True, carry=False,
+        restitution=model.get("restitution", 0.01 if kind is Model.SOFT else 0.0) * ones,
         settle=60, observe=4, keep=64,
     )  # fmt: skip
     n = int(line.flights[0])
-    np.testing.assert_allclose(found["flight_time"], line.flight_time[0, :n], atol=1e-9)
-    np.testing.assert_allclose(found["takeoff_phase"], line.takeoff_phase[0, :n], atol=1e-9)
+    np.testing.assert_allclose(flights["flight_time"], line.flight_time[0, :n], atol=1e-9)
+    np.testing.assert_allclose(flights["takeoff_phase"], line.takeoff_phase[0, :n], atol=1e-9)
 
 
 @pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT], ids=["rigid", "soft"])
@@ -95,16 +97,16 @@ def test_more_samples_show_the_same_motion():
 
 
 def test_from_rest_it_begins_on_the_plate(client: TestClient):
-    found = asked(client, settle=0, gamma=0.5, model={"kind": "rigid"})
-    assert found["z2"] == pytest.approx(found["plate"])
-    assert found["z1"][0] == pytest.approx(1 + 10 - 0.25 / 0.5)
-    assert found["force"][0] == pytest.approx(2 / 0.5 - 1)
-    assert found["flights"] == {"takeoff": [], "takeoff_phase": [], "flight_time": []}
+    path = trajectory(client, settle=0, gamma=0.5, model={"kind": "rigid"})
+    assert path["z2"] == pytest.approx(path["plate"])
+    assert path["z1"][0] == pytest.approx(1 + 10 - 0.25 / 0.5)
+    assert path["force"][0] == pytest.approx(2 / 0.5 - 1)
+    assert path["flights"] == {"takeoff": [], "takeoff_phase": [], "flight_time": []}
 
 
 def test_a_rest_length_is_drawn_as_given(client: TestClient):
-    found = asked(client, model={"kind": "soft", "rest_length": 80.0})
-    assert found["rest_length"] == pytest.approx(80.0 * 0.5**2 / 2.3)
+    path = trajectory(client, model={"kind": "soft", "rest_length": 80.0})
+    assert path["rest_length"] == pytest.approx(80.0 * 0.5**2 / 2.3)
 
 
 BAD: dict[str, tuple[Any, int, str]] = {
@@ -150,16 +152,16 @@ def test_the_kernel_names_what_it_cannot_sample():
 
 def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
     with service(tmp_path, Held(), max_trajectories=1) as client:
-        with client.app.state.service.trajectories.turn():  # type: ignore[attr-defined]
+        with client.app.state.service.trajectory_limit.slot():  # type: ignore[attr-defined]
             answer = client.post("/v1/trajectories", json=CELL)
         assert answer.status_code == 429
 
 
 def test_a_ball_keeps_its_rhythm_over_hundreds_of_periods():
-    one = np.ones(1)
+    ones = np.ones(1)
     line = run_line(
-        1.5 * one, one, one, model=Model.BALL, restitution=0.0 * one, penetration=1e-3 * one, adhesive=True,
-        carry=False, settle=0, observe=300, keep=400,
+        1.5 * ones, ones, ones, model=Model.BALL, restitution=0.0 * ones, penetration=1e-3 * ones,
+        adhesive=True, carry=False, settle=0, observe=300, keep=400,
     )  # fmt: skip
     path = sample(Cell(1.5, 1, 1), {}, None, model=Model.BALL, periods=300, samples=2)
     assert path.complete

@@ -1,25 +1,27 @@
-"""A real Chromium for the tests, and what every one of its pages is watched for."""
+"""A real Chromium for the page's tests: pages that fail on console errors, timings, screenshots."""
 
 import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
-from paths import ROOT
 
-SHOTS = ROOT / "test-artefacts" / "page"
+#: Not from `paths`: benchmarks import this module without the tests' import path.
+ROOT = Path(__file__).parents[2]
+SCREENSHOTS = ROOT / "test-artefacts" / "page"
 ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-#: For anything to happen, ms, on a machine with far too much to do.
-PATIENCE_MS = 120_000
+#: Timeout of every wait, ms, on an overloaded machine.
+TIMEOUT_MS = 120_000
 
 
-def _found() -> str | None:
-    """Where a Chromium is that runs: a name may stand for one that is to be installed first."""
+def _find_chromium() -> str | None:
+    """The path of a Chromium that runs: on some systems the command only offers to install it."""
     for name in ("chromium", "chromium-browser"):
         path = shutil.which(name)
         if (
@@ -30,12 +32,12 @@ def _found() -> str | None:
     return None
 
 
-CHROMIUM = _found()
+CHROMIUM = _find_chromium()
 needs_chromium = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium on this machine: `apt-get install chromium` brings it"
+    CHROMIUM is None, reason="Chromium is not installed; on Debian: apt-get install chromium"
 )
 
-#: A line of a million flights, in half a second: what they are does not matter here.
+#: A line of a million flights, computed in half a second; the flights themselves do not matter.
 LONG_LINE: dict[str, Any] = {
     "name": "A million flights",
     "gamma": {"start": 1.1, "stop": 6.0, "num": 20_000},
@@ -47,25 +49,25 @@ LONG_LINE: dict[str, Any] = {
     "keep": 64,
 }
 
-#: Moves the first slider to these places one by one; the time until each is drawn, ms.
-_MOVE = """async places => {
+#: Moves the first slider to each index and returns the times until the plot was redrawn, ms.
+_MOVE_SLIDER = """async indices => {
     const slider = document.querySelector(".panel input[type=range]");
     const plot = document.querySelector(".panel .plot");
-    const took = [];
-    for (const place of places) {
-        const before = plot.dataset.shows, start = performance.now();
-        slider.value = place;
+    const times = [];
+    for (const index of indices) {
+        const before = plot.dataset.shown, start = performance.now();
+        slider.value = index;
         slider.dispatchEvent(new Event("input", { bubbles: true }));
-        while (plot.dataset.shows === before) await new Promise((next) => setTimeout(next));
+        while (plot.dataset.shown === before) await new Promise((next) => setTimeout(next));
         await new Promise((next) => requestAnimationFrame(next));
-        took.push(performance.now() - start);
+        times.push(performance.now() - start);
     }
-    return took;
+    return times;
 }"""
 
-_WATCH = """window.longest = 0;
+_OBSERVE_TASKS = """window.longestTask = 0;
 new PerformanceObserver((list) => list.getEntries().forEach((entry) => {
-    window.longest = Math.max(window.longest, entry.duration);
+    window.longestTask = Math.max(window.longestTask, entry.duration);
 })).observe({ entryTypes: ["longtask"] })"""
 
 
@@ -74,59 +76,61 @@ def chromium() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS, timeout=PATIENCE_MS)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS, timeout=TIMEOUT_MS)
         yield browser
         browser.close()
 
 
 @contextmanager
-def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **given: Any) -> Iterator[Any]:
-    """A page in a window of its own; whatever it complains of, but what is expected, is an error."""
-    given = {"viewport": {"width": 1280, "height": 860}, "reduced_motion": "no-preference", **given}
-    complaints: list[str] = []
-    context = browser.new_context(**given)
+def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **options: Any) -> Iterator[Any]:
+    """A page in a context of its own.
+
+    A console error or warning that contains none of the `expected` texts fails the test.
+    """
+    options = {"viewport": {"width": 1280, "height": 860}, "reduced_motion": "no-preference", **options}
+    errors: list[str] = []
+    context = browser.new_context(**options)
     page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    page.on("console", lambda said: said.type in ("error", "warning") and complaints.append(said.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.set_default_timeout(TIMEOUT_MS)
+    page.on("console", lambda message: message.type in ("error", "warning") and errors.append(message.text))
+    page.on("pageerror", lambda error: errors.append(str(error)))
     try:
         page.goto(address)
         yield page
     finally:
         context.close()
-    assert [one for one in complaints if not any(known in one for known in expected)] == []
+    assert [error for error in errors if not any(text in error for text in expected)] == []
 
 
-def wait_shown(page: Any, **wanted: Any) -> None:
-    """Until the plot shows these values."""
+def wait_shown(page: Any, **values: Any) -> None:
+    """Wait until the plot shows these parameters."""
     page.wait_for_function(
-        """wanted => {
-            const shows = document.querySelector(".panel .plot")?.dataset.shows;
-            const found = JSON.parse(shows ?? "{}");
-            return Object.entries(wanted).every(([name, value]) => found[name] === value);
+        """values => {
+            const shown = JSON.parse(document.querySelector(".panel .plot")?.dataset.shown ?? "{}");
+            return Object.entries(values).every(([name, value]) => shown[name] === value);
         }""",
-        arg=wanted,
+        arg=values,
     )
 
 
-def redraws(page: Any, places: list[int]) -> list[float]:
-    """Moves the first slider of a view to these places; how long each took until it was drawn, ms."""
-    return [float(took) for took in page.evaluate(_MOVE, places)]
+def redraws(page: Any, indices: list[int]) -> list[float]:
+    """Move the first slider of a view to each index; the times until the plot was redrawn, ms."""
+    return [float(time) for time in page.evaluate(_MOVE_SLIDER, indices)]
 
 
 def watch_tasks(page: Any) -> None:
-    """From the next load on, `longest_task` knows."""
-    page.add_init_script(_WATCH)
+    """Record long tasks from the next load on, for `longest_task`."""
+    page.add_init_script(_OBSERVE_TASKS)
 
 
 def longest_task(page: Any) -> float:
-    """The longest that anything has kept the page busy, ms; 0 if nothing did for 50."""
-    # What is observed is told in a task of its own, after those under way.
+    """The longest task that has blocked the page, ms; 0 if none took 50 ms."""
+    # Entries are delivered in a task of their own, after the current ones.
     page.evaluate("new Promise((done) => setTimeout(() => requestAnimationFrame(() => setTimeout(done))))")
-    return float(page.evaluate("window.longest"))
+    return float(page.evaluate("window.longestTask"))
 
 
-def shoot(page: Any, name: str) -> None:
-    """Keep what is seen, to be looked at."""
-    SHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SHOTS / f"{name}.png", full_page=True)
+def screenshot(page: Any, name: str) -> None:
+    """Keep a full-page screenshot in test-artefacts/page."""
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)

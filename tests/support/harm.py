@@ -1,6 +1,6 @@
-"""Harm that a sweep's name asks for, done in worker processes of a test's own cluster.
+"""Faults in the worker processes of a test's own cluster, as the name of a sweep says.
 
-`hang:3` hangs in chunk 3, and so on; every other chunk is computed as always.
+`hang:3` hangs in chunk 3, and so on; all other chunks are computed as usual.
 """
 
 import asyncio
@@ -18,32 +18,32 @@ from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
 
-#: Seconds until what the worker said of the chunk before has surely left it: lost with the worker, that one
-#: would be taken for the guilty one, and tried again.
+#: Seconds until the report of the chunk before has left the worker. If it were lost with the worker, that
+#: chunk would count as the cause and be computed again.
 REPORTED = 2.0
 
 
 def hang() -> None:
-    """As a kernel that never comes back: deaf to the cancel mark."""
+    """As a kernel that does not return and ignores the cancel flag."""
     time.sleep(3600)
 
 
 def freeze() -> None:
-    """The same, with the interpreter's lock held: no thread of the process runs any more."""
+    """The same, holding the interpreter's lock: no thread of the process runs any more."""
     ctypes.PyDLL(None).sleep(3600)
 
 
 def hog() -> None:
-    """Take memory until someone ends it."""
-    taken = []
+    """Allocate memory until the process is ended."""
+    blocks = []
     time.sleep(REPORTED)
     while True:
-        taken.append(b"x" * (50 << 20))
+        blocks.append(b"x" * (50 << 20))
         time.sleep(0.1)
 
 
 def poison() -> None:
-    """As a compiled function that writes where it must not."""
+    """As compiled code that writes to memory it does not own."""
     time.sleep(REPORTED)
     os.kill(os.getpid(), signal.SIGSEGV)
 
@@ -63,7 +63,7 @@ def run_harmed(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
 
 
 class Stuck(WorkerPlugin):
-    """Keeps a worker from ever having started, once a file is there."""
+    """Once a file exists, keeps workers from completing their start."""
 
     name = "stuck"
 
@@ -77,7 +77,7 @@ class Stuck(WorkerPlugin):
 
 
 class Harm(WorkerPlugin):
-    """Puts the harm in the place of the real task, in every process that a nanny ever starts."""
+    """Replaces the real task in every process that a nanny starts."""
 
     name = "harm"
 

@@ -1,4 +1,4 @@
-"""How the kernel's tests call it: by its stable entries, with whatever they do not care about filled in."""
+"""The kernel as its tests call it: by its stable entries, with defaults for the arguments."""
 
 import math
 import os
@@ -40,36 +40,36 @@ def plate_of(
 ) -> Any:
     """The plate under n cells, from arrays (n,)."""
     module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
-    given: dict[str, Any] = {"restitution": restitution}
+    arguments: dict[str, Any] = {"restitution": restitution}
     if model in (Model.SOFT, Model.STEPPED):
-        given |= {"penetration": penetration, "adhesive": adhesive}
+        arguments |= {"penetration": penetration, "adhesive": adhesive}
     if model is Model.STEPPED:
-        given |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
-    return module.plate(**given)
+        arguments |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
+    return module.plate(**arguments)
 
 
 #: What `plate_of` takes beside the model.
 CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
 
 
-def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **given: Any) -> Line:
+def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **options: Any) -> Line:
     """`kernel.line.run_line` with the plate of a model in one call."""
-    contact = {name: given.pop(name) for name in CONTACT if name in given}
-    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **given)
+    contact = {name: options.pop(name) for name in CONTACT if name in options}
+    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **options)
 
 
-def sample(cell: Cell, contact: dict[str, Any], state: Any, *, model: Model, **given: Any) -> Trajectory:
+def sample(cell: Cell, contact: dict[str, Any], state: Any, *, model: Model, **options: Any) -> Trajectory:
     """`kernel.trajectory.sample` with the plate of a model in one call; `contact` is of one cell."""
-    one = {"restitution": 0.0, "penetration": 1e-3} | contact
+    values = {"restitution": 0.0, "penetration": 1e-3} | contact
     arrays = {
         name: np.array([value]) if name in ("restitution", "penetration") else value
-        for name, value in one.items()
+        for name, value in values.items()
     }
-    return trajectory.sample(cell, plate_of(model, **arrays), state, **given)
+    return trajectory.sample(cell, plate_of(model, **arrays), state, **options)
 
 
 def examples(count: int) -> settings:
-    """So many of Hypothesis's examples, the same ones every time: set KERNEL_EXPLORE to look at others."""
+    """Hypothesis settings for `count` fixed examples; KERNEL_EXPLORE=n draws n times as many random ones."""
     explore = int(os.environ.get("KERNEL_EXPLORE", "0"))
     return settings(max_examples=count * max(explore, 1), deadline=None, derandomize=not explore)
 
@@ -99,6 +99,13 @@ def run(
     )  # fmt: skip
 
 
+def compile_models() -> None:
+    """Compile the kernels of every model, from rest and as a ramp."""
+    for model in Model:
+        for carry in (False, True):
+            run(1.5, 0.5, 0.26, model, restitution=0.5, penetration=0.1, settle=0, observe=1, carry=carry)
+
+
 def run_setting(s: Setting, **others: Any) -> Line:
     """Run one cell."""
     return run(
@@ -117,13 +124,13 @@ def last_cycle(line: Line, flights: int) -> np.ndarray:
     return np.sort(recorded(line)[-flights:])
 
 
-def assert_same_bytes(one: Line, other: Line) -> None:
-    for name, a, b in zip(Line._fields, one, other, strict=True):
+def assert_same_bytes(first: Line, second: Line) -> None:
+    for name, a, b in zip(Line._fields, first, second, strict=True):
         assert a.tobytes() == b.tobytes(), name
 
 
 class Step(NamedTuple):
-    """One contact or flight of a trajectory, as the model answered."""
+    """One contact or flight of a trajectory, as computed by the model."""
 
     flying: bool
     phi: float  # where it began
@@ -149,12 +156,12 @@ def one_phase(s: Setting, flying: bool, phi: float, state: State, horizon: float
     return Step(flying, phi, state, answer.tau, answer.ending, after, answer.in_flight, answer.used)
 
 
-def phases(s: Setting, periods: int, most: int, budget: int = 100_000) -> Iterator[Step]:
-    """The first phases from rest, until the window ends, `most` have passed, or one fails."""
+def phases(s: Setting, periods: int, limit: int, budget: int = 100_000) -> Iterator[Step]:
+    """The first phases from rest, until the window ends, `limit` have passed, or one fails."""
     cell = constants(s)
     phi, passed, state = 0.0, 0.0, interface.rest(cell)
     flying = interface.flies(cell, phi, *state)
-    for _ in range(most):
+    for _ in range(limit):
         step = one_phase(s, flying, phi, state, TWO_PI * periods - passed, budget)
         yield step
         if step.ending != ROOT:

@@ -82,7 +82,7 @@ def bounce(zeta: float, adhesive: bool) -> float:
 
 
 def restitution_of(zeta: float, adhesive: bool) -> float:
-    """MODEL section 2, as printed there."""
+    """docs/model.md, section 2, as printed there."""
     if adhesive:
         return math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2)) if zeta < 1.0 else 0.0
     if zeta == 1.0:

@@ -70,12 +70,12 @@ def trajectory(gamma: float, epsilon: float, periods: int) -> Iterator[Flown]:
     phi, hop, end = 0.0, 0.0, TWO_PI * periods
     lift = math.acos(1.0 / gamma) if gamma > 1.0 else 0.0
     while True:
-        turned = math.fmod(phi, TWO_PI)
-        pressed = not (turned < lift or turned >= TWO_PI - lift)
+        phase = math.fmod(phi, TWO_PI)
+        pressed = not (phase < lift or phase >= TWO_PI - lift)
         if hop < SLOWEST_HOP and pressed:
             if lift == 0.0:
                 return
-            phi, hop = phi + TWO_PI - lift - turned, 0.0
+            phi, hop = phi + TWO_PI - lift - phase, 0.0
         fall = Fall(gamma, math.fmod(phi, TWO_PI), 0.0, hop)
         time = fall.landing()
         if phi + time > end:

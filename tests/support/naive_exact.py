@@ -1,4 +1,4 @@
-"""Each phase of the twin in `naive` solved to 80 digits: its motion, energy, and every look at it.
+"""Each phase of the twin in `naive` solved to 80 digits: motion, energy and phase functions at any time.
 
 In flight and in contact the equations of `naive` are linear: a sum of exponentials, worked out from the roots
 of its characteristic polynomial so precisely that no cancellation is ever visible.
@@ -125,8 +125,8 @@ def _roots(polynomial: tuple[mpf, ...]) -> list[mpc]:
 
 def _wave(amplitude: mpc, phi: float) -> Sum:
     """Re(amplitude exp(i (phi + tau)))."""
-    turned = amplitude * mp.expj(mpf(phi)) / 2
-    return Sum([turned, mp.conj(turned)], [mpc(0, 1), mpc(0, -1)])
+    rotating = amplitude * mp.expj(mpf(phi)) / 2
+    return Sum([rotating, mp.conj(rotating)], [mpc(0, 1), mpc(0, -1)])
 
 
 def _still(value: mpf) -> Sum:
@@ -195,35 +195,35 @@ def work(s: Setting, motion: Exact, phi: float, tau: float) -> tuple[float, floa
     """What the dashpot takes and the plate gives over tau rad, and the size of what was added up."""
     lost = float(s.b * motion.q1.integral(motion.q1, tau))
     lower = motion.gap1 + _wave(mpc(0, 1), phi)  # alpha_2' = g' - sin(phi)
-    given = float(motion.force.integral(lower, tau))
-    return given - lost, lost + abs(given)
+    gained = float(motion.force.integral(lower, tau))
+    return gained - lost, lost + abs(gained)
 
 
 # --- first roots by looking everywhere ------------------------------------------------------
 
 
-def instants(motion: Exact, tau: float, most: int) -> np.ndarray:
-    """Where to look: a hundred times in every turn of the fastest ringing, or `most` times in all."""
+def instants(motion: Exact, tau: float, limit: int) -> np.ndarray:
+    """Instants to examine: a hundred in every turn of the fastest ringing, or `limit` times in all."""
     if motion.gap.delicate(tau) or motion.force.delicate(tau):
-        most = min(most, 300)
+        limit = min(limit, 300)
     turns = tau * motion.fastest() / (2.0 * math.pi)
-    even = np.linspace(0.0, tau, min(most, 200 + int(100.0 * turns)))
-    return np.unique(np.concatenate([even, tau * np.logspace(-12, 0, min(most // 3, 300))]))
+    even = np.linspace(0.0, tau, min(limit, 200 + int(100.0 * turns)))
+    return np.unique(np.concatenate([even, tau * np.logspace(-12, 0, min(limit // 3, 300))]))
 
 
 def lowest(function: Callable[[np.ndarray], np.ndarray], taus: np.ndarray) -> tuple[float, float]:
-    """The least value and where, looking closer around each of the least samples."""
+    """The minimum and where it is, refined around each of the smallest samples."""
     values = function(taus)
     inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
     best = int(np.argmin(values))
-    least, where = float(values[best]), float(taus[best])
+    minimum, where = float(values[best]), float(taus[best])
     for i in inner[np.argsort(values[inner])][:3]:
         closer = np.linspace(taus[i - 1], taus[i + 1], 200)
         near = function(closer)
         j = int(np.argmin(near))
-        if near[j] < least:
-            least, where = float(near[j]), float(closer[j])
-    return least, where
+        if near[j] < minimum:
+            minimum, where = float(near[j]), float(closer[j])
+    return minimum, where
 
 
 # --- an oscillator --------------------------------------------------------------------------

@@ -56,7 +56,7 @@ class Stepper:
         """Every flight from rest that takes off and lands within some plate periods."""
         gap, _, q, _ = self.s.at_rest()
         x, v, phi, flying, took_off = np.array([gap, q]), np.zeros(2), 0.0, False, 0.0
-        found, n, first = [], 1, True
+        flights, n, first = [], 1, True
         while n <= self.number * periods:
             h = n * self.h - phi
             after = self.step(x, v, phi, h, not flying)
@@ -72,11 +72,11 @@ class Stepper:
                 low, high = (middle, high) if goes_on else (low, middle)
             (x, v), phi = self.step(x, v, phi, high, not flying), phi + high
             if flying:
-                found.append(Flown(took_off, phi - took_off))
+                flights.append(Flown(took_off, phi - took_off))
                 x[0], v[0] = min(x[0], 0.0), min(v[0], 0.0)
             else:
                 took_off = phi
                 if self.s.adhesive:
                     x[0], v[0] = max(x[0], 0.0), max(v[0], 0.0)
             flying, n, first = not flying, math.floor(phi / self.h + 1e-9) + 1, True
-        return found
+        return flights

@@ -1,4 +1,4 @@
-"""Where the project and its tests' files lie."""
+"""Paths of the project and of the tests' files."""
 
 from pathlib import Path
 

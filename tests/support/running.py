@@ -1,4 +1,4 @@
-"""Jobs without HTTP: a manager on its ledger, an executor that counts, sweeps of a given cost."""
+"""Jobs without HTTP: a job manager with its ledger, a counting executor, sweeps of a chosen cost."""
 
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -22,7 +22,7 @@ from worker.tasks import ChunkReport
 
 
 class Running:
-    """A lifecycle on its ledger, and ways to wait for what it does."""
+    """A job manager with its ledger, and ways to wait for its jobs."""
 
     def __init__(self, ledger: Ledger, manager: JobManager, settings: Settings) -> None:
         self.ledger, self.manager, self.settings = ledger, manager, settings
@@ -31,9 +31,9 @@ class Running:
         return self.manager.submit(spec).job
 
     def job(self, job: JobRecord) -> JobRecord:
-        found = self.ledger.find(job.id)
-        assert found is not None
-        return found
+        current = self.ledger.find(job.id)
+        assert current is not None
+        return current
 
     def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
         wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
@@ -44,8 +44,8 @@ class Running:
 
 
 @contextmanager
-def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]:
-    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
+def running(folder: Path, executor: Executor, **options: Any) -> Iterator[Running]:
+    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **options})
     with Ledger(settings.ledger_path) as ledger:
         manager = JobManager(ledger, executor, settings)
         manager.start()
@@ -56,27 +56,27 @@ def running(folder: Path, executor: Executor, **given: Any) -> Iterator[Running]
 
 
 class Counting:
-    """The same executor, noting the chunks that it is given."""
+    """An executor that records the chunks submitted to it."""
 
     def __init__(self, executor: Dask) -> None:
         self._executor = executor
-        self.given: list[int] = []
+        self.chunks: list[int] = []
 
     @property
     def submitted(self) -> int:
-        return len(self.given)
+        return len(self.chunks)
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **terms: Any) -> "Future[ChunkReport]":
-        future = self._executor.submit(spec, chunk, url, **terms)
-        self.given.append(chunk.index)
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **options: Any) -> "Future[ChunkReport]":
+        future = self._executor.submit(spec, chunk, url, **options)
+        self.chunks.append(chunk.index)
         return future
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._executor, name)
 
 
-def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **given: Any) -> SweepSpec:
-    """Chunks of about so many core-seconds, by the cost table."""
+def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **changes: Any) -> SweepSpec:
+    """A sweep of `chunks` chunks of about `seconds` core-seconds each, by the cost table."""
     cell = 0.01
     fields: dict[str, Any] = {
         "name": name,
@@ -88,4 +88,4 @@ def costing(name: str = "", chunks: int = 8, seconds: float = 0.06, **given: Any
         "observe": 10,
         "keep": 4,
     }
-    return SweepSpec(**(fields | given))
+    return SweepSpec(**(fields | changes))

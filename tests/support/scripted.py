@@ -1,4 +1,4 @@
-"""Executors whose course a test decides, computing with the real task; a sweep for them; waiting."""
+"""Executors that a test controls, which compute with the real task; sweeps for them; waiting."""
 
 import random
 import socket
@@ -15,16 +15,16 @@ from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
 
-#: Seconds for anything to happen, on a machine with far too much to do.
+#: Seconds within which anything must happen, on an overloaded machine.
 DEADLINE = 240.0
 
 
-#: What happens to each chunk before it can be computed.
+#: The errors that each chunk raises before it is computed, one per try.
 Script = dict[int, list[Exception]]
 
 
 class Scripted(Inline):
-    """Computes like Inline, but first raises what the script has for a chunk, one error a try."""
+    """Computes like Inline, but first raises the errors that the script has for a chunk, one per try."""
 
     def __init__(self, script: Script | None = None) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ class Scripted(Inline):
 
 
 class Held:
-    """Keeps chunks until the test lets them go; `capacity` workers."""
+    """Keeps chunks until the test has them computed; reports `capacity` workers."""
 
     def __init__(self, capacity: int = 2) -> None:
         self.capacity = capacity
@@ -74,7 +74,7 @@ class Held:
             return sum(name in (None, spec.name) for _, spec, _, _ in self.chunks)
 
     def let_go_first(self) -> None:
-        """Compute the chunk of the highest priority, if there is one."""
+        """Compute the chunk with the highest priority, if there is one."""
         with self.lock:
             self.chunks.sort(key=lambda chunk: -self.priorities[id(chunk[0])])
         if self.chunks:
@@ -92,12 +92,12 @@ class Held:
             future.set_exception(error)
 
     def let_go_all(self) -> None:
-        """Compute what is held now, and what comes meanwhile."""
+        """Compute the chunks held now, and those submitted meanwhile."""
         while self.held():
             self.let_go()
 
     def let_go_until(self, condition: Callable[[], bool]) -> None:
-        """Compute whatever comes, chunk by chunk, until the condition holds."""
+        """Compute chunks as they are submitted until the condition holds."""
 
         def holds() -> bool:
             if condition():
@@ -109,7 +109,7 @@ class Held:
         wait_for(holds)
 
     def told_to_stop(self) -> bool:
-        """Whether the sweeps of all chunks that are held bear the cancel mark."""
+        """Whether the stores of all held chunks have their cancel flag set."""
         with self.lock:
             urls = {url for *_, url in self.chunks}
         return all(store.is_cancelled(url) for url in urls)
@@ -117,17 +117,17 @@ class Held:
 
 def wait_for(
     condition: Callable[[], bool],
-    told: Callable[[], str] = lambda: "it never came",
+    describe: Callable[[], str] = lambda: "the condition never held",
     seconds: float = DEADLINE,
 ) -> None:
-    give_up = time.monotonic() + seconds
+    deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < give_up, told()
+        assert time.monotonic() < deadline, describe()
         time.sleep(0.005)
 
 
 def free_port() -> int:
-    """A port for a server to come: none that the system gives to connections in the meantime."""
+    """A port for a server to listen on later, outside the range from which connections get theirs."""
     for port in random.sample(range(20_000, 32_000), 100):
         with socket.socket() as probe:
             try:
@@ -135,11 +135,11 @@ def free_port() -> int:
             except OSError:
                 continue
             return port
-    raise AssertionError("no port is free")
+    raise AssertionError("no free port")
 
 
-def small(**given: Any) -> SweepSpec:
-    """2 x 3 x 10 cheap cells (xi, omega, gamma); any field can be given."""
+def small(**changes: Any) -> SweepSpec:
+    """A sweep of 2 x 3 x 10 cheap cells (xi, omega, gamma), with these fields changed."""
     fields: dict[str, Any] = {
         "gamma": {"start": 0.5, "stop": 5.0, "num": 10},
         "omega": [0.5, 0.7, 1.0],
@@ -149,10 +149,10 @@ def small(**given: Any) -> SweepSpec:
         "observe": 20,
         "keep": 8,
     }
-    return SweepSpec(**(fields | given))
+    return SweepSpec(**(fields | changes))
 
 
-#: 2 x 46 cells along gamma, with rest, a mode (1, 1) and what comes after it, as it is handed in.
+#: 2 x 46 cells along gamma, from rest through the mode (1, 1) and beyond; as JSON, to submit.
 TWO_LINES: dict[str, Any] = {
     "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
     "omega": [0.5, 0.7],
@@ -164,8 +164,8 @@ TWO_LINES: dict[str, Any] = {
 }
 
 
-def sweep(name: str = "", **given: Any) -> SweepSpec:
-    """60 cells at rest or nearly so, in eight chunks: by any table of costs."""
+def sweep(name: str = "", **changes: Any) -> SweepSpec:
+    """A sweep of 60 cells at or near rest, in eight chunks whatever the cost table says."""
     fields: dict[str, Any] = {
         "name": name,
         "gamma": {"start": 0.5, "stop": 1.2, "num": 60},
@@ -176,4 +176,4 @@ def sweep(name: str = "", **given: Any) -> SweepSpec:
         "observe": 10,
         "keep": 4,
     }
-    return SweepSpec(**(fields | given))
+    return SweepSpec(**(fields | changes))

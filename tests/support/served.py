@@ -1,4 +1,4 @@
-"""The application on a data folder, in this process, and the calls that most tests make of it."""
+"""The application on a data folder, in this process, and requests that most tests make."""
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -35,23 +35,24 @@ RAMP: dict[str, Any] = {
 
 
 @contextmanager
-def service(folder: Path, executor: Executor, **given: Any) -> Iterator[TestClient]:
-    settings = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **given})
-    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
+def service(folder: Path, executor: Executor, **settings: Any) -> Iterator[TestClient]:
+    """The application with `settings`, and with short heartbeats unless they say otherwise."""
+    merged = Settings(data=folder, **{"heartbeat_seconds": 0.2, "window_seconds": 0, **settings})
+    with TestClient(create_app(merged, executor), base_url="http://localhost") as client:
         yield client
 
 
 @contextmanager
-def computing(folder: Path, **given: Any) -> Iterator[TestClient]:
+def computing(folder: Path, **settings: Any) -> Iterator[TestClient]:
     """A service that computes in this process."""
-    with closing(Inline()) as executor, service(folder, executor, **given) as client:
+    with closing(Inline()) as executor, service(folder, executor, **settings) as client:
         yield client
 
 
 @contextmanager
-def occupied(folder: Path, **given: Any) -> Iterator[TestClient]:
-    """A service with a place for one job, which another one has and keeps: what is handed in stays queued."""
-    with service(folder, Held(), active_jobs=1, **given) as client:
+def occupied(folder: Path, **settings: Any) -> Iterator[TestClient]:
+    """A service that runs one job at a time, and runs one that never ends: submitted jobs stay queued."""
+    with service(folder, Held(), active_jobs=1, **settings) as client:
         first = client.post("/v1/jobs", json=sweep("never ends", omega=0.123).as_submitted())
         here = first.headers["Location"]
         wait_for(lambda: bool(get(client, here)["state"] == "running"))
@@ -59,7 +60,7 @@ def occupied(folder: Path, **given: Any) -> Iterator[TestClient]:
 
 
 def finished(client: TestClient, spec: dict[str, Any]) -> str:
-    """Where the job of a sweep is, once it is done."""
+    """Submit a sweep, wait until it is done, and return the job's path."""
     answer = client.post("/v1/jobs", json=spec)
     assert answer.status_code in (200, 202), answer.text
     here = str(answer.headers["Location"])

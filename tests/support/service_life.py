@@ -1,9 +1,9 @@
-"""A service without HTTP in a process that a test kills: `python service_life.py FOLDER SPEC STEP`.
+"""A service without HTTP in a process that a test kills: `python service_life.py FOLDER SPEC CACHE`.
 
-Forks a child for every life of the service, so that kernels are loaded once. Reads lines from
-standard input: `STEP TIMES SECONDS` begins a life that kills itself the TIMES-th time it reaches STEP
-(`-`: never), or after SECONDS; the answer is one line of JSON: how the life ended, and which chunks it
-computed. A life that finishes the job ends by itself.
+Forks a child for every run of the service, so that kernels are loaded once. Reads lines of JSON from
+standard input: `[STEP, TIMES, SECONDS]` starts a run that kills itself the TIMES-th time it reaches STEP
+(`-`: never), or after SECONDS. Prints one line of JSON per run: how it ended, and which chunks it
+computed. A run that finishes the job ends by itself.
 """
 
 import json
@@ -48,7 +48,7 @@ def after(owner: Any, name: str, act: Callable[[], None]) -> None:
     setattr(owner, name, lambda *given, **more: (real(*given, **more), act())[0])
 
 
-#: From accepting a job to its end: where the process stops.
+#: Where the process is killed, in the order a job reaches these steps.
 STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
     "chunk given out": lambda act: before(inline, "run_task", act),
@@ -62,16 +62,15 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
 }
 
 
-def live(folder: Path, spec: SweepSpec, step: str, times: int, said: int) -> None:
-    """One life, in a forked child: until the job has ended, or the step is reached."""
-    tried: list[int] = []
+def live(folder: Path, spec: SweepSpec, step: str, times: int, output: int) -> None:
+    """One run of the service, in a forked child: until the job has ended, or the step is reached."""
     real = inline.run_task
 
-    def run_chunk(spec: SweepSpec, chunk: Any, url: str) -> Any:
-        os.write(said, f"{chunk.index}\n".encode())
+    def run_task(spec: SweepSpec, chunk: Any, url: str) -> Any:
+        os.write(output, f"{chunk.index}\n".encode())
         return real(spec, chunk, url)
 
-    inline.run_task = run_chunk
+    inline.run_task = run_task
     if step in STEPS:
         left = iter(range(times - 1, -1, -1))
         STEPS[step](lambda: die() if next(left, 0) == 0 else None)
@@ -81,34 +80,33 @@ def live(folder: Path, spec: SweepSpec, step: str, times: int, said: int) -> Non
         manager = JobManager(ledger, executor, settings)
         manager.start()
         job = manager.submit(spec).job
-        while (found := ledger.find(job.id)) is not None and found.state in UNFINISHED:
+        while (current := ledger.find(job.id)) is not None and current.state in UNFINISHED:
             time.sleep(0.005)
         manager.stop()
-    os.write(said, f"{found.state if found else 'gone'}\n".encode())
-    assert tried is not None
+    os.write(output, f"{current.state if current else 'gone'}\n".encode())
 
 
 def main() -> None:
     folder, spec = Path(sys.argv[1]), SweepSpec.from_file(sys.argv[2])
     for line in sys.stdin:
         step, times, seconds = json.loads(line)
-        heard, said = os.pipe()
+        reader, writer = os.pipe()
         child = os.fork()
         if child == 0:
-            os.close(heard)
+            os.close(reader)
             try:
-                live(folder, spec, step, times, said)
+                live(folder, spec, step, times, writer)
             finally:
                 os._exit(0)
-        os.close(said)
+        os.close(writer)
         if seconds is not None:
             threading.Timer(seconds, os.kill, [child, signal.SIGKILL]).start()
-        with os.fdopen(heard) as words:
-            told = words.read().split()
+        with os.fdopen(reader) as lines:
+            words = lines.read().split()
         _, status = os.waitpid(child, 0)
         killed = os.WIFSIGNALED(status)
-        ended = None if killed or not told else told[-1]
-        chunks = [int(word) for word in told if word.isdigit()]
+        ended = None if killed or not words else words[-1]
+        chunks = [int(word) for word in words if word.isdigit()]
         sys.stdout.write(json.dumps({"killed": killed, "state": ended, "chunks": chunks}) + "\n")
         sys.stdout.flush()
 

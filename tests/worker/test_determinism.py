@@ -1,4 +1,4 @@
-"""Same specification, same bytes: however it is cut, whoever computes it, whatever crashed in between."""
+"""Same specification, same bytes: for any chunks and any executor, and after crashes."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def spec(request, small_spec) -> SweepSpec:
 
 @pytest.fixture
 def expected(spec, tmp_path) -> dict[str, bytes]:
-    """What one call computes that does everything at once."""
+    """The values of a sweep computed as a single chunk."""
     return values(compute(spec, tmp_path / "expected.zarr", shape=spec.shape[1:]))
 
 
@@ -53,7 +53,7 @@ def compute(spec: SweepSpec, url: Path, shape=None) -> Path:
 
 
 def compute_with(executor: Executor, spec: SweepSpec, url: Path, shape=None) -> Path:
-    """All chunks at once, each as soon as the one it waits for is there."""
+    """Submit all chunks, line by line of the ramp: a chunk waits for its predecessor."""
     plan = make(spec, url, shape)
     for wave in range(0, len(plan), plan.lines):
         futures = [executor.submit(spec, chunk, str(url)) for chunk in plan[wave : wave + plan.lines]]
@@ -63,7 +63,7 @@ def compute_with(executor: Executor, spec: SweepSpec, url: Path, shape=None) -> 
 
 
 def values(url: Path) -> dict[str, bytes]:
-    """Every stored number, bit by bit."""
+    """The bytes of every stored array."""
     with xr.open_zarr(url) as dataset:
         return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
 
@@ -73,7 +73,7 @@ def files(url: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 7), (1, 1, 1), (2, 2, 3), (1, 3, 10)])
-def test_the_cut_changes_no_number(spec, expected, tmp_path, shape):
+def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
     assert values(compute(spec, tmp_path / "cut.zarr", shape)) == expected
 
 
@@ -84,11 +84,11 @@ def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeyp
 
 def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, cluster):
     inline = Inline()
-    one = compute_with(inline, spec, tmp_path / "inline.zarr", (1, 1, 7))
+    by_inline = compute_with(inline, spec, tmp_path / "inline.zarr", (1, 1, 7))
     inline.close()
-    two = compute_with(cluster, spec, tmp_path / "cluster.zarr", (1, 1, 7))
-    assert files(one) == files(two)
-    assert values(two) == expected
+    by_cluster = compute_with(cluster, spec, tmp_path / "cluster.zarr", (1, 1, 7))
+    assert files(by_inline) == files(by_cluster)
+    assert values(by_cluster) == expected
 
 
 def test_one_worker_at_random_order_within_what_the_plan_allows(spec, expected, tmp_path):
@@ -130,7 +130,7 @@ while True:
 
 @pytest.mark.parametrize("delay", [0.05, 0.4])
 def test_killed_while_writing_and_resumed(small_spec, tmp_path, delay):
-    """A process writes chunks over and over and is killed; whatever it left, resuming mends it."""
+    """A process that writes chunks repeatedly is killed; resuming repairs whatever it left."""
     spec = small_spec(**SWEEPS["ramp both"])
     whole = compute(spec, tmp_path / "whole.zarr", (1, 1, 3))
     url = tmp_path / "killed.zarr"
@@ -167,8 +167,8 @@ print(hashlib.sha256(line.flight_time.tobytes() + line.end_state.tobytes()).hexd
 
 
 def test_code_from_the_cache_computes_what_code_just_compiled_does(tmp_path):
-    """A worker that compiled and one that found compiled code, side by side in one job."""
-    said = [
+    """One worker compiles, another loads compiled code: both may compute parts of one job."""
+    digests = [
         subprocess.run(
             [sys.executable, "-c", KERNEL, str(tmp_path)],
             stdout=subprocess.PIPE,
@@ -177,4 +177,4 @@ def test_code_from_the_cache_computes_what_code_just_compiled_does(tmp_path):
         ).stdout
         for _ in range(2)
     ]
-    assert said[0] == said[1]
+    assert digests[0] == digests[1]

@@ -1,4 +1,4 @@
-"""Executors: the same four calls whatever is behind them, and errors that say who failed."""
+"""Executors: one interface for this process and for a cluster, and errors that name the cause."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from pathlib import Path
 import dask
 import psutil
 import pytest
-from distributed import get_worker, system
+from distributed import Worker, system
 from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
@@ -28,7 +28,7 @@ from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.tasks import ChunkCancelled, ChunkReport
 
-#: Seconds for anything to come back, on a machine that may be compiling kernels meanwhile.
+#: The longest wait for a result (s): the machine may be compiling kernels at the same time.
 PATIENCE = 180
 
 
@@ -76,8 +76,8 @@ def test_a_cancelled_store_stops_its_tasks(executor, planned):
     executor.submit(spec, plan[0], url).result(PATIENCE)
 
 
-def test_a_future_that_is_cancelled_takes_the_chunk_back(cluster, small_spec, tmp_path):
-    """Both workers have something else to do until it is taken back."""
+def test_cancelling_a_future_withdraws_its_chunk(cluster, small_spec, tmp_path):
+    """Both workers are busy until it is withdrawn."""
     spec, gate = small_spec(), tmp_path / "gate"
     plan, url = make_plan(spec, chunk_shape=(2, 3, 5)), str(tmp_path / "sweep.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
@@ -143,20 +143,20 @@ def test_inline_after_close_is_not_ready(planned):
     assert executor.workers() == 0
 
 
-def test_no_scheduler_at_an_address_is_said():
+def test_an_address_without_a_scheduler_is_an_error():
     with pytest.raises(ClusterLost, match=re.escape("tcp://127.0.0.1:9")):
         Dask("tcp://127.0.0.1:9", timeout=0.5)
 
 
 @pytest.mark.parametrize("address", ["nonsense", "tcp://", "ftp://127.0.0.1:8786"])
-def test_what_is_no_address_is_said_and_leaves_nothing_behind(address):
+def test_a_malformed_address_is_an_error_and_leaves_no_thread(address):
     before = set(threading.enumerate())
     with pytest.raises(ClusterLost, match=re.escape(f"no scheduler answers at {address}")):
         Dask(address)
     assert set(threading.enumerate()) <= before
 
 
-def test_no_scheduler_file_is_said(tmp_path):
+def test_a_missing_scheduler_file_is_an_error(tmp_path):
     with pytest.raises(ClusterLost, match=r"nothing\.json"):
         Dask(scheduler_file=tmp_path / "nothing.json", timeout=0.5)
 
@@ -188,21 +188,21 @@ def test_a_chunk_whose_worker_dies_says_so_its_neighbours_too_and_the_next_worke
     try:
         [pid] = executor._connection.client.run(os.getpid).values()
         future = executor.submit(spec, plan[0], url)
-        wait_for(lambda: any(flight.worker for flight in executor._flights.values()))  # it has begun
+        wait_for(lambda: any(task.worker for task in executor._tasks.values()))  # it has begun
         waiting = executor.submit(quick, make_plan(quick)[0], other)
         os.kill(pid, signal.SIGKILL)
         with pytest.raises(WorkerDied, match="the worker process that computed it died"):
             future.result(PATIENCE)
         try:
             report = waiting.result(PATIENCE)
-        except WorkerLost:  # the scheduler had given it to that worker already
+        except WorkerLost:  # it was waiting on that worker already
             report = executor.submit(quick, make_plan(quick)[0], other).result(PATIENCE)
         assert report.outcomes[0] == 0
     finally:
         executor.close()
 
 
-def test_a_worker_that_is_still_starting_does_not_hold_up_the_end(tmp_path):
+def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path):
     executor = Dask(workers=1)
     try:
         executor._connection.client.register_plugin(Stuck(tmp_path / "stuck"))
@@ -216,20 +216,21 @@ def test_a_worker_that_is_still_starting_does_not_hold_up_the_end(tmp_path):
     assert time.monotonic() - began < DEADLINE  # and not an hour
 
 
-def leave() -> None:
-    """A worker that closes its nanny too, as one does that its scheduler has forgotten."""
-    worker = get_worker()
-    worker.loop.add_callback(worker.close)
+def leave(dask_worker: Worker) -> None:
+    """Close this worker and its nanny, as a worker does that its scheduler has forgotten."""
+    dask_worker.loop.call_later(0.2, dask_worker.close)  # after the caller has its answer
 
 
-def test_workers_that_are_gone_for_good_are_replaced():
-    """Dask itself gives up a worker that is not back 15 s after any of its deaths."""
+def test_workers_that_dask_has_dropped_are_replaced():
+    """Dask itself drops a worker that is not back 15 s after it died."""
     executor = Dask(workers=2, kernel_cache=CACHE)
     client, nannies = executor._connection.client, executor._workers.cluster.workers
     try:
         assert dask.config.get("distributed.deploy.lost-worker-timeout") == "1000 days"
         before = set(nannies.values())
-        executor.call(leave)
+        # Not as a task, which Dask would run again on the other worker when the first is gone.
+        address = next(iter(client.scheduler_info()["workers"]))
+        client.run(leave, workers=[address], on_error="ignore")
         wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         before = set(nannies.values())
@@ -244,7 +245,7 @@ def test_workers_that_are_gone_for_good_are_replaced():
 
 @pytest.fixture
 def scheduler(tmp_path):
-    """A scheduler in a process of its own, without workers; gives the process and its file."""
+    """A scheduler in a process of its own, without workers: the process and its scheduler file."""
     file = tmp_path / "scheduler.json"
     command = [str(Path(sys.executable).with_name("dask")), "scheduler", "--host", "127.0.0.1", "--port", "0"]
     quiet = ["--no-dashboard", "--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
@@ -261,8 +262,8 @@ def test_a_cluster_without_workers_a_frozen_and_a_dead_one(scheduler, planned, c
     executor = Dask(scheduler_file=file)
     try:
         assert not executor.ready()
-        [why] = [one for one in caplog.messages if "allowed-failures" in one]
-        assert why.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")
+        [message] = [message for message in caplog.messages if "allowed-failures" in message]
+        assert message.endswith("start it with DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0")
         assert executor.workers() == 0
         waiting = executor.submit(spec, plan[0], url)
 

@@ -1,4 +1,4 @@
-"""Kernel caches: never two living processes in one, kept for the next, copied by those who come later."""
+"""Kernel caches: one running process in each, kept for the next process, copied to new ones."""
 
 import os
 import subprocess
@@ -16,12 +16,11 @@ CLAIM = "from worker.kernel_cache import claim_cache; print(claim_cache({root!r}
 
 
 class Process:
-    """A process that holds a cache until told to end."""
+    """A process that holds a cache until `kill`."""
 
     def __init__(self, root: Path | None, environment: dict[str, str]) -> None:
-        given = str(root) if root else None
         self._popen = subprocess.Popen(
-            [sys.executable, "-c", CLAIM.format(root=given)],
+            [sys.executable, "-c", CLAIM.format(root=str(root) if root else None)],
             cwd=ROOT,
             env={name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
             | environment,
@@ -73,7 +72,7 @@ def test_new_cache_begins_with_what_the_first_process_left(claim, tmp_path):
 def test_root_comes_from_the_environment_and_is_handed_down(claim, tmp_path):
     first = claim(NUMBA_CACHE_DIR=str(tmp_path))
     assert first.slot.parents[1] == tmp_path
-    # What a process started by the first one would find in its environment.
+    # The environment that a process started by the first one inherits.
     assert claim(NUMBA_CACHE_DIR=str(first.slot)).slot == first.slot.parent / "slot-1"
 
 
@@ -110,7 +109,7 @@ print(slot)
 
 
 def test_a_cache_claimed_before_there_was_one_to_copy_is_filled_when_warmed(tmp_path):
-    """As the service's own, on the machine's first start: its workers compile, it does not."""
+    """As that of the service on the machine's first start: its workers compile, the service does not."""
     kernel_cache.warm(CACHE)
     ready = kernel_cache.claim_cache().parent / "ready"
     code = LATE.format(root=str(tmp_path), ready=str(ready))

@@ -1,4 +1,4 @@
-"""Results in an S3-compatible bucket: the same code path, the same bytes, against a server of moto's."""
+"""Stores in an S3-compatible bucket (a server of moto's): the same bytes as in a folder."""
 
 import os
 from collections.abc import Iterator
@@ -24,10 +24,10 @@ from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import backend
 
-PLACE = "s3://results/of/sweeps"
+BUCKET_URL = "s3://results/of/sweeps"
 
 ENVIRONMENT = {
-    "AWS_ENDPOINT_URL": "of the server",
+    "AWS_ENDPOINT_URL": "the server's",
     "AWS_ACCESS_KEY_ID": "test",
     "AWS_SECRET_ACCESS_KEY": "test",
     "AWS_REGION": "us-east-1",
@@ -37,7 +37,7 @@ ENVIRONMENT = {
 
 @pytest.fixture(scope="module")
 def bucket() -> Iterator[str]:
-    """The address of a server with one empty bucket, which the environment tells of."""
+    """The address of a server with one empty bucket; the environment variables point to it."""
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
@@ -47,6 +47,7 @@ def bucket() -> Iterator[str]:
             patch.setenv(name, value)
         assert httpx2.put(f"{address}/results").status_code == 200
         yield address
+    backend._bucket.cache_clear()  # its connections are to this server
     server.stop()
 
 
@@ -57,7 +58,7 @@ def both(
     """The same job done by two services, one with a folder and one with the bucket."""
     executor = Inline()
     folders = [tmp_path_factory.mktemp("data") for _ in range(2)]
-    with service(folders[0], executor) as local, service(folders[1], executor, stores=PLACE) as remote:
+    with service(folders[0], executor) as local, service(folders[1], executor, stores=BUCKET_URL) as remote:
         yield {"folder": (local, finished(local, RAMP)), "bucket": (remote, finished(remote, RAMP))}
     executor.close()
 
@@ -95,7 +96,7 @@ def test_every_byte_is_the_same(both: dict[str, tuple[TestClient, str]]):
     parts = client.app.state.service  # type: ignore[attr-defined]
     job = parts.ledger.find(here.rsplit("/", 1)[1])
     for key in keys(SweepSpec.from_json(job.spec), job.chunk_shape):
-        stored = [one.get(f"{where}/zarr/{key}") for one, where in both.values()]
+        stored = [client.get(f"{job_path}/zarr/{key}") for client, job_path in both.values()]
         assert stored[0].status_code == 200, key
         assert stored[0].content == stored[1].content, key
 
@@ -120,7 +121,7 @@ def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClie
 
 def test_the_store_opens_with_xarray_from_the_bucket_and_over_http(bucket: str, tmp_path: Path):
     executor = Inline()
-    settings = embedded.settings(data=tmp_path, port=0, stores=f"{PLACE}/http", heartbeat_seconds=0.2)
+    settings = embedded.settings(data=tmp_path, port=0, stores=f"{BUCKET_URL}/http", heartbeat_seconds=0.2)
     with (
         embedded.running(settings, executor) as address,
         httpx2.Client(base_url=address, timeout=DEADLINE) as client,
@@ -134,7 +135,7 @@ def test_the_store_opens_with_xarray_from_the_bucket_and_over_http(bucket: str, 
 
 def test_cancel_reaches_workers_through_the_bucket(bucket: str, tmp_path: Path):
     held = Held()
-    with service(tmp_path, held, stores=f"{PLACE}/cancel") as client:
+    with service(tmp_path, held, stores=f"{BUCKET_URL}/cancel") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
         url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
         wait_for(lambda: held.held() > 0)
@@ -151,7 +152,7 @@ def test_cancel_reaches_workers_through_the_bucket(bucket: str, tmp_path: Path):
 
 def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
     executor = Inline()
-    with service(tmp_path, executor, stores=f"{PLACE}/delete") as client:
+    with service(tmp_path, executor, stores=f"{BUCKET_URL}/delete") as client:
         here = finished(client, RAMP)
         url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
         assert backend.read_key(url, "zarr.json") is not None
@@ -164,12 +165,12 @@ def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
 def test_workers_of_a_cluster_write_to_the_bucket(
     bucket: str, both: dict[str, tuple[TestClient, str]], tmp_path: Path, cluster: Dask
 ):
-    """Real ones, in processes of their own, told of the bucket as they always are: by their environment."""
+    """Worker processes that know the bucket from their environment variables, as in a deployment."""
     run = cluster._connection.client.run
     known = {name: os.environ[name] for name in ENVIRONMENT}
     run(os.environ.update, known)
     try:
-        with service(tmp_path, cluster, stores=f"{PLACE}/cluster") as client:
+        with service(tmp_path, cluster, stores=f"{BUCKET_URL}/cluster") as client:
             here = finished(client, RAMP)
             _, inline = both["bucket"]
             for key in ("outcome/c/0/0/0/0", "flight_time/c/1/0/0/0/0", "end_state/c/0/0/0/0/0"):
@@ -193,9 +194,9 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setattr(backend, "_PATIENCE", backend._PATIENCE / 30)
     executor = Inline()
-    with service(tmp_path, executor, stores=f"{PLACE}/away") as client:
+    with service(tmp_path, executor, stores=f"{BUCKET_URL}/away") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
-        wait_for(lambda: sum("its bucket does not answer" in one for one in caplog.messages) >= 2)
+        wait_for(lambda: sum("its bucket does not answer" in message for message in caplog.messages) >= 2)
         assert get(client, here)["state"] == "queued"
         answer: Any = client.get(f"{here}/modes?xi=0.26")
         assert (answer.status_code, answer.headers["Retry-After"]) == (503, "2")

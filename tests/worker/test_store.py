@@ -1,15 +1,20 @@
-"""The store: opens with plain xarray, keeps what it is given, and never reads damage as data."""
+"""The store: opens with plain xarray, reads back what was written, never returns damaged bytes as data."""
 
 import json
+import shutil
+import threading
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 from stores import checksum, is_sound
+from zarr.errors import ZarrUserWarning
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import schema, store
@@ -52,7 +57,7 @@ def files(url: str) -> dict[str, bytes]:
     return {str(path.relative_to(url)): path.read_bytes() for path in Path(url).rglob("*") if path.is_file()}
 
 
-# What xarray sees
+# Reading with xarray
 
 
 def test_opens_with_plain_xarray(url, spec):
@@ -105,16 +110,16 @@ def test_attributes_say_what_it_is(url, spec):
 def test_a_store_of_time_steps_states_their_limit(tmp_path, scheme):
     """The longest step of any cell, and the shortest that is unstable in one: the last is refused."""
     model = {"kind": "stepped", "scheme": scheme, "penetration": 0.05, "steps_per_contact": 200}
-    given = {"gamma": [1.0, 2.0], "omega": [0.1, 3.0], "xi": [0.1, 20.0]}
-    spec = SweepSpec(**given, model=model)
+    axes = {"gamma": [1.0, 2.0], "omega": [0.1, 3.0], "xi": [0.1, 20.0]}
+    spec = SweepSpec(**axes, model=model)
     store.create(str(tmp_path / "sweep.zarr"), layout(spec, make_plan(spec).chunk_shape))
-    said = store.read_attrs(str(tmp_path / "sweep.zarr"))["time_steps"]
-    assert 0.0 < said["longest_step"] < said["stable_below"]
-    fewest = said["fewest_stable_steps_per_contact"]
-    SweepSpec(**given, model=model | {"steps_per_contact": fewest})
+    steps = store.read_attrs(str(tmp_path / "sweep.zarr"))["time_steps"]
+    assert 0.0 < steps["longest_step"] < steps["stable_below"]
+    fewest = steps["fewest_stable_steps_per_contact"]
+    SweepSpec(**axes, model=model | {"steps_per_contact": fewest})
     if fewest > 1:
         with pytest.raises(SpecError, match=f"must be at least {fewest}, not {fewest - 1}"):
-            SweepSpec(**given, model=model | {"steps_per_contact": fewest - 1})
+            SweepSpec(**axes, model=model | {"steps_per_contact": fewest - 1})
 
 
 def test_attributes_of_the_creator_are_kept(tmp_path, spec, plan):
@@ -138,7 +143,35 @@ def test_metadata_is_consolidated_and_the_same_every_time(tmp_path, url, spec, p
     assert "consolidated_metadata" in json.loads((Path(url) / "zarr.json").read_text())
 
 
+def test_consolidated_metadata_is_what_zarr_writes(tmp_path, url):
+    other = str(tmp_path / "other.zarr")
+    shutil.copytree(url, other)
+    with pytest.warns(ZarrUserWarning):
+        zarr.consolidate_metadata(other, zarr_format=3)
+    assert files(other) == files(url)
+
+
 # Creation
+
+
+def test_creation_raises_no_warning_while_other_threads_change_the_filters(tmp_path, spec, plan):
+    """Warning filters belong to the process: a thread that leaves `catch_warnings` restores them for all."""
+    stop = threading.Event()
+
+    def change_filters() -> None:
+        while not stop.is_set():
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                stop.wait(0.001)
+
+    thread = threading.Thread(target=change_filters)
+    thread.start()
+    try:
+        for number in range(20):
+            store.create(str(tmp_path / f"{number}.zarr"), layout(spec, plan.chunk_shape))
+    finally:
+        stop.set()
+        thread.join()
 
 
 def test_creating_it_again_changes_nothing(url, spec, plan):
@@ -180,18 +213,18 @@ def test_every_chunk_reads_back_as_written(url, spec, plan):
     for chunk, record in written.items():
         store.write_chunk(url, chunk, record)
     for chunk, record in written.items():
-        found = store.read_chunk(url, chunk, record)
-        assert all(np.array_equal(found[name], record[name]) for name in record)
+        stored = store.read_chunk(url, chunk, record)
+        assert all(np.array_equal(stored[name], record[name]) for name in record)
 
 
 def test_reads_touch_any_part_of_the_grid(url, spec, plan):
     for chunk in plan:
         store.write_chunk(url, chunk, record_of(spec, chunk))
     with xr.open_zarr(url) as dataset:
-        found = store.read_slice(url, ["flight_time", "outcome"], direction=1, omega=2, gamma=slice(3, 9))
-        assert np.array_equal(found["flight_time"], dataset["flight_time"][1, :, 2, 3:9])
-        assert np.array_equal(found["outcome"], dataset["outcome"][1, :, 2, 3:9])
-        assert found["flight_time"].shape == (2, 6, 8)
+        part = store.read_slice(url, ["flight_time", "outcome"], direction=1, omega=2, gamma=slice(3, 9))
+        assert np.array_equal(part["flight_time"], dataset["flight_time"][1, :, 2, 3:9])
+        assert np.array_equal(part["outcome"], dataset["outcome"][1, :, 2, 3:9])
+        assert part["flight_time"].shape == (2, 6, 8)
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +240,7 @@ def full(tmp_path_factory, small_spec) -> tuple[str, dict[str, np.ndarray]]:
 
 
 def indices(length: int) -> st.SearchStrategy[int | slice]:
-    """Places along an axis: one, also counted from the end, or a slice with a step, also an empty one."""
+    """Indices along an axis: an integer, also negative, or a slice with a step, also an empty one."""
     ends = st.none() | st.integers(-length - 1, length + 1)
     return st.integers(-length, length - 1) | st.builds(
         slice, ends, ends, st.none() | st.integers(1, length + 1)
@@ -223,26 +256,26 @@ def test_any_part_reads_as_zarr_reads_it(full, where):
         assert array.dtype == whole[name].dtype
 
 
-@pytest.mark.parametrize("place", [10, -11])
-def test_reads_outside_the_grid_are_refused(url, place):
+@pytest.mark.parametrize("index", [10, -11])
+def test_reads_outside_the_grid_are_refused(url, index):
     with pytest.raises(IndexError):
-        store.read_slice(url, ["outcome"], gamma=place)
+        store.read_slice(url, ["outcome"], gamma=index)
 
 
 def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
     """Its writer is not done: outcomes come last."""
     store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     (Path(url) / "outcome" / "c" / "0" / "0" / "0" / "0").unlink()
-    found = store.read_chunk(url, plan[0], ["outcome", "flights", "flight_time"])
-    assert not found["outcome"].any()
-    assert not found["flights"].any()
-    assert np.isnan(found["flight_time"]).all()
+    cells = store.read_chunk(url, plan[0], ["outcome", "flights", "flight_time"])
+    assert not cells["outcome"].any()
+    assert not cells["flights"].any()
+    assert np.isnan(cells["flight_time"]).all()
 
 
 def test_coordinates(url, spec):
-    found = store.read_coordinates(url)
-    assert found["direction"].tolist() == ["up", "down"]
-    assert found["gamma"].tolist() == spec.axis_values("gamma").tolist()
+    coordinates = store.read_coordinates(url)
+    assert coordinates["direction"].tolist() == ["up", "down"]
+    assert coordinates["gamma"].tolist() == spec.axis_values("gamma").tolist()
 
 
 def test_same_record_gives_the_same_bytes(url, spec, plan):
@@ -280,55 +313,55 @@ def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
         list(threads.map(lambda chunk: store.write_chunk(url, chunk, record_of(spec, chunk)), plan))
     for chunk in plan:
         expected = record_of(spec, chunk)
-        found = store.read_chunk(url, chunk, expected)
-        assert all(np.array_equal(found[name], expected[name]) for name in expected)
+        stored = store.read_chunk(url, chunk, expected)
+        assert all(np.array_equal(stored[name], expected[name]) for name in expected)
 
 
 # Damage
 
 
 def stored_files(url: str, chunk: Chunk) -> list[Path]:
-    place = f"{chunk.direction}/{chunk.xi[0]}/{chunk.omega[0] // 2}/{chunk.gamma[0] // 4}"
-    found = [*Path(url).glob(f"*/c/{place}"), *Path(url).glob(f"*/c/{place}/0")]
-    return sorted(path for path in found if path.is_file())
+    coords = f"{chunk.direction}/{chunk.xi[0]}/{chunk.omega[0] // 2}/{chunk.gamma[0] // 4}"
+    paths = [*Path(url).glob(f"*/c/{coords}"), *Path(url).glob(f"*/c/{coords}/0")]
+    return sorted(path for path in paths if path.is_file())
 
 
-def flip(path: Path, place: int) -> None:
+def flip(path: Path, seed: int) -> None:
     content = bytearray(path.read_bytes())
-    content[place % len(content)] ^= 1 << place % 8
+    content[seed % len(content)] ^= 1 << seed % 8
     path.write_bytes(content)
 
 
-def cut(path: Path, place: int) -> None:
-    path.write_bytes(path.read_bytes()[: place % path.stat().st_size])
+def cut(path: Path, seed: int) -> None:
+    path.write_bytes(path.read_bytes()[: seed % path.stat().st_size])
 
 
-def delete(path: Path, place: int) -> None:
+def delete(path: Path, seed: int) -> None:
     path.unlink()
 
 
-@pytest.mark.parametrize("harm", [flip, cut, delete])
-def test_no_harm_to_a_chunk_goes_unnoticed(url, spec, plan, harm):
+@pytest.mark.parametrize("damage", [flip, cut, delete])
+def test_any_damage_to_a_chunk_is_noticed(url, spec, plan, damage):
     chunk = plan[2]
     record = record_of(spec, chunk)
     good, cut_as = store.write_chunk(url, chunk, record), layout(spec, plan.chunk_shape)
     names = stored_files(url, chunk)
     assert len(names) == len(record)
-    for place, path in enumerate(names * 6):
+    for number, path in enumerate(names * 6):
         kept = path.read_bytes()
-        harm(path, 7 * place + 1)
+        damage(path, 7 * number + 1)
         assert not is_sound(url, cut_as, chunk, good)
         path.write_bytes(kept)
     assert is_sound(url, cut_as, chunk, good)
 
 
-@pytest.mark.parametrize("harm", [flip, cut])
-def test_damaged_bytes_are_never_read_as_data(url, spec, plan, harm):
+@pytest.mark.parametrize("damage", [flip, cut])
+def test_damaged_bytes_are_never_read_as_data(url, spec, plan, damage):
     chunk = plan[2]
     record = record_of(spec, chunk)
     store.write_chunk(url, chunk, record)
     for path in stored_files(url, chunk):
-        harm(path, path.stat().st_size // 2)
+        damage(path, path.stat().st_size // 2)
     for name in record:
         with pytest.raises(store.StoreDamaged, match="cannot be read back"):
             store.read_chunk(url, chunk, [name])
@@ -371,10 +404,10 @@ def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
     assert files(url) == before
 
 
-# The cancel mark
+# The cancel flag
 
 
-def test_cancel_mark_is_no_part_of_the_store(url):
+def test_cancel_flag_is_no_part_of_the_store(url):
     before = files(url)
     assert not store.is_cancelled(url)
     store.set_cancelled(url)
@@ -386,7 +419,7 @@ def test_cancel_mark_is_no_part_of_the_store(url):
     assert not store.is_cancelled(url)
 
 
-def test_cancel_mark_before_there_is_a_store(tmp_path, spec, plan):
+def test_cancel_flag_before_there_is_a_store(tmp_path, spec, plan):
     url = str(tmp_path / "stores" / "later.zarr")
     store.set_cancelled(url)
     store.create(url, layout(spec, plan.chunk_shape))

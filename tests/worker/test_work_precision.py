@@ -15,8 +15,6 @@ from service.api.app import create_app
 from service.cli.main import main
 from service.cli.tradeoff import table_lines
 from service.client import Client
-from service.errors import Busy, NotComputed
-from service.jobs.on_demand import OnDemandCache, Pending
 from service.render.work_precision import draw
 from service.results.work_precision import REFERENCES, advice
 from service.server.embedded import running
@@ -24,7 +22,6 @@ from service.settings import Settings
 from worker.analysis import work_precision
 from worker.analysis.work_precision import CELLS_A_LINE, LINES, RUNGS, Measured, Rung, measure
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost, WorkerDied
 from worker.executors.inline import Inline
 from worker.spec.contact_models import CONTACT_MODELS
 
@@ -189,38 +186,11 @@ def test_another_format_is_refused(tmp_path: Path):
     assert refused.json()["errors"][0]["field"] == "format"
 
 
-# OnDemandCache that take a while
-
-
-class Hands:
-    """An executor whose calls a test answers."""
-
-    def __init__(self) -> None:
-        self.futures: list[Future[Any]] = []
-
-    def call(self, *_: Any) -> Future[Any]:
-        self.futures.append(Future())
-        return self.futures[-1]
-
-
-def begin(executor: Any) -> list[Future[Any]]:
-    return [executor.call(), executor.call()]
-
-
-def test_who_gives_up_waiting_loses_nothing():
-    hands = Hands()
-    answers = OnDemandCache(hands, timeout=0.01)
-    for number in (0, 1):
-        with pytest.raises(Pending) as caught:
-            answers.get("question", begin)
-        assert (caught.value.done, caught.value.total) == (number, 2)
-        hands.futures[number].set_result(number)
-    assert answers.get("question", begin) == [0, 1]
-    assert len(hands.futures) == 2
+# An answer that takes a while
 
 
 class Slow(Inline):
-    """OnDemandCache what is measured when a test says so, and all else at once."""
+    """An executor whose calls a test completes."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -246,44 +216,3 @@ def test_a_request_is_told_how_far_the_workers_are(tmp_path: Path, monkeypatch: 
         assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
     executor.close()
     assert executor.futures[1].cancelled()
-
-
-def test_what_was_lost_or_failed_is_begun_again():
-    for error, told in ((WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)):
-        hands = Hands()
-        answers = OnDemandCache(hands, timeout=0.01)
-        with pytest.raises(Pending):
-            answers.get("question", begin)
-        hands.futures[0].set_exception(error)
-        hands.futures[1].set_result(1)
-        with pytest.raises(told):
-            answers.get("question", begin)
-        with pytest.raises(Pending):
-            answers.get("question", begin)
-        assert len(hands.futures) == 4
-
-
-def test_only_so_many_at_a_time():
-    answers = OnDemandCache(Hands(), max_pending=2, timeout=0.01)
-    for question in ("one", "two"):
-        with pytest.raises(Pending):
-            answers.get(question, begin)
-    with pytest.raises(Busy, match=r"^2 results are being computed already"):
-        answers.get("three", begin)
-
-
-def test_nobody_there_to_compute():
-    def nobody(_: Any) -> list[Future[Any]]:
-        raise ClusterLost("gone")
-
-    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\): repeat the request$"):
-        OnDemandCache(Hands()).get("question", nobody)
-
-
-def test_closing_lets_go():
-    hands = Hands()
-    answers = OnDemandCache(hands, timeout=0.01)
-    with pytest.raises(Pending):
-        answers.get("question", begin)
-    answers.close()
-    assert all(future.cancelled() for future in hands.futures)

@@ -1,4 +1,4 @@
-"""Room: the connection to a Dask scheduler, kept through its death and freezing."""
+"""The connection to a Dask scheduler, restored when the scheduler dies, freezes or is replaced."""
 
 import contextlib
 import json
@@ -18,151 +18,163 @@ from worker.watchdog import TOPIC
 
 log = logging.getLogger(__name__)
 
-#: A frozen scheduler never answers and never fails: after so long it counts as not there.
+#: A scheduler that has not answered for so long counts as lost: a frozen one neither answers nor fails.
 PING_SECONDS: Final = 2.0
-#: But one that has just come may have a lot to do.
-GREETING_SECONDS: Final = 30.0
-#: How often a lost scheduler is looked for.
+#: A scheduler that has just started may be busy with its workers.
+REGISTER_SECONDS: Final = 30.0
+#: The interval at which a lost scheduler is tried again.
 RETRY_SECONDS: Final = 1.0
-#: How a scheduler has to be set, and what comes of it otherwise.
-SCHEDULER: Final[dict[str, tuple[float, str]]] = {
-    # Whose fault a worker's death was is judged here, at once.
-    "distributed.scheduler.allowed-failures": (0, "a chunk that ends its worker ends more of them first"),
-    # What waits for a worker waits at the scheduler, and goes to whichever is free.
-    "distributed.scheduler.worker-saturation": (1.0, "chunks may wait behind one that hangs"),
+
+#: Dask settings that the scheduler needs.
+SCHEDULER_SETTINGS: Final[dict[str, float]] = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-saturation": 1.0,
 }
-#: What leads to no scheduler: a time-out is an OSError, a file may be half written.
-_NOBODY: Final = (OSError, ValueError, KeyError, TypeError)
+#: What happens without them. The service itself decides whether a task is tried again, and a task must wait
+#: at the scheduler, which gives it to the first worker that is free.
+_WITHOUT_SETTING: Final[dict[str, str]] = {
+    "distributed.scheduler.allowed-failures": "a chunk that kills its worker kills several before it fails",
+    "distributed.scheduler.worker-saturation": "chunks may wait behind one that hangs",
+}
+#: Raised where no scheduler can be reached: a time-out is an OSError, a scheduler file may be half written.
+_NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
 
 Target = Callable[[], Any]
 
 
 class SchedulerConnection:
-    """A client of the scheduler that `target` gives (an address or a cluster), made anew when it is lost.
+    """A Dask client for the scheduler that `target()` names (an address or a cluster object).
 
-    Every scheduler is told of `plugin` for its workers, and `heard` gets what they say, in the client's own
-    thread. Raises ClusterLost if there is no scheduler within `timeout` seconds at first.
+    A thread checks the connection every second, reconnects when it is lost, and registers `plugin` with
+    every scheduler anew. `on_event` gets the events that workers log under `TOPIC`, in the client's event
+    loop. Thread-safe. Raises ClusterLost if no scheduler answers within `timeout` seconds at first.
     """
 
     def __init__(
         self,
         target: Target,
         plugin: WorkerPlugin,
-        heard: Callable[[dict[str, Any]], None],
+        on_event: Callable[[dict[str, Any]], None],
         *,
         security: Any = None,
         timeout: float,
     ) -> None:
-        self._target, self._plugin, self._heard, self._security = target, plugin, heard, security
+        self._target, self._plugin, self._on_event, self._security = target, plugin, on_event, security
         self._closed = threading.Event()
-        self._scheduler = ""  # the identity of the one that knows our plugin
-        self._client = self._connected(timeout)
+        self._scheduler_id = ""  # of the scheduler that has our plugin; empty while there is none
+        self._client = self._connect(timeout)
         try:
-            self._greet()
+            self._register()
         except BaseException:
             self._client.close()
             raise
-        self._keeper = threading.Thread(target=self._keep, name="link", daemon=True)
-        self._keeper.start()
+        self._monitor = threading.Thread(target=self._keep_connected, name="scheduler", daemon=True)
+        self._monitor.start()
 
     @property
     def client(self) -> Any:
-        """The client, connected as far as anyone knows. Raises ClusterLost."""
-        if self._client.status != "running" or not self._scheduler:
+        """The client, connected as of the last check. Raises ClusterLost."""
+        if self._client.status != "running" or not self._scheduler_id:
             raise ClusterLost(f"not connected to a scheduler: {self._client.status}")
         return self._client
 
-    def threads(self) -> int:
-        """The scheduler's own count of its workers' threads; 0 if it does not answer in time."""
+    def worker_threads(self) -> int:
+        """The scheduler's count of its workers' threads; 0 if it does not answer within `PING_SECONDS`."""
         if self._client.status != "running":
             return 0
         try:
-            found = self._identity()
+            identity = self._identity()
         except (OSError, TimeoutError, RuntimeError):  # the last: the client was closed meanwhile
             return 0
-        return int(found["total_threads"]) if found["id"] == self._scheduler else 0
+        return int(identity["total_threads"]) if identity["id"] == self._scheduler_id else 0
 
     def close(self) -> None:
-        """Let go of the scheduler."""
+        """Disconnect. The scheduler and its workers stay."""
         self._closed.set()
-        self._keeper.join(2 * PING_SECONDS)
+        self._monitor.join(2 * PING_SECONDS)
         self._client.close()
 
     def _identity(self, seconds: float = PING_SECONDS) -> dict[str, Any]:
         client = self._client
-        found: dict[str, Any] = client.sync(client.scheduler.identity, n_workers=0, callback_timeout=seconds)
-        return found
+        identity: dict[str, Any] = client.sync(
+            client.scheduler.identity, n_workers=0, callback_timeout=seconds
+        )
+        return identity
 
-    def _connected(self, timeout: float) -> Any:
-        place: Any = "an address to come"
+    def _connect(self, timeout: float) -> Any:
+        address: Any = "an unknown address"
         try:
-            place = self._target()
-            if isinstance(place, str):
-                get_address_host_port(place)  # a client of what is no address would take a minute to close
-            return Client(place, timeout=timeout, set_as_default=False, security=self._security)  # type: ignore[no-untyped-call]
-        except _NOBODY as error:
-            raise ClusterLost(f"no scheduler answers at {place}: {error}") from error
+            address = self._target()
+            if isinstance(address, str):
+                get_address_host_port(address)  # with a malformed address, a client takes a minute to close
+            return Client(address, timeout=timeout, set_as_default=False, security=self._security)  # type: ignore[no-untyped-call]
+        except _NO_SCHEDULER as error:
+            raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
-    def _greet(self) -> None:
-        """Tell a scheduler what it has to know; after that, chunks may be given to it."""
-        self._client.subscribe_topic(TOPIC, lambda event: self._heard(event[1]))
+    def _register(self) -> None:
+        """Prepare a scheduler for tasks: events, plugin, settings. Until then `client` raises ClusterLost."""
+        self._client.subscribe_topic(TOPIC, lambda event: self._on_event(event[1]))
         self._client.register_plugin(self._plugin)
-        self._look_at_settings()
-        self._scheduler = self._identity(GREETING_SECONDS)["id"]
+        self._check_settings()
+        self._scheduler_id = self._identity(REGISTER_SECONDS)["id"]
 
-    def _look_at_settings(self) -> None:
-        """Say so if the scheduler is not set as it has to be; results are right all the same."""
-        for name, (wanted, otherwise) in SCHEDULER.items():
+    def _check_settings(self) -> None:
+        """Warn of settings that the scheduler lacks. Results are right without them."""
+        for name, required in SCHEDULER_SETTINGS.items():
             try:
-                found = self._client.run_on_scheduler(dask.config.get, name)
-            except (OSError, ValueError, KeyError) as error:  # it runs nobody's code, or is gone again
-                log.warning("the scheduler does not tell its %s: %s", name, error)
+                actual = self._client.run_on_scheduler(dask.config.get, name)
+            except (OSError, ValueError, KeyError) as error:  # it refuses to run code, or is gone again
+                log.warning("cannot read the scheduler's setting %s: %s", name, error)
                 continue
-            if found != wanted:
-                said = "the scheduler's %s is %s: %s; start it with %s=%g"
-                log.warning(said, name, found, otherwise, variable(name), wanted)
+            if actual != required:
+                log.warning(
+                    "the scheduler's %s is %s: %s; start it with %s=%g",
+                    name, actual, _WITHOUT_SETTING[name], environment_variable(name), required,
+                )  # fmt: skip
 
-    def _keep(self) -> None:
+    def _keep_connected(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):
             try:
-                self._mend()
+                self._reconnect_if_lost()
             except ClusterLost:
-                continue  # it is looked for until it is there
+                continue  # tried again at the next check
             except Exception:
-                log.exception("a scheduler answers but cannot be used; it is tried again soon")
+                log.exception("cannot use the scheduler that answers; retrying in %g s", RETRY_SECONDS)
 
-    def _mend(self) -> None:
-        """Connect again if the scheduler is lost, or greet the one that took its place."""
+    def _reconnect_if_lost(self) -> None:
+        """Connect again if the connection is lost; register with a scheduler that replaced the last one."""
         if self._client.status != "running":
-            self._scheduler = ""
-            lost, self._client = self._client, self._connected(PING_SECONDS)
+            self._scheduler_id = ""
+            lost, self._client = self._client, self._connect(PING_SECONDS)
             with contextlib.suppress(Exception):
                 lost.close(timeout=RETRY_SECONDS)
-            self._greet()
+            self._register()
             log.info("connected to a scheduler again")
-        elif self._is_another():
-            self._scheduler = ""
-            self._greet()
+        elif self._is_replaced():
+            self._scheduler_id = ""
+            self._register()
 
-    def _is_another(self) -> bool:
+    def _is_replaced(self) -> bool:
         try:
-            return bool(self._identity()["id"] != self._scheduler)
+            return bool(self._identity()["id"] != self._scheduler_id)
         except (OSError, TimeoutError, RuntimeError):
             return False
 
 
-def variable(name: str) -> str:
-    """Of a scheduler's environment, what sets a configuration of Dask."""
-    return "DASK_" + name.replace(".", "__").replace("-", "_").upper()
+def environment_variable(setting: str) -> str:
+    """The environment variable that sets a Dask setting."""
+    return "DASK_" + setting.replace(".", "__").replace("-", "_").upper()
 
 
-def address_in(file: Path, timeout: float) -> str:
-    """The address a scheduler wrote; waits for the file, which distributed itself would do for ever."""
-    deadline = time.monotonic() + timeout
+def read_scheduler_file(file: Path, deadline: float) -> str:
+    """The address in a scheduler file, which is waited for until `deadline` (by `time.monotonic`).
+
+    distributed itself would wait for ever. Raises ClusterLost.
+    """
     while True:
         try:
             return str(json.loads(file.read_text())["address"])
-        except _NOBODY as error:
+        except _NO_SCHEDULER as error:
             if time.monotonic() > deadline:
                 raise ClusterLost(f"no scheduler has written its address to {file}: {error}") from error
         time.sleep(0.1)

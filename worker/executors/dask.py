@@ -1,7 +1,4 @@
-"""Computes chunks on a Dask cluster: one that is there already, or worker processes of this machine.
-
-Nothing is kept once a chunk's report has been handed over; who wants a chunk done again submits it again.
-"""
+"""Computes chunks on a Dask cluster: an existing one, or worker processes of this machine."""
 
 import asyncio
 import math
@@ -9,13 +6,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from distributed import KilledWorker
 
-from worker.executors.base import Answer
-from worker.executors.connection import SchedulerConnection, address_in
+from worker.executors.base import Result
+from worker.executors.connection import SchedulerConnection, read_scheduler_file
 from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, WorkerLost
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.worker_plugin import WarmKernels
@@ -23,30 +21,33 @@ from worker.studies import Chunk, Spec
 from worker.tasks import ChunkCancelled, ChunkReport
 from worker.watchdog import run_watched
 
-#: How long the number of workers is believed.
+#: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
-#: Above that of any chunk: somebody waits for the answer.
+#: Above that of any chunk: a request waits for the result.
 CALL_PRIORITY: Final = 1_000_000.0
 
 
 @dataclass
-class _Flight:
-    """A chunk on the cluster, and what its workers said of it."""
+class _Task:
+    """A task on the cluster, and what workers reported of it."""
 
-    ended: "asyncio.Future[str]"  # why a worker ended itself over it
-    watched: bool  # a worker says when it begins
-    worker: str | None = None  # the address of the last one that began it
+    termination: "asyncio.Future[str]"  # why the watchdog terminated a worker over it
+    watched: bool  # whether workers report when they begin it
+    worker: str | None = None  # the address of the last worker that began it
 
 
 class Dask:
-    """A Dask cluster: one that is there already, or one of `workers` processes on this machine.
+    """An executor on a Dask cluster: an existing one, or `workers` processes on this machine.
 
-    Give `address` (tcp://host:port, or a cluster object of Dask's) or `scheduler_file` for the former,
-    with distributed's own `security` if it asks for TLS; a scheduler that dies is found again when it
-    is back. The own cluster listens on loopback only; each of its processes may use `memory` bytes
-    (None: its share of the machine's). Returns when the workers that are there have their kernels
-    compiled; later ones do that on joining. Raises `ClusterLost` if nobody answers within `timeout`
-    seconds.
+    For an existing cluster give `address` (tcp://host:port, or a cluster object of Dask's) or
+    `scheduler_file`, with distributed's `security` if the scheduler requires TLS. The connection is
+    restored when a lost scheduler is back.
+
+    Without either, starts a cluster that listens on loopback only; each of its processes may use `memory`
+    bytes (None: an equal share of the machine's).
+
+    Returns when the workers present have compiled their kernels; later workers compile on joining.
+    Raises ClusterLost if no scheduler answers within `timeout` seconds.
     """
 
     def __init__(
@@ -61,29 +62,19 @@ class Dask:
         timeout: float = 30.0,
     ) -> None:
         self._workers: LocalWorkers | None = None
-        self._counted = (0.0, 0)
-        self._flights: dict[str, _Flight] = {}
+        self._count_time, self._count = -math.inf, 0  # when the workers were last counted
+        self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
+        if address is None and scheduler_file is None:
+            self._workers = LocalWorkers(workers, memory)
+            address = self._workers.cluster
         plugin = WarmKernels(str(kernel_cache) if kernel_cache else None)
-        if scheduler_file is not None:
-            file, wait = Path(scheduler_file), timeout
-
-            def target() -> Any:
-                nonlocal wait
-                wait, patience = 0.0, wait
-                return address_in(file, patience)
-        elif address is not None:
-
-            def target() -> Any:
-                return address
-        else:
-            own = self._workers = LocalWorkers(workers, memory)
-
-            def target() -> Any:
-                return own.cluster
-
         try:
             self._connection = SchedulerConnection(
-                target, plugin, self._hear, security=security, timeout=timeout
+                _target(address, scheduler_file, timeout),
+                plugin,
+                self._on_event,
+                security=security,
+                timeout=timeout,
             )
         except BaseException:
             self._close_workers()
@@ -93,24 +84,25 @@ class Dask:
         self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
         client = self._connection.client
-        task = client.submit(run_watched, spec, chunk, store_url, seconds, pure=False, priority=priority)
-        return asyncio.run_coroutine_threadsafe(self._outcome(task), client.loop.asyncio_loop)
+        future = client.submit(run_watched, spec, chunk, store_url, seconds, pure=False, priority=priority)
+        return asyncio.run_coroutine_threadsafe(self._outcome(future), client.loop.asyncio_loop)
 
-    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+    def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         client = self._connection.client
-        task = client.submit(function, *arguments, pure=False, priority=CALL_PRIORITY)
-        return asyncio.run_coroutine_threadsafe(self._outcome(task, watched=False), client.loop.asyncio_loop)
+        future = client.submit(function, *arguments, pure=False, priority=CALL_PRIORITY)
+        return asyncio.run_coroutine_threadsafe(
+            self._outcome(future, watched=False), client.loop.asyncio_loop
+        )
 
     def ready(self) -> bool:
-        self._counted = (time.monotonic(), self._connection.threads())
-        return self._counted[1] > 0
+        self._count = self._connection.worker_threads()
+        self._count_time = time.monotonic()
+        return self._count > 0
 
     def workers(self) -> int:
-        when, number = self._counted
-        if time.monotonic() - when > COUNT_SECONDS:
+        if time.monotonic() - self._count_time > COUNT_SECONDS:
             self.ready()
-            _, number = self._counted
-        return number
+        return self._count
 
     def close(self) -> None:
         self._connection.close()
@@ -120,46 +112,54 @@ class Dask:
         if self._workers is not None:
             self._workers.close()
 
-    def _hear(self, said: dict[str, Any]) -> None:
-        """A worker began a chunk, or ends itself over one."""
-        flight = self._flights.get(said["key"])
-        if flight is None:
+    def _on_event(self, event: dict[str, Any]) -> None:
+        """A worker began a task, or its watchdog terminates it over one."""
+        task = self._tasks.get(event["key"])
+        if task is None:
             return
-        flight.worker = said["worker"]
-        if "why" in said and not flight.ended.done():
-            flight.ended.set_result(said["why"])
+        task.worker = event["worker"]
+        if "why" in event and not task.termination.done():
+            task.termination.set_result(event["why"])
 
-    async def _outcome(self, task: Any, *, watched: bool = True) -> Any:
-        """What a task returns, in the client's event loop; releases the task whatever becomes of it."""
-        flight = _Flight(asyncio.get_running_loop().create_future(), watched)
-        self._flights[task.key] = flight
-        result = asyncio.ensure_future(task.result())
+    async def _outcome(self, future: Any, *, watched: bool = True) -> Any:
+        """The result of a task, in the client's event loop; the cluster forgets the task in any case."""
+        task = _Task(asyncio.get_running_loop().create_future(), watched)
+        self._tasks[future.key] = task
+        result = asyncio.ensure_future(future.result())
         try:
-            await asyncio.wait({result, flight.ended}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({result, task.termination}, return_when=asyncio.FIRST_COMPLETED)
             if not result.done():
-                await task.cancel()  # or the scheduler would try it on the next worker
-                raise WorkerDied(flight.ended.result())
-            answer = result.result()
-            if isinstance(answer, ChunkCancelled):
-                raise answer
-            return answer
+                await future.cancel()  # else the scheduler may start it on another worker
+                raise WorkerDied(task.termination.result())
+            outcome = result.result()
+            if isinstance(outcome, ChunkCancelled):
+                raise outcome
+            return outcome
         except KilledWorker as error:
-            raise _blame(flight, error) from None
+            raise _executor_error(task, error) from None
         except CancelledError as error:
             raise ClusterLost(f"the cluster dropped the task: {error}") from None
         except asyncio.CancelledError:
-            await task.cancel()
+            await future.cancel()
             raise
         finally:
             result.cancel()
-            del self._flights[task.key]
-            task.release()
+            del self._tasks[future.key]
+            future.release()
 
 
-def _blame(flight: _Flight, error: KilledWorker) -> ExecutorError:
-    """Whether the chunk was being computed when its last worker died, or only waited there."""
-    if flight.ended.done():
-        return WorkerDied(flight.ended.result())
-    if not flight.watched or flight.worker == error.last_worker.address:
+def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> Callable[[], Any]:
+    """What to connect to, now and after each loss of the scheduler; raises ClusterLost if there is none."""
+    if scheduler_file is None:
+        return lambda: address
+    # Waits for the file at first; when the connection is lost, the deadline has passed.
+    return partial(read_scheduler_file, Path(scheduler_file), time.monotonic() + timeout)
+
+
+def _executor_error(task: _Task, error: KilledWorker) -> ExecutorError:
+    """Tell a task that was running when its last worker died from one that only waited there."""
+    if task.termination.done():
+        return WorkerDied(task.termination.result())
+    if not task.watched or task.worker == error.last_worker.address:
         return WorkerDied("the worker process that computed it died")
     return WorkerLost("the worker process at which it waited died")

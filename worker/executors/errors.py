@@ -1,23 +1,23 @@
-"""Room: why a chunk came back without a report, though its task did not fail.
+"""Why a task has no result although it raised nothing itself.
 
 ExecutorError
-├── WorkerDied      the process that computed it died, or was ended because of it
-├── WorkerLost      the process died at which it waited: not its fault
-└── ClusterLost     the scheduler is gone, or was never there
+├── WorkerDied      its worker process died while running it, or was terminated because of it
+├── WorkerLost      its worker process died before the task began
+└── ClusterLost     the scheduler is gone, or was never reached
 """
 
 
 class ExecutorError(Exception):
-    """Why a chunk came back without a report, though its task did not fail."""
+    """A task has no result although it raised nothing itself."""
 
 
 class WorkerDied(ExecutorError):
-    """The worker process died while it computed this chunk; says why, if that is known."""
+    """The worker process died while it ran this task; the message says why, if that is known."""
 
 
 class WorkerLost(ExecutorError):
-    """The worker process died while this chunk waited there."""
+    """The worker process at which this task waited died: another task is to blame."""
 
 
 class ClusterLost(ExecutorError):
-    """The scheduler cannot be reached; whatever it had is lost."""
+    """The scheduler cannot be reached; all tasks it had are lost."""

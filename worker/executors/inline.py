@@ -1,17 +1,20 @@
-"""Computes chunks in a thread of this process."""
+"""Computes chunks in a thread of this process: for tests, scripts, and machines without worker processes."""
 
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from worker.executors.base import Answer
+from worker.executors.base import Result
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkReport
 
 
 class Inline:
-    """One chunk after another in a thread of this process, in their order, for as long as they take."""
+    """An executor with one worker, a thread of this process. Tasks run in the order of submission.
+
+    Ignores `seconds` and `priority`: a thread cannot be interrupted.
+    """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="chunks")
@@ -22,7 +25,7 @@ class Inline:
     ) -> "Future[ChunkReport]":
         return self._thread.submit(run_task, spec, chunk, store_url)
 
-    def call(self, function: Callable[..., Answer], *arguments: Any) -> "Future[Answer]":
+    def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._thread.submit(function, *arguments)
 
     def ready(self) -> bool:

@@ -1,4 +1,4 @@
-"""Room: worker processes of this machine, and the scheduler that gives them work; all on loopback."""
+"""A Dask cluster of this machine: a scheduler in this process and worker processes, on loopback only."""
 
 import asyncio
 import contextlib
@@ -11,62 +11,62 @@ from typing import Any, Final
 import dask
 from distributed import LocalCluster, Status, system
 
-from worker.executors.connection import SCHEDULER
+from worker.executors.connection import SCHEDULER_SETTINGS
 
 log = logging.getLogger(__name__)
 
-#: For workers to end by themselves.
+#: Workers that have not ended by themselves after so long are killed.
 CLOSE_SECONDS: Final = 2.0
-#: How often it is looked whether every process is there.
-KEEP_SECONDS: Final = 1.0
+#: The interval at which lost workers are replaced.
+REPLACE_SECONDS: Final = 1.0
 LOOPBACK: Final = "127.0.0.1"
-#: distributed lets go for good of a worker that it does not see so long after one of its deaths: one that
-#: comes up slowly on a busy machine, or has just died again. Ours are waited for.
-LOST: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
+#: distributed drops a worker for good if it is not back so long after a death. A worker may take longer on a
+#: busy machine, so this is switched off.
+_LOST_WORKER_SETTINGS: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
 
 
 class LocalWorkers:
-    """`workers` processes with one thread each, kept at that number until `close`.
+    """A cluster of `workers` processes with one thread each, kept at that number until `close`.
 
-    A process that dies is started again by its nanny; a nanny that could not do that, for want of
-    memory or of process numbers, is replaced. Each process may use `memory` bytes; None: its share of
-    the machine's.
+    A process that dies is restarted by its nanny; a nanny that cannot do that, for lack of memory or of
+    process numbers, is replaced. Each process may use `memory` bytes (None: an equal share of the
+    machine's). Sets the Dask settings that its scheduler needs for this process.
     """
 
     def __init__(self, workers: int, memory: int | None) -> None:
-        dask.config.set({name: wanted for name, (wanted, _) in SCHEDULER.items()} | LOST)
+        dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
         self.cluster: Any = LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
             dashboard_address=f"{LOOPBACK}:0",
-            # Not by the number of cores, which has nothing to do with how many processes there are.
+            # distributed's default is by the number of cores, whatever the number of processes.
             memory_limit=memory or system.MEMORY_LIMIT // workers,
         )
         self._number = workers
         loop: Any = self.cluster.loop
-        loop.add_callback(self._keep)
+        loop.add_callback(self._replace_lost)
 
     def close(self) -> None:
-        """End every process, one that starts without a word: it may compile for a minute and hears none."""
-        late = threading.Timer(CLOSE_SECONDS, _kill, [list(self.cluster.workers.values())])
-        late.start()
+        """End all processes. Kills those that are still starting: they may compile for a minute first."""
+        kill = threading.Timer(CLOSE_SECONDS, _kill, [list(self.cluster.workers.values())])
+        kill.start()
         self.cluster.close()
-        late.cancel()
+        kill.cancel()
 
-    async def _keep(self) -> None:
-        """In the cluster's event loop, for as long as it runs: what has no nanny any more gets one."""
+    async def _replace_lost(self) -> None:
+        """Runs in the cluster's event loop for as long as the cluster does."""
         while self.cluster.status == Status.running:
             nannies = self.cluster.workers
             for name, nanny in list(nannies.items()):
                 if nanny.status in (Status.closed, Status.failed):
                     del nannies[name]
-            if gone := self._number - len(nannies):
-                log.warning("%d of %d worker processes are gone; starting others", gone, self._number)
-                with contextlib.suppress(Exception):  # it is tried again, and distributed says why
+            if lost := self._number - len(nannies):
+                log.warning("%d of %d worker processes are lost; starting others", lost, self._number)
+                with contextlib.suppress(Exception):  # distributed logs it; the next round tries again
                     await self.cluster._correct_state()
-            await asyncio.sleep(KEEP_SECONDS)
+            await asyncio.sleep(REPLACE_SECONDS)
 
 
 def _kill(nannies: list[Any]) -> None:

@@ -1,7 +1,7 @@
-"""Makes a Dask worker ready, and lets it go.
+"""The plugin that prepares a Dask worker for tasks and ends its process quickly.
 
-Imports distributed and worker.kernel_cache, and so no kernel: a worker loads this before it has claimed its
-kernel cache.
+Imports no kernel: a worker unpickles the plugin, and so imports this module, before it has claimed its
+kernel cache. For the same reason `worker/executors/__init__.py` is empty.
 """
 
 import asyncio
@@ -14,7 +14,10 @@ from worker.kernel_cache import claim_cache, warm
 
 
 class WarmKernels(WorkerPlugin):
-    """Makes every worker of a cluster ready when it starts or joins, before it takes a task."""
+    """Compiles all kernels on every worker that starts or joins, before it takes a task.
+
+    `root` is the folder of the kernel caches; None: the default of `worker.kernel_cache`.
+    """
 
     name = "bouncing-spring-kernels"
 
@@ -22,17 +25,16 @@ class WarmKernels(WorkerPlugin):
         self._root = root
 
     async def setup(self, worker: Any) -> None:
-        """Called by distributed in the worker's process; compiles beside its event loop."""
+        """Called by distributed in the worker's process. Compiles in a thread, beside the event loop."""
         claim_cache(self._root)
         await asyncio.to_thread(warm, self._root)
 
     def teardown(self, worker: Any) -> None:
-        """Called by distributed when the plugin is replaced, or as the worker closes: then it ends at once.
+        """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
 
-        Nothing in it is worth waiting for, not even a chunk in work: whoever wanted that submits it again.
-        Left to itself it would finish the chunk, then take apart all it has compiled: seconds that a stop
-        of the service, or a new start after a scheduler's death, would take longer. Only where a nanny
-        looks after it, and sees that it is gone.
+        A closing worker would first finish the chunk it computes and then free all compiled code, which
+        takes seconds when the service stops or the scheduler restarts. Nothing is lost: the service submits
+        an unfinished chunk again. Without a nanny, nobody would notice that the process has ended.
         """
         if worker.nanny is not None and worker.status == Status.closing:
             os._exit(0)

@@ -1,20 +1,18 @@
 """An empty store: its metadata and coordinates, the same bytes every time."""
 
-import threading
-import warnings
+import json
 from collections.abc import Mapping
 from typing import Any, Final
 
 import zarr
 from zarr.codecs import ZstdCodec
-from zarr.core.buffer import Buffer
-from zarr.errors import ZarrUserWarning
+from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.storage import MemoryStore
 
 from worker.schema import Array, Layout
+from worker.store.reader import ROOT
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
-_consolidating = threading.Lock()
 
 
 def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
@@ -27,10 +25,24 @@ def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
     for array in layout.arrays:
         _create_array(group, array, layout)
     group.attrs.put({**layout.attributes, **attrs, **layout.identity})
-    with _consolidating, warnings.catch_warnings():
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        zarr.consolidate_metadata(store, zarr_format=3)
+    content[ROOT] = _consolidated(content)
     return content
+
+
+def _consolidated(content: Mapping[str, Buffer]) -> Buffer:
+    """The root's metadata with that of every array in it, as `zarr.consolidate_metadata` writes it.
+
+    That function warns that consolidated metadata is not in the specification of zarr v3. Warning filters
+    belong to the whole process, so no thread of the service can suppress the warning safely.
+    """
+    root = json.loads(content[ROOT].to_bytes())
+    names = sorted(path.removesuffix(f"/{ROOT}") for path in content if path.endswith(f"/{ROOT}"))
+    arrays = {name: json.loads(content[f"{name}/{ROOT}"].to_bytes()) for name in names}
+    consolidated = {"kind": "inline", "must_understand": False, "metadata": arrays}
+    # The order of the fields is zarr's: stores that exist were written with it.
+    root |= {"consolidated_metadata": consolidated, "node_type": root.pop("node_type")}
+    text = json.dumps(root, indent=zarr.config.get("json_indent"))
+    return default_buffer_prototype().buffer.from_bytes(text.encode())
 
 
 def _create_coordinate(group: zarr.Group, dim: str, layout: Layout) -> None:

@@ -1,7 +1,8 @@
-"""Who may ask: by the name they ask for, by the page they ask from, by the token they bring.
+"""Access control: by the Host header, by the origin of the web page that sends a request, by access token.
 
-On loopback whoever can reach the service may use it, so the names it answers to are few: a web page
-elsewhere cannot make a browser speak to it under a name of its own. Everywhere else a token is needed.
+On loopback every local user may use the service. The Host check keeps web pages of other origins out: without
+it, a page could bind its own domain name to 127.0.0.1 (DNS rebinding) and read the responses. A service that
+other machines can reach requires a token (`settings`).
 """
 
 import hmac
@@ -11,18 +12,18 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import problem_of
+from service.api.problems import problem_response
 from service.errors import CrossOriginRefused, HostNotAllowed, ServiceError, Unauthenticated
 from service.settings import Settings
 
-#: What answers without a token: whether the service lives, and pages that hold nothing of anybody's.
+#: Paths that need no token: health checks, and pages that contain no data.
 OPEN_PATHS: Final = frozenset({"/", "/docs", "/openapi.json", "/healthz", "/readyz"})
 OPEN_FOLDER: Final = "/static/"
 
 #: Methods that change nothing.
 SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
 
-#: On every answer that has none of its own. Nothing of ours needs a script but the page, which says so.
+#: Headers of every response that does not set its own; only the page at / needs scripts, and says so itself.
 HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -36,7 +37,7 @@ _RAW_HEADERS: Final = [(name.lower().encode(), value.encode()) for name, value i
 
 
 class AccessControl:
-    """Middleware: refuses requests from where, or without what, they must not come."""
+    """Middleware: refuses requests with the wrong Host, Origin or token; adds security headers."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
@@ -50,43 +51,45 @@ class AccessControl:
         try:
             self._check(scope["method"], scope["path"], Headers(scope=scope))
         except ServiceError as error:
-            await problem_of(error)(scope, receive, with_headers(send))
+            await problem_response(error)(scope, receive, _with_headers(send))
         else:
-            await self._app(scope, receive, with_headers(send))
+            await self._app(scope, receive, _with_headers(send))
 
     def _check(self, method: str, path: str, headers: Headers) -> None:
         self._check_host(headers.getlist("host"))
         if method not in SAFE:
-            _check_page(headers)
+            _check_origin(headers)
         if self._token is not None and path not in OPEN_PATHS and not path.startswith(OPEN_FOLDER):
             self._check_token(headers.getlist("authorization"))
 
-    def _check_host(self, given: list[str]) -> None:
-        name = host_name(given[0]) if len(given) == 1 else ""
+    def _check_host(self, values: list[str]) -> None:
+        name = _host_name(values[0]) if len(values) == 1 else ""
         if "*" not in self._hosts and name not in self._hosts:
             raise HostNotAllowed(
-                f"Host: the service does not answer to the name {name[:80]!a}; "
-                "its operator may add it to BOUNCE_ALLOWED_HOSTS"
+                f"the Host {name[:80]!a} is not allowed; the operator can add it to BOUNCE_ALLOWED_HOSTS"
             )
 
-    def _check_token(self, given: list[str]) -> None:
-        scheme, _, token = given[0].partition(" ") if len(given) == 1 else ("", "", "")
+    def _check_token(self, values: list[str]) -> None:
+        scheme, _, token = values[0].partition(" ") if len(values) == 1 else ("", "", "")
         expected = self._token or b""
         if not hmac.compare_digest(token.strip().encode(), expected) or scheme.lower() != "bearer":
-            came = "this is not the one" if given else "none came"
-            raise Unauthenticated(f"Authorization: must hold the service's token (Bearer TOKEN); {came}")
+            raise Unauthenticated(
+                "The access token is wrong."
+                if values
+                else "This service requires an access token. Send the header Authorization: Bearer TOKEN."
+            )
 
 
-def _check_page(headers: Headers) -> None:
-    """A browser says which page makes it ask; programs say nothing and are let through."""
+def _check_origin(headers: Headers) -> None:
+    """Refuse pages of another origin; browsers send these headers, other clients do not and pass."""
     origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
-    ours = origin is None or urlsplit(origin).netloc == headers.get("host")
-    if not ours or site not in ("none", "same-origin"):
-        raise CrossOriginRefused("Origin: a page from elsewhere must not change anything here")
+    same_origin = origin is None or urlsplit(origin).netloc == headers.get("host")
+    if not same_origin or site not in ("none", "same-origin"):
+        raise CrossOriginRefused("Origin: web pages of another origin must not change anything")
 
 
-def host_name(host: str) -> str:
-    """The name in a Host header, without its port: `[::1]:8000` → `::1`."""
+def _host_name(host: str) -> str:
+    """The name in a Host header, without its port: `[::1]:8000` → `::1`; empty if it is malformed."""
     try:
         name = urlsplit(f"//{host}").hostname or ""
     except ValueError:
@@ -94,16 +97,16 @@ def host_name(host: str) -> str:
     return name.rstrip(".") if "@" not in host else ""
 
 
-def with_headers(send: Send) -> Send:
-    """`send`, adding the headers that every answer has."""
+def _with_headers(send: Send) -> Send:
+    """`send`, adding the security headers that a response does not set itself."""
 
-    async def sending(message: Message) -> None:
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
-            given = {name for name, _ in message["headers"]}
+            present = {name for name, _ in message["headers"]}
             message["headers"] = [
                 *message["headers"],
-                *((name, value) for name, value in _RAW_HEADERS if name not in given),
+                *((name, value) for name, value in _RAW_HEADERS if name not in present),
             ]
         await send(message)
 
-    return sending
+    return send_with_headers

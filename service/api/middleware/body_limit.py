@@ -1,22 +1,22 @@
-"""What a request's body must be before anything is made of it: small, and there in time."""
+"""Limits on request bodies: their size and how long they may take to arrive."""
 
 import asyncio
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import problem_of
+from service.api.problems import problem_response
 from service.errors import BodyTimeout, ServiceError, TooLarge
 
 
 class BodyLimit:
-    """Middleware: takes in the body up to a cap and within a time, then passes the request on.
+    """Middleware: reads the body, at most `max_bytes` within `timeout` seconds, then passes the request on.
 
-    A body that is too long is refused as soon as that is known, without reading it to the end.
+    It refuses a body that is too long as soon as that is known, without reading it to the end.
     """
 
-    def __init__(self, app: ASGIApp, max_bytes: int, seconds: float) -> None:
-        self._app, self._max_bytes, self._seconds = app, max_bytes, seconds
+    def __init__(self, app: ASGIApp, max_bytes: int, timeout: float) -> None:
+        self._app, self._max_bytes, self._timeout = app, max_bytes, timeout
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -24,11 +24,10 @@ class BodyLimit:
             return
         try:
             self._check_declared(Headers(scope=scope).get("content-length"))
-            body = await asyncio.wait_for(self._taken_in(receive), self._seconds)
+            body = await asyncio.wait_for(self._read(receive), self._timeout)
         except TimeoutError:
-            await _refuse(
-                BodyTimeout(f"the body did not arrive within {self._seconds:g} s"), scope, receive, send
-            )
+            error = BodyTimeout(f"the body did not arrive within {self._timeout:g} s")
+            await _refuse(error, scope, receive, send)
         except ServiceError as error:
             await _refuse(error, scope, receive, send)
         else:
@@ -39,8 +38,8 @@ class BodyLimit:
         if length is not None and length.isdecimal() and int(length[:20]) > self._max_bytes:
             raise self._too_long()
 
-    async def _taken_in(self, receive: Receive) -> bytes | None:
-        """The whole body; None if the client went away."""
+    async def _read(self, receive: Receive) -> bytes | None:
+        """The whole body; None if the client disconnected."""
         parts, size = [], 0
         while True:
             message = await receive()
@@ -61,7 +60,7 @@ class BodyLimit:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """A `receive` that hands over the body once and then what else comes (the client going away)."""
+    """A `receive` that returns the body once, then what the server receives next (a disconnect)."""
     messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def next_message() -> Message:
@@ -71,7 +70,7 @@ def _replay(body: bytes, receive: Receive) -> Receive:
 
 
 async def _refuse(error: ServiceError, scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer with the problem, and end the connection: the rest of the body may still be on its way."""
-    problem = problem_of(error)
-    problem.headers["Connection"] = "close"
-    await problem(scope, receive, send)
+    """Send the problem and close the connection, on which the rest of the body may still arrive."""
+    response = problem_response(error)
+    response.headers["Connection"] = "close"
+    await response(scope, receive, send)

@@ -1,16 +1,18 @@
-"""The calls that hand in, list and change jobs: each asks the right room and wraps the answer."""
+"""Endpoints that submit, show, list and change jobs."""
 
 import time
+from collections.abc import AsyncIterator, Sequence
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from service.api import dependencies, schemas
-from service.api.conditional import matches
-from service.api.dependencies import JsonBody, TheJob, TheService
-from service.api.schemas import JobView, problem_responses
+from service.api import parameters, schemas
+from service.api.conditional import NOT_MODIFIED, job_headers, not_modified
+from service.api.dependencies import JobDep, JsonBody, ServiceDep, find_job
+from service.api.schemas import JobView, job_view, problem_responses
 from service.jobs import cost as estimates
-from service.jobs.model import JobState
+from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
 from worker.cost import Cost
 from worker.studies import from_json
 
@@ -29,13 +31,18 @@ IdempotencyKey = Annotated[
         min_length=1,
         max_length=255,
         pattern="^[!-~]+$",
-        description="a repeated request with the same key changes nothing",
+        description="makes the request safe to repeat: a second request with the same key changes nothing",
     ),
 ]
+
+#: Retry-After of a job: a fraction of the estimated time left, and none below a few seconds.
+_RETRY_FRACTION: Final = 1 / 20
+_MAX_RETRY_AFTER: Final = 10
 
 
 @router.post(
     "/jobs",
+    summary="Submit a sweep",
     status_code=202,
     response_model=JobView,
     responses={
@@ -45,15 +52,15 @@ IdempotencyKey = Annotated[
     openapi_extra=_SPEC_BODY,
 )
 def submit(
-    service: TheService,
+    service: ServiceDep,
     body: JsonBody,
-    query: Annotated[schemas.SubmitQuery, Query()],
+    query: Annotated[parameters.SubmitQuery, Query()],
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
-    """Submit a sweep: 202 if there is something to compute, 200 if this very sweep is in work or done.
+    """202 if the sweep is accepted, 200 if the same sweep is queued, running or done already.
 
-    One that failed or was cancelled goes on where it stopped. With `validate_only` nothing is accepted: the
-    answer is what the sweep would cost.
+    A failed or cancelled job resumes. With `validate_only` nothing is accepted; the response is the estimated
+    cost.
     """
     spec = from_json(body)
     if query.validate_only:
@@ -61,74 +68,114 @@ def submit(
     job, accepted = service.manager.submit(spec, idempotency_key)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
-        headers["Retry-After"] = str(dependencies.seconds_to_wait(job) or 0)
-    return dependencies.view(job, 202 if accepted else 200, headers)
+        headers["Retry-After"] = str(_retry_after(job) or 0)
+    return _job_response(job, 202 if accepted else 200, headers)
 
 
-def _cost(service: TheService, spec: Any) -> Response:
+def _cost(service: ServiceDep, spec: Any) -> Response:
     plan = service.manager.check(spec)
     with service.ledger.reading() as ledger:
         paces = ledger.paces(estimates.RECENT_JOBS, estimates.MAX_SPEC_CHARS)
-    found = estimates.cost(spec, plan, paces, service.manager.preparer)
-    return Response(found.model_dump_json(), media_type="application/json")
+    cost = estimates.cost(spec, plan, paces, service.manager.preparer)
+    return Response(cost.model_dump_json(), media_type="application/json")
 
 
-@router.get("/jobs", responses=problem_responses(422))
-def jobs(service: TheService, query: Annotated[schemas.JobsQuery, Query()]) -> schemas.JobList:
-    """The jobs, the last accepted first; `next` is the cursor of the page after this one."""
+@router.get("/jobs", summary="List jobs", responses=problem_responses(422))
+def jobs(service: ServiceDep, query: Annotated[parameters.JobsQuery, Query()]) -> schemas.JobList:
+    """Newest first; `next` is the cursor of the next page."""
     states = tuple(JobState) if query.state is None else (query.state,)
     before = None if query.cursor is None else int(query.cursor)
     with service.ledger.reading() as ledger:
-        found = ledger.newest(query.state, query.limit + 1, before)
+        records = ledger.newest(query.state, query.limit + 1, before)
         total = ledger.count(states)
-    page, more = found[: query.limit], len(found) > query.limit
+    page, more = records[: query.limit], len(records) > query.limit
     now = time.time()
-    views = [schemas.job_view(job, now, longest_spec=schemas.LONG_SPEC) for job in page]
+    views = [job_view(job, now, longest_spec=schemas.LONG_SPEC) for job in page]
     return schemas.JobList(jobs=views, total=total, next=str(page[-1].seq) if more else None)
 
 
 @router.get(
     "/jobs/{job_id}",
+    summary="Show a job",
     response_model=JobView,
-    responses={304: {"description": "nothing has changed"}, **problem_responses(404)},
+    responses={**NOT_MODIFIED, **problem_responses(404)},
 )
-def job(service: TheService, job_id: str, request: Request) -> Response:
-    """One job; `If-None-Match` with its ETag answers 304 while nothing has changed."""
-    job = dependencies.job_of(
-        job_id, service
-    )  # here, and not as a dependency: polls need one thread instead of two
+def job(service: ServiceDep, job_id: str, request: Request) -> Response:
+    """State, progress and failures; 304 if the ETag in `If-None-Match` is current."""
+    job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
-    headers = {"ETag": schemas.etag(job, len(failures)), "Cache-Control": "no-cache"}
-    if wait := dependencies.seconds_to_wait(job):
-        headers["Retry-After"] = str(wait)
-    wanted = request.headers.get("if-none-match", "")
-    if wanted == "*" or matches(wanted, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return dependencies.view(job, 200, headers, failures)
+    headers = job_headers(job, len(failures))
+    if seconds := _retry_after(job):
+        headers["Retry-After"] = str(seconds)
+    return not_modified(request, headers) or _job_response(job, 200, headers, failures)
 
 
-@router.delete("/jobs/{job_id}", status_code=204, responses=problem_responses(404, 409))
-def delete(service: TheService, job: TheJob) -> None:
-    """Forget a job and remove all it has computed; one in work is to be cancelled first."""
+@router.delete(
+    "/jobs/{job_id}", summary="Delete a job", status_code=204, responses=problem_responses(404, 409)
+)
+def delete(service: ServiceDep, job: JobDep) -> None:
+    """Removes the job and its results; 409 while it is queued or running."""
     service.manager.delete(job.id)
 
 
 @router.post(
-    "/jobs/{job_id}/cancel", status_code=202, response_model=JobView, responses=problem_responses(404, 409)
+    "/jobs/{job_id}/cancel",
+    summary="Cancel a job",
+    status_code=202,
+    response_model=JobView,
+    responses=problem_responses(404, 409),
 )
-def cancel(service: TheService, job: TheJob) -> Response:
-    """Stop a job, keeping what is computed."""
-    return dependencies.view(service.manager.cancel(job.id), 202)
+def cancel(service: ServiceDep, job: JobDep) -> Response:
+    """Stops the job; the chunks that are done are kept."""
+    return _job_response(service.manager.cancel(job.id), 202)
 
 
 @router.post(
     "/jobs/{job_id}/resume",
+    summary="Resume a job",
     status_code=202,
     response_model=JobView,
     responses={200: {"model": JobView}, **problem_responses(404, 409, 429)},
 )
-def resume(service: TheService, job: TheJob) -> Response:
-    """Let a job that failed or was cancelled go on where it stopped; 200 if it is in work anyway."""
-    found, accepted = service.manager.resume(job.id)
-    return dependencies.view(found, 202 if accepted else 200)
+def resume(service: ServiceDep, job: JobDep) -> Response:
+    """A failed or cancelled job computes the chunks that are missing; 200 if it is queued or running."""
+    record, accepted = service.manager.resume(job.id)
+    return _job_response(record, 202 if accepted else 200)
+
+
+async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
+    with service.listener_limit.slot():
+        yield
+
+
+@router.get(
+    "/jobs/{job_id}/events",
+    summary="Stream a job's progress",
+    response_class=EventSourceResponse,
+    dependencies=[Depends(_listener_slot)],
+    responses=problem_responses(404, 429),
+)
+async def events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
+    """Server-sent events, each the job without its specification.
+
+    They are named `progress` while the job is queued or running; the last one, of a finished job, `end`.
+    """
+    async for record in service.progress_stream.changes(job.id):
+        view = job_view(record, longest_spec=0)
+        name = "progress" if record.state in UNFINISHED else "end"
+        yield ServerSentEvent(event=name, raw_data=view.model_dump_json())
+
+
+def _job_response(
+    job: JobRecord, status: int, headers: dict[str, str] | None = None, failures: Sequence[Failure] = ()
+) -> Response:
+    content = job_view(job, failures=failures).model_dump_json()
+    return Response(content, status, headers, "application/json")
+
+
+def _retry_after(job: JobRecord) -> int | None:
+    """Seconds until the next poll, more for jobs that take longer; None if that is less than one."""
+    left = job.progress(time.time()).eta_seconds if job.state in UNFINISHED else None
+    seconds = 0 if left is None else int(min(left * _RETRY_FRACTION, _MAX_RETRY_AFTER))
+    return seconds or None

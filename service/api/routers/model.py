@@ -6,11 +6,10 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 
 from kernel.threshold import threshold
-from service.api import schemas
-from service.api.dependencies import JsonBody, TheService
-from service.api.pending import RESPONSES as PENDING
-from service.api.schemas import problem_responses
-from service.formats import MEDIA_TYPES, PICTURES, TradeoffFormat
+from service.api import parameters, schemas
+from service.api.dependencies import JsonBody, ServiceDep
+from service.api.schemas import PENDING_RESPONSE, problem_responses
+from service.formats import MEDIA_TYPES, PICTURES
 from service.render import text
 from service.render import work_precision as work_precision_diagram
 from service.results import trajectory as trajectories
@@ -28,14 +27,8 @@ _TRAJECTORY_BODY: Final = {
 }
 
 
-class TradeoffQuery(schemas.Query):
-    """The format of the answer: a table or a picture."""
-
-    format: TradeoffFormat = "json"
-
-
-@router.get("/threshold", responses=problem_responses(422))
-def eq_25(query: Annotated[schemas.ThresholdQuery, Query()]) -> schemas.Threshold:
+@router.get("/threshold", summary="Evaluate Eq. 25", responses=problem_responses(422))
+def eq_25(query: Annotated[parameters.ThresholdQuery, Query()]) -> schemas.Threshold:
     """Γ_th of Eq. 25, above which a spring at rest begins to bounce."""
     value = float(threshold(query.omega, query.xi))
     return schemas.Threshold(omega=query.omega, xi=query.xi, threshold=value if np.isfinite(value) else None)
@@ -43,37 +36,39 @@ def eq_25(query: Annotated[schemas.ThresholdQuery, Query()]) -> schemas.Threshol
 
 @router.post(
     "/trajectories",
+    summary="Compute the motion of a cell",
     response_model=schemas.Trajectory,
     responses=problem_responses(400, 408, 413, 415, 422, 429),
     openapi_extra=_TRAJECTORY_BODY,
 )
-def trajectory(service: TheService, body: JsonBody) -> Response:
+def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """One cell from rest, after `settle` plate periods: plate, masses and contact force, sample by sample.
 
     Lengths are in plate amplitudes: the paper's zω²/g divided by Γ, as its Fig. 2 draws them.
     """
     spec = TrajectorySpec.from_json(body)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    with service.trajectories.turn():
+    with service.trajectory_limit.slot():
         motion = trajectories.compute(spec)
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(
     "/tradeoff",
+    summary="Compare contact models by cost and accuracy",
     response_model=Tradeoff,
     responses={
         200: {"content": {MEDIA_TYPES[format]: {} for format in PICTURES}},
-        **PENDING,
+        **PENDING_RESPONSE,
         **problem_responses(422, 429, 503),
     },
 )
-def tradeoff(service: TheService, query: Annotated[TradeoffQuery, Query()]) -> Response:
+def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 
     Measured once in the service's lifetime, which takes about a minute; until then 202 with the progress.
     """
-    rows = service.answers.get("tradeoff", work_precision.begin)
+    rows = service.on_demand.get("tradeoff", work_precision.begin)
     if query.format == "json":
         content: str | bytes = work_precision.table(rows).model_dump_json()
     else:

@@ -7,11 +7,10 @@ import gzip
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import Field
 
-from service.api import dependencies, schemas
-from service.api.dependencies import TheJob, TheService
-from service.api.schemas import LineQuery, Number, PlaneQuery, Trajectory, problem_responses
+from service.api import dependencies, parameters
+from service.api.dependencies import JobDep, ServiceDep
+from service.api.schemas import Trajectory, problem_responses
 from service.formats import MEDIA_TYPES
 from service.render import binary, text
 from service.results import line as lines
@@ -22,45 +21,14 @@ router = APIRouter(prefix="/v1/jobs/{job_id}")
 
 _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
 
-Pixels = Annotated[int, Field(ge=1, le=4096)]
 
-
-class LineViewQuery(LineQuery):
-    """A line and a window of it: left and right in units of the axis, bottom and top in rad."""
-
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number = 0.0
-    top: Number | None = None
-    log: bool = Field(False, description="columns at equal ratios")
-    width: Pixels = 800
-    height: Pixels = 400
-    most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
-
-
-class PlaneViewQuery(PlaneQuery):
-    """A plane and a window of it: left and right in Γ, bottom and top in Ω."""
-
-    left: Number | None = None
-    right: Number | None = None
-    bottom: Number | None = None
-    top: Number | None = None
-
-
-class CellQuery(schemas.Query):
-    """The cell of the sweep nearest to the given values, and how to sample its motion."""
-
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    direction: str | None = Field(None, description="rest, up or down; the sweep's first if left out")
-    periods: Annotated[int, Field(ge=1, le=1000)] = 4
-    samples: Annotated[int, Field(ge=1, le=trajectories.MAX_SAMPLES)] = 200
-
-
-@router.get("/line", responses={200: _PACKED, **problem_responses(404, 413, 422)})
+@router.get(
+    "/line",
+    summary="Read a line of cells in binary form",
+    responses={200: _PACKED, **problem_responses(404, 413, 422)},
+)
 def line(
-    service: TheService, job: TheJob, query: Annotated[LineViewQuery, Query()], request: Request
+    service: ServiceDep, job: JobDep, query: Annotated[parameters.LineViewQuery, Query()], request: Request
 ) -> Response:
     """One line of cells in binary form: outcome and mode of each, and its flights.
 
@@ -70,56 +38,65 @@ def line(
     """
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     sweep = dependencies.sweep(service, job)
-    found = lines.read_line(sweep, query.along, values, query.direction, query.min_flight)
-    window = lines.window_of(found, query.left, query.right, query.bottom, query.top, log=query.log)
-    dense = len(found.flights) > query.most
+    flight_line = lines.read_line(sweep, query.along, values, query.direction, query.min_flight)
+    window = lines.window_of(flight_line, query.left, query.right, query.bottom, query.top, log=query.log)
+    dense = len(flight_line.flights) > query.most
     flights: dict[str, Any]
     if dense:
-        flights = {"density": lines.counts(found, window, query.width, query.height, log=query.log)}
+        flights = {"density": lines.counts(flight_line, window, query.width, query.height, log=query.log)}
     else:
-        flights = {"flight_time": found.flights}
+        flights = {"flight_time": flight_line.flights}
     attributes = {
         "along": query.along,
-        "fixed": found.fixed,
-        "direction": found.direction,
-        "every": found.every,
-        "missing": found.missing,
-        "points": len(found.flights),
-        "highest": found.longest,
+        "fixed": flight_line.fixed,
+        "direction": flight_line.direction,
+        "every": flight_line.every,
+        "missing": flight_line.missing,
+        "points": len(flight_line.flights),
+        "highest": flight_line.longest,
     }
-    return _packed(attributes, {**found.cells, **flights}, request if dense else None)
+    return _packed(attributes, {**flight_line.cells, **flights}, request if dense else None)
 
 
-@router.get("/plane", responses={200: _PACKED, **problem_responses(404, 413, 422)})
+@router.get(
+    "/plane",
+    summary="Read a mode map in binary form",
+    responses={200: _PACKED, **problem_responses(404, 413, 422)},
+)
 def plane(
-    service: TheService, job: TheJob, query: Annotated[PlaneViewQuery, Query()], request: Request
+    service: ServiceDep, job: JobDep, query: Annotated[parameters.PlaneViewQuery, Query()], request: Request
 ) -> Response:
     """The mode map, or a window of it, in binary form: `outcome`, `bounces` and `periods` in rows of Ω.
 
     Planes of more cells than one answer may hold are thinned: `every_gamma`, `every_omega`.
     """
-    found = mode_map.modes_between(
+    cells = mode_map.modes_between(
         dependencies.sweep(service, job), query.xi, query.direction,
         (query.left, query.right), (query.bottom, query.top), service.settings.max_points,
     )  # fmt: skip
     attributes = {
-        "xi": found.xi,
-        "direction": found.direction,
-        "complete": found.complete,
-        "every_gamma": found.every,
-        "every_omega": found.every,
+        "xi": cells.xi,
+        "direction": cells.direction,
+        "complete": cells.complete,
+        "every_gamma": cells.every,
+        "every_omega": cells.every,
     }
-    return _packed(attributes, {"omega": found.omega, "gamma": found.gamma, **found.arrays}, request)
+    return _packed(attributes, {"omega": cells.omega, "gamma": cells.gamma, **cells.arrays}, request)
 
 
-@router.get("/trajectory", response_model=Trajectory, responses=problem_responses(404, 413, 422, 429))
-def trajectory(service: TheService, job: TheJob, query: Annotated[CellQuery, Query()]) -> Response:
+@router.get(
+    "/trajectory",
+    summary="Compute the motion of a cell of the sweep",
+    response_model=Trajectory,
+    responses=problem_responses(404, 413, 422, 429),
+)
+def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
     """One cell of the sweep in motion: as it settles from rest, or from where the ramp left it."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     sweep = dependencies.sweep(service, job)
     spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    with service.trajectories.turn():
+    with service.trajectory_limit.slot():
         motion = trajectories.compute(spec, state)
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 

@@ -1,20 +1,17 @@
 """Endpoints that read a job's results, also while the job is running."""
 
-from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
-from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from service.api import dependencies, schemas
-from service.api.conditional import NOT_MODIFIED, Results, Tagged
-from service.api.dependencies import TheJob, TheService
-from service.api.pending import RESPONSES as PENDING
-from service.api.schemas import problem_responses
+from service.api import dependencies, parameters, schemas
+from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
+from service.api.dependencies import JobDep, ServiceDep
+from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.errors import NotInStore
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES, DiagramFormat
-from service.jobs.model import UNFINISHED, JobState
+from service.jobs.model import JobState
 from service.render import bifurcation, text
 from service.render import export as export_files
 from service.results import diagram as diagrams
@@ -24,7 +21,7 @@ from service.results.thresholds import Thresholds
 from worker import store
 from worker.spec import SweepSpec
 
-router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=Tagged)
+router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
 
 
 def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
@@ -32,32 +29,14 @@ def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"content": {MEDIA_TYPES[format]: {} for format in formats}}}
 
 
-async def _listening(service: TheService) -> AsyncIterator[None]:
-    with service.watch.place():
-        yield
-
-
 @router.get(
-    "/events",
-    response_class=EventSourceResponse,
-    dependencies=[Depends(_listening)],
-    responses=problem_responses(404, 429),
+    "/diagram",
+    summary="Read a bifurcation diagram",
+    responses={**_content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
-async def events(service: TheService, job: TheJob, request: Request) -> AsyncIterator[ServerSentEvent]:
-    """Progress as server-sent events, each the job without its specification.
-
-    They are named `progress` while the job goes on and `end` when it is finished, which is the last one.
-    """
-    async for now in service.watch.changes(job.id):
-        view = schemas.job_view(now, longest_spec=0)
-        kind = "progress" if now.state in UNFINISHED else "end"
-        yield ServerSentEvent(event=kind, raw_data=view.model_dump_json())
-
-
-@router.get(
-    "/diagram", responses={**_content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)}
-)
-def diagram(service: TheService, job: Results, query: Annotated[schemas.DiagramQuery, Query()]) -> Response:
+def diagram(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.DiagramQuery, Query()]
+) -> Response:
     """The bifurcation diagram along one axis; `complete` tells whether all its cells are computed.
 
     Pictures show lines of any length, dense ones as density. JSON and CSV are limited in flights: thin them
@@ -80,11 +59,12 @@ def diagram(service: TheService, job: Results, query: Annotated[schemas.DiagramQ
 
 @router.get(
     "/threshold",
+    summary="Read or refine the thresholds",
     response_model=Thresholds,
-    responses={**PENDING, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
+    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
 )
 def job_threshold(
-    service: TheService, job: Results, query: Annotated[schemas.JobThresholdQuery, Query()]
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobThresholdQuery, Query()]
 ) -> Response:
     """Per Ω at one ξ: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
 
@@ -94,14 +74,17 @@ def job_threshold(
     sweep = dependencies.sweep(service, job)
     found = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
-        found = thresholds.refined(service.answers, job, sweep, found, query.tolerance)
+        found = thresholds.refined(service.on_demand, job, sweep, found, query.tolerance)
     return Response(found.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(
-    "/modes", response_model=schemas.Modes, responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)}
+    "/modes",
+    summary="Read a mode map",
+    response_model=schemas.Modes,
+    responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
-def modes(service: TheService, job: Results, query: Annotated[schemas.ModesQuery, Query()]) -> Response:
+def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
     found = mode_map.modes(sweep, query.xi, query.direction, max_points, query.every)
@@ -109,12 +92,16 @@ def modes(service: TheService, job: Results, query: Annotated[schemas.ModesQuery
     return Response(text.mode_map_json(found), media_type=MEDIA_TYPES["json"], headers=headers)
 
 
-@router.get("/export", responses={**_content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)})
-def export(service: TheService, job: TheJob, query: Annotated[schemas.ExportQuery, Query()]) -> Response:
+@router.get(
+    "/export",
+    summary="Export the sweep as a file",
+    responses={**_content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
+)
+def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]) -> Response:
     """The whole sweep as one file: NetCDF holds the store's arrays, Parquet a row for every cell."""
     sweep = dependencies.sweep(service, job)
     export_files.check_size(sweep.spec, service.settings.max_export_bytes)
-    with service.exports.turn():
+    with service.export_limit.slot():
         plan: Any = service.manager.preparer.prepare(job).plan
         file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
     headers = {
@@ -128,9 +115,10 @@ def export(service: TheService, job: TheJob, query: Annotated[schemas.ExportQuer
 
 @router.get(
     "/zarr/{key:path}",
+    summary="Read the zarr store",
     responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
 )
-def zarr(service: TheService, job: Results, key: str) -> Response:
+def zarr(service: ServiceDep, job: ResultsJob, key: str) -> Response:
     """The store, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
     prepared = service.manager.preparer.prepare(job)
     content = store.read_key(prepared.store_url, key) if prepared.layout.has_key(key) else None

@@ -1,48 +1,50 @@
-// Which view the address asks for.
+// Shows the view that belongs to the address.
 
-import { here, settle } from "./address.js";
-import { watch } from "./connection.js";
-import { h } from "./dom.js";
-import { JobView } from "./job.js";
-import { Submit } from "./submit.js";
-import { Sweeps } from "./sweeps.js";
+import { SweepForm } from "./form/form.js";
+import { currentAddress, discardPending } from "./lib/address.js";
+import { watchConnection } from "./lib/connection.js";
+import { h } from "./lib/dom.js";
+import { JobView } from "./views/job.js";
+import { Sweeps } from "./views/sweeps.js";
 
-const VIEWS = { new: Submit, job: JobView };
+// A view is built with its root element and the address. It has handles(address): whether it shows this one too;
+// show(): called when the address changes to one it handles; refresh(redraw): load again; close().
+const VIEWS = { new: SweepForm, job: JobView };
 const root = document.getElementById("view");
 let view = null;
 
-function show(first) {
-  settle();
-  const place = here();
-  if (view?.takes(place)) {
-    view.go(place);
+function showAddress(isFirst) {
+  discardPending();
+  const address = currentAddress();
+  if (view?.handles(address)) {
+    view.show();
     return;
   }
   view?.close();
-  const View = place.path.length ? VIEWS[place.path[0]] : Sweeps;
-  view = View ? new View(root, place) : nothing();
+  const View = address.path.length ? VIEWS[address.path[0]] : Sweeps;
+  view = View ? new View(root, address) : notFound();
   for (const anchor of document.querySelectorAll("body > header nav a")) {
-    const current = anchor.hash && anchor.hash === `#/${place.path.join("/")}`;
-    if (current) anchor.setAttribute("aria-current", "page");
+    const isCurrent = anchor.hash && anchor.hash === `#/${address.path.join("/")}`;
+    if (isCurrent) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  if (!first) {
+  if (!isFirst) {
     scrollTo(0, 0);
     root.querySelector("h1")?.focus({ preventScroll: true });
   }
 }
 
-function nothing() {
-  root.replaceChildren(h("h1", { tabindex: "-1" }, "There is nothing here"), h("p", {}, h("a", { href: "#/" }, "To the sweeps")));
-  return { takes: () => false, go() {}, close() {}, refresh() {} };
+function notFound() {
+  root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
+  return { handles: () => false, show() {}, close() {}, refresh() {} };
 }
 
-// Not by its address: that one holds the view.
+// Not through the link's address, which holds the view.
 document.querySelector(".skip").addEventListener("click", (event) => {
   event.preventDefault();
   root.focus();
 });
-addEventListener("hashchange", () => show(false));
-document.addEventListener("visibilitychange", () => document.hidden || view.refresh(false)); // another tab may have changed it
-watch(() => view.refresh());
-show(true);
+addEventListener("hashchange", () => showAddress(false));
+document.addEventListener("visibilitychange", () => document.hidden || view.refresh(false)); // sweeps may have changed meanwhile
+watchConnection(() => view.refresh());
+showAddress(true);

@@ -1,0 +1,130 @@
+"""Query parameters of the HTTP API, as Pydantic models. A misspelt parameter is refused, not ignored."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.formats import DiagramFormat, ExportFormat, TradeoffFormat
+from service.jobs.model import JobState
+from service.results.trajectory import MAX_SAMPLES
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
+Pixels = Annotated[int, Field(ge=1, le=4096)]
+Direction = Annotated[
+    str | None, Field(description="rest, up or down; default: the first direction of the sweep")
+]
+
+
+class Query(BaseModel):
+    """Base class: unknown parameters are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class JobsQuery(Query):
+    """Which jobs to list."""
+
+    state: JobState | None = None
+    limit: Annotated[int, Field(ge=1, le=1000)] = 100
+    cursor: Annotated[str, Field(pattern="^[0-9]{1,18}$", description="`next` of the page before")] | None = (
+        None
+    )
+
+
+class SubmitQuery(Query):
+    """Whether to accept the sweep or only to validate it."""
+
+    validate_only: bool = False
+
+
+class LineQuery(Query):
+    """One line of the grid along one axis; the other axes are fixed at the nearest grid value."""
+
+    along: Literal["gamma", "omega", "xi"] = "gamma"
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Direction = None
+    min_flight: Annotated[Number, Field(ge=0, description="rad; shorter flights are left out")] = 0.0
+
+
+class DiagramQuery(LineQuery):
+    """A line and the format of its diagram."""
+
+    format: DiagramFormat = "json"
+    every: Every = 1
+
+
+class ThresholdQuery(Query):
+    """Point at which to evaluate Eq. 25."""
+
+    omega: Annotated[Number, Field(gt=0, le=1e6)]
+    xi: Annotated[Number, Field(ge=0, le=1e6)]
+
+
+class JobThresholdQuery(Query):
+    """Plane of the grid at the nearest value of ξ, which may be left out if the sweep has only one."""
+
+    xi: Number | None = None
+    tolerance: Annotated[Number, Field(ge=1e-9, le=1e3)] | None = Field(
+        None, description="in Γ: refine the thresholds beyond the grid, from the sweep's stored states"
+    )
+
+
+class PlaneQuery(Query):
+    """Plane of the grid at the nearest value of ξ, in one direction."""
+
+    xi: Number | None = None
+    direction: Direction = None
+
+
+class ModesQuery(PlaneQuery):
+    """A plane, optionally thinned."""
+
+    every: Every = 1
+
+
+class ExportQuery(Query):
+    """Format of the file."""
+
+    format: ExportFormat
+
+
+class TradeoffQuery(Query):
+    """Format of the table of costs and errors: numbers or a picture."""
+
+    format: TradeoffFormat = "json"
+
+
+class LineViewQuery(LineQuery):
+    """A line and a window of it: left and right in units of the axis, bottom and top in rad."""
+
+    left: Number | None = None
+    right: Number | None = None
+    bottom: Number = 0.0
+    top: Number | None = None
+    log: bool = Field(False, description="columns at equal ratios")
+    width: Pixels = 800
+    height: Pixels = 400
+    most: Annotated[int, Field(ge=0, le=1_000_000, description="flights sent as points")] = 250_000
+
+
+class PlaneViewQuery(PlaneQuery):
+    """A plane and a window of it: left and right in Γ, bottom and top in Ω."""
+
+    left: Number | None = None
+    right: Number | None = None
+    bottom: Number | None = None
+    top: Number | None = None
+
+
+class CellQuery(Query):
+    """The cell of the sweep nearest to the given values, and how to sample its motion."""
+
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Direction = None
+    periods: Annotated[int, Field(ge=1, le=1000)] = 4
+    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] = 200

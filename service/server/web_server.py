@@ -1,0 +1,154 @@
+"""uvicorn, extended by startup errors as exceptions, a request-header timeout, and prompt shutdown."""
+
+import asyncio
+import logging
+import math
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any, Final
+
+import uvicorn
+from fastapi import FastAPI
+from starlette.types import Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from service.errors import NotStarted
+from service.settings import Settings
+
+#: uvicorn's log: silent during startup, because a startup error is raised instead.
+_LOG: Final = logging.getLogger("uvicorn.error")
+
+_TIMEOUT_RESPONSE: Final = b"HTTP/1.1 408 Request Timeout\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+
+
+class WebServer(uvicorn.Server):
+    """Serves an application on a socket that is bound already; run it in one thread, wait in any."""
+
+    def __init__(
+        self,
+        app: FastAPI,
+        settings: Settings,
+        listener: socket.socket,
+        on_start: Callable[[str], None] = lambda url: None,
+    ) -> None:
+        self._app, self._listener, self._on_start = _Application(app), listener, on_start
+        self._started_or_failed = threading.Event()
+        super().__init__(
+            uvicorn.Config(
+                self._app,
+                http=with_head_timeout(settings.body_seconds),
+                lifespan="on",
+                log_config=None,
+                log_level=logging.CRITICAL,
+                access_log=False,
+                server_header=False,
+                timeout_graceful_shutdown=math.ceil(settings.shutdown_seconds),
+            )
+        )
+
+    def serve_until_stopped(self) -> None:
+        """Serve until SIGINT or SIGTERM comes or `should_exit` is set."""
+        try:
+            self.run(sockets=[self._listener])
+        except SystemExit:  # uvicorn's reaction to a failed startup
+            pass
+        finally:
+            self._started_or_failed.set()
+
+    def wait_until_started(self) -> str:
+        """Wait for the end of the startup; returns the URL, or raises the error that the startup raised.
+
+        Raises NotStarted if the server was stopped before it had started.
+        """
+        self._started_or_failed.wait()
+        if not self.started:
+            raise self._app.startup_error or NotStarted("the service was stopped before it had started")
+        return self._url
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Called by uvicorn, after the startup of the application."""
+        host, port = self._listener.getsockname()[:2]
+        self._url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+        await super().startup(sockets)
+        _LOG.setLevel(logging.WARNING)
+        self._on_start(self._url)
+        self._started_or_failed.set()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Called by uvicorn; ends event streams first, which would otherwise last as long as their jobs."""
+        self._app.close_streams()
+        await super().shutdown(sockets)
+
+
+class _Application:
+    """The application, keeping the error of a failed startup, which uvicorn only logs."""
+
+    def __init__(self, app: FastAPI) -> None:
+        self._app = app
+        self.startup_error: Exception | None = None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await self._app(scope, receive, send)
+        except Exception as error:
+            if scope["type"] == "lifespan":
+                self.startup_error = error
+            raise
+
+    def close_streams(self) -> None:
+        service = getattr(self._app.state, "service", None)
+        if service is not None:
+            service.progress_stream.close()
+
+
+class HeadTimeout(H11Protocol):
+    """Request-header timeout, which uvicorn lacks.
+
+    Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
+    or from the opening of the connection. `api.middleware.body_limit` limits the body.
+    """
+
+    timeout = 10.0
+    _timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: Any) -> None:
+        """Called by the event loop."""
+        super().connection_made(transport)
+        self._start_timer()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Called by the event loop."""
+        self._stop_timer()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Called by the event loop."""
+        super().data_received(data)
+        if self._responding:
+            self._stop_timer()
+        elif self._timer is None:
+            self._start_timer()
+
+    @property
+    def _responding(self) -> bool:
+        return self.cycle is not None and not self.cycle.response_complete
+
+    def _start_timer(self) -> None:
+        self._timer = self.loop.call_later(self.timeout, self._on_timeout)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _on_timeout(self) -> None:
+        self._timer = None
+        if not self._responding and not self.transport.is_closing():
+            self.transport.write(_TIMEOUT_RESPONSE)
+            self.transport.close()
+
+
+def with_head_timeout(seconds: float) -> type[H11Protocol]:
+    """The protocol class for uvicorn's `http` option, with this timeout."""
+    return type("HeadTimeout", (HeadTimeout,), {"timeout": seconds})

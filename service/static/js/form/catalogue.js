@@ -1,0 +1,71 @@
+// What a new sweep can be made of: contact models and defaults from the API's schema, and presets to start from.
+
+import { requestJson } from "../lib/api.js";
+
+/** Requests `path` once for the life of the page; after an error, the next call requests it again. */
+function cachedRequest(path) {
+  let response = null;
+  return () => {
+    response ??= requestJson(path).catch((error) => {
+      response = null;
+      throw error;
+    });
+    return response;
+  };
+}
+
+const loadOpenApi = cachedRequest("/openapi.json");
+const loadFigures = cachedRequest("/v1/figures");
+
+/**
+ * The form's view of a specification: {defaults: {settle: 200, …},
+ * models: [{kind, about, fields: [{name, title, about, default, choices (null for numbers)}, …]}, …]}.
+ *
+ * Contact models and their fields are those of the API's schema: a new model appears in the form without any change to
+ * the page. LABELS in model-field.js can give a new field a symbol and unit; without, its title in the schema is shown.
+ */
+export async function loadSchema() {
+  const { schemas } = (await loadOpenApi()).components;
+  const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
+  const { properties } = schemas.SweepSpec;
+  const defaults = Object.fromEntries(Object.entries(properties).map(([name, schema]) => [name, schema.default]));
+  const models = (properties.model.oneOf ?? properties.model.anyOf).map(resolve);
+  return { defaults, models: models.map((model) => modelOf(model, resolve)) };
+}
+
+function modelOf({ description = "", properties }, resolve) {
+  const { kind, ...fields } = properties;
+  return {
+    kind: kind.const,
+    about: firstClause(description),
+    fields: Object.entries(fields).map(([name, schema]) => {
+      const { type, enum: choices, title, description: about = "" } = { ...resolve(schema), ...schema };
+      return { name, title: title.toLowerCase(), about, default: schema.default ?? null, choices: type === "boolean" ? [true, false] : (choices ?? null) };
+    }),
+  };
+}
+
+/** "Ideal plate; restitution 0 sticks." → "ideal plate" */
+function firstClause(description) {
+  const clause = description.split(/[;:\n]|\.(?:\s|$)/)[0].replaceAll("`", "").trim();
+  return clause.charAt(0).toLowerCase() + clause.slice(1);
+}
+
+const MODE_MAP = {
+  number: "map", label: "Also", title: "a mode map",
+  sweeps: [{
+    name: "mode map", gamma: { start: 0.1, stop: 5, num: 197 }, omega: { start: 0.3, stop: 1.7, num: 141 }, xi: 0.05,
+    model: { kind: "rigid" }, settle: 150, observe: 60, keep: 48,
+  }],
+};
+
+/**
+ * The sweeps of the paper's figures and one more: [{label, title, sweeps: [{key, spec}, …]}, …]. `key` is the value
+ * of `figure` in an address: "7", or "7.2" for the second sweep of a figure.
+ */
+export async function loadPresets() {
+  const figures = (await loadFigures()).map((figure) => ({ ...figure, label: `Fig. ${figure.number}` }));
+  return [...figures, MODE_MAP].map(({ number, label, title, sweeps }) => ({
+    label, title, sweeps: sweeps.map((spec, i) => ({ spec, key: i ? `${number}.${i + 1}` : String(number) })),
+  }));
+}

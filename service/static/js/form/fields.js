@@ -1,0 +1,94 @@
+// The fields of the form. Each is {element, read(), write(value)} with values as a specification has them; read()
+// gives null, and write() takes undefined, for the default.
+
+import { h } from "../lib/dom.js";
+import { AXES, MEANING, SYMBOL } from "../lib/physics.js";
+
+export const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
+
+/** Typed text as a number; as it is where it is none, for the service to refuse; null where it is empty. */
+export function parseNumber(text) {
+  const trimmed = text.trim().replace("−", "-");
+  if (trimmed === "") return null;
+  return Number.isFinite(Number(trimmed)) ? Number(trimmed) : trimmed;
+}
+
+/** A number; an empty input means the default, which is its placeholder. */
+export function numberField(name, label, about, defaultValue) {
+  const input = h("input", { ...NUMBER_INPUT, placeholder: String(defaultValue), "data-field": name });
+  return {
+    element: h("label", { className: "plain" }, h("span", {}, label), input, h("small", {}, about)),
+    read: () => parseNumber(input.value),
+    write: (value) => { input.value = value === undefined ? "" : String(value); },
+  };
+}
+
+export function nameField() {
+  const input = h("input", { type: "text", autocomplete: "off", maxlength: 200, size: 32, "data-field": "name" });
+  return {
+    element: h("label", { className: "plain" }, h("span", {}, "Name"), input, h("small", {}, "a label for the list of sweeps")),
+    read: () => input.value,
+    write: (value) => { input.value = value ?? ""; },
+  };
+}
+
+const AXIS_KINDS = { single: "one value", list: "a list of values", range: "a range" };
+const AXIS_DEFAULTS = { gamma: { start: 1, stop: 6, num: 501 }, omega: 0.5, xi: 0.26 }; // of the form: a specification has none
+
+/** One axis: a single value, a list of values, or a range. */
+export function axisField(axis) {
+  const input = (field, label, attributes = {}) => {
+    const element = h("input", { ...NUMBER_INPUT, "data-field": field, ...attributes });
+    return { element, label: h("label", {}, h("span", {}, label), element) };
+  };
+  const kind = h("select", { onchange: () => show() },
+    Object.entries(AXIS_KINDS).map(([value, text]) => h("option", { value }, text)));
+  const single = input(axis, "value");
+  const list = input(axis, "values, separated by commas", { size: 24 });
+  const start = input(`${axis}.start`, "from");
+  const stop = input(`${axis}.stop`, "to");
+  const num = input(`${axis}.num`, "number of values", { inputmode: "numeric" });
+  const spacing = h("select", { "data-field": `${axis}.spacing` }, ["linear", "log"].map((value) => h("option", { value }, value)));
+  const spacingLabel = h("label", {}, h("span", {}, "spacing"), spacing);
+  const labels = { single: [single.label], list: [list.label], range: [start.label, stop.label, num.label, spacingLabel] };
+  const show = () => Object.entries(labels).forEach(([name, group]) => group.forEach((label) => { label.hidden = name !== kind.value; }));
+
+  const read = () => {
+    if (kind.value === "single") return parseNumber(single.element.value);
+    if (kind.value === "list") return list.element.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
+    return { start: parseNumber(start.element.value), stop: parseNumber(stop.element.value), num: parseNumber(num.element.value), spacing: spacing.value };
+  };
+  const write = (value = AXIS_DEFAULTS[axis]) => {
+    kind.value = typeof value === "number" ? "single" : Array.isArray(value) ? "list" : "range";
+    if (kind.value === "single") single.element.value = String(value);
+    else if (kind.value === "list") list.element.value = value.join(", ");
+    else {
+      for (const [name, part] of Object.entries({ start, stop, num })) part.element.value = String(value[name]);
+      spacing.value = value.spacing ?? "linear";
+    }
+    show();
+  };
+  const element = h("fieldset", { "data-group": axis },
+    h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, MEANING[axis])),
+    h("label", {}, h("span", {}, "given as"), kind), Object.values(labels).flat());
+  return { element, read, write };
+}
+
+const PROTOCOLS = { rest: "every cell from rest", up: "ramp up", down: "ramp down", both: "ramp up, then down" };
+
+/** Each cell from rest, or a ramp: each cell from the final state of the one before. */
+export function protocolField() {
+  const kind = h("select", { "data-field": "protocol", onchange: () => show() }, Object.entries(PROTOCOLS).map(([value, text]) => h("option", { value }, text)));
+  const axis = h("select", { "data-field": "protocol.axis" }, AXES.map((value) => h("option", { value }, SYMBOL[value])));
+  const along = h("label", {}, h("span", {}, "along"), axis);
+  const show = () => { along.hidden = kind.value === "rest"; };
+  return {
+    element: h("fieldset", { "data-group": "protocol" }, h("legend", {}, "Protocol"), h("label", {}, h("span", {}, "cells start"), kind), along),
+    read: () => (kind.value === "rest" ? { kind: "rest" } : { kind: "ramp", axis: axis.value, direction: kind.value }),
+    write: (protocol = { kind: "rest" }) => {
+      kind.value = protocol.kind === "rest" ? "rest" : protocol.direction;
+      axis.value = protocol.axis ?? "gamma";
+      show();
+    },
+  };
+}

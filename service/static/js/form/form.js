@@ -1,0 +1,164 @@
+// The form for a new sweep. The service validates it and estimates its cost while it is edited.
+
+import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
+import { isHandledElsewhere, requestJson } from "../lib/api.js";
+import { announce, debounced, h } from "../lib/dom.js";
+import { bytes, duration, plural } from "../lib/format.js";
+import { loadPresets, loadSchema } from "./catalogue.js";
+import { axisField, nameField, numberField, protocolField } from "./fields.js";
+import { modelField } from "./model-field.js";
+import { showProblems } from "./problems.js";
+
+const ESTIMATE_DELAY_MS = 220;
+const INVALID = new Set([413, 422]);
+
+export class SweepForm {
+  edited = new Set(); // names of the fields edited since the form was last filled
+
+  constructor(root) {
+    document.title = "New sweep · Bouncing spring";
+    this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
+    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    root.replaceChildren(
+      h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
+      h("h1", { tabindex: "-1" }, "New sweep"),
+      this.container, this.problem);
+    this.estimate = debounced(ESTIMATE_DELAY_MS, () => this.#estimate());
+    this.#load();
+  }
+
+  handles({ path }) {
+    return path[0] === "new";
+  }
+
+  show() {
+    this.edited.clear();
+    this.#load();
+  }
+
+  refresh() {
+    if (this.isLoaded) this.estimate();
+    else this.#load();
+  }
+
+  close() {
+    this.closed = true;
+    this.estimate.cancel();
+    this.estimating?.abort();
+  }
+
+  #build({ defaults, models }) {
+    this.fields = {
+      name: nameField(),
+      gamma: axisField("gamma"),
+      omega: axisField("omega"),
+      xi: axisField("xi"),
+      protocol: protocolField(),
+      model: modelField(models, defaults.model.kind),
+      settle: numberField("settle", "settle", "plate periods, not recorded", defaults.settle),
+      observe: numberField("observe", "observe", "plate periods, recorded", defaults.observe),
+      keep: numberField("keep", "keep", "flights stored per cell, the last ones", defaults.keep),
+      micro_flight: numberField("micro_flight", "micro-flight", "rad; shorter flights do not count in the mode", defaults.micro_flight),
+      settle_tolerance: numberField("settle_tolerance", "settle tolerance", "rad; settling ends once flights repeat within it; 0: never", defaults.settle_tolerance),
+    };
+    this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });
+    this.cost = h("p", { className: "cost", role: "status" }, "…");
+    this.button = h("button", { type: "submit", className: "button" }, "Compute");
+    this.json = h("pre", { tabindex: "0", "aria-label": "The specification as JSON" });
+    const { name, gamma, omega, xi, protocol, model, ...recording } = this.fields;
+    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
+      name.element, gamma.element, omega.element, xi.element, protocol.element, model.element,
+      h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), Object.values(recording).map((field) => field.element)),
+      this.problem,
+      h("div", { className: "submit" }, this.button, this.cost));
+    this.container.replaceChildren(
+      h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset),
+      this.form,
+      h("details", {}, h("summary", {}, "Specification as JSON, for the command line and Python"), this.json));
+    this.#fill({});
+  }
+
+  /** Fill the form with the figure or the sweep that the address names; edited fields keep their values. */
+  async #load() {
+    const { figure, from } = currentQuery();
+    const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
+    try {
+      const schema = await loadSchema();
+      if (isOutdated()) return;
+      if (!this.form) this.#build(schema);
+      const presets = await loadPresets();
+      const job = from && (await requestJson(`/v1/jobs/${from}`));
+      if (isOutdated()) return;
+      this.preset.replaceChildren(h("option", { value: "" }, "default values"), ...presets.map(({ label, title, sweeps }) =>
+        h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, spec }) => h("option", { value: key, selected: key === figure }, spec.name)))));
+      this.#fill((job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? {});
+      this.isLoaded = true;
+    } catch (error) {
+      this.#showError(error);
+    }
+  }
+
+  #fill(spec) {
+    for (const [name, field] of Object.entries(this.fields)) {
+      if (!this.edited.has(name)) field.write(spec[name]);
+    }
+    this.#onChange();
+  }
+
+  #onEdit({ target }) {
+    const [name] = Object.entries(this.fields).find(([, field]) => field.element.contains(target));
+    this.edited.add(name);
+    this.#onChange();
+  }
+
+  /** The specification; fields with their defaults are left out. */
+  #read() {
+    return Object.fromEntries(Object.entries(this.fields).map(([name, field]) => [name, field.read()]).filter(([, value]) => value !== null));
+  }
+
+  #onChange() {
+    this.json.textContent = JSON.stringify(this.#read(), null, 2);
+    this.estimate();
+  }
+
+  async #estimate() {
+    this.estimating?.abort();
+    this.estimating = new AbortController();
+    try {
+      const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read(), signal: this.estimating.signal });
+      showProblems(this.form, this.problem, null);
+      const basis = cost.basis === "measured" ? "measured on this service" : "from a table of costs";
+      this.cost.textContent = `${plural(cost.cells, "cell")} in ${plural(cost.chunks, "chunk")} · ${duration(cost.core_seconds)} on one core, ${basis} · up to ${bytes(cost.bytes)}`;
+      this.button.disabled = false;
+    } catch (error) {
+      this.#showError(error);
+    }
+  }
+
+  #showError(error) {
+    if (error.name === "AbortError") return;
+    if (this.form) {
+      this.cost.textContent = error.name === "Unreachable" ? "The cost is estimated once the service answers again." : error.errors?.length ? "The specification is not valid: see the marked fields." : "";
+    }
+    if (isHandledElsewhere(error)) return;
+    showProblems(this.form ?? this.container, this.problem, error);
+    if (this.form) this.button.disabled = INVALID.has(error.status);
+  }
+
+  async #submit(event) {
+    event.preventDefault();
+    this.button.disabled = true;
+    try {
+      const job = await requestJson("/v1/jobs", { method: "POST", body: this.#read() });
+      announce("The sweep was submitted.");
+      if (this.closed) return;
+      replace(["new"], { from: job.id }); // the browser's back button returns to what was submitted
+      navigate(["job", job.id]);
+    } catch (error) {
+      this.#showError(error);
+      this.form.querySelector("[aria-invalid=true]")?.focus();
+    } finally {
+      if (this.form.querySelector("[aria-invalid=true]") === null) this.button.disabled = false;
+    }
+  }
+}

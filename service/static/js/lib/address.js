@@ -1,0 +1,62 @@
+// The view's state in the address: #/job/ID/diagram?omega=0.5. A copied link shows the same view.
+
+import { query as encode } from "./api.js";
+import { debounced } from "./dom.js";
+
+const WINDOW = ["x0", "x1", "y0", "y1"];
+
+/** The current address: {path: ["job", ID, "diagram"], query: {omega: "0.5"}}. */
+export function currentAddress() {
+  const [path, query = ""] = location.hash.replace(/^#\/?/, "").split("?");
+  return { path: path.split("/").filter(Boolean), query: Object.fromEntries(new URLSearchParams(query)) };
+}
+
+export function link(path, query = {}) {
+  const text = encode(query).replaceAll("%2C", ",");
+  return `#/${path.join("/")}${text ? `?${text}` : ""}`;
+}
+
+export function navigate(path, query = {}) {
+  location.hash = link(path, query);
+}
+
+// Browsers limit how often the address may change; a slider changes it hundreds of times.
+const write = debounced(120, (target) => history.replaceState(null, "", target));
+let pending = null;
+
+/** Change query parameters without a new history entry; null removes one. */
+export function setQuery(changes) {
+  pending ??= currentAddress();
+  pending.query = { ...pending.query, ...changes };
+  write(link(pending.path, pending.query));
+}
+
+/** Replace the whole address without a new history entry. */
+export function replace(path, query = {}) {
+  discardPending();
+  history.replaceState(null, "", link(path, query));
+}
+
+/** The query parameters, including changes not written yet. */
+export const currentQuery = () => (pending ?? currentAddress()).query;
+
+/** Drop changes not written yet: they belong to a view that was left. */
+export function discardPending() {
+  write.cancel();
+  pending = null;
+}
+
+/** The zoom window {x0, x1, y0, y1} in a query; null without a valid one. */
+export function windowIn(query) {
+  const values = WINDOW.map((name) => (query[name] === undefined ? NaN : Number(query[name])));
+  if (!values.every(Number.isFinite) || values[0] >= values[1] || values[2] >= values[3]) return null;
+  return Object.fromEntries(WINDOW.map((name, i) => [name, values[i]]));
+}
+
+/** Write a zoom window to the address; null removes it. */
+export function setWindow(window) {
+  setQuery(Object.fromEntries(WINDOW.map((name) => [name, window ? Number(window[name].toPrecision(6)) : null])));
+}
+
+/** An axis value as addresses hold it: ten significant digits. */
+export const addressValue = (value) => Number(value.toPrecision(10));

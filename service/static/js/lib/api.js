@@ -1,0 +1,102 @@
+// Requests to the service, and their errors.
+
+/** The service refused a request: its message, the HTTP status, and `errors`, a list of {field, rule}. */
+export class Problem extends Error {
+  constructor(status, { detail, errors = [] }) {
+    super(detail);
+    this.status = status;
+    this.errors = errors;
+  }
+}
+
+/** The service did not answer. */
+export class Unreachable extends Error {
+  name = "Unreachable";
+}
+
+/** Dispatches "unreachable" when a request gets no answer, and "unauthorized" when the service requires a token. */
+export const connection = new EventTarget();
+
+const TIMEOUT_MS = 30_000;
+const DOWNLOAD_TIMEOUT_MS = 600_000;
+const TOKEN_KEY = "bounce-token";
+
+export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token);
+
+/** The response to one request. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
+export async function request(path, { method = "GET", body, signal, timeout = TIMEOUT_MS, priority = "auto" } = {}) {
+  const headers = {};
+  if (body !== undefined) headers["Content-Type"] = "application/json";
+  const token = sessionStorage.getItem(TOKEN_KEY);
+  if (token) headers.Authorization = `Bearer ${token}`;
+  const timer = AbortSignal.timeout(timeout);
+  let response;
+  try {
+    response = await fetch(path, {
+      method,
+      priority,
+      headers,
+      body: body === undefined ? undefined : JSON.stringify(body),
+      signal: signal ? AbortSignal.any([signal, timer]) : timer,
+    });
+  } catch (error) {
+    if (signal?.aborted) throw error;
+    throw unreachable();
+  }
+  if (response.ok) return response;
+  if (response.status === 401) connection.dispatchEvent(new Event("unauthorized"));
+  throw new Problem(response.status, await problemOf(response));
+}
+
+export async function requestJson(path, options) {
+  const response = await request(path, options);
+  return response.status === 204 ? null : read(response, "json", options?.signal);
+}
+
+const ARRAY_TYPES = {
+  float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array,
+};
+
+/** Arrays in the binary form of service/render/binary.py: {…values of the header, arrays: {name: typed array}}. */
+export async function requestArrays(path, options) {
+  const buffer = await read(await request(path, options), "arrayBuffer", options?.signal);
+  const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
+  for (const [name, [type, offset, length]] of Object.entries(header.arrays)) {
+    header.arrays[name] = new ARRAY_TYPES[type](buffer, end + 1 + offset, length);
+  }
+  return header;
+}
+
+export const requestBlob = async (path) => read(await request(path, { timeout: DOWNLOAD_TIMEOUT_MS }), "blob");
+
+/** A query string; null, undefined and empty values are left out. */
+export function query(values) {
+  const set = Object.entries(values).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return new URLSearchParams(set.map(([name, value]) => [name, String(value)])).toString();
+}
+
+/** Whether a view need not show this error: the banner or the token dialog does, or the request was aborted on purpose. */
+export const isHandledElsewhere = (error) => error.name === "Unreachable" || error.name === "AbortError" || error.status === 401;
+
+async function read(response, as, signal) {
+  try {
+    return await response[as]();
+  } catch (error) {
+    if (signal?.aborted) throw error;
+    throw unreachable(); // the connection broke during the response
+  }
+}
+
+async function problemOf(response) {
+  try {
+    return await response.json();
+  } catch {
+    return { detail: `the service answered ${response.status} ${response.statusText}` };
+  }
+}
+
+function unreachable() {
+  connection.dispatchEvent(new Event("unreachable"));
+  return new Unreachable("the service does not answer");
+}

@@ -1,0 +1,47 @@
+// The banner shown while the service does not answer, and the dialog for its access token.
+
+import { connection, request, setToken } from "./api.js";
+import { announce } from "./dom.js";
+
+const RETRY_MS = 1000;
+const TIMEOUT_MS = 3000;
+let retrying = false;
+
+/** Show the banner and the dialog when they are needed; `onRestored` is called when requests can succeed again. */
+export function watchConnection(onRestored) {
+  const banner = document.getElementById("offline");
+  const dialog = document.getElementById("token");
+
+  connection.addEventListener("unreachable", () => {
+    if (retrying) return;
+    retrying = true;
+    banner.hidden = false;
+    retry(() => {
+      retrying = false;
+      banner.hidden = true;
+      announce("The service answers again.");
+      onRestored();
+    });
+  });
+
+  connection.addEventListener("unauthorized", () => {
+    if (!dialog.open) dialog.showModal();
+  });
+  dialog.querySelector("form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const input = dialog.querySelector("input");
+    setToken(input.value.trim());
+    input.value = "";
+    dialog.close();
+    onRestored();
+  });
+}
+
+async function retry(done) {
+  try {
+    await request("/healthz", { timeout: TIMEOUT_MS });
+    done();
+  } catch {
+    setTimeout(() => retry(done), RETRY_MS);
+  }
+}

@@ -1,0 +1,71 @@
+// Building elements, dialogs, screen-reader announcements, and limiting how often a function runs.
+
+const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected"]);
+
+/** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element; null and false children are left out. */
+export function h(tag, props = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(props)) {
+    if (value === undefined || value === null) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (PROPERTIES.has(name)) element[name] = value;
+    else if (value !== false) element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children.flat(2).filter((child) => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+/** Announce `text` to screen readers. */
+export function announce(text) {
+  document.getElementById("status").textContent = text;
+}
+
+/** Ask for confirmation in a dialog; resolves to whether the button labelled `action` was pressed. */
+export function confirmed(question, action) {
+  const dialog = document.getElementById("confirm");
+  dialog.querySelector("p").textContent = question;
+  dialog.querySelector("[value=yes]").textContent = action;
+  dialog.returnValue = "";
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+}
+
+/** `work`, called only after `milliseconds` without another call. `cancel()` drops a pending call. */
+export function debounced(milliseconds, work) {
+  let timer;
+  const call = (...args) => {
+    clearTimeout(timer);
+    timer = setTimeout(() => work(...args), milliseconds);
+  };
+  call.cancel = () => clearTimeout(timer);
+  return call;
+}
+
+const ABORT_AFTER_MS = 150;
+
+/**
+ * `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
+ * the run ends, and the run is aborted through its signal if it takes longer than ABORT_AFTER_MS.
+ */
+export function latest(work) {
+  let controller = null; // of the current run
+  let started;
+  let pending = null;
+  return async function run(...args) {
+    if (controller) {
+      if (!pending) setTimeout((stale) => stale.abort(), Math.max(0, started + ABORT_AFTER_MS - performance.now()), controller);
+      pending = args;
+      return;
+    }
+    controller = new AbortController();
+    started = performance.now();
+    try {
+      await work(controller.signal, ...args);
+    } finally {
+      controller = null;
+      const next = pending;
+      pending = null;
+      if (next) run(...next);
+    }
+  };
+}

@@ -1,0 +1,43 @@
+// Numbers, sizes and times as text.
+
+/** Up to `digits` significant digits, no trailing zeros. */
+export function number(value, digits = 5) {
+  if (!Number.isFinite(value)) return "–";
+  const text = String(Number(value.toPrecision(digits)));
+  const [mantissa, exponent] = text.split("e");
+  return (exponent ? `${mantissa}·10^${Number(exponent)}` : mantissa).replaceAll("-", "−");
+}
+
+export const count = (value) => value.toLocaleString("en");
+
+export const plural = (n, singular, many = `${singular}s`) => `${count(n)} ${n === 1 ? singular : many}`;
+
+/** 2 → "2nd". */
+export function ordinal(n) {
+  const last = n % 100 > 10 && n % 100 < 14 ? 0 : n % 10;
+  return `${n}${["th", "st", "nd", "rd"][last] ?? "th"}`;
+}
+
+export function bytes(value) {
+  const units = ["bytes", "kB", "MB", "GB", "TB"];
+  const step = Math.min(Math.floor(Math.log10(Math.max(value, 1)) / 3), units.length - 1);
+  return `${number(value / 1000 ** step, 3)} ${units[step]}`;
+}
+
+/** A duration in seconds. */
+export function duration(value) {
+  if (value < 0.1) return "less than 0.1 s";
+  if (value < 90) return `${number(value, 2)} s`;
+  if (value < 5400) return `${Math.round(value / 60)} min`;
+  return `${number(value / 3600, 2)} h`;
+}
+
+/** How long ago a time was; after 36 h, its date. */
+export function ago(time) {
+  const seconds = Math.max(0, (Date.now() - new Date(time)) / 1000);
+  if (seconds < 10) return "just now";
+  if (seconds < 90) return `${Math.round(seconds)} s ago`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min ago`;
+  if (seconds < 129600) return `${Math.round(seconds / 3600)} h ago`;
+  return new Date(time).toLocaleDateString("en", { day: "numeric", month: "short", year: "numeric" });
+}

@@ -1,0 +1,88 @@
+// Axes of a sweep, outcomes of its cells, and the analytic threshold: what the page knows of the model.
+
+/** The axes in the order they are shown. */
+export const AXES = ["gamma", "omega", "xi"];
+
+export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
+
+export const MEANING = {
+  gamma: "plate acceleration, Aω²/g",
+  omega: "plate frequency, ω/ω₀",
+  xi: "damping, β/(2mω₀)",
+};
+
+export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
+
+/** Codes of kernel.params.Outcome. */
+export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5 };
+
+/** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
+export function threshold(omega, xi) {
+  const [w, x] = [omega ** 2, xi ** 2];
+  return 2 * Math.sqrt(((1 - w) ** 2 + 4 * x * w) / ((2 - w) ** 2 + 16 * x * w));
+}
+
+/** The values of an axis of a specification: a number, a list, or {start, stop, num, spacing}. */
+export function axisValues(axis) {
+  if (typeof axis === "number") return [axis];
+  if (Array.isArray(axis)) return axis;
+  const { start, stop, num, spacing } = axis;
+  if (num === 1) return [start];
+  const log = spacing === "log";
+  const [from, to] = log ? [Math.log(start), Math.log(stop)] : [start, stop];
+  return Array.from({ length: num }, (_, i) => {
+    if (i === 0) return start;
+    if (i === num - 1) return stop;
+    const value = from + ((to - from) * i) / (num - 1);
+    return log ? Math.exp(value) : value;
+  });
+}
+
+export const isLog = (axis) => axis?.spacing === "log";
+
+/** The index of the value nearest to `target`; `values` increase. */
+export function nearestIndex(values, target) {
+  let [low, high] = [0, values.length - 1];
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (values[middle] <= target) low = middle;
+    else high = middle;
+  }
+  return target - values[low] <= values[high] - target ? low : high;
+}
+
+/** The axis value nearest to `text`, a query parameter; the middle value where it is missing or no number. */
+export function initialValue(values, text) {
+  const target = text === undefined ? NaN : Number(text);
+  return values[Number.isFinite(target) ? nearestIndex(values, target) : values.length >> 1];
+}
+
+/** Whether two values are equal up to the rounding of their decimal form. */
+export const isClose = (a, b) => Math.abs(a - b) <= 1e-8 * Math.max(Math.abs(a), Math.abs(b));
+
+/** `index` limited to an array of `length`. */
+export const clampIndex = (index, length) => Math.min(Math.max(index, 0), length - 1);
+
+/** The directions of a sweep, as the service names them. */
+export function directionsOf({ protocol }) {
+  if (protocol.kind === "rest") return ["rest"];
+  return protocol.direction === "both" ? ["up", "down"] : [protocol.direction];
+}
+
+/** A cell's outcome as text. */
+export function outcomeText(outcome, bounces, periods) {
+  switch (outcome) {
+    case OUTCOME.periodic:
+      return `mode (${bounces}, ${periods})`;
+    case OUTCOME.aperiodic:
+      return "aperiodic";
+    case OUTCOME.atRest:
+      return "at rest on the plate";
+    case OUTCOME.unresolved:
+      return "unresolved";
+    case OUTCOME.diverged:
+      return "diverged";
+    default:
+      return "not computed yet";
+  }
+}

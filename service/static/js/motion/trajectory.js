@@ -1,0 +1,58 @@
+// The trajectory of one cell: requesting it from the service, waiting for it, and describing it in words.
+
+import { requestJson } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { number, plural } from "../lib/format.js";
+
+export const PERIODS = 4; // plate periods shown
+export const SAMPLES = 240; // per plate period
+
+const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
+const RETRY_MS = 700;
+const SLOW_MS = 2500; // after which the note says why it may take long
+const MIN_FLIGHT = 1e-3; // rad: shorter flights are not listed
+const MAX_LISTED = 8;
+
+/** As requestJson; while the service computes too many trajectories (429), the request is repeated. */
+export async function requestTrajectory(path, options = {}) {
+  const deadline = performance.now() + TIMEOUT_MS;
+  for (;;) {
+    try {
+      return await requestJson(path, { ...options, timeout: TIMEOUT_MS });
+    } catch (error) {
+      if (error.status !== 429 || options.signal?.aborted || performance.now() > deadline) throw error;
+      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+    }
+  }
+}
+
+/** The flights of a trajectory in words. */
+export function describe({ flights, complete }) {
+  const times = flights.flight_time.filter((time) => time > MIN_FLIGHT);
+  const listed = times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(", ");
+  const text = times.length
+    ? `${plural(times.length, "complete flight")} in ${PERIODS} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`
+    : "The spring stays on the plate.";
+  return complete ? text : `${text} The computation stopped before the end.`;
+}
+
+/** A note shown while a trajectory is computed. */
+export class ComputingNote {
+  constructor() {
+    this.element = h("p", { className: "note computing", role: "status", hidden: true });
+  }
+
+  show() {
+    this.hide();
+    this.element.textContent = "Computing the trajectory …";
+    this.element.hidden = false;
+    this.timer = setTimeout(() => {
+      this.element.textContent = "Computing the trajectory … After a start of the service, the first one may wait for the kernels to be compiled.";
+    }, SLOW_MS);
+  }
+
+  hide() {
+    clearTimeout(this.timer);
+    this.element.hidden = true;
+  }
+}

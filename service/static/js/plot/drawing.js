@@ -1,0 +1,93 @@
+// Drawing on a 2D context: a canvas's own, or the SvgContext of export.js, which records the same calls as SVG.
+
+/** Canvas pixels per CSS pixel, at most two: more costs time and shows no difference. */
+export const pixelRatio = () => Math.min(devicePixelRatio || 1, 2);
+
+/** The cleared context of a canvas resized to `width` × `height` CSS pixels. */
+export function resizedContext(canvas, width, height) {
+  const ratio = pixelRatio();
+  const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== columns || canvas.height !== rows) {
+    [canvas.width, canvas.height] = [columns, rows];
+    canvas.style.height = `${height}px`;
+  }
+  const ctx = canvas.getContext("2d");
+  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+  ctx.clearRect(0, 0, width, height);
+  return ctx;
+}
+
+/** A polyline through `points`, [x, y] in pixels; `dash` as in setLineDash. */
+export function polyline(ctx, colour, width, points, dash = []) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = width;
+  ctx.setLineDash(dash);
+  path(ctx, points);
+  ctx.stroke();
+  ctx.setLineDash([]);
+}
+
+/** A filled polygon. */
+export function polygon(ctx, colour, points, opacity = 1) {
+  ctx.fillStyle = colour;
+  ctx.globalAlpha = opacity;
+  path(ctx, points);
+  ctx.closePath();
+  ctx.fill();
+  ctx.globalAlpha = 1;
+}
+
+export function disc(ctx, colour, x, y, radius) {
+  ctx.fillStyle = colour;
+  ctx.beginPath();
+  ctx.arc(x, y, radius, 0, 2 * Math.PI);
+  ctx.fill();
+}
+
+export function circle(ctx, colour, width, x, y, radius) {
+  ctx.strokeStyle = colour;
+  ctx.lineWidth = width;
+  ctx.beginPath();
+  ctx.arc(x, y, radius, 0, 2 * Math.PI);
+  ctx.stroke();
+}
+
+/** A vertical line over the height of the plot box. */
+export const verticalLine = (ctx, box, x, colour, width = 1, dash = []) =>
+  polyline(ctx, colour, width, [[x, box.top], [x, box.top + box.height]], dash);
+
+/** Run `draw` with drawing limited to the box. */
+export function clipped(ctx, { left, top, width, height }, draw) {
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(left, top, width, height);
+  ctx.clip();
+  draw();
+  ctx.restore();
+}
+
+/**
+ * A bitmap of `width` × `height` pixels stretched over [x0, x1] × [y0, y1]; `fill(pixels)` writes one 32-bit colour
+ * (see `rgba32`) per pixel.
+ */
+export function bitmap(ctx, width, height, fill, x0, y0, x1, y1) {
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [width, height];
+  const target = canvas.getContext("2d");
+  const image = target.createImageData(width, height);
+  fill(new Uint32Array(image.data.buffer));
+  target.putImageData(image, 0, 0);
+  ctx.imageSmoothingEnabled = false;
+  ctx.drawImage(canvas, x0, y0, x1 - x0, y1 - y0);
+}
+
+/** "#rrggbb" and an opacity as 32 bits; every platform with a browser is little-endian. */
+export function rgba32(colour, opacity = 1) {
+  const [r, g, b] = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+  return ((Math.round(255 * opacity) << 24) | (b << 16) | (g << 8) | r) >>> 0;
+}
+
+function path(ctx, points) {
+  ctx.beginPath();
+  points.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+}

@@ -1,0 +1,123 @@
+// What surrounds a plot's data: frame, ticks, labels, title and legend.
+
+import { polyline } from "./drawing.js";
+import { scale, ticks } from "./scale.js";
+
+export const FONT_SIZE = 13;
+const NARROW = 520; // px: below this width, title and legend take a line each
+const TWO_PI = 2 * Math.PI;
+
+/** The plot box: the data area between the margins, in pixels, and the scales of its axes. */
+export function boxOf(ctx, content, width, height, theme, ratio) {
+  const narrow = width < NARROW;
+  const headings = [content.title, content.legend?.length].filter(Boolean).length;
+  const [top, bottom] = [12 + (narrow ? 22 * headings : headings && 20), 46];
+  const [left, right] = [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
+  return {
+    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, ratio,
+    x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
+    y: scale(content.y.low, content.y.high, height - bottom, top, content.y.log),
+  };
+}
+
+/** The left margin fits the label and the widest tick. */
+function leftMargin(ctx, { low, high, log }, height, theme, narrow) {
+  ctx.font = `${FONT_SIZE}px ${theme.serif}`;
+  const widest = Math.max(0, ...yTicks(low, high, height, log).map(({ text }) => ctx.measureText(text).width));
+  return Math.max(narrow ? 46 : 58, Math.ceil(widest) + (narrow ? 26 : 31));
+}
+
+const yTicks = (low, high, height, log) => ticks(low, high, height / 44, log);
+
+/** Faint lines at whole plate periods (multiples of 2π), labelled on the right. */
+export function drawPeriods(ctx, box) {
+  const first = Math.max(1, Math.ceil(box.y.low / TWO_PI));
+  const last = Math.floor(box.y.high / TWO_PI + 1e-9);
+  const step = Math.max(1, Math.ceil((last - first + 1) / 8));
+  const right = box.left + box.width;
+  ctx.font = `${FONT_SIZE}px ${box.theme.serif}`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "middle";
+  for (let k = first; k <= last; k += step) {
+    const y = box.y.pixel(k * TWO_PI);
+    polyline(ctx, box.theme.border, 1, [[box.left, y], [right, y]]);
+    ctx.fillStyle = box.theme.muted;
+    ctx.fillText(`${2 * k}π`, right + 6, y);
+  }
+}
+
+export function drawFrame(ctx, box, { x, y }) {
+  const { left, top, width, height, theme } = box;
+  ctx.strokeStyle = theme.text;
+  ctx.lineWidth = 1;
+  ctx.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
+  ctx.fillStyle = theme.text;
+  ctx.font = `${FONT_SIZE}px ${theme.serif}`;
+  drawXTicks(ctx, box);
+  drawYTicks(ctx, box, y.periods);
+  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
+  ctx.textAlign = "center";
+  ctx.textBaseline = "alphabetic";
+  ctx.fillText(x.label, left + width / 2, top + height + 41);
+  ctx.save();
+  ctx.translate(box.narrow ? 12 : 16, top + height / 2);
+  ctx.rotate(-Math.PI / 2);
+  ctx.fillText(y.label, 0, 0);
+  ctx.restore();
+}
+
+/** Ticks point inwards on both sides, as in the paper's figures. */
+function drawXTicks(ctx, { x, left, top, width, height, narrow, theme }) {
+  ctx.textBaseline = "top";
+  ctx.textAlign = "center";
+  for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
+    const at = clamp(Math.round(x.pixel(value)) + 0.5, left, left + width);
+    polyline(ctx, theme.text, 1, [[at, top + height - 6], [at, top + height]]);
+    polyline(ctx, theme.text, 1, [[at, top], [at, top + 6]]);
+    ctx.fillText(text, at, top + height + 7);
+  }
+}
+
+/** The right side has the labels of the plate periods instead of ticks where there are any. */
+function drawYTicks(ctx, { y, left, top, width, height, theme }, periods) {
+  ctx.textBaseline = "middle";
+  ctx.textAlign = "right";
+  for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
+    const at = clamp(Math.round(y.pixel(value)) + 0.5, top, top + height);
+    polyline(ctx, theme.text, 1, [[left, at], [left + 6, at]]);
+    if (!periods) polyline(ctx, theme.text, 1, [[left + width - 6, at], [left + width, at]]);
+    ctx.fillText(text, left - 7, at);
+  }
+}
+
+const clamp = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
+
+/** The title above the frame on the left, the legend on the right; on a narrow plot the title is on a line of its own. */
+export function drawHeadings(ctx, { left, top, width, narrow, theme }, { title = "", legend = [] }) {
+  ctx.font = `${FONT_SIZE + 1}px ${theme.serif}`;
+  ctx.textBaseline = "middle";
+  ctx.textAlign = "left";
+  ctx.fillStyle = theme.text;
+  ctx.fillText(title, left, narrow && legend.length ? top - 37 : top - 15);
+  ctx.textAlign = "right";
+  let x = left + width;
+  for (const [name, drawSymbol] of [...legend].reverse()) {
+    ctx.fillStyle = theme.text;
+    ctx.fillText(name, x, top - 15);
+    x -= ctx.measureText(name).width + 34;
+    drawSymbol(ctx, x + 4, top - 15, theme);
+    x -= 12;
+  }
+}
+
+/** A sentence in the middle of an empty plot: why it is empty. */
+export function drawMessage(ctx, { left, top, width, height, theme }, message) {
+  ctx.font = `italic ${FONT_SIZE + 3}px ${theme.serif}`;
+  ctx.textAlign = "center";
+  ctx.textBaseline = "middle";
+  const boxWidth = Math.min(ctx.measureText(message).width + 24, width - 12);
+  ctx.fillStyle = theme.surface;
+  ctx.fillRect(left + width / 2 - boxWidth / 2, top + height / 2 - 16, boxWidth, 32);
+  ctx.fillStyle = theme.muted;
+  ctx.fillText(message, left + width / 2, top + height / 2, width - 16);
+}

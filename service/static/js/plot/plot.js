@@ -1,0 +1,78 @@
+// A plot: layers drawn between axes on one canvas, the cursor on a second one above it.
+
+import { h } from "../lib/dom.js";
+import { onThemeChange, theme } from "./colours.js";
+import { clipped, pixelRatio, resizedContext } from "./drawing.js";
+import { boxOf, drawFrame, drawHeadings, drawMessage, drawPeriods } from "./frame.js";
+
+const MAX_VIEWPORT_SHARE = 0.66; // of the viewport's height
+
+/**
+ * `content()` returns what to draw, null before anything is loaded:
+ *   x: {label, low, high, log}, y: {label, low, high, log, periods (mark whole plate periods)},
+ *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
+ *   title, message (shown in the middle of an empty plot),
+ *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …],
+ *   colours: [[name, theme => colour], …], a legend below the plot in exported files.
+ * Dispatches "drawn" on its element after each drawing.
+ */
+export class Plot {
+  constructor(root, { label, content, ratio = 0.52, minHeight = 290 }) {
+    this.content = content;
+    this.ratio = ratio;
+    this.minHeight = minHeight;
+    this.canvas = h("canvas", { "aria-hidden": "true" });
+    this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
+    this.element = h("div", { className: "plot", tabindex: "0", role: "application", "aria-label": label }, this.canvas, this.cursor);
+    root.append(this.element);
+    this.closing = new AbortController();
+    this.observer = new ResizeObserver(() => this.redraw());
+    this.observer.observe(this.element);
+    onThemeChange(() => this.redraw(), this.closing.signal);
+  }
+
+  close() {
+    this.closing.abort();
+    this.observer.disconnect();
+    cancelAnimationFrame(this.frame);
+  }
+
+  /** Draw everything in the next animation frame. */
+  redraw() {
+    cancelAnimationFrame(this.frame);
+    this.frame = requestAnimationFrame(() => this.draw());
+  }
+
+  draw() {
+    const width = this.element.clientWidth;
+    if (!width) return;
+    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
+    const ctx = resizedContext(this.canvas, width, height);
+    this.box = this.paint(ctx, width, height, theme(), pixelRatio());
+    this.drawCursor();
+    this.element.dispatchEvent(new Event("drawn"));
+  }
+
+  drawCursor() {
+    if (!this.canvas.width) return;
+    const ctx = resizedContext(this.cursor, this.canvas.clientWidth, this.canvas.clientHeight);
+    const content = this.content();
+    if (!this.box || !content?.cursor) return;
+    clipped(ctx, this.box, () => content.cursor(ctx, this.box));
+  }
+
+  /** Draw the whole plot on `ctx`, bitmaps at `ratio` pixels per unit; returns the plot box. */
+  paint(ctx, width, height, theme, ratio) {
+    ctx.fillStyle = theme.surface;
+    ctx.fillRect(0, 0, width, height);
+    const content = this.content();
+    if (!content) return null;
+    const box = boxOf(ctx, content, width, height, theme, ratio);
+    if (content.y.periods) drawPeriods(ctx, box);
+    clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
+    if (content.message) drawMessage(ctx, box, content.message);
+    drawFrame(ctx, box, content);
+    drawHeadings(ctx, box, content);
+    return box;
+  }
+}

@@ -1,0 +1,51 @@
+// Scales from values to pixels, axis ticks, and cell borders.
+
+/** A linear or logarithmic scale of the values [low, high] over the pixels [from, to]. */
+export function scale(low, high, from, to, log = false) {
+  const forward = log ? Math.log : (value) => value;
+  const inverse = log ? Math.exp : (value) => value;
+  const [a, b] = [forward(low), forward(high)];
+  const pixel = (value) => from + ((forward(value) - a) / (b - a)) * (to - from);
+  const value = (pixel) => inverse(a + ((pixel - from) / (to - from)) * (b - a));
+  return { pixel, value, low, high, from, to, log };
+}
+
+/** About `n` round values within [low, high], with their text: [{value, text}, …]. */
+export function ticks(low, high, n, log = false) {
+  if (log && high / low > 30) return decades(low, high);
+  const rough = (high - low) / Math.max(n, 1);
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.999);
+  const values = [];
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high * (1 + 1e-12) + step * 1e-9; i++) values.push(i * step);
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  return values.map((value) => ({ value, text: tickText(value, digits) }));
+}
+
+function decades(low, high) {
+  const powers = [];
+  for (let e = Math.ceil(Math.log10(low) - 1e-9); 10 ** e <= high * (1 + 1e-9); e++) {
+    powers.push({ value: 10 ** e, text: Math.abs(e) <= 3 ? String(Number((10 ** e).toPrecision(3))) : `10^${e}` });
+  }
+  return powers;
+}
+
+const tickText = (value, digits) => value.toFixed(Math.min(digits, 12)).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
+
+/** [low, high], widened where they are equal: a scale needs some extent. */
+export function extent(low, high) {
+  if (high > low) return [low, high];
+  const margin = Math.abs(low) * 0.05 || 0.5;
+  return [low - margin, high + margin];
+}
+
+/** The borders between n increasing values, half-way between neighbours: n + 1 of them. */
+export function cellBorders(values) {
+  const n = values.length;
+  if (n === 1) return extent(values[0], values[0]);
+  const borders = new Float64Array(n + 1);
+  for (let i = 1; i < n; i++) borders[i] = (values[i - 1] + values[i]) / 2;
+  borders[0] = values[0] - (borders[1] - values[0]);
+  borders[n] = values[n - 1] + (values[n - 1] - borders[n - 1]);
+  return borders;
+}

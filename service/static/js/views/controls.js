@@ -1,0 +1,71 @@
+// Controls above the plots: sliders along the axes that are held fixed, and those of the bifurcation diagram.
+
+import { h } from "../lib/dom.js";
+import { number } from "../lib/format.js";
+import { AXES, MEANING, SYMBOL, nearestIndex } from "../lib/physics.js";
+
+/**
+ * Sliders for `axes` along the values of `grid` ({gamma: values, …}), starting at the values nearest to `start`.
+ * `onMove(axis, value)` is called at every move. An axis of one value is text.
+ */
+export function sliders(axes, grid, start, onMove) {
+  return h("div", { className: "sliders" }, axes.map((axis) => slider(axis, grid[axis], start[axis], onMove)));
+}
+
+function slider(axis, values, start, onMove) {
+  const symbol = h("i", {}, SYMBOL[axis]);
+  if (values.length === 1) {
+    return h("p", { className: "fixed", title: MEANING[axis] }, symbol, ` = ${number(values[0])}`);
+  }
+  const id = `slider-${axis}`;
+  const output = h("output", { for: id });
+  const input = h("input", {
+    id, type: "range", min: 0, max: values.length - 1, step: 1, title: MEANING[axis],
+    oninput: () => {
+      show();
+      onMove(axis, values[input.valueAsNumber]);
+    },
+  });
+  const show = () => {
+    const value = values[input.valueAsNumber];
+    output.textContent = number(value);
+    input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
+  };
+  input.value = String(nearestIndex(values, start));
+  show();
+  return h("div", { className: "slider" }, h("label", { for: id }, symbol, " ="), output, input);
+}
+
+/**
+ * The controls of a bifurcation diagram. `state`: {axes (of more than one value), along, grid, fixed, directions,
+ * shownDirections, minFlight}; `on`: {axis(name), move(axis, value), directions(list), minFlight(rad)}.
+ */
+export function diagramControls(state, on) {
+  const others = AXES.filter((axis) => axis !== state.along);
+  return h("div", { className: "controls" },
+    state.axes.length > 1 && axisSelect(state, on.axis),
+    sliders(others, state.grid, state.fixed, on.move),
+    state.directions.length > 1 && directionBoxes(state, on.directions),
+    minFlightInput(state.minFlight, on.minFlight));
+}
+
+function axisSelect({ axes, along }, onChange) {
+  return h("label", { className: "option" }, "Diagram ",
+    h("select", { onchange: (event) => onChange(event.target.value), "aria-label": "Axis of the diagram" },
+      axes.map((axis) => h("option", { value: axis, selected: axis === along }, `${SYMBOL[axis]}–φ`))));
+}
+
+function directionBoxes({ directions, shownDirections }, onChange) {
+  const checked = () => directions.filter((_, i) => boxes[i].checked);
+  const boxes = directions.map((direction) => h("input", { type: "checkbox", checked: shownDirections.includes(direction), onchange: () => onChange(checked()) }));
+  return h("fieldset", { className: "directions" }, h("legend", {}, "Ramp"),
+    directions.map((direction, i) => h("label", { className: `direction ${direction}` }, boxes[i], ` ${direction}`)));
+}
+
+function minFlightInput(minFlight, onChange) {
+  return h("label", { className: "option" }, "Hide flights below ",
+    h("input", {
+      type: "number", min: 0, step: "any", value: minFlight || "", placeholder: "0",
+      onchange: (event) => onChange(Math.max(0, Number(event.target.value) || 0)),
+    }), " rad");
+}

@@ -1,0 +1,183 @@
+// One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
+
+import { addressValue, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { isHandledElsewhere, requestJson } from "../lib/api.js";
+import { announce, h } from "../lib/dom.js";
+import { AXES, axisValues, directionsOf } from "../lib/physics.js";
+import { TrajectoryPanel } from "../motion/panel.js";
+import { Details } from "./details.js";
+import { Diagram } from "./diagram.js";
+import { Modes } from "./modes.js";
+import { ProgressBar, UNFINISHED, showActions, summary, titleOf } from "./progress.js";
+import { Thresholds } from "./thresholds.js";
+
+const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
+const SHARED = [...AXES, "cell"]; // query parameters that all tabs understand
+const POLL_MS = 600;
+const SLOW_POLL_MS = 3000; // for sweeps that take minutes, and after errors
+const LONG_SECONDS = 300;
+const MIN_KEPT_FLIGHTS = 4; // with fewer per cell, thresholds tell more than a diagram
+
+export class JobView {
+  constructor(root, { path }) {
+    this.id = path[1];
+    this.heading = h("h1", { tabindex: "-1" }, "…");
+    this.about = h("p", { className: "summary" });
+    this.bar = new ProgressBar();
+    this.actions = h("div", { className: "actions" });
+    this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
+    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.panel = h("section", { className: "panel" });
+    this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
+    root.replaceChildren(
+      h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
+      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions),
+      this.problem, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
+    this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
+    this.#poll(true);
+  }
+
+  /** Whether an address belongs to this view. */
+  handles({ path }) {
+    return path[0] === "job" && path[1] === this.id;
+  }
+
+  /** Show what the address says. */
+  show() {
+    if (!this.job) return; // the first poll shows it
+    this.#showTab();
+    this.#showSelectedCell();
+  }
+
+  refresh(redraw = true) {
+    clearTimeout(this.timer);
+    this.#poll(redraw);
+  }
+
+  close() {
+    clearTimeout(this.timer);
+    this.closed = true;
+    this.view?.close();
+    this.trajectory.hide();
+  }
+
+  async #poll(redraw) {
+    let job;
+    try {
+      job = await requestJson(`/v1/jobs/${this.id}`);
+    } catch (error) {
+      this.#pollFailed(error, redraw);
+      return;
+    }
+    if (this.closed) return;
+    const isFirst = !this.job;
+    const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
+    if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
+    this.job = job;
+    this.#describe();
+    if (isFirst) this.show();
+    else if (hasChanged || redraw) this.view?.update(job);
+    if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
+    if (UNFINISHED.has(job.state)) this.#pollAfter(this.#interval());
+  }
+
+  /** Replaces a poll that is due already. */
+  #pollAfter(milliseconds, redraw = false) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.#poll(redraw), milliseconds);
+  }
+
+  /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
+  #pollFailed(error, redraw) {
+    if (this.closed) return;
+    this.#showError(error);
+    if (error.status >= 500) this.#pollAfter(SLOW_POLL_MS, redraw);
+    if (error.status !== 404 || this.job) return;
+    this.heading.textContent = "No such sweep";
+    document.title = "No such sweep · Bouncing spring";
+    this.bar.element.hidden = true;
+  }
+
+  #interval() {
+    return (this.job.progress.eta_seconds ?? 0) > LONG_SECONDS ? SLOW_POLL_MS : POLL_MS;
+  }
+
+  #describe() {
+    const { job } = this;
+    this.heading.textContent = titleOf(job);
+    document.title = `${titleOf(job)} · Bouncing spring`;
+    this.about.replaceChildren(...summary(job));
+    this.bar.show(job);
+    this.#showError(this.#failure());
+    showActions(this.actions, job, {
+      onChange: (changed) => {
+        this.job = changed;
+        this.#describe();
+        this.#pollAfter(POLL_MS / 2);
+      },
+      onDelete: () => navigate([]),
+      onError: (error) => this.#showError(error),
+    });
+  }
+
+  #showTab() {
+    const { path, query } = currentAddress();
+    const current = TABS[path[2]] ? path[2] : this.#defaultTab();
+    const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
+    this.tabs.replaceChildren(...Object.entries(TABS).map(([tab, [title]]) =>
+      h("a", {
+        href: target(tab, query), "aria-current": tab === current ? "page" : undefined,
+        onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
+      }, title)));
+    this.view?.close();
+    this.#showError(this.#failure());
+    const [, View] = TABS[current];
+    const { spec } = this.job;
+    this.view = new View(this.panel, {
+      job: this.job,
+      grid: Object.fromEntries(AXES.map((axis) => [axis, axisValues(spec[axis])])),
+      directions: directionsOf(spec),
+      onSelect: (cell) => this.#select(cell),
+      selected: () => this.cell,
+    });
+  }
+
+  #defaultTab() {
+    const { keep, omega } = this.job.spec;
+    return keep < MIN_KEPT_FLIGHTS && axisValues(omega).length > 2 ? "thresholds" : "diagram";
+  }
+
+  /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */
+  #select({ direction, ...cell }) {
+    const [gamma, omega, xi] = AXES.map((axis) => addressValue(cell[axis]));
+    setQuery({ gamma, omega, xi, cell: [gamma, omega, xi, direction].join(",") });
+    this.#showSelectedCell();
+    // On narrow screens the trajectory is below the plot.
+    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" });
+  }
+
+  #showSelectedCell() {
+    const parts = (currentQuery().cell ?? "").split(",");
+    const [gamma, omega, xi] = parts.map(Number);
+    this.cell = parts.length === 4 && [gamma, omega, xi].every(Number.isFinite) ? { gamma, omega, xi, direction: parts[3] } : null;
+    if (this.cell) this.trajectory.show(this.job, this.cell);
+    else this.trajectory.hide();
+    this.view.plot?.redraw();
+  }
+
+  #closeTrajectory() {
+    setQuery({ cell: null });
+    this.#showSelectedCell();
+    this.panel.querySelector(".plot")?.focus();
+  }
+
+  #failure() {
+    return this.job.error ? new Error(`The sweep failed: ${this.job.error}`) : null;
+  }
+
+  #showError(error) {
+    if (error && isHandledElsewhere(error)) return;
+    this.problem.hidden = !error;
+    this.problem.textContent = error?.message ?? "";
+  }
+}

@@ -1,0 +1,177 @@
+// The mode map: the outcome of every cell of a (Γ, Ω) plane, with the threshold of Eq. 25.
+
+import { addressValue, setQuery } from "../lib/address.js";
+import { query, requestArrays } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { csv } from "../lib/downloads.js";
+import { number, ordinal, plural } from "../lib/format.js";
+import { OUTCOME, SYMBOL, clampIndex, initialValue, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
+import { bitmap, circle, polyline, rgba32 } from "../plot/drawing.js";
+import { cellBorders } from "../plot/scale.js";
+import { sliders } from "./controls.js";
+import { PlotView } from "./plot-view.js";
+
+const DASH = [7, 4];
+const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. The dashed line is the threshold of Eq. 25.";
+
+/** Cells are {column, row}: indices into the Γ and Ω that were loaded. */
+export class Modes extends PlotView {
+  name = "modes";
+  isThinned = false; // whether the whole map has more cells than are sent
+
+  constructor(root, view) {
+    super(view);
+    this.xi = initialValue(this.grid.xi, this.initial.xi);
+    this.direction = this.directions.includes(this.initial.dir) ? this.initial.dir : this.directions[0];
+    this.legend = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)" });
+    this.thinning = h("p", { className: "note", hidden: true });
+    this.build(root, {
+      controls: this.#controls(), label: "Mode map", hint: HINT, ratio: 0.6,
+      below: h("div", {}, this.thinning, this.legend),
+    });
+    onThemeChange(() => this.plane && this.#showLegend(), this.plot.closing.signal);
+  }
+
+  #controls() {
+    const onMove = (_, value) => {
+      this.xi = value;
+      setQuery({ xi: addressValue(value) });
+      this.load();
+    };
+    const onDirection = (event) => {
+      this.direction = event.target.value;
+      setQuery({ dir: this.direction });
+      this.load();
+    };
+    const options = this.directions.map((direction) => h("option", { value: direction, selected: direction === this.direction }, direction));
+    return h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove),
+      this.directions.length > 1 && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)));
+  }
+
+  /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
+  async request(signal) {
+    const { x0: left, x1: right, y0: bottom, y1: top } = (this.isThinned && this.window) || {};
+    const parameters = query({ xi: this.xi, direction: this.direction, left, right, bottom, top });
+    this.plane = await requestArrays(`/v1/jobs/${this.job.id}/plane?${parameters}`, { signal });
+    this.axes = this.plane.arrays; // gamma and omega: of the cells that were sent
+    this.classes = modeClasses(this.plane.arrays);
+    this.#showLegend();
+    if (this.window && this.isThinned && left === undefined) return this.request(signal); // the response was thinned
+    return { xi: this.plane.xi, direction: this.plane.direction };
+  }
+
+  zoom(window) {
+    super.zoom(window);
+    if (this.isThinned) this.load();
+  }
+
+  /** The colours of the modes, and which cells are left out. */
+  #showLegend() {
+    const total = this.classes.ofCell.length;
+    this.legend.replaceChildren(...this.classes.present.map(({ id, name, cells }) => {
+      const swatch = h("span", { className: "swatch", "aria-hidden": "true" });
+      swatch.style.background = modeColour(id, theme().dark);
+      return h("li", {}, swatch, name, " ", h("small", {}, percentage(cells, total)));
+    }));
+    const steps = [[this.plane.every_gamma, SYMBOL.gamma], [this.plane.every_omega, SYMBOL.omega]].filter(([every]) => every > 1);
+    this.isThinned ||= steps.length > 0;
+    this.thinning.hidden = !steps.length;
+    this.thinning.textContent = `Shown: every ${steps.map(([every, symbol]) => `${ordinal(every)} ${symbol}`).join(" and every ")}. Zoom in for more detail.`;
+  }
+
+  whole() {
+    const [x, y] = [cellBorders(this.grid.gamma), cellBorders(this.grid.omega)];
+    const positive = (borders, values) => (borders[0] > 0 ? borders[0] : values[0]); // for logarithmic axes
+    return { x0: positive(x, this.grid.gamma), x1: x.at(-1), y0: positive(y, this.grid.omega), y1: y.at(-1) };
+  }
+
+  content() {
+    if (!this.plane) return null;
+    const { x0, x1, y0, y1 } = this.visible();
+    const { present } = this.classes;
+    return {
+      x: { label: SYMBOL.gamma, low: x0, high: x1, log: isLog(this.job.spec.gamma) },
+      y: { label: SYMBOL.omega, low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
+      legend: [["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)]],
+      colours: present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
+      message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
+      layers: [(ctx, box) => this.#drawCells(ctx, box), (ctx, box) => this.#drawThreshold(ctx, box)],
+      cursor: (ctx, box) => this.#drawCursor(ctx, box),
+    };
+  }
+
+  /** Each pixel has the colour of the nearest cell. */
+  #drawCells(ctx, box) {
+    const { gamma, omega } = this.axes;
+    const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
+    const columns = Int32Array.from({ length: width }, (_, i) => nearestIndex(gamma, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
+    const colours = new Uint32Array(256);
+    for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
+    const fill = (pixels) => {
+      for (let row = 0; row < height; row++) {
+        const first = nearestIndex(omega, box.y.value(box.top + ((row + 0.5) * box.height) / height)) * gamma.length;
+        for (let i = 0; i < width; i++) pixels[row * width + i] = colours[this.classes.ofCell[first + columns[i]]];
+      }
+    };
+    bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
+  }
+
+  #drawThreshold(ctx, box) {
+    const n = Math.max(2, Math.round(box.height / 2));
+    const points = Array.from({ length: n }, (_, i) => {
+      const y = box.top + (i * box.height) / (n - 1);
+      return [box.x.pixel(threshold(box.y.value(y), this.plane.xi)), y];
+    });
+    polyline(ctx, box.theme.surface, 4, points);
+    polyline(ctx, box.theme.text, 1.8, points, DASH);
+  }
+
+  #drawCursor(ctx, box) {
+    const selected = this.selected();
+    if (selected && selected.direction === this.plane.direction && isClose(selected.xi, this.plane.xi)) drawRing(ctx, box, selected.gamma, selected.omega, 9);
+    if (this.current) drawRing(ctx, box, this.axes.gamma[this.current.column], this.axes.omega[this.current.row], 6);
+  }
+
+  nearest(x, y) {
+    return this.plane ? { column: nearestIndex(this.axes.gamma, x), row: nearestIndex(this.axes.omega, y) } : null;
+  }
+
+  step(current, right, up) {
+    if (!this.plane) return null;
+    const { gamma, omega } = this.axes;
+    const { column, row } = current ?? { column: gamma.length >> 1, row: omega.length >> 1 };
+    return { column: clampIndex(column + right, gamma.length), row: clampIndex(row + up, omega.length) };
+  }
+
+  centre() {
+    return this.current ? this.axes.gamma[this.current.column] : undefined;
+  }
+
+  cellOf({ column, row }) {
+    return { gamma: this.axes.gamma[column], omega: this.axes.omega[row], xi: this.plane.xi, direction: this.plane.direction };
+  }
+
+  describe({ column, row }) {
+    const { gamma, omega, outcome, bounces, periods } = this.plane.arrays;
+    const cell = row * gamma.length + column;
+    const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(outcome[cell], bounces[cell], periods[cell])];
+    if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+    return parts.join(" · ");
+  }
+
+  table() {
+    const { gamma, omega, outcome, bounces, periods } = this.plane.arrays;
+    const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], bounces[i], periods[i]];
+    return csv(["gamma", "omega", "xi", "outcome", "bounces", "periods"], Array.from(outcome, row));
+  }
+}
+
+/** A ring with an outline, visible on every colour. */
+function drawRing(ctx, { x, y, theme }, gamma, omega, radius) {
+  circle(ctx, theme.surface, 4.5, x.pixel(gamma), y.pixel(omega), radius);
+  circle(ctx, theme.cursor, 2, x.pixel(gamma), y.pixel(omega), radius);
+}
+
+const percentage = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;

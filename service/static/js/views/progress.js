@@ -1,0 +1,91 @@
+// A sweep's progress bar, its one-line summary, and the buttons to cancel, resume or delete it.
+
+import { requestJson } from "../lib/api.js";
+import { confirmed, h } from "../lib/dom.js";
+import { count, duration, number, plural } from "../lib/format.js";
+import { AXES, SYMBOL, axisValues } from "../lib/physics.js";
+
+export const UNFINISHED = new Set(["queued", "running"]);
+const RESUMABLE = new Set(["failed", "cancelled"]);
+const MAX_LISTED = 4; // values of an axis
+
+/** A sweep's name, or the beginning of its id. */
+export const titleOf = (job) => job.name || `Sweep ${job.id.slice(0, 8)}`;
+
+export class ProgressBar {
+  constructor() {
+    this.fill = h("span", {});
+    this.track = h("div", { className: "bar", role: "progressbar", "aria-valuemin": 0, "aria-valuemax": 100 }, this.fill);
+    this.text = h("span", { className: "amount" });
+    this.state = h("span", { className: "state" });
+    this.element = h("div", { className: "progress" }, this.state, this.track, this.text);
+  }
+
+  show({ name, state, progress }) {
+    this.state.textContent = state;
+    this.element.dataset.state = state;
+    this.fill.style.width = `${progress.percent}%`;
+    this.track.setAttribute("aria-valuenow", String(progress.percent));
+    this.track.setAttribute("aria-label", `Progress of ${name || "the sweep"}`);
+    this.text.textContent = amount(state, progress);
+  }
+}
+
+function amount(state, { cells_done: done, cells_total: total, percent, eta_seconds: eta }) {
+  if (state === "done") return plural(total, "cell");
+  const text = `${number(percent, 3)} % of ${plural(total, "cell")}`;
+  return state === "running" && eta !== null && done ? `${text}, ${duration(eta)} left` : text;
+}
+
+/** Axes, start and contact model of a sweep, as nodes. */
+export function summary({ spec, choice }) {
+  if (!spec) return ["specification too long to list"];
+  const axes = AXES.flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
+  const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
+  return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`)];
+}
+
+function axisText(axis) {
+  const values = axisValues(axis);
+  if (values.length <= MAX_LISTED) return values.map((value) => number(value)).join(", ");
+  return `${number(values[0])} – ${number(values.at(-1))} (${count(values.length)})`;
+}
+
+function protocolText({ kind, axis, direction }) {
+  if (kind === "rest") return "from rest";
+  return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}`;
+}
+
+const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
+
+/**
+ * Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. `handlers`:
+ * {onChange(job), onDelete(), onError(error)}.
+ */
+export function showActions(root, job, handlers) {
+  const actions = UNFINISHED.has(job.state) ? ["cancel"] : RESUMABLE.has(job.state) ? ["resume", "delete"] : ["delete"];
+  if (root.dataset.actions === actions.join()) return;
+  const hadFocus = root.contains(document.activeElement);
+  root.dataset.actions = actions.join();
+  root.replaceChildren(...actions.map((action) =>
+    h("button", {
+      type: "button", className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`,
+      onclick: (event) => run(action, job, event.currentTarget, handlers),
+    }, ACTION_TITLES[action])));
+  if (hadFocus) root.querySelector("button")?.focus();
+}
+
+async function run(action, job, button, { onChange, onDelete, onError }) {
+  if (action === "delete" && !(await confirmed(`Delete “${titleOf(job)}” and its results?`, "Delete"))) return;
+  button.disabled = true;
+  try {
+    if (action === "delete") {
+      await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
+      onDelete();
+    } else onChange(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
+  } catch (error) {
+    onError(error);
+  } finally {
+    button.disabled = false;
+  }
+}

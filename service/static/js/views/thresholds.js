@@ -1,0 +1,164 @@
+// Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
+
+import { addressValue, setQuery } from "../lib/address.js";
+import { query, requestJson } from "../lib/api.js";
+import { h } from "../lib/dom.js";
+import { csv } from "../lib/downloads.js";
+import { number } from "../lib/format.js";
+import { SYMBOL, clampIndex, initialValue, isLog, nearestIndex, threshold } from "../lib/physics.js";
+import { directionColour } from "../plot/colours.js";
+import { disc, polyline, verticalLine } from "../plot/drawing.js";
+import { extent } from "../plot/scale.js";
+import { sliders } from "./controls.js";
+import { PlotView } from "./plot-view.js";
+
+const DASH = [7, 4];
+const HINT = "Point at a frequency to read it, click to show a trajectory, drag to zoom, double-click to reset the zoom.";
+
+/** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
+export class Thresholds extends PlotView {
+  name = "thresholds";
+
+  constructor(root, view) {
+    super(view);
+    this.xi = initialValue(this.grid.xi, this.initial.xi);
+    const onMove = (_, value) => {
+      this.xi = value;
+      setQuery({ xi: addressValue(value) });
+      this.load();
+    };
+    const controls = h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove));
+    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
+  }
+
+  async request(signal) {
+    this.thresholds = await requestJson(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
+    return { xi: this.thresholds.xi };
+  }
+
+  whole() {
+    const { omega, xi } = this.thresholds;
+    const [x0, x1] = extent(omega[0], omega[omega.length - 1]);
+    const computed = this.#computed();
+    const highest = Math.max(...(computed.length ? computed : [threshold(x0, xi), 1]));
+    return { x0, x1, y0: 0, y1: 1.12 * highest };
+  }
+
+  #computed() {
+    return [...this.thresholds.up, ...this.thresholds.down].filter((value) => value !== null);
+  }
+
+  content() {
+    if (!this.thresholds) return null;
+    const { x0, x1, y0, y1 } = this.visible();
+    const { omega, xi, complete } = this.thresholds;
+    return {
+      x: { label: SYMBOL.omega, low: x0, high: x1, log: isLog(this.job.spec.omega) },
+      y: { label: "threshold Γ", low: y0, high: y1 },
+      title: `ξ = ${number(xi)}`,
+      legend: this.#legend(),
+      message: this.#computed().length ? null : complete ? "No cell bounces" : "No bouncing cell is computed yet",
+      layers: [(ctx, box) => this.#draw(ctx, box)],
+      cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
+    };
+  }
+
+  #draw(ctx, box) {
+    const { omega, xi } = this.thresholds;
+    const n = Math.round(box.width / 2);
+    const curve = Array.from({ length: n + 1 }, (_, i) => {
+      const x = box.left + (i * box.width) / n;
+      return [x, box.y.pixel(threshold(box.x.value(x), xi))];
+    });
+    polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
+    for (const { key, direction } of this.#series()) {
+      drawSeries(ctx, box, omega, this.thresholds[key], directionColour(direction, box.theme), key);
+    }
+  }
+
+  /** The computed series: their key in the response, name and direction. */
+  #series() {
+    const up = this.directions[0] === "rest" ? { key: "up", name: "from rest", direction: "rest" } : { key: "up", name: "ramp up", direction: "up" };
+    return [up, { key: "down", name: "ramp down", direction: "down" }].filter(({ key }) => this.thresholds[key].some((value) => value !== null));
+  }
+
+  #legend() {
+    const line = (ctx, x, y, colour, width, dash) => polyline(ctx, colour, width, [[x, y], [x + 24, y]], dash);
+    return [
+      ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
+      ...this.#series().map(({ key, name, direction }) => [name, (ctx, x, y, theme) => {
+        const colour = directionColour(direction, theme);
+        line(ctx, x, y, colour, 1.2);
+        drawMarker(ctx, [x + 12, y], 3.4, colour, key, theme.surface);
+      }]),
+    ];
+  }
+
+  nearest(x, y) {
+    return this.thresholds ? { index: nearestIndex(this.thresholds.omega, x), y } : null;
+  }
+
+  step(current, right) {
+    if (!this.thresholds) return null;
+    const n = this.thresholds.omega.length;
+    return { index: current ? clampIndex(current.index + right, n) : n >> 1 };
+  }
+
+  centre() {
+    return this.current ? this.thresholds.omega[this.current.index] : undefined;
+  }
+
+  describe({ index }) {
+    const { omega, analytic, up, down } = this.thresholds;
+    const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`];
+    if (up[index] !== null) parts.push(`${this.directions[0] === "rest" ? "from rest" : "up"}: ${this.#valueText(up[index])}`);
+    if (down[index] !== null) parts.push(`down: ${this.#valueText(down[index])}`);
+    return parts.join(" · ");
+  }
+
+  /** A threshold at the lowest Γ of the sweep is only an upper bound. */
+  #valueText(gamma) {
+    return gamma > this.grid.gamma[0] ? number(gamma, 4) : `${number(gamma, 4)} or less (lowest Γ of the sweep)`;
+  }
+
+  /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
+  cellOf({ index, y }) {
+    const { omega, xi, up, down } = this.thresholds;
+    const gamma = y ?? up[index] ?? down[index];
+    if (gamma === null) return null;
+    const isNearerDown = down[index] !== null && Math.abs(down[index] - gamma) < Math.abs((up[index] ?? Infinity) - gamma);
+    const direction = isNearerDown ? "down" : this.directions[0];
+    return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega: omega[index], xi, direction };
+  }
+
+  table() {
+    const { omega, xi, analytic, up, down } = this.thresholds;
+    return csv(["omega", "xi", "eq_25", "up", "down"], omega.map((value, i) => [value, xi, analytic[i], up[i], down[i]]));
+  }
+}
+
+/** Markers joined by lines, interrupted where values are missing. */
+function drawSeries(ctx, box, omega, values, colour, key) {
+  let run = [];
+  const runs = [run];
+  values.forEach((value, i) => {
+    if (value === null) runs.push((run = []));
+    else run.push([box.x.pixel(omega[i]), box.y.pixel(value)]);
+  });
+  const size = Math.min(3.4, Math.max(1.6, 260 / omega.length));
+  for (const points of runs) {
+    if (points.length > 1) polyline(ctx, colour, 1.2, points);
+    for (const point of points) drawMarker(ctx, point, size, colour, key, box.theme.surface);
+  }
+}
+
+/** A disc on the way up, a hollow square on the way down: distinct without colour too. */
+function drawMarker(ctx, [x, y], size, colour, key, background) {
+  if (key === "up") {
+    disc(ctx, colour, x, y, size);
+    return;
+  }
+  ctx.fillStyle = background;
+  ctx.fillRect(x - size, y - size, 2 * size, 2 * size);
+  polyline(ctx, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
+}

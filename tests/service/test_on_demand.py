@@ -1,0 +1,102 @@
+"""Results that workers compute on request: awaited for a short time, kept, computed once."""
+
+from concurrent.futures import Future
+from typing import Any
+
+import pytest
+
+from service.errors import Busy, NotComputed
+from service.jobs import on_demand
+from service.jobs.on_demand import OnDemandCache, Pending
+from worker.executors.errors import ClusterLost, WorkerDied
+
+
+class Pool:
+    """An executor whose calls the test completes."""
+
+    def __init__(self) -> None:
+        self.futures: list[Future[Any]] = []
+
+    def call(self, *_: Any) -> Future[Any]:
+        self.futures.append(Future())
+        return self.futures[-1]
+
+
+def submit(executor: Any) -> list[Future[Any]]:
+    """A result of two parts."""
+    return [executor.call(), executor.call()]
+
+
+def test_a_request_that_gives_up_waiting_loses_nothing():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    for number in (0, 1):
+        with pytest.raises(Pending) as pending:
+            cache.get("key", submit)
+        assert (pending.value.done, pending.value.total) == (number, 2)
+        pool.futures[number].set_result(number)
+    assert cache.get("key", submit) == [0, 1]
+    assert len(pool.futures) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "raised"), [(WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)]
+)
+def test_a_result_that_was_lost_or_failed_is_computed_again(error: Exception, raised: type[Exception]):
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    pool.futures[0].set_exception(error)
+    pool.futures[1].set_result(1)
+    with pytest.raises(raised):
+        cache.get("key", submit)
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    assert len(pool.futures) == 4
+
+
+def test_the_number_of_results_being_computed_is_limited():
+    pool = Pool()
+    cache = OnDemandCache(pool, max_pending=2, timeout=0.01)
+    for key in ("one", "two"):
+        with pytest.raises(Pending):
+            cache.get(key, submit)
+    with pytest.raises(Busy, match=r"^2 results are being computed already"):
+        cache.get("three", submit)
+    for future in pool.futures:
+        future.set_result(None)
+    with pytest.raises(Pending):
+        cache.get("three", submit)
+
+
+def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(on_demand, "MAX_RESULTS", 2)
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    for key in ("one", "two", "three"):
+        with pytest.raises(Pending):
+            cache.get(key, submit)
+        for future in pool.futures[-2:]:
+            future.set_result(key)
+    assert cache.get("two", submit) == ["two", "two"]
+    with pytest.raises(Pending):
+        cache.get("one", submit)
+    assert len(pool.futures) == 8
+
+
+def test_without_workers_nothing_is_computed():
+    def refused(_: Any) -> list[Future[Any]]:
+        raise ClusterLost("gone")
+
+    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\): repeat the request$"):
+        OnDemandCache(Pool()).get("key", refused)
+
+
+def test_closing_cancels_what_is_being_computed():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    cache.close()
+    assert all(future.cancelled() for future in pool.futures)

@@ -1,0 +1,154 @@
+"""One running job: what it submits, counts, saves, and how it ends."""
+
+import json
+from concurrent.futures import Future
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripted import small
+
+from service.jobs.model import JobRecord, JobState
+from service.jobs.prepare import JobPreparer
+from service.jobs.retry import Action, History, RetryPolicy
+from service.jobs.run import JobRun
+from service.settings import Settings
+from worker.executors.errors import WorkerDied
+from worker.plan import make_plan
+from worker.tasks import ChunkReport
+
+RAMP = {"kind": "ramp", "axis": "gamma", "direction": "up"}
+POLICY = RetryPolicy(chunk_tries=2, failed_chunks=2)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> JobRun:
+    """A ramp of 60 cells: six lines along gamma, each in two chunks of five cells."""
+    spec = small(protocol=RAMP)
+    plan = make_plan(spec, chunk_shape=(1, 1, 5))
+    job = JobRecord(
+        id="a" * 32, name="", spec=json.dumps(spec.as_submitted()), kernel_version="1",
+        chunk_shape=plan.chunk_shape, chunks_total=len(plan), cells_total=plan.cells, seq=1,
+        state=JobState.RUNNING, cancel_requested=False, error=None, created=0.0, started=0.0, finished=None,
+        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, choice=None,
+    )  # fmt: skip
+    prepared = JobPreparer(Settings(data=tmp_path)).prepare(job)
+    return JobRun(job, prepared, np.zeros(len(plan), np.bool_), POLICY)
+
+
+def submit(run: JobRun) -> int:
+    chunk = run.pop()
+    run.add_in_flight(chunk, Future())
+    return chunk.index
+
+
+def finish(run: JobRun, chunk: int) -> None:
+    run.remove_in_flight(chunk)
+    run.unsaved_reports.append(ChunkReport(chunk, 5, 0.1, 0.1, "sum", (5, 0, 0, 0, 0, 0)))
+    run.mark_saved()
+
+
+def fail(run: JobRun, chunk: int, action: Action, error: Exception) -> None:
+    run.remove_in_flight(chunk)
+    run.apply(chunk, action, error)
+
+
+def test_it_knows_how_much_is_in_flight(run: JobRun):
+    first, second = submit(run), submit(run)
+    assert run.seconds_in_flight == pytest.approx(10 * run.prepared.cell_seconds)
+    finish(run, first)
+    finish(run, second)
+    assert run.seconds_in_flight == 0.0
+
+
+def test_it_ends_when_every_chunk_is_done_and_saved(run: JobRun):
+    while run.may_submit:
+        assert run.final_state is None
+        finish(run, submit(run))
+    assert run.final_state is JobState.DONE
+
+
+def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
+    chunk = submit(run)
+    run.remove_in_flight(chunk)
+    run.unsaved_reports.append(ChunkReport(chunk, 5, 0.1, 0.1, "sum", (5, 0, 0, 0, 0, 0)))
+    assert run.has_unsaved
+    assert not run.may_submit
+    run.mark_saved()
+    assert run.may_submit
+
+
+def test_tries_and_losses_are_counted_per_chunk(run: JobRun):
+    chunk = submit(run)
+    fail(run, chunk, Action.RETRY, ValueError("no"))
+    fail(run, submit_again(run, chunk), Action.COLLATERAL, ValueError("no"))
+    fail(run, submit_again(run, chunk), Action.REQUEUE, ValueError("no"))
+    assert run.history(chunk) == History(tries=1, collateral_losses=1)
+    assert run.history(chunk + 1) == History()
+    assert run.history(6) == History(has_predecessor=True)
+
+
+def submit_again(run: JobRun, chunk: int) -> int:
+    """Submit chunks until this one comes up; the others are requeued."""
+    while (index := submit(run)) != chunk:
+        fail(run, index, Action.REQUEUE, ValueError("no"))
+    return index
+
+
+def test_a_job_with_too_many_failures_ends_as_failed_with_the_first(run: JobRun):
+    for _ in range(2):
+        chunk = submit(run)
+        fail(run, chunk, Action.GIVE_UP, ValueError("the spring broke"))
+    assert run.final_state is None  # the failures are to be saved first
+    assert [failure.chunk for failure in run.unsaved_failures] == [0, 1]
+    run.mark_saved()
+    assert run.final_state is JobState.FAILED
+    where = "chunk 0 (up, gamma 0.5 to 2.5, omega 0.5, xi 0.05)"
+    assert run.error == f"{where}: ValueError: the spring broke (and 1 more chunk failed)"
+
+
+def test_a_fatal_error_stops_the_job_at_once(run: JobRun):
+    fail(run, submit(run), Action.FATAL, OSError("disk full"))
+    run.mark_saved()
+    assert not run.may_submit
+    assert run.history(3).fatal
+    assert run.final_state is JobState.FAILED
+
+
+def test_a_workers_death_has_no_traceback_and_other_errors_their_end_and_notes(run: JobRun):
+    fail(run, submit(run), Action.GIVE_UP, WorkerDied("out of memory"))
+    error = ValueError("x" * 20_000)
+    error.add_note("in the cells gamma 1 to 2")
+    fail(run, submit(run), Action.GIVE_UP, error)
+    died, raised = run.unsaved_failures
+    assert (died.error, died.traceback) == ("out of memory", None)
+    assert raised.error.endswith("xxx (in the cells gamma 1 to 2)")
+    assert raised.traceback is not None
+    assert len(raised.traceback) == 8_000
+
+
+def test_a_damaged_predecessor_is_unmarked_and_computed_before_its_successor(run: JobRun):
+    for _ in range(6):
+        finish(run, submit(run))
+    chunk = submit(run)
+    run.remove_in_flight(chunk)
+    run.apply(chunk, Action.RETRY, ValueError("damaged"), recompute_predecessor=True)
+    assert run.unsaved_damage == {chunk - 6}
+    assert not run.may_submit
+    run.mark_saved()
+    run.invalidate([chunk - 6])
+    order = []
+    while run.may_submit:
+        order.append(submit(run))
+        finish(run, order[-1])
+    assert order.index(chunk - 6) < order.index(chunk)
+    assert run.final_state is JobState.DONE
+
+
+def test_a_job_that_is_cancelled_ends_when_nothing_is_in_flight(run: JobRun):
+    chunk = submit(run)
+    run.stopping = True
+    assert not run.may_submit
+    assert run.final_state is None
+    fail(run, chunk, Action.REQUEUE, ValueError("cancelled"))
+    assert run.final_state is JobState.CANCELLED
