@@ -7,13 +7,13 @@ from typing import Final
 import click
 
 from service.cli.options import (
-    PICTURES,
     data_option,
     optional_service_options,
     output_format,
     workers_option,
     write_file,
 )
+from service.formats import PICTURES
 
 #: Seconds for one answer: the first trajectory waits until the kernels are compiled.
 COMPILE_SECONDS: Final = 300.0

@@ -13,10 +13,6 @@ if TYPE_CHECKING:
 AXES: Final = ("gamma", "omega", "xi")
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
 
-PICTURES: Final = ("png", "svg")
-TABLES: Final = ("csv", "json")
-EXPORTS: Final = ("nc", "parquet")
-
 Command = TypeVar("Command", bound=Callable[..., None])
 
 

@@ -129,8 +129,8 @@ class _Entries:
         if isfinite(threshold):
             return f"{threshold:.{self._digits}f}"
         if isfinite(on_grid):
-            bound = f"≤ {on_grid:.{self._digits}g}"
-            return self._noted(bound, f"{bound}: not refined; the lowest Γ of the grid that bounces")
+            bound = f"≤ {on_grid:.{self._digits}g}*"
+            return self._noted(bound, "*: not refined; the lowest Γ of the grid that bounces")
         if self._complete:
             bound = f"> {self._highest:.{self._digits}g}"
             return self._noted(bound, f"{bound}: no Γ of the grid bounces, this is the highest")

@@ -6,9 +6,6 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from service.cli.options import (
-    EXPORTS,
-    PICTURES,
-    TABLES,
     format_option,
     job_argument,
     json_option,
@@ -19,6 +16,7 @@ from service.cli.options import (
     service_options,
     write_file,
 )
+from service.formats import EXPORTS, PICTURES, TABLES
 
 if TYPE_CHECKING:
     from service.client import Job

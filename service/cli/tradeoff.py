@@ -7,7 +7,6 @@ from typing import Any, Final
 import click
 
 from service.cli.options import (
-    PICTURES,
     json_option,
     open_client,
     optional_service_options,
@@ -15,13 +14,10 @@ from service.cli.options import (
     workers_option,
     write_file,
 )
+from service.formats import PICTURES
 
 Row = Mapping[str, Any]
 
-_TITLES: Final = {
-    "contact": "For this contact: errors relative to exact soft with d = 1e-3, e = 0.01",
-    "plate": "For a hard plate: errors relative to exact soft with d = 1e-7, e = 0",
-}
 _HEADER: Final = ("", "µs", "max µs", "error", "95%", "mode")
 _COSTS: Final = ("cost", "cost_most")
 
@@ -61,15 +57,21 @@ def report(measurements: Mapping[str, Any]) -> str:
         f"mode: share of all {measurements['cells']} cells with the outcome and mode of the reference; "
         f"{measurements['periods']} periods from rest, flights over {measurements['micro_flight']:g} rad.",
     )
-    return "\n".join([*table_lines(measurements["rows"]), *legend, "", measurements["advice"]])
+    return "\n".join(
+        [*table_lines(measurements["rows"], measurements["references"]), *legend, "", measurements["advice"]]
+    )
 
 
-def table_lines(rows: Sequence[Row]) -> list[str]:
-    """The table: core-µs per cell per plate period (median and most expensive line of cells), error of flight
-    times (median and 95th percentile, rad), and the share of cells with the reference's mode."""
+def table_lines(rows: Sequence[Row], references: Mapping[str, str]) -> list[str]:
+    """The table, one part per reference that errors are measured from.
+
+    Columns: core-µs per cell per plate period (median and most expensive line of cells), error of flight
+    times (median and 95th percentile, rad), share of cells with the outcome and mode of the reference.
+    """
+    heading = "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))
     lines = []
-    for purpose, title in _TITLES.items():
-        lines += [title, "".join(f"{name:>{10 if i else 36}}" for i, name in enumerate(_HEADER))]
+    for purpose, reference in references.items():
+        lines += [f"Errors relative to the {reference}", heading]
         lines += [_line(row) for row in rows if row["purpose"] == purpose]
         lines.append("")
     return lines

@@ -2,18 +2,17 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
+from service.formats import EXPORTS
 
 if TYPE_CHECKING:
     import httpx2
     import xarray
-
-EXPORT_SUFFIXES: Final = (".nc", ".parquet")
 
 
 class Results(JobStatus):
@@ -114,9 +113,11 @@ class Results(JobStatus):
         The file is written completely or not at all. Raises TooLarge, Busy, BounceError for another suffix.
         """
         target = Path(path)
-        if target.suffix not in EXPORT_SUFFIXES:
-            raise BounceError(f"{target}: the name of an export ends in {' or '.join(EXPORT_SUFFIXES)}")
-        self._transport.download(self._path("export"), {"format": target.suffix[1:]}, target)
+        format = target.suffix.removeprefix(".")
+        if format not in EXPORTS:
+            endings = " or ".join(f".{ending}" for ending in EXPORTS)
+            raise BounceError(f"{target}: the name of an export ends in {endings}")
+        self._transport.download(self._path("export"), {"format": format}, target)
         return target
 
     def open(self) -> "xarray.Dataset":

@@ -11,13 +11,16 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
+import xarray
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
 from service.cli import options
 from service.cli.main import main
+from service.cli.output import threshold_table
 from service.client import Client
 from service.client.client import DEFAULT_URL
 from service.jobs.ledger import Ledger
@@ -36,8 +39,8 @@ COMMANDS = [
 SPEC = {**TWO_LINES, "name": "two ω"}
 
 
-def serving(folder: Path, executor: Executor, **given: object):
-    settings = Settings(data=folder / "data", port=0, heartbeat_seconds=0.2, shutdown_seconds=1.0, **given)
+def serving(folder: Path, executor: Executor, **options: object):
+    settings = Settings(data=folder / "data", port=0, heartbeat_seconds=0.2, shutdown_seconds=1.0, **options)
     return embedded.running(settings, executor)
 
 
@@ -88,7 +91,7 @@ def test_every_command_explains_itself(command: str):
     assert "Usage:" in result.stdout
 
 
-def test_the_version_is_told():
+def test_the_version_is_printed():
     assert re.search(r"\d+\.\d+", bounce("--version").stdout)
 
 
@@ -166,7 +169,7 @@ def test_a_failed_job_ends_the_wait_with_its_reason(tmp_path: Path):
     assert "the roof fell in" in result.stderr
 
 
-def test_a_wait_can_be_given_up(tmp_path: Path):
+def test_a_wait_has_a_timeout(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         result = bounce("wait", client.submit(sweep()).id, "--timeout", "0.2", url=url)
     assert result.exit_code == 1
@@ -207,6 +210,21 @@ def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
     assert note == "-: the sweep is not ramped down"
 
 
+def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
+    def dataset(up: float, **attributes: object) -> xarray.Dataset:
+        columns = {"analytic": np.inf, "up": up, "down": np.nan}
+        variables = {name: ("omega", [value]) for name, value in columns.items()}
+        return xarray.Dataset(variables, {"omega": [0.5], "xi": 0.26}, {"complete": 1, **attributes})
+
+    text = threshold_table(dataset(np.nan, tolerance=1e-3), dataset(2.5), TWO_LINES | {"omega": 0.5})
+    _, _, line, *notes = text.splitlines()
+    assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5*", "-"]
+    assert notes == [
+        "*: not refined; the lowest Γ of the grid that bounces",
+        "-: the sweep is not ramped down",
+    ]
+
+
 def test_a_threshold_that_is_not_computed_yet_is_not_a_bound(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         _, _, line, *notes = bounce("threshold", client.submit(sweep()).id, url=url).stdout.splitlines()
@@ -235,7 +253,7 @@ def test_a_diagram_goes_to_standard_output(url: str, job: str):
     assert json.loads(result.stdout)["values"] == [0.5, 0.7]
 
 
-def test_an_unfinished_diagram_is_drawn_and_said_to_be_one(tmp_path: Path):
+def test_an_incomplete_diagram_is_drawn_with_a_warning(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         job = client.submit(sweep())
         result = bounce("diagram", job.id, "-o", tmp_path / "a.png", url=url)
@@ -332,7 +350,7 @@ def test_a_line_outside_the_grid_leaves_the_file_as_it_was(url: str, job: str, t
 
 
 @pytest.mark.parametrize("content", [b"not a database, and not one line of it " * 99, None])
-def test_a_ledger_that_is_none_is_said(tmp_path: Path, content: bytes | None):
+def test_an_unusable_ledger_is_reported(tmp_path: Path, content: bytes | None):
     ledger = tmp_path / "ledger.sqlite"
     ledger.mkdir() if content is None else ledger.write_bytes(content)
     result = bounce("serve", "--port", "0", "--data", tmp_path)
@@ -340,7 +358,7 @@ def test_a_ledger_that_is_none_is_said(tmp_path: Path, content: bytes | None):
     assert "ledger.sqlite cannot be used" in result.stderr
 
 
-def test_what_is_no_file_is_written_to_and_not_replaced(url: str, job: str, tmp_path: Path):
+def test_a_pipe_is_written_to_and_not_replaced(url: str, job: str, tmp_path: Path):
     pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
@@ -398,7 +416,7 @@ class Serve:
 
 @pytest.fixture
 def serve(tmp_path: Path, cluster: Dask) -> Iterator[Serve]:
-    """Started when the shared cluster has compiled the kernels, so that this one only reads them."""
+    """Started after the shared cluster has compiled the kernels, which this service then only reads."""
     serve = Serve(tmp_path)
     yield serve
     serve.close()
@@ -415,7 +433,7 @@ def run(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_serve_computes_keeps_its_data_to_itself_and_stops_when_told(serve: Serve, spec: Path):
+def test_serve_computes_locks_its_data_and_stops_on_a_signal(serve: Serve, spec: Path):
     line = serve.line()
     (url,) = re.findall(
         r"^bounce listens on (http://127\.0\.0\.1:\d+) \(data in .*, 2 worker processes\)$", line

@@ -40,8 +40,8 @@ SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
 
 
 @contextmanager
-def serving(folder: Path, executor: Executor, **given: Any) -> Iterator[Client]:
-    settings = Settings(data=folder, heartbeat_seconds=0.2, **given)
+def serving(folder: Path, executor: Executor, **options: Any) -> Iterator[Client]:
+    settings = Settings(data=folder, heartbeat_seconds=0.2, **options)
     with TestClient(create_app(settings, executor)) as http, Client("http://localhost", http=http) as client:
         yield client
     executor.close()
@@ -62,7 +62,7 @@ def job(client: Client) -> Job:
 # Submitting
 
 
-def test_a_sweep_goes_in_and_comes_back_done(job: Job):
+def test_a_submitted_sweep_is_computed(job: Job):
     assert job.state == "done"
     assert job.finished
     assert job.name == SPEC["name"]
@@ -101,7 +101,7 @@ def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, 
 def test_a_bad_specification_names_field_and_rule(client: Client, change: dict, field: str, rule: str):
     with pytest.raises(InvalidSpecification, match=rule) as caught:
         client.submit(SPEC | change)
-    assert [found for found, _ in caught.value.fields] == [field]
+    assert [name for name, _ in caught.value.fields] == [field]
     assert caught.value.problem.status == caught.value.status == 422
 
 
@@ -152,9 +152,9 @@ def test_too_many_cells_are_refused(tmp_path: Path):
 
 
 def test_a_job_is_found_again(client: Client, job: Job):
-    found = client.job(job.id)
-    assert found.view == job.view
-    assert found.refresh() is found
+    same = client.job(job.id)
+    assert same.view == job.view
+    assert same.refresh() is same
 
 
 @pytest.mark.parametrize("id", ["0" * 32, "", "..", "../healthz", "x" * 32, "A" * 32, "\ud800", "a" * 33])
@@ -197,10 +197,10 @@ def test_waiting_follows_a_job_to_its_end(tmp_path: Path):
         assert job.wait(progress=follow) is job
         assert seen[0] == ("queued", 0)
         assert seen[-1] == ("done", 60)
-        assert seen == sorted(seen, key=lambda one: one[1])
+        assert seen == sorted(seen, key=lambda status: status[1])
 
 
-def test_a_wait_ends_in_time_and_the_job_goes_on(tmp_path: Path):
+def test_a_wait_ends_at_its_timeout_and_the_job_continues(tmp_path: Path):
     with serving(tmp_path, Held()) as client:
         job = client.submit(sweep())
         with pytest.raises(WaitTimeout, match="the job continues") as caught:
@@ -220,7 +220,7 @@ def test_a_failed_job_says_why(tmp_path: Path):
         assert "the roof fell in" in caught.value.job.error
 
 
-def test_a_cancelled_job_can_be_taken_up_again(tmp_path: Path):
+def test_a_cancelled_job_can_be_resumed(tmp_path: Path):
     held = Held()
     with serving(tmp_path, held) as client:
         job = client.submit(sweep())
@@ -251,14 +251,14 @@ def test_a_diagram_is_a_dataset(job: Job):
     assert {name: diagram[name].dtype.str for name in ("flights", "outcome", "bounces", "periods")} == {
         "flights": "<i4", "outcome": "|u1", "bounces": "<i2", "periods": "<i2",
     }  # fmt: skip
-    assert float(diagram.omega) == 0.5  # the grid's value, not the one asked for
+    assert float(diagram.omega) == 0.5  # the grid's value, not the one requested
     assert float(diagram.xi) == 0.26
     assert str(diagram.direction.values) == "rest"
     assert diagram.attrs["complete"] == 1
     assert diagram.attrs["job"] == job.id
-    one = diagram.sel(gamma=1.5)
-    assert (int(one.bounces), int(one.periods)) == (1, 1)
-    assert one.flight_time.values == pytest.approx(4.855013427295, abs=1e-6)
+    cell = diagram.sel(gamma=1.5)
+    assert (int(cell.bounces), int(cell.periods)) == (1, 1)
+    assert cell.flight_time.values == pytest.approx(4.855013427295, abs=1e-6)
 
 
 def test_a_diagram_has_nan_where_there_is_no_flight(job: Job):
@@ -271,7 +271,7 @@ def test_a_diagram_has_nan_where_there_is_no_flight(job: Job):
     assert (diagram.takeoff_phase.notnull() == diagram.flight_time.notnull()).all()
 
 
-def test_every_variable_is_described_and_can_be_filed(job: Job, tmp_path: Path):
+def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Path):
     for dataset in (job.diagram(omega=0.5), job.threshold()):
         assert dataset.attrs["Conventions"].startswith("CF-")
         for name, variable in dataset.variables.items():
@@ -315,7 +315,7 @@ def test_a_line_outside_the_grid_is_refused(job: Job, line: dict, field: str):
         with pytest.raises(BadRequest, match=field) as caught:
             ask(**line)
         assert not isinstance(caught.value, InvalidSpecification)
-        assert field in [one.field for one in caught.value.fields]
+        assert field in [problem.field for problem in caught.value.fields]
 
 
 def test_pictures_are_the_bytes_of_files(job: Job):
@@ -335,26 +335,26 @@ def test_results_come_before_the_job_is_done(tmp_path: Path):
 
 
 def test_thresholds_come_per_omega(job: Job):
-    found = job.threshold(xi=0.26)
-    assert found.omega.values.tolist() == [0.5, 0.7]
-    assert found.analytic.values == pytest.approx(threshold(found.omega.values, 0.26))
-    assert found.up.values - found.analytic.values == pytest.approx([0.05, 0.05], abs=0.051)
-    assert found.down.isnull().all()  # the sweep never goes down
+    dataset = job.threshold(xi=0.26)
+    assert dataset.omega.values.tolist() == [0.5, 0.7]
+    assert dataset.analytic.values == pytest.approx(threshold(dataset.omega.values, 0.26))
+    assert dataset.up.values - dataset.analytic.values == pytest.approx([0.05, 0.05], abs=0.051)
+    assert dataset.down.isnull().all()  # the sweep never goes down
 
 
-def test_both_directions_of_a_ramp_are_told_apart(client: Client):
+def test_a_ramp_both_ways_has_a_diagram_per_direction(client: Client):
     protocol = {"kind": "ramp", "axis": "gamma", "direction": "both"}
     gamma = {"start": 0.4, "stop": 1.2, "num": 41}
     ramp = {"gamma": gamma, "omega": 0.6, "xi": 0.05, "protocol": protocol, "model": {"kind": "rigid"}}
     job = client.submit(ramp | {"settle": 60, "observe": 20, "keep": 4}).wait(progress=False)
     up, down = (job.diagram(direction=direction) for direction in ("up", "down"))
-    assert [str(one.direction.values) for one in (up, down)] == ["up", "down"]
+    assert [str(diagram.direction.values) for diagram in (up, down)] == ["up", "down"]
     assert int((down.flights > 0).sum()) > int((up.flights > 0).sum())
     loop = job.threshold()
     assert float(loop.down[0]) < float(loop.analytic[0]) < float(loop.up[0])
 
 
-def test_the_closed_form_is_at_hand(client: Client):
+def test_eq_25_is_available(client: Client):
     assert client.threshold(0.5, 0.26) == pytest.approx(float(threshold(0.5, 0.26)))
     assert client.threshold(math.sqrt(2), 1e-9) > 1e6
     with pytest.raises(BadRequest, match="omega"):
@@ -381,7 +381,7 @@ def test_a_store_that_is_not_there_yet_is_unreachable(tmp_path: Path):
 # How things look, and what is exported
 
 
-def test_a_job_looks_well_in_a_shell_and_in_a_notebook(job: Job):
+def test_the_representations_of_a_job_in_a_shell_and_in_a_notebook(job: Job):
     assert repr(job) == f"<Job {job.id[:8]} coarse <figure 2>: done, 100% (92 of 92 cells)>"
     html = job._repr_html_()
     assert "coarse &lt;figure 2&gt;" in html
@@ -390,9 +390,9 @@ def test_a_job_looks_well_in_a_shell_and_in_a_notebook(job: Job):
 
 
 def test_every_error_is_exported_and_descends_from_one():
-    errors = [getattr(package, name) for name in package.__all__]
-    kinds = [one for one in errors if isinstance(one, type) and issubclass(one, Exception)]
-    assert all(issubclass(kind, BounceError) for kind in kinds)
+    exported = [getattr(package, name) for name in package.__all__]
+    errors = [item for item in exported if isinstance(item, type) and issubclass(item, Exception)]
+    assert all(issubclass(error, BounceError) for error in errors)
     from service.client import errors as module
 
     declared = {

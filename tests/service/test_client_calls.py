@@ -1,4 +1,4 @@
-"""Client and command line offer every call: against the real service, each against what it answers itself."""
+"""Every call of client and command line against the real service."""
 
 import json
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ PLANE: dict[str, Any] = {
 
 
 class Running(NamedTuple):
-    """A service that wants a token, a client that has it, and a job that is done."""
+    """A service that requires a token, a client that has it, and a job that is done."""
 
     address: str
     client: Client
@@ -38,9 +38,9 @@ class Running(NamedTuple):
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     executor = Inline()
-    given = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2, "token": TOKEN}
+    options = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2, "token": TOKEN}
     with (
-        embedded.running(embedded.settings(**given), executor) as address,
+        embedded.running(embedded.settings(**options), executor) as address,
         Client(address, TOKEN) as client,
     ):
         yield Running(address, client, client.submit(PLANE).wait(progress=False))
@@ -49,18 +49,18 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    """A service with a place for one job, which a job has that never ends: all others stay queued."""
+    """A service that runs one job at a time, and runs one that never ends: all others stay queued."""
     settings = embedded.settings(data=tmp_path_factory.mktemp("data"), port=0, active_jobs=1)
     with embedded.running(settings, Held()) as address, Client(address) as client:
         yield Running(address, client, client.submit(sweep("never ends")))
 
 
 def bounce(running: Running, *words: str, token: str | None = TOKEN) -> Result:
-    given = {"BOUNCE_URL": running.address, "BOUNCE_TOKEN": token}
-    return CliRunner().invoke(main, words, env=given)
+    environment = {"BOUNCE_URL": running.address, "BOUNCE_TOKEN": token}
+    return CliRunner().invoke(main, words, env=environment)
 
 
-def said(running: Running, *words: str) -> str:
+def output_of(running: Running, *words: str) -> str:
     done = bounce(running, *words)
     assert done.exit_code == 0, done.output
     return done.stdout
@@ -69,17 +69,17 @@ def said(running: Running, *words: str) -> str:
 # Tokens
 
 
-def test_the_token_opens_every_way_in(running: Running):
+def test_the_token_is_required_of_every_caller(running: Running):
     assert running.client.job(running.job.id).state == "done"
-    with Client(running.address) as stranger, pytest.raises(Unauthorized, match="token"):
-        stranger.job(running.job.id)
-    assert said(running, "status", running.job.id)
+    with Client(running.address) as anonymous, pytest.raises(Unauthorized, match="token"):
+        anonymous.job(running.job.id)
+    assert output_of(running, "status", running.job.id)
     refused = bounce(running, "status", running.job.id, token="not-the-token-at-all")
     assert (refused.exit_code, refused.stdout) == (1, "")
     assert "token" in refused.stderr
 
 
-# Handing in
+# Submitting
 
 
 def test_a_key_makes_a_repeat_harmless(idle: Running):
@@ -90,14 +90,14 @@ def test_a_key_makes_a_repeat_harmless(idle: Running):
         idle.client.submit(sweep("keyed", xi=0.4), key="once")
 
 
-def test_an_estimate_hands_in_nothing(idle: Running, tmp_path: Path):
+def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     before = len(list(idle.client.jobs()))
-    found = idle.client.estimate(PLANE)
-    assert (found.cells, found.basis) == (44, "table")
-    assert found.core_seconds > 0
+    estimate = idle.client.estimate(PLANE)
+    assert (estimate.cells, estimate.basis) == (44, "table")
+    assert estimate.core_seconds > 0
     file = tmp_path / "sweep.json"
     file.write_text(json.dumps(PLANE))
-    assert "44 cells" in said(idle, "submit", str(file), "--estimate")
+    assert "44 cells" in output_of(idle, "submit", str(file), "--estimate")
     assert len(list(idle.client.jobs())) == before
     with pytest.raises(BadRequest, match="omega"):
         idle.client.estimate({**PLANE, "omega": -1})
@@ -157,23 +157,23 @@ def test_follow_ends_with_the_job(tmp_path: Path):
 
 
 def test_modes(running: Running, tmp_path: Path):
-    found = running.job.modes(direction="down")
+    dataset = running.job.modes(direction="down")
     store = running.job.open().sel(direction="down", xi=0.26)
     for name in ("outcome", "bounces", "periods"):
-        np.testing.assert_array_equal(found[name], store[name])
-        assert found[name].dims == ("omega", "gamma")
-    assert found.attrs["complete"] == 1
-    said(running, "modes", running.job.id, "--direction", "down", "-o", str(tmp_path / "modes.csv"))
+        np.testing.assert_array_equal(dataset[name], store[name])
+        assert dataset[name].dims == ("omega", "gamma")
+    assert dataset.attrs["complete"] == 1
+    output_of(running, "modes", running.job.id, "--direction", "down", "-o", str(tmp_path / "modes.csv"))
     rows = (tmp_path / "modes.csv").read_text().splitlines()
     assert rows[0] == "omega,gamma,outcome,bounces,periods"
     assert len(rows) == 1 + 22
     thinned = running.job.modes(direction="down", every=2)
-    np.testing.assert_array_equal(thinned.outcome, found.outcome[::2, ::2])
+    np.testing.assert_array_equal(thinned.outcome, dataset.outcome[::2, ::2])
     omega, gamma, outcome, *_ = rows[-1].split(",")
     assert (float(omega), float(gamma)) == (0.7, 1.6)
     assert outcome in ("periodic", "aperiodic", "at_rest")
     words = ["modes", running.job.id, "--direction", "up", "-o", "-", "--format", "json"]
-    assert json.loads(said(running, *words))["direction"] == "up"
+    assert json.loads(output_of(running, *words))["direction"] == "up"
     with pytest.raises(BadRequest, match="direction"):
         running.job.modes(direction="sideways")
 
@@ -181,12 +181,12 @@ def test_modes(running: Running, tmp_path: Path):
 @pytest.mark.parametrize("ending", ["nc", "parquet"])
 def test_export(running: Running, tmp_path: Path, ending: str):
     by_client = running.job.export(tmp_path / f"client.{ending}")
-    said(running, "export", running.job.id, "-o", str(tmp_path / f"shell.{ending}"))
+    output_of(running, "export", running.job.id, "-o", str(tmp_path / f"shell.{ending}"))
     stored = running.job.open().load()
     for path in (by_client, tmp_path / f"shell.{ending}"):
         if ending == "nc":
-            with xarray.open_dataset(path, engine="h5netcdf") as found:
-                np.testing.assert_array_equal(found.flight_time, stored.flight_time)
+            with xarray.open_dataset(path, engine="h5netcdf") as dataset:
+                np.testing.assert_array_equal(dataset.flight_time, stored.flight_time)
         else:
             assert parquet.read_table(path).num_rows == stored.outcome.size
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"client.{ending}", f"shell.{ending}"]
@@ -200,7 +200,7 @@ def test_an_export_that_is_refused_leaves_no_file(running: Running, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_store_is_read_over_the_wire_and_only_where_it_is_used(running: Running):
+def test_the_store_is_read_over_http_and_only_where_it_is_used(running: Running):
     store = running.job.open()
     assert not store.flight_time.variable._in_memory
     here = f"{running.address}/v1/jobs/{running.job.id}/zarr"
@@ -215,21 +215,21 @@ def test_the_store_is_read_over_the_wire_and_only_where_it_is_used(running: Runn
 
 def test_trajectory(running: Running, tmp_path: Path):
     cell = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 50, "samples": 20}
-    found = running.client.trajectory(cell)
-    assert found.sizes["phase"] == 4 * 20 + 1
+    dataset = running.client.trajectory(cell)
+    assert dataset.sizes["phase"] == 4 * 20 + 1
     words = ["--gamma", "2.3", "--omega", "0.5", "--xi", "0.26", "--model", "rigid", "--settle", "50"]
-    said(running, "trajectory", *words, "--samples", "20", "-o", str(tmp_path / "cell.csv"))
+    output_of(running, "trajectory", *words, "--samples", "20", "-o", str(tmp_path / "cell.csv"))
     rows = (tmp_path / "cell.csv").read_text().splitlines()
     assert rows[0] == "phase,plate,z1,z2,force,in_flight"
     assert len(rows) == 1 + 81
-    np.testing.assert_allclose([float(row.split(",")[3]) for row in rows[1:]], found.z2)
+    np.testing.assert_allclose([float(row.split(",")[3]) for row in rows[1:]], dataset.z2)
     with pytest.raises(BadRequest, match="xi"):
         running.client.trajectory({"gamma": 1, "omega": 1})
 
 
 def test_metrics(running: Running):
     assert 'bounce_jobs{state="done"} 1.0' in running.client.metrics()
-    assert "bounce_ready" in said(running, "metrics")
+    assert "bounce_ready" in output_of(running, "metrics")
 
 
 # Bad input on the command line
@@ -238,15 +238,15 @@ def test_metrics(running: Running):
 BAD = {
     "no such file": (["submit", "nowhere.json"], "nowhere.json"),
     "a folder": (["submit", "."], "directory"),
-    "an id in words": (["status", "mine"], "an id is 32 hex digits"),
+    "an id that is text": (["status", "mine"], "an id is 32 hex digits"),
     "an id that is a path": (["status", "../../etc/passwd"], "an id is 32 hex digits"),
     "an encoded path": (["cancel", "..%2f..%2fledger"], "an id is 32 hex digits"),
     "an id nobody has": (["status", "f" * 32], "no job has the id"),
-    "no file": (["export", "f" * 32], "Missing option"),
-    "a file of no kind": (["diagram", "f" * 32, "-o", "x.gif"], "does not end in"),
-    "a folder that is not": (["modes", "f" * 32, "-o", "nowhere/x.csv"], "there is no folder"),
-    "a state that is not": (["list", "--state", "lost"], "is not one of"),
-    "a gamma in words": (["trajectory", "--gamma", "much"], "not a valid"),
+    "no output file": (["export", "f" * 32], "Missing option"),
+    "a file of another format": (["diagram", "f" * 32, "-o", "x.gif"], "does not end in"),
+    "a missing folder": (["modes", "f" * 32, "-o", "nowhere/x.csv"], "there is no folder"),
+    "an unknown state": (["list", "--state", "lost"], "is not one of"),
+    "a gamma that is text": (["trajectory", "--gamma", "much"], "not a valid"),
     "a gamma of zero": (
         ["trajectory", "--gamma", "0", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],
         "gamma: must be at least",
@@ -256,7 +256,7 @@ BAD = {
         "gamma: must be finite",
     ),
     "another command": (["launch"], "No such command"),
-    "a port that is not": (["serve", "--port", "99999"], "port"),
+    "a port out of range": (["serve", "--port", "99999"], "port"),
 }
 
 

@@ -1,4 +1,4 @@
-"""The paper's figures, start to end, and what is said beside them against MODEL's numbers."""
+"""The figures of the paper from start to end, and their captions against the numbers of docs/model.md."""
 
 import io
 import json
@@ -31,7 +31,7 @@ from service.settings import Settings
 from worker.executors.dask import Dask
 from worker.spec import SweepSpec
 
-#: MODEL section 5: the last Γ that bounces on the way down, by Ω.
+#: docs/model.md, section 5: the last Γ that bounces on the way down, by Ω.
 DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
 
 #: What makes each figure small enough for a test, its cells still the paper's.
@@ -136,21 +136,21 @@ def test_svg_holds_letters_as_lines_and_dots_as_an_image(
     content = SMALL_FIGURES[number].make(client, "svg", progress=False).content.decode()
     assert content == SMALL_FIGURES[number].make(client, "svg", progress=False).content.decode()
     assert "<svg" in content
-    assert "<text" not in content  # no font is asked of whoever looks at it
+    assert "<text" not in content  # needs no font where it is shown
     assert ("<image" in content) == (number == 4)
 
 
 def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: dict[int, Picture]):
-    found = diagram(client, 2)
+    of_figure_2 = diagram(client, 2)
     modes = {
         gamma: (int(cell.bounces), int(cell.periods))
         for gamma in (1.5, 2.3, 3.6)
-        for cell in [found.sel(gamma=gamma, method="nearest")]
+        for cell in [of_figure_2.sel(gamma=gamma, method="nearest")]
     }
     assert modes == {1.5: (1, 1), 2.3: (2, 2), 3.6: (1, 2)}
-    assert int(found.outcome.sel(gamma=5.0, method="nearest")) == Outcome.APERIODIC
+    assert int(of_figure_2.outcome.sel(gamma=5.0, method="nearest")) == Outcome.APERIODIC
     # No small hops after a landing: what is short is the tail of a branch that ends at zero.
-    assert np.mean(found.flight_time.values < 0.1) < 1e-2
+    assert np.mean(of_figure_2.flight_time.values < 0.1) < 1e-2
     expected = "(1, 1) at Γ = 1.5; (2, 2) at Γ = 2.3; (1, 2) at Γ = 3.6; aperiodic at Γ = 5.0"
     assert pictures[2].caption.agrees.startswith(expected)
 
@@ -165,12 +165,14 @@ def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: 
     cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": presets.SOFT}
     motion = client.trajectory({**cell, "settle": 200, "periods": 4, "samples": 50})
     assert motion.sizes["phase"] == 201
-    np.testing.assert_allclose(motion.flight_time, 4.855013427295, atol=3e-3)  # MODEL's, on an ideal plate
+    np.testing.assert_allclose(
+        motion.flight_time, 4.855013427295, atol=3e-3
+    )  # docs/model.md, section 5, on an ideal plate
     np.testing.assert_allclose(motion.plate, np.cos(motion.phase), atol=1e-12)
     assert float(((motion.z2 - motion.plate) * motion.in_flight).min()) >= -1e-9
 
 
-def test_fig_3_spring_and_ball_cannot_be_told_apart(pictures: dict[int, Picture]):
+def test_fig_3_spring_and_ball_agree(pictures: dict[int, Picture]):
     agrees, differs = pictures[3].caption.agrees, pictures[3].caption.differs
     same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", agrees)[0])
     assert same == periodic > 50
@@ -183,8 +185,8 @@ def test_fig_4_names_the_springs_own_restitution(pictures: dict[int, Picture]):
     assert float(restitution_of(np.array([0.5]))[0]) == pytest.approx(0.1492, abs=5e-5)
     caption = pictures[4].caption
     assert "f(0.5) = 0.1492" in caption.differs
-    own, given = map(float, re.findall(r"median ([\d.]+) rad instead of ([\d.]+)", caption.differs)[0])
-    assert own < given < 0.05
+    own, printed = map(float, re.findall(r"median ([\d.]+) rad instead of ([\d.]+)", caption.differs)[0])
+    assert own < printed < 0.05
     assert "forbidden zones: for Γ = 4.7 to 5.3" in caption.agrees
 
 
@@ -207,12 +209,14 @@ def test_fig_5_says_how_far_off_the_printed_equations_are(pictures: dict[int, Pi
 
 def test_fig_6_has_models_minimum(pictures: dict[int, Picture]):
     assert "0.1941 at Ω = 0.9928" in pictures[6].caption.agrees
-    assert "beyond Ω = 1.44" in pictures[6].caption.differs  # MODEL: the maximum is at 1.43529
+    assert (
+        "beyond Ω = 1.44" in pictures[6].caption.differs
+    )  # the maximum is at 1.43529 (docs/model.md, section 5)
 
 
 def test_fig_9_names_the_maximum_outside_its_frame(pictures: dict[int, Picture]):
     assert "120 plate periods" in pictures[9].caption.shows
-    assert "7.3 at Ω = 1.435" in pictures[9].caption.shows  # MODEL: 7.29511 at 1.43529
+    assert "7.3 at Ω = 1.435" in pictures[9].caption.shows  # 7.29511 at 1.43529 (docs/model.md, section 5)
 
 
 def test_fig_7_is_chaotic_at_four_and_not_at_two(client: Client, pictures: dict[int, Picture]):
@@ -227,7 +231,8 @@ def test_fig_7_is_chaotic_at_four_and_not_at_two(client: Client, pictures: dict[
         assert np.mean(diagram(client, 7, sweep).outcome == Outcome.APERIODIC) < 0.2
     assert np.mean(diagram(client, 7, hardly_elastic).outcome == Outcome.APERIODIC) > 0.2
     assert np.mean(diagram(client, 7, elastic).outcome == Outcome.APERIODIC) > 0.5
-    # MODEL, on an ideal plate: (3, 4) at Γ = 2, (1, 2) at Γ = 3 from rest; the former is found here too.
+    # docs/model.md, section 5: on an ideal plate (3, 4) at Γ = 2 and (1, 2) at Γ = 3 from rest; the former
+    # occurs here too.
     cell = diagram(client, 7, sweep=2).sel(gamma=2.0, method="nearest")
     assert (int(cell.bounces), int(cell.periods)) == (3, 4)
     np.testing.assert_allclose(
@@ -253,7 +258,7 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int,
 
 
 @pytest.mark.parametrize(
-    ("values", "places"),
+    ("values", "indices"),
     [
         ([3, 1, 2, 0, 3], [1, 3]),
         ([3, 1, 1.01, 0, 3], [3]),  # too shallow on one side
@@ -261,8 +266,8 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int,
         ([3, 1, 1, 2], [2]),
     ],
 )
-def test_minima_are_as_deep_as_asked(values: Sequence[float], places: list[int]):
-    assert hysteresis.minima(np.array(values, float), 0.5) == places
+def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]):
+    assert hysteresis.minima(np.array(values, float), 0.5) == indices
 
 
 def test_caption_sorts_claims():
@@ -305,7 +310,7 @@ def test_the_first_command_of_the_readme_draws_figure_2(tmp_path: Path, cluster:
     assert picture.shape[0] > 500
     assert 0.02 < np.mean(picture[..., :3].mean(axis=2) < 0.5) < 0.5  # ink, and not too much of it
 
-    # The second run finds the jobs done: not one line says that anything runs.
+    # The second run finds the jobs done: it reports no running job.
     assert second.returncode == 0, second.stderr
     assert "running" not in second.stderr
     assert b"<svg" in (tmp_path / "again.svg").read_bytes()

@@ -1,4 +1,4 @@
-"""What a model cannot do is refused with the reason and what would do: over REST, by client, in the shell."""
+"""Specifications that a contact model cannot compute: refused with the reason and a value that works."""
 
 import json
 from collections.abc import Iterator
@@ -19,10 +19,10 @@ SWEEP: dict[str, Any] = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "settle": 0, "o
 
 
 class Case(NamedTuple):
-    """What is asked, what is said of it, what the answer says would do, and what is just beyond that."""
+    """A specification, the rule that refuses it, the nearest one that works, and one just beyond that."""
 
-    asked: dict[str, Any]
-    said: str
+    refused: dict[str, Any]
+    rule: str
     works: dict[str, Any]
     beyond: dict[str, Any]
 
@@ -79,38 +79,38 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @EVERY
 def test_over_rest(address: str, case: Case):
-    refused = httpx2.post(f"{address}/v1/jobs", json=SWEEP | case.asked)
-    assert (refused.status_code, refused.headers["Content-Type"]) == (422, "application/problem+json")
-    (error,) = refused.json()["errors"]
-    assert case.said in f"{error['field']}: {error['rule']}"
-    looked_at = f"{address}/v1/jobs?validate_only=true"
-    assert httpx2.post(looked_at, json=SWEEP | case.works).status_code == 200
-    assert httpx2.post(looked_at, json=SWEEP | case.beyond).status_code == 422
+    response = httpx2.post(f"{address}/v1/jobs", json=SWEEP | case.refused)
+    assert (response.status_code, response.headers["Content-Type"]) == (422, "application/problem+json")
+    (error,) = response.json()["errors"]
+    assert case.rule in f"{error['field']}: {error['rule']}"
+    validation = f"{address}/v1/jobs?validate_only=true"
+    assert httpx2.post(validation, json=SWEEP | case.works).status_code == 200
+    assert httpx2.post(validation, json=SWEEP | case.beyond).status_code == 422
 
 
 @EVERY
 def test_by_the_client(address: str, case: Case):
     with Client(address) as client:
         with pytest.raises(InvalidSpecification) as caught:
-            client.submit(SWEEP | case.asked)
-        assert case.said in str(caught.value)
+            client.submit(SWEEP | case.refused)
+        assert case.rule in str(caught.value)
         assert client.estimate(SWEEP | case.works).cells == 1
 
 
 @EVERY
 def test_in_the_shell(address: str, case: Case, tmp_path: Path):
     file = tmp_path / "sweep.json"
-    file.write_text(json.dumps(SWEEP | case.asked))
+    file.write_text(json.dumps(SWEEP | case.refused))
     done = CliRunner().invoke(main, ["submit", str(file), "--url", address])
     assert done.exit_code == 1
-    assert case.said in done.stderr
+    assert case.rule in done.stderr
     assert "Traceback" not in done.output
 
 
 @EVERY
 def test_for_one_cell(address: str, case: Case):
     """A trajectory is refused for the same reasons; it has no model of its own to choose."""
-    cell = {name: value for name, value in (SWEEP | case.asked).items() if name != "observe"}
-    refused = httpx2.post(f"{address}/v1/trajectories", json=cell)
-    assert refused.status_code in (413, 422)
-    assert "model." in refused.json()["detail"] or "periods" in refused.json()["detail"]
+    cell = {name: value for name, value in (SWEEP | case.refused).items() if name != "observe"}
+    response = httpx2.post(f"{address}/v1/trajectories", json=cell)
+    assert response.status_code in (413, 422)
+    assert "model." in response.json()["detail"] or "periods" in response.json()["detail"]

@@ -1,4 +1,4 @@
-"""The client against answers, and silences, that a test writes out: what goes over the wire, and when."""
+"""The client against a scripted HTTP server: what it sends, when, and what it makes of the answers."""
 
 import io
 import json
@@ -55,10 +55,10 @@ class Answer:
 
 
 class Server(HTTPServer):
-    """Gives the answers of a script one by one, and remembers what was asked."""
+    """Gives the answers of a script one by one, and records the requests."""
 
     script: list[Answer | None]
-    asked: list[tuple[str, str, dict[str, str]]]
+    requests: list[tuple[str, str, dict[str, str]]]
     when: list[float]
 
 
@@ -67,7 +67,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def answer(self) -> None:
         self.rfile.read(int(self.headers.get("Content-Length", 0)))
-        self.server.asked.append((self.command, self.path, dict(self.headers)))
+        self.server.requests.append((self.command, self.path, dict(self.headers)))
         self.server.when.append(time.monotonic())
         answer = self.server.script.pop(0)
         if answer is LOST:
@@ -86,9 +86,9 @@ class Handler(BaseHTTPRequestHandler):
 
 @contextmanager
 def scripted(*script: Answer | None) -> Iterator[tuple[Server, Client]]:
-    """A server that gives these answers, all of which must have been asked for at the end, and a client."""
+    """A server that gives these answers, all of which must be used at the end, and a client."""
     with Server(("127.0.0.1", 0), Handler) as server:
-        server.script, server.asked, server.when = list(script), [], []
+        server.script, server.requests, server.when = list(script), [], []
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
         try:
@@ -101,36 +101,36 @@ def scripted(*script: Answer | None) -> Iterator[tuple[Server, Client]]:
 
 
 @pytest.fixture
-def deaf() -> Iterator[str]:
+def unused_address() -> Iterator[str]:
     """An address at which nobody listens, for as long as the test takes."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         yield f"http://127.0.0.1:{taken.getsockname()[1]}"
 
 
-# Getting through
+# Connecting
 
 
-def test_nobody_there_is_said_with_what_to_do(deaf: str):
-    with Client(deaf) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
+def test_an_unreachable_service_is_reported_with_what_to_do(unused_address: str):
+    with Client(unused_address) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
         client.job(ID)
-    assert deaf in str(caught.value)
-    assert caught.value.url == deaf
+    assert unused_address in str(caught.value)
+    assert caught.value.url == unused_address
 
 
 @pytest.mark.parametrize("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
-def test_an_address_that_is_none_is_refused(url: str):
+def test_an_invalid_address_is_refused(url: str):
     with pytest.raises(ServiceUnreachable):
         Client(url)
 
 
-def test_a_lost_connection_is_tried_again():
+def test_a_lost_connection_is_retried():
     with scripted(LOST, LOST, Answer(body=view())) as (server, client):
         assert client.job(ID).state == "running"
-        assert [path for _, path, _ in server.asked] == [f"/v1/jobs/{ID}"] * 3
+        assert [path for _, path, _ in server.requests] == [f"/v1/jobs/{ID}"] * 3
 
 
-def test_but_not_for_ever():
+def test_retries_end():
     with scripted(LOST, LOST, LOST) as (_, client), pytest.raises(ServiceUnreachable):
         client.job(ID)
 
@@ -138,7 +138,7 @@ def test_but_not_for_ever():
 def test_submitting_may_be_repeated_since_the_same_sweep_is_the_same_job():
     with scripted(LOST, Answer(202, view("queued"))) as (server, client):
         assert client.submit({"xi": 1}).id == ID
-        assert [method for method, _, _ in server.asked] == ["POST", "POST"]
+        assert [method for method, _, _ in server.requests] == ["POST", "POST"]
 
 
 def test_a_silent_service_is_unreachable():
@@ -148,9 +148,9 @@ def test_a_silent_service_is_unreachable():
             client.job(ID)
 
 
-def test_a_proxy_is_not_asked_for_this_machine(monkeypatch: pytest.MonkeyPatch, deaf: str):
+def test_no_proxy_is_used_for_loopback(monkeypatch: pytest.MonkeyPatch, unused_address: str):
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
-        monkeypatch.setenv(name, deaf)
+        monkeypatch.setenv(name, unused_address)
     for name in ("NO_PROXY", "no_proxy"):
         monkeypatch.delenv(name, raising=False)
     with scripted(Answer(body=view())) as (_, client):
@@ -160,7 +160,7 @@ def test_a_proxy_is_not_asked_for_this_machine(monkeypatch: pytest.MonkeyPatch, 
 def test_the_token_goes_with_every_call():
     with scripted(Answer(body=view())) as (server, client), Client(client.url, token="s3cret") as known:
         known.job(ID)
-        assert server.asked[0][2]["Authorization"] == "Bearer s3cret"
+        assert server.requests[0][2]["Authorization"] == "Bearer s3cret"
         assert "s3cret" not in repr(known)
 
 
@@ -176,10 +176,10 @@ def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
 def test_an_empty_token_is_none():
     with scripted(Answer(body=view())) as (server, client), Client(client.url, token="") as unknown:
         unknown.job(ID)
-        assert "Authorization" not in server.asked[0][2]
+        assert "Authorization" not in server.requests[0][2]
 
 
-# What comes back
+# Answers
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_every_status_has_its_error(status: int, kind: type[Refused]):
     assert str(caught.value) == "because\n  xi: is odd"
 
 
-def test_a_busy_service_says_when_to_come_back():
+def test_busy_carries_retry_after():
     with (
         scripted(Answer(429, {"detail": "full"}, Retry_After="7")) as (_, client),
         pytest.raises(Busy) as caught,
@@ -228,10 +228,11 @@ def test_a_busy_service_says_when_to_come_back():
         Answer(200, [1, 2]),
         Answer(200, {"id": ID}),
         Answer(200, view() | {"progress": None}),
+        Answer(200, view() | {"progress": {"percent": 50.0}}),
         Answer(302, b"", Location="http://127.0.0.1:1/"),
     ],
 )
-def test_another_program_at_the_address_is_told_apart(answer: Answer):
+def test_another_program_at_the_address_is_recognised(answer: Answer):
     with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer):
         client.job(ID)
 
@@ -244,7 +245,7 @@ def test_a_proxys_own_error_page_is_no_problem_document():
         client.job(ID)
 
 
-def test_strange_problem_documents_are_read_as_far_as_they_go():
+def test_malformed_problem_documents_are_read_as_far_as_possible():
     for errors in ("none", [1, "two", {"field": 3}], {"field": "xi"}):
         answer = Answer(422, {"detail": ["a", "list"], "errors": errors})
         with scripted(answer) as (_, client), pytest.raises(Refused) as caught:
@@ -255,7 +256,7 @@ def test_strange_problem_documents_are_read_as_far_as_they_go():
 # Waiting
 
 
-def test_a_wait_goes_at_the_pace_the_service_asks_for():
+def test_a_wait_polls_at_the_interval_of_the_service():
     slow = Answer(200, view("running", 1), Retry_After="0.5")
     with scripted(Answer(202, view("queued"), Retry_After="0.3"), slow, Answer(200, view("done", 10))) as (
         server,
@@ -267,26 +268,26 @@ def test_a_wait_goes_at_the_pace_the_service_asks_for():
     assert third - second >= 0.5
 
 
-def test_a_wait_without_a_pace_looks_often_at_first_and_then_seldom(monkeypatch: pytest.MonkeyPatch):
+def test_without_retry_after_a_wait_polls_less_and_less_often(monkeypatch: pytest.MonkeyPatch):
     from service.client import job as module
 
     pauses: list[float] = []
     clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
     monkeypatch.setattr(module, "time", clock)
-    looks = [Answer(200, view("running")) for _ in range(39)]
-    with scripted(Answer(202, view("queued")), *looks, Answer(200, view("done", 10))) as (_, client):
+    running = [Answer(200, view("running")) for _ in range(39)]
+    with scripted(Answer(202, view("queued")), *running, Answer(200, view("done", 10))) as (_, client):
         client.submit({}).wait(progress=False)
     assert (pauses[0], pauses[-1]) == (0.05, 2.0)
     assert pauses == sorted(pauses)
 
 
-def test_an_unchanged_job_is_asked_for_by_its_etag():
+def test_an_unchanged_job_is_requested_by_its_etag():
     first = Answer(200, view("running", 3), ETag='W/"one"', Retry_After="0")
     with scripted(first, Answer(304, Retry_After="0"), Answer(200, view("done", 10))) as (server, client):
         job = client.job(ID)
         assert job.refresh().progress.cells_done == 3
         assert job.wait(progress=False).state == "done"
-        assert [headers.get("If-None-Match") for _, _, headers in server.asked] == [
+        assert [headers.get("If-None-Match") for _, _, headers in server.requests] == [
             None,
             'W/"one"',
             'W/"one"',
@@ -302,7 +303,7 @@ def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatc
         assert client.job(ID).wait(progress=False).state == "done"
 
 
-def test_a_wait_gives_a_lost_service_up_in_the_end(monkeypatch: pytest.MonkeyPatch):
+def test_a_wait_ends_if_the_service_stays_away(monkeypatch: pytest.MonkeyPatch):
     from service.client import job as module
 
     monkeypatch.setattr(module, "MAX_OUTAGE", 0.1)
@@ -314,29 +315,29 @@ def test_a_wait_gives_a_lost_service_up_in_the_end(monkeypatch: pytest.MonkeyPat
             job.wait(progress=False)
 
 
-def underway(done: int) -> Answer:
+def computing(done: int) -> Answer:
     return Answer(
         202, {"state": "running", "progress": {"parts_done": done, "parts_total": 4}}, Retry_After="0.2"
     )
 
 
-def test_what_workers_compute_is_asked_for_until_it_is_there():
-    told: list[tuple[int, int]] = []
+def test_an_answer_of_the_workers_is_polled_until_it_is_computed():
+    reported: list[tuple[int, int]] = []
     script = (
-        underway(0),
+        computing(0),
         Answer(429, {"detail": "full"}, Retry_After="0.1"),
-        underway(3),
+        computing(3),
         Answer(body={"rows": []}),
     )
     with scripted(*script) as (server, client):
-        assert client.tradeoff(progress=lambda *parts: told.append(parts)) == {"rows": []}
-        assert told == [(0, 4), (3, 4)]
+        assert client.tradeoff(progress=lambda *parts: reported.append(parts)) == {"rows": []}
+        assert reported == [(0, 4), (3, 4)]
         assert server.when[1] - server.when[0] >= 0.2
 
 
-def test_who_waits_no_longer_is_told_that_it_goes_on():
+def test_a_timeout_of_the_workers_answer_reports_their_progress():
     with (
-        scripted(underway(1)) as (_, client),
+        scripted(computing(1)) as (_, client),
         pytest.raises(
             NotComputedYet,
             match=r"^1 of 4 parts computed after -1 s; the computation continues, repeat the request later$",
@@ -347,7 +348,7 @@ def test_who_waits_no_longer_is_told_that_it_goes_on():
         client.tradeoff(progress=False)
 
 
-def test_a_wait_for_workers_shows_itself_by_lines(capsys: pytest.CaptureFixture[str]):
+def test_progress_of_the_workers_answer_is_written_in_lines(capsys: pytest.CaptureFixture[str]):
     show = display_parts(True)
     for done in range(24):
         show(done, 23)
@@ -362,13 +363,13 @@ def test_a_list_goes_on_to_its_last_page():
     pages = [Answer(body={"jobs": [view()], "next": "more"}), Answer(body={"jobs": [view("done")]})]
     with scripted(*pages) as (server, client):
         assert [job.state for job in client.jobs(state="running")] == ["running", "done"]
-        assert "cursor=more" in server.asked[1][1]
-        assert "state=running" in server.asked[1][1]
+        assert "cursor=more" in server.requests[1][1]
+        assert "state=running" in server.requests[1][1]
     with scripted(Answer(body={"rows": []})) as (_, client), pytest.raises(UnexpectedAnswer):
         list(client.jobs())
 
 
-# Showing how it goes
+# Showing progress
 
 
 def shown(*views: tuple[float, dict[str, Any]]) -> list[str]:
@@ -379,8 +380,8 @@ def shown(*views: tuple[float, dict[str, Any]]) -> list[str]:
     out, now = io.StringIO(), [0.0]
     lines = JobLines(out, clock=lambda: now[0])
     with Client("http://127.0.0.1:9") as client:
-        for now[0], one in views:
-            lines(Job.from_view(client._transport, one))
+        for now[0], description in views:
+            lines(Job.from_view(client._transport, description))
     return out.getvalue().splitlines()
 
 
@@ -397,7 +398,7 @@ def test_plain_lines_are_few():
     assert len(shown(*creep)) == 10
 
 
-def test_a_plain_line_tells_how_far_and_how_long_still():
+def test_a_plain_line_shows_percent_cells_and_time_left():
     progress = {"cells_done": 1234, "cells_total": 5000, "percent": 24.68, "eta_seconds": 4000.0}
     (line,) = shown((0.0, view() | {"name": "three", "progress": view()["progress"] | progress}))
     assert line == "01234567 three: running, 24% (1,234 of 5,000 cells), 1 h 6 min left"

@@ -16,7 +16,7 @@ from service.cli.main import main
 from service.cli.tradeoff import table_lines
 from service.client import Client
 from service.render.work_precision import draw
-from service.results.work_precision import advice
+from service.results.work_precision import REFERENCES, advice
 from service.server.embedded import running
 from service.settings import Settings
 from worker.analysis import work_precision
@@ -115,9 +115,12 @@ def test_steps_that_a_specification_would_refuse_are_counted_not_computed():
 
 def test_the_table_and_its_last_words(measured: list[Measured]):
     rows = [row.model_dump() for row in measured]
-    lines = table_lines(rows)
+    lines = table_lines(rows, REFERENCES)
     assert len(lines) == len(FEW) + 6
-    assert lines[0] == "For this contact: errors relative to exact soft with d = 1e-3, e = 0.01"
+    assert (
+        lines[0]
+        == "Errors relative to the exact soft contact, d = 1e-3, e = 0.01: for studies of this contact"
+    )
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
     text = advice(measured)
@@ -161,7 +164,7 @@ def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_p
         return done.stdout
 
     said = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
-    assert said[0].startswith("For this contact")
+    assert said[0].startswith("Errors relative to the exact soft contact")
     assert said[-1].startswith("Take rigid")
     assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     rows = json.loads(bounce("--json"))["rows"]
