@@ -28,7 +28,7 @@ class Tradeoff(BaseModel):
     advice: str
 
 
-def begin(executor: Executor) -> list[Future[Measured]]:
+def submit(executor: Executor) -> list[Future[Measured]]:
     """Start the measurements on the workers, one future per row of the table."""
     return [executor.call(work_precision.measure, rung) for rung in work_precision.RUNGS]
 

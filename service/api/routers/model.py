@@ -68,7 +68,7 @@ def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Que
 
     Measured once in the service's lifetime, which takes about a minute; until then 202 with the progress.
     """
-    rows = service.on_demand.get("tradeoff", work_precision.begin)
+    rows = service.on_demand.get("tradeoff", work_precision.submit)
     if query.format == "json":
         content: str | bytes = work_precision.table(rows).model_dump_json()
     else:

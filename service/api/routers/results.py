@@ -47,13 +47,13 @@ def diagram(
     line = (sweep, query.along, values, query.direction, query.min_flight)
     max_points = service.settings.max_points
     if query.format == "json":
-        found = [diagrams.diagram(*line, max_points, query.every)]
+        directions = [diagrams.diagram(*line, max_points, query.every)]
     elif query.format == "csv":
-        found = diagrams.diagrams(*line, max_points, query.every)
+        directions = diagrams.diagrams(*line, max_points, query.every)
     else:
-        found = diagrams.diagrams_to_draw(*line, query.every)
-    headers = _complete(all(diagram.complete for diagram in found))
-    content = _encode(found, sweep.spec, query.format)
+        directions = diagrams.diagrams_to_draw(*line, query.every)
+    headers = _complete(all(diagram.complete for diagram in directions))
+    content = _encode(directions, sweep.spec, query.format)
     return Response(content, media_type=MEDIA_TYPES[query.format], headers=headers)
 
 
@@ -72,10 +72,10 @@ def job_threshold(
     threshold, and 202 with the progress until the workers have refined them all.
     """
     sweep = dependencies.sweep(service, job)
-    found = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
+    result = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
-        found = thresholds.refined(service.on_demand, job, sweep, found, query.tolerance)
-    return Response(found.model_dump_json(), media_type=MEDIA_TYPES["json"])
+        result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
+    return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(
@@ -87,9 +87,9 @@ def job_threshold(
 def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    found = mode_map.modes(sweep, query.xi, query.direction, max_points, query.every)
-    headers = _complete(found.complete)
-    return Response(text.mode_map_json(found), media_type=MEDIA_TYPES["json"], headers=headers)
+    plane = mode_map.modes(sweep, query.xi, query.direction, max_points, query.every)
+    headers = _complete(plane.complete)
+    return Response(text.mode_map_json(plane), media_type=MEDIA_TYPES["json"], headers=headers)
 
 
 @router.get(
@@ -102,7 +102,7 @@ def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQ
     sweep = dependencies.sweep(service, job)
     export_files.check_size(sweep.spec, service.settings.max_export_bytes)
     with service.export_limit.slot():
-        plan: Any = service.manager.preparer.prepare(job).plan
+        plan = service.manager.preparer.prepare(job).plan
         file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
@@ -131,12 +131,12 @@ def zarr(service: ServiceDep, job: ResultsJob, key: str) -> Response:
 router.add_api_route("/zarr/{key:path}", zarr, methods=["HEAD"], include_in_schema=False)
 
 
-def _encode(found: list[Diagram], spec: SweepSpec, format: DiagramFormat) -> bytes:
+def _encode(directions: list[Diagram], spec: SweepSpec, format: DiagramFormat) -> bytes:
     if format == "json":
-        return text.diagram_json(found[0])
+        return text.diagram_json(directions[0])
     if format == "csv":
-        return text.diagrams_csv(found)
-    return bifurcation.draw(found, spec, format)
+        return text.diagrams_csv(directions)
+    return bifurcation.draw(directions, spec, format)
 
 
 def _complete(complete: bool) -> dict[str, str]:

@@ -1,0 +1,143 @@
+"""`GET /v1/tradeoff` and `bounce tradeoff`: the table of costs and errors, the advice, and the picture."""
+
+import json
+import math
+from collections.abc import Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from fastapi.testclient import TestClient
+
+from service.api.app import create_app
+from service.cli.main import main
+from service.cli.tradeoff import table_lines
+from service.client import Client
+from service.render.work_precision import draw
+from service.results.work_precision import advice
+from service.server.embedded import running
+from service.settings import Settings
+from worker.analysis import work_precision
+from worker.analysis.work_precision import RUNGS, Measured, measure
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
+
+#: The rungs that the advice needs; to measure them all takes a minute.
+ADVISED = tuple(
+    rung
+    for rung in RUNGS
+    if rung.model == "rigid" or (rung.purpose == "contact" and rung.model in ("soft", "ball"))
+    or (rung.purpose, rung.scheme, rung.steps_per_contact) == ("contact", "verlet", 20)
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def measured() -> list[Measured]:
+    return [measure(rung) for rung in ADVISED]
+
+
+# Table, advice and picture
+
+
+def test_the_table_and_the_advice(measured: list[Measured]):
+    rows = [row.model_dump() for row in measured]
+    lines = table_lines(rows)
+    assert len(lines) == len(ADVISED) + 6
+    assert lines[0] == "For this contact: errors relative to exact soft with d = 1e-3, e = 0.01"
+    assert lines[2].split()[:3] == ["soft,", "d", "="]
+    assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
+    text = advice(measured)
+    assert text.startswith("Take rigid for a hard plate (")
+    assert text.endswith("and auto to choose the model on the cells of your own sweep.")
+    assert "nan" not in text
+
+
+@pytest.mark.parametrize("format", ["png", "svg"])
+def test_the_picture(measured: list[Measured], format: str):
+    picture = draw(measured, format)
+    assert picture.startswith(b"\x89PNG" if format == "png" else b"<?xml")
+    assert draw(measured, format) == picture
+
+
+# Through the service
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work_precision, "RUNGS", ADVISED)  # all of them take a minute
+        with running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
+            yield address
+
+
+def test_workers_measure_once_for_all_requests(address: str):
+    with Client(address) as client:
+        first, second = client.tradeoff(), client.tradeoff()
+        assert first == second
+        assert [row["model"] for row in first["rows"]] == [rung.model for rung in ADVISED]
+        assert first["cells"] == 80
+        assert set(first["references"]) == {"contact", "plate"}
+        assert client.tradeoff_picture("svg").startswith(b"<?xml")
+
+
+def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_path: Path):
+    def bounce(*arguments: str) -> str:
+        done = CliRunner().invoke(main, ["tradeoff", "--url", address, *arguments])
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    lines = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
+    assert lines[0].startswith("For this contact")
+    assert lines[-1].startswith("Take rigid")
+    assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads(bounce("--json"))["rows"]
+    assert all(math.isfinite(row["cost"]) for row in rows)
+
+
+def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
+    done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.pdf"])
+    assert done.exit_code == 2
+    assert "does not end in .png, .svg" in done.stderr
+
+
+def test_another_format_is_refused(tmp_path: Path):
+    executor = Inline()
+    with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
+        refused = client.get("/v1/tradeoff", params={"format": "pdf"})
+    executor.close()
+    assert refused.status_code == 422
+    assert refused.json()["errors"][0]["field"] == "format"
+
+
+# While the workers measure
+
+
+class Slow(Inline):
+    """An executor whose calls a test completes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.futures: list[Future[Any]] = []
+
+    def call(self, function: Any, *arguments: Any) -> Any:
+        self.futures.append(Future())
+        return self.futures[-1]
+
+
+def test_a_request_before_the_end_gets_the_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(work_precision, "RUNGS", ADVISED[:2])
+    executor = Slow()
+    with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
+        first = client.get("/v1/tradeoff")
+        assert (first.status_code, first.headers["Retry-After"]) == (202, "1")
+        assert first.headers["Content-Type"] == "application/json"
+        progress = {"parts_done": 0, "parts_total": 2, "percent": 0.0}
+        assert first.json() == {"state": "running", "progress": progress}
+        executor.futures[0].set_result(None)
+        assert client.get("/v1/tradeoff").json()["progress"] == {**progress, "parts_done": 1, "percent": 50.0}
+        answers = client.get("/openapi.json").json()["paths"]["/v1/tradeoff"]["get"]["responses"]
+        assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
+    executor.close()
+    assert executor.futures[1].cancelled()
