@@ -27,7 +27,7 @@ NOT_RUN = {
     "the set-up itself": r"python3 -m venv \.venv && \.venv/bin/pip install ",
     "needs Docker": r"export BOUNCE_TOKEN=|docker compose ",
     "needs machines with a shared folder": r"dask (scheduler|worker) --scheduler-file /shared/|"
-    r"(BOUNCE_\w+=\S+ )*bounce serve --(scheduler tcp://10\.|scheduler-file /shared/)",
+    r"(BOUNCE_\w+=\S+ )*bounce serve --(scheduler tls://scheduler\.example\.org|scheduler-file /shared/)",
     "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
     "takes minutes": r"bounce figure all |bounce tradeoff ",
 }
