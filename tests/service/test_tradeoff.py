@@ -16,7 +16,7 @@ from service.cli.main import main
 from service.cli.tradeoff import table_lines
 from service.client import Client
 from service.render.work_precision import draw
-from service.results.work_precision import advice
+from service.results.work_precision import REFERENCES, advice
 from service.server.embedded import running
 from service.settings import Settings
 from worker.analysis import work_precision
@@ -43,9 +43,9 @@ def measured() -> list[Measured]:
 
 def test_the_table_and_the_advice(measured: list[Measured]):
     rows = [row.model_dump() for row in measured]
-    lines = table_lines(rows)
+    lines = table_lines(rows, REFERENCES)
     assert len(lines) == len(ADVISED) + 6
-    assert lines[0] == "For this contact: errors relative to exact soft with d = 1e-3, e = 0.01"
+    assert lines[0] == f"Errors relative to {REFERENCES['contact']}"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
     text = advice(measured)
