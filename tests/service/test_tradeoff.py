@@ -89,7 +89,7 @@ def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_p
         return done.stdout
 
     lines = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
-    assert lines[0].startswith("For this contact")
+    assert lines[0].startswith("Errors relative to the exact soft contact")
     assert lines[-1].startswith("Take rigid")
     assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     rows = json.loads(bounce("--json"))["rows"]
