@@ -13,7 +13,7 @@ import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
-const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. The dashed line is the threshold of Eq. 25.";
+const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
 
 /** Cells are {column, row}: indices into the Γ and Ω that were loaded. */
 export class Modes extends PlotView {
