@@ -2,11 +2,11 @@
 
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, MEANING, SYMBOL, nearestIndex } from "../lib/physics.js";
+import { AXES, SYMBOL, meaningOf, nearestIndex } from "../lib/physics.js";
 
 /**
  * Sliders for `axes` along the values of `grid` ({gamma: values, …}), starting at the values nearest to `start`.
- * `onMove(axis, value)` is called at every move. Axes of one value have none: the plot's title says their value.
+ * `onMove(axis, value)` is called at every move. Axes of one value have none: the plot's title shows their value.
  */
 export function sliders(axes, grid, start, onMove) {
   const movable = axes.filter((axis) => grid[axis].length > 1);
@@ -18,7 +18,7 @@ function slider(axis, values, start, onMove) {
   const id = `slider-${axis}`;
   const output = h("output", { for: id });
   const input = h("input", {
-    id, type: "range", min: 0, max: values.length - 1, step: 1, title: MEANING[axis],
+    id, type: "range", min: 0, max: values.length - 1, step: 1, title: meaningOf(axis),
     oninput: () => {
       show();
       onMove(axis, values[input.valueAsNumber]);
