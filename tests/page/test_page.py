@@ -274,12 +274,12 @@ def test_a_window_of_a_plane_holds_the_cells_inside(client: TestClient, line: st
 
 def test_a_plane_of_too_many_cells_is_thinned(tmp_path: Path):
     with computing(tmp_path, max_points=60) as client:
-        here = finished(client, LINE)
-        header, arrays = unpacked(client, f"{here}/plane")
+        job_url = finished(client, LINE)
+        header, arrays = unpacked(client, f"{job_url}/plane")
         assert (header["every_gamma"], header["every_omega"]) == (2, 2)
         assert len(arrays["gamma"]) == 51
         assert arrays["omega"].tolist() == [0.5]
-        header, arrays = unpacked(client, f"{here}/plane", left=1.0, right=2.0)
+        header, arrays = unpacked(client, f"{job_url}/plane", left=1.0, right=2.0)
         assert (header["every_gamma"], arrays["outcome"].size) == (1, 42)
 
 
@@ -321,10 +321,10 @@ def test_the_trajectory_of_a_ramp_cell_starts_from_its_stored_state(
 
 def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):
     with service(tmp_path, Held()) as client:
-        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
-        response = client.get(f"{here}/trajectory", params={"gamma": 0.6})
+        job_url = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        response = client.get(f"{job_url}/trajectory", params={"gamma": 0.6})
         assert response.status_code == 422
         assert "not computed yet" in response.json()["detail"]
-        header, arrays = unpacked(client, f"{here}/line")
+        header, arrays = unpacked(client, f"{job_url}/line")
         assert header["missing"] == len(arrays["values"]) == 81
         assert len(arrays["flight_time"]) == 0

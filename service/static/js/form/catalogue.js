@@ -45,14 +45,14 @@ function modelOf({ description = "", properties }, resolve) {
   };
 }
 
-/** "Ideal plate; restitution 0 sticks." → "ideal plate" */
+/** "Ideal plate (no penetration); restitution 0 sticks." → "ideal plate" */
 function firstClause(description) {
-  const clause = description.split(/[;:\n]|\.(?:\s|$)/)[0].replaceAll("`", "").trim();
+  const clause = description.replace(/\s*\([^)]*\)|`/g, "").split(/[;:\n]|\.(?:\s|$)/)[0].trim();
   return clause.charAt(0).toLowerCase() + clause.slice(1);
 }
 
 const MODE_MAP = {
-  number: "map", label: "Also", title: "a mode map",
+  number: "map", label: "Mode map", title: "Γ–Ω plane at ξ = 0.05",
   sweeps: [{
     name: "mode map", gamma: { start: 0.1, stop: 5, num: 197 }, omega: { start: 0.3, stop: 1.7, num: 141 }, xi: 0.05,
     model: { kind: "rigid" }, settle: 150, observe: 60, keep: 48,

@@ -2,7 +2,7 @@
 // gives null, and write() takes undefined, for the default.
 
 import { h } from "../lib/dom.js";
-import { AXES, MEANING, SYMBOL } from "../lib/physics.js";
+import { AXES, SYMBOL, meaningOf } from "../lib/physics.js";
 
 export const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 
@@ -69,7 +69,7 @@ export function axisField(axis) {
     show();
   };
   const element = h("fieldset", { "data-group": axis },
-    h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, MEANING[axis])),
+    h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis))),
     h("label", {}, h("span", {}, "given as"), kind), Object.values(labels).flat());
   return { element, read, write };
 }

@@ -127,8 +127,8 @@ export class SweepForm {
     try {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read(), signal: this.estimating.signal });
       showProblems(this.form, this.problem, null);
-      const basis = cost.basis === "measured" ? "measured on this service" : "from a table of costs";
-      this.cost.textContent = `${plural(cost.cells, "cell")} in ${plural(cost.chunks, "chunk")} · ${duration(cost.core_seconds)} on one core, ${basis} · up to ${bytes(cost.bytes)}`;
+      const speed = cost.basis === "measured" ? "measured" : "typical";
+      this.cost.textContent = `${plural(cost.cells, "cell")} in ${plural(cost.chunks, "chunk")} · ${duration(cost.core_seconds)} on one core at the ${speed} speed · up to ${bytes(cost.bytes)}`;
       this.button.disabled = false;
     } catch (error) {
       this.#showError(error);

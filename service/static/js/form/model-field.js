@@ -23,13 +23,15 @@ export function modelField(models, defaultKind) {
   const kind = h("select", { "data-field": "model.kind", onchange: () => show() },
     models.map((model) => h("option", { value: model.kind }, `${model.kind}: ${model.about}`)));
   // Models share the parameters of one name, so that a typed value stays when the model changes.
-  const parameters = new Map(models.flatMap(({ fields }) => fields).map((field) => [field.name, parameter(field)]));
+  const fields = new Map(models.flatMap((model) => model.fields).map((field) => [field.name, field]));
+  const parameters = new Map([...fields.values()].map((field) => [field.name, parameter(field)]));
 
   const show = () => {
-    const fields = new Map(modelOf(kind.value).fields.map((field) => [field.name, field]));
-    for (const [name, { element, setDefault }] of parameters) {
-      element.hidden = !fields.has(name);
-      if (fields.has(name)) setDefault(fields.get(name).default);
+    for (const { element } of parameters.values()) element.hidden = true;
+    for (const field of modelOf(kind.value).fields) {
+      const { element, setDefault } = parameters.get(field.name);
+      element.hidden = false;
+      setDefault(field.default);
     }
   };
   const read = () => {
@@ -38,7 +40,9 @@ export function modelField(models, defaultKind) {
   };
   const write = (model = { kind: defaultKind }) => {
     kind.value = model.kind;
-    for (const field of modelOf(model.kind).fields) parameters.get(field.name).write(model[field.name] ?? (field.choices ? field.default : null));
+    for (const [name, { write: writeParameter }] of parameters) {
+      writeParameter(model[name] ?? (fields.get(name).choices ? fields.get(name).default : null));
+    }
     show();
   };
   const element = h("fieldset", { "data-group": "model" }, h("legend", {}, "Contact"),

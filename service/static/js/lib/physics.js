@@ -5,11 +5,14 @@ export const AXES = ["gamma", "omega", "xi"];
 
 export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
 
-export const MEANING = {
-  gamma: "plate acceleration, Aω²/g",
-  omega: "plate frequency, ω/ω₀",
-  xi: "damping, β/(2mω₀)",
-};
+const NAME = { gamma: "plate acceleration", omega: "plate frequency", xi: "damping" };
+const DEFINITION = { gamma: "Aω²/g", omega: "ω/ω₀", xi: "β/(2mω₀)" };
+
+/** "plate acceleration, Aω²/g" */
+export const meaningOf = (axis) => `${NAME[axis]}, ${DEFINITION[axis]}`;
+
+/** "plate acceleration Γ", of an axis of a plot. */
+export const axisLabel = (axis) => `${NAME[axis]} ${SYMBOL[axis]}`;
 
 export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 

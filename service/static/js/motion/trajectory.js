@@ -9,7 +9,7 @@ export const SAMPLES = 240; // per plate period
 
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
 const RETRY_MS = 700;
-const SLOW_MS = 2500; // after which the note says why it may take long
+const SLOW_MS = 2500; // after which the note explains the delay
 const MIN_FLIGHT = 1e-3; // rad: shorter flights are not listed
 const MAX_LISTED = 8;
 

@@ -2,25 +2,23 @@
 
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, MEANING, SYMBOL, nearestIndex } from "../lib/physics.js";
+import { AXES, SYMBOL, meaningOf, nearestIndex } from "../lib/physics.js";
 
 /**
  * Sliders for `axes` along the values of `grid` ({gamma: values, …}), starting at the values nearest to `start`.
- * `onMove(axis, value)` is called at every move. An axis of one value is text.
+ * `onMove(axis, value)` is called at every move. Axes of one value have none: the plot's title shows their value.
  */
 export function sliders(axes, grid, start, onMove) {
-  return h("div", { className: "sliders" }, axes.map((axis) => slider(axis, grid[axis], start[axis], onMove)));
+  const movable = axes.filter((axis) => grid[axis].length > 1);
+  return movable.length > 0 && h("div", { className: "sliders" }, movable.map((axis) => slider(axis, grid[axis], start[axis], onMove)));
 }
 
 function slider(axis, values, start, onMove) {
   const symbol = h("i", {}, SYMBOL[axis]);
-  if (values.length === 1) {
-    return h("p", { className: "fixed", title: MEANING[axis] }, symbol, ` = ${number(values[0])}`);
-  }
   const id = `slider-${axis}`;
   const output = h("output", { for: id });
   const input = h("input", {
-    id, type: "range", min: 0, max: values.length - 1, step: 1, title: MEANING[axis],
+    id, type: "range", min: 0, max: values.length - 1, step: 1, title: meaningOf(axis),
     oninput: () => {
       show();
       onMove(axis, values[input.valueAsNumber]);

@@ -23,8 +23,10 @@ export class Details {
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
       h("h2", {}, "Python and command line"),
-      h("p", {}, "The results as an xarray dataset, loaded as needed, and the diagram as a file:"),
-      h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")\n${diagramCommand(job)}`),
+      h("p", {}, "The results as an xarray dataset, loaded as needed:"),
+      h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
+      h("p", {}, "The bifurcation diagram as a file:"),
+      h("pre", { tabindex: "0" }, diagramCommand(job)),
       downloads([
         ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
         ["Parquet", () => fileName(job, "sweep", "parquet"), () => requestBlob(`/v1/jobs/${job.id}/export?format=parquet`)],

@@ -3,7 +3,7 @@
 import { addressValue, setQuery } from "../lib/address.js";
 import { query, requestBlob } from "../lib/api.js";
 import { debounced, h } from "../lib/dom.js";
-import { AXES, SYMBOL, TWO_PI, clampIndex, initialValue, isClose, isLog, nearestIndex } from "../lib/physics.js";
+import { AXES, TWO_PI, axisLabel, clampIndex, initialValue, isClose, isLog, nearestIndex } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
 import { pixelRatio } from "../plot/drawing.js";
 import { drawFlights } from "../plot/flights.js";
@@ -147,7 +147,7 @@ export class Diagram extends PlotView {
     const { lines } = this;
     return {
       ...(lines.length ? headings(lines, (direction, theme) => this.#colour(direction, theme)) : {}),
-      x: { label: SYMBOL[this.along], low: x0, high: x1, log: isLog(this.job.spec[this.along]) },
+      x: { label: axisLabel(this.along), low: x0, high: x1, log: isLog(this.job.spec[this.along]) },
       y: { label: "flight time φ (rad)", low: y0, high: y1, periods: true },
       message: emptyMessage(lines),
       layers: [

@@ -42,7 +42,7 @@ export class JobView {
     return path[0] === "job" && path[1] === this.id;
   }
 
-  /** Show what the address says. */
+  /** Show the tab and the cell that the address names. */
   show() {
     if (!this.job) return; // the first poll shows it
     this.#showTab();

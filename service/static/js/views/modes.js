@@ -5,7 +5,7 @@ import { query, requestArrays } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
-import { OUTCOME, SYMBOL, clampIndex, initialValue, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { OUTCOME, SYMBOL, axisLabel, clampIndex, initialValue, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
 import { bitmap, circle, polyline, rgba32 } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
@@ -13,7 +13,7 @@ import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
-const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. The dashed line is the threshold of Eq. 25.";
+const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
 
 /** Cells are {column, row}: indices into the Γ and Ω that were loaded. */
 export class Modes extends PlotView {
@@ -91,8 +91,8 @@ export class Modes extends PlotView {
     const { x0, x1, y0, y1 } = this.visible();
     const { present } = this.classes;
     return {
-      x: { label: SYMBOL.gamma, low: x0, high: x1, log: isLog(this.job.spec.gamma) },
-      y: { label: SYMBOL.omega, low: y0, high: y1, log: isLog(this.job.spec.omega) },
+      x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) },
+      y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
       title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
       legend: [["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)]],
       colours: present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),

@@ -1,4 +1,4 @@
-// The start page: a preview, the paper's figures as presets, and the list of sweeps, the newest first.
+// The start page: a preview, the presets, and the list of sweeps, the newest first.
 
 import { link } from "../lib/address.js";
 import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
@@ -22,8 +22,8 @@ export class Sweeps {
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
     this.more = h("button", { type: "button", className: "quiet", hidden: true, onclick: () => { this.limit += PAGE_SIZE; this.refresh(); } }, "Show older sweeps");
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
-    this.figures = h("ul", {});
-    this.empty = h("p", { className: "note", hidden: true }, "No sweeps yet. Start with a figure of the paper.");
+    this.presets = h("ul", {});
+    this.empty = h("p", { className: "note", hidden: true }, "No sweeps yet. Start with a preset.");
     this.preview = new Preview();
     root.replaceChildren(
       h("div", { className: "start" }, h("section", { className: "intro" },
@@ -31,9 +31,9 @@ export class Sweeps {
         h("p", {}, "Two masses joined by a spring and a dashpot bounce on a plate that vibrates. Their flight times and modes depend on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), ". Compute sweeps of these parameters and explore the results."),
         h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New sweep"))),
       this.preview.element),
-      h("section", { className: "figures", "aria-labelledby": "figures" },
-        h("h2", { id: "figures" }, "Figures of the paper"),
-        this.figures),
+      h("section", { className: "presets", "aria-labelledby": "presets" },
+        h("h2", { id: "presets" }, "Presets"),
+        this.presets),
       h("section", { "aria-labelledby": "sweeps" }, h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.problem, this.empty, this.list, this.more));
     this.refresh();
   }
@@ -53,7 +53,7 @@ export class Sweeps {
   async refresh() {
     clearTimeout(this.timer);
     this.preview.refresh();
-    if (!this.figures.hasChildNodes()) this.#showFigures();
+    if (!this.presets.hasChildNodes()) this.#showPresets();
     try {
       const { jobs, next } = await requestJson(`/v1/jobs?${query({ limit: Math.min(this.limit, MAX_LISTED) })}`);
       if (this.closed) return;
@@ -73,9 +73,9 @@ export class Sweeps {
     this.timer = setTimeout(() => this.refresh(), milliseconds);
   }
 
-  async #showFigures() {
+  async #showPresets() {
     try {
-      this.figures.replaceChildren(...(await loadPresets()).map(({ label, title, sweeps: [first] }) =>
+      this.presets.replaceChildren(...(await loadPresets()).map(({ label, title, sweeps: [first] }) =>
         h("li", {}, h("a", { href: link(["new"], { figure: first.key }) }, h("b", {}, label), h("span", {}, title)))));
     } catch (error) {
       this.#showError(error);

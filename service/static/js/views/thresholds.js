@@ -5,7 +5,7 @@ import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, clampIndex, initialValue, isLog, nearestIndex, threshold } from "../lib/physics.js";
+import { axisLabel, clampIndex, initialValue, isLog, nearestIndex, threshold } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
 import { disc, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
@@ -53,7 +53,7 @@ export class Thresholds extends PlotView {
     const { x0, x1, y0, y1 } = this.visible();
     const { omega, xi, complete } = this.thresholds;
     return {
-      x: { label: SYMBOL.omega, low: x0, high: x1, log: isLog(this.job.spec.omega) },
+      x: { label: axisLabel("omega"), low: x0, high: x1, log: isLog(this.job.spec.omega) },
       y: { label: "threshold Γ", low: y0, high: y1 },
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
