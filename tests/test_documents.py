@@ -15,7 +15,9 @@ from urllib.parse import unquote
 import pytest
 import yaml
 from documents import DOCUMENTS, Block, Failed, Session, blocks, text
-from paths import GOLDEN, ROOT
+from paths import CACHE, GOLDEN, ROOT
+
+from worker.kernel_cache import warm
 
 SET_UP = """\
 python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/bounce figure 2 -o figure-2.png
@@ -66,6 +68,13 @@ def code(cell: str) -> list[str]:
 # The documents run.
 
 
+@pytest.fixture(scope="module")
+def compiled_kernels() -> None:
+    """Compile the kernels first: otherwise the time to compile counts as time to start the service."""
+    warm(CACHE)
+
+
+@pytest.mark.usefixtures("compiled_kernels")
 @pytest.mark.parametrize("document", RUNNABLE)
 def test_blocks_run_in_order(document: str, tmp_path: Path):
     left_out = []
