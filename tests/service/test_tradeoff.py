@@ -45,7 +45,7 @@ def test_the_table_and_the_advice(measured: list[Measured]):
     rows = [row.model_dump() for row in measured]
     lines = table_lines(rows, REFERENCES)
     assert len(lines) == len(ADVISED) + 6
-    assert lines[0] == f"Errors relative to {REFERENCES['contact']}"
+    assert lines[0] == f"Errors relative to the {REFERENCES['contact']}"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
     text = advice(measured)
