@@ -72,7 +72,7 @@ def test_what_rests_is_counted_by_each_model():
 
 
 def test_a_locked_dashpot_is_a_ball():
-    """MODEL section 5: overdamped, the spring relaxes within 1/(2 xi Omega) rad."""
+    """docs/model.md, section 5: overdamped, the spring relaxes within 1/(2 xi Omega) rad."""
     choice = choose(sweep(0.2, omega=5.0, xi=200.0, model=STIFF))
     assert choice.model == "ball"
     assert percentiles(choice)["ball"] < 0.2
@@ -182,7 +182,7 @@ def test_cycles_are_compared_flight_by_flight_wherever_they_begin():
 
 
 def test_a_cycle_and_its_double_are_laid_side_by_side():
-    """MODEL section 5: (1,1) at Gamma = 1.5 and (2,2) at 2.3."""
+    """docs/model.md, section 5: (1,1) at Gamma = 1.5 and (2,2) at 2.3."""
     expected = max(4.855013427295 - 3.722384327764, 6.284615845152 - 4.855013427295)
     assert between(cell(1.5), cell(2.3)) == pytest.approx(expected, abs=1e-9)
 

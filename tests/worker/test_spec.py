@@ -521,7 +521,7 @@ def test_models_have_their_kernels():
 
 
 def test_rest_length_sets_each_cells_depth():
-    """MODEL section 2: d = 1e-4 * Lambda * Omega**2 / Gamma."""
+    """docs/model.md, section 2: d = 1e-4 * Lambda * Omega**2 / Gamma."""
     model = sweep(model={"rest_length": 50.0}).model
     depth = penetration_of(model, np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.5, 1.0]))
     assert depth == pytest.approx([1.25e-3, 6.25e-4, 1.25e-3])
@@ -535,7 +535,7 @@ def test_given_depth_and_restitution_are_every_cells():
 
 
 def test_a_ball_that_is_given_no_restitution_has_its_springs():
-    """MODEL section 5: f(0.5) = 0.1492, f(10) = 0.0012."""
+    """docs/model.md, section 5: f(0.5) = 0.1492, f(10) = 0.0012."""
     xi = np.array([0.5, 10.0])
     own = sweep(model={"kind": "ball"}).model
     assert arguments(own, xi)["restitution"] == pytest.approx([0.1492, 0.0012], abs=5e-5)
