@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from distributed import WorkerPlugin
+from distributed import Worker, WorkerPlugin
 
 from worker import watchdog
 from worker.plan import Chunk
@@ -21,6 +21,11 @@ from worker.tasks import ChunkReport, run_chunk
 #: Seconds until the report of the chunk before has left the worker. If it were lost with the worker, that
 #: chunk would count as the cause and be computed again.
 REPORTED = 2.0
+
+
+def leave(dask_worker: Worker) -> None:
+    """Close this worker and its nanny, as a worker does that its scheduler has forgotten."""
+    dask_worker.loop.call_later(0.2, dask_worker.close)  # after the caller has its answer
 
 
 def hang() -> None:

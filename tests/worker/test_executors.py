@@ -13,8 +13,8 @@ from pathlib import Path
 import dask
 import psutil
 import pytest
-from distributed import Worker, system
-from harm import Stuck
+from distributed import system
+from harm import Stuck, leave
 from paths import CACHE
 from scripted import DEADLINE, wait_for
 
@@ -214,11 +214,6 @@ def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path):
         began = time.monotonic()
         executor.close()
     assert time.monotonic() - began < DEADLINE  # and not an hour
-
-
-def leave(dask_worker: Worker) -> None:
-    """Close this worker and its nanny, as a worker does that its scheduler has forgotten."""
-    dask_worker.loop.call_later(0.2, dask_worker.close)  # after the caller has its answer
 
 
 def test_workers_that_dask_has_dropped_are_replaced():
