@@ -13,7 +13,7 @@ from kernel_runs import Model, run
 from kernel.params import KERNEL_VERSION, Line
 from kernel.threshold import threshold
 from worker.analysis.deviation import deviations
-from worker.analysis.model_selection import CELLS, Choice, choose, resolved, sample
+from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Ball, Rigid, Soft
 
@@ -26,7 +26,7 @@ def sweep(tolerance: float = 1e-2, **given) -> SweepSpec:
     return SweepSpec(**({"gamma": RANGE, "omega": 0.5, "xi": 0.26} | given), model=model)
 
 
-def percentiles(choice: Choice) -> dict[str, float | None]:
+def percentiles(choice: ModelChoice) -> dict[str, float | None]:
     return {rung.model: rung.percentile_95 for rung in choice.table}
 
 
@@ -107,9 +107,9 @@ def test_the_error_of_settling_cut_short_is_measured_too():
 def test_the_same_sweep_always_gets_the_same_model_for_the_same_reasons():
     spec = sweep(1e-2, omega=[0.5, 0.67, 1.0])
     one, two = choose(spec), choose(SweepSpec.from_json(json.dumps(spec.as_submitted())))
-    assert one.lasting() == two.lasting()
-    assert "measured" not in json.dumps(one.lasting())
-    assert Choice.model_validate_json(one.model_dump_json()) == one
+    assert one.reproducible() == two.reproducible()
+    assert "measured" not in json.dumps(one.reproducible())
+    assert ModelChoice.model_validate_json(one.model_dump_json()) == one
 
 
 def test_a_sweep_computed_with_its_choice_keeps_its_contact():
@@ -117,7 +117,7 @@ def test_a_sweep_computed_with_its_choice_keeps_its_contact():
     exact = Soft(restitution=0.2, penetration=1e-2, adhesive=False)
     kinds = {"soft": exact, "rigid": Rigid(kind="rigid", restitution=0.2), "ball": Ball(kind="ball")}
     for kind, model in kinds.items():
-        choice = Choice(model=kind, reason="", tolerance=1e-2, table=())
+        choice = ModelChoice(model=kind, reason="", tolerance=1e-2, table=())
         assert resolved(spec, choice).model == model
         assert resolved(spec, choice).settle == spec.settle
 
