@@ -27,7 +27,7 @@ def sweep(tolerance: float = 1e-2, **given) -> SweepSpec:
 
 
 def percentiles(choice: ModelChoice) -> dict[str, float | None]:
-    return {rung.model: rung.percentile_95 for rung in choice.table}
+    return {row.model: row.percentile_95 for row in choice.table}
 
 
 # What is chosen
@@ -36,15 +36,15 @@ def percentiles(choice: ModelChoice) -> dict[str, float | None]:
 def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
     choice = choose(sweep(1e-4, model=STIFF))
     assert choice.model == "rigid"
-    assert [rung.model for rung in choice.table] == ["ball", "rigid", "soft"]
-    assert all(rung.cells == CELLS for rung in choice.table)
+    assert [row.model for row in choice.table] == ["ball", "rigid", "soft"]
+    assert all(row.cells == CELLS for row in choice.table)
     assert percentiles(choice)["rigid"] < 1e-5
     assert percentiles(choice)["ball"] > 1.0
     assert percentiles(choice)["soft"] == 0.0
     assert choice.reason.startswith(
         "rigid: the cheapest within 0.0001 rad of exact soft in 95% of the cells (48"
     )
-    assert all(rung.measured > 0.0 for rung in choice.table)
+    assert all(row.measured > 0.0 for row in choice.table)
 
 
 def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
@@ -57,7 +57,7 @@ def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
 def test_where_everything_rests_a_ball_will_do():
     choice = choose(sweep(1e-9, gamma={"start": 0.1, "stop": 0.5, "num": 20}))
     assert choice.model == "ball"
-    assert [rung.resting for rung in choice.table] == [20] * 3
+    assert [row.resting for row in choice.table] == [20] * 3
     assert "(20 cells, 20 of them at rest, in closed form; 95th" in choice.reason
 
 
@@ -66,9 +66,9 @@ def test_what_rests_is_counted_by_each_model():
     ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
     choice = choose(sweep(1e-2, gamma={"start": 0.1, "stop": 1.9, "num": 200}, protocol=ramp, model=STIFF))
     onsets = {"ball": 1.0, "rigid": float(threshold(0.5, 0.26)), "soft": float(threshold(0.5, 0.26))}
-    for rung in choice.table:
+    for row in choice.table:
         visited = np.array([0.1 + 1.8 * (200 * (2 * k + 1) // 24) / 199 for k in range(12)])
-        assert rung.resting == np.count_nonzero(visited < onsets[rung.model])
+        assert row.resting == np.count_nonzero(visited < onsets[row.model])
 
 
 def test_a_locked_dashpot_is_a_ball():
