@@ -29,6 +29,9 @@ from worker.executors.dask import Dask
 
 Stack = tuple[str, ...]
 
+#: The project's packages, at which the paths of frames are cut.
+PACKAGES = ("kernel", "worker", "service")
+
 #: What a sample is for: the first of these that is in its stack, looked for in this order.
 PURPOSES = (
     ("kernel: the compiled physics", ("run_line (kernel",)),
@@ -38,7 +41,7 @@ PURPOSES = (
     ),
     ("store: zarr's threads", ("(zarr/",)),
     ("task: everything else around the kernel", ("run_chunk (worker", "run_watched (worker")),
-    ("ledger and supervisor", ("(service/supervisor", "(service/ledger")),
+    ("ledger and supervisor", ("(service/jobs/",)),
     ("HTTP", ("(uvicorn/", "(service/", "(starlette/")),
     ("Dask: scheduler, workers, client", ("(distributed/", "(tornado/", "(dask/")),
 )
@@ -72,12 +75,13 @@ def stacks(file: Path, root: str) -> Counter[Stack]:
 
 
 def _named(frame: str) -> str:
-    """`function (package/file.py)` of `function (some/long/path/file.py:12)`."""
-    name, _, place = frame.rpartition(" (")
-    path = place.rstrip(")").rpartition(":")[0] or place.rstrip(")")
+    """`function (package/file.py)` of `function (some/long/path/package/file.py:12)`."""
+    name, _, location = frame.rpartition(" (")
+    path = location.rstrip(")").rpartition(":")[0] or location.rstrip(")")
     parts = path.split("/")
-    short = parts[parts.index("site-packages") + 1 :] if "site-packages" in parts else parts[-2:]
-    return f"{name} ({'/'.join(short)})"
+    starts = [i for i, part in enumerate(parts[:-1]) if part in PACKAGES]
+    starts += [i + 1 for i, part in enumerate(parts) if part == "site-packages"]
+    return f"{name} ({'/'.join(parts[starts[-1] if starts else -2 :])})"
 
 
 def purpose(stack: Stack) -> str:

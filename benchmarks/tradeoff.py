@@ -2,7 +2,7 @@
 
     python -m benchmarks.tradeoff [-o docs/tradeoff.png]
 
-The same measurement (`worker.analysis.work_precision`), one rung after the other in this process, so that
+The same measurement (`worker.analysis.work_precision`), one setup after the other in this process, so that
 rungs do not share the machine; the picture and figures of docs/accuracy.md come from here.
 """
 
@@ -13,7 +13,7 @@ from benchmarks.machine import describe
 from service.cli.tradeoff import report
 from service.render import work_precision
 from service.results.work_precision import table
-from worker.analysis.work_precision import RUNGS, measure
+from worker.analysis.work_precision import SETUPS, measure
 
 
 def main() -> None:
@@ -22,7 +22,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path)
     arguments = parser.parse_args()
     print(describe(), end="\n\n")
-    rows = [measure(rung) for rung in RUNGS]
+    rows = [measure(setup) for setup in SETUPS]
     print(report(table(rows).model_dump()))
     if arguments.output:
         arguments.output.write_bytes(work_precision.draw(rows, arguments.output.suffix[1:]))

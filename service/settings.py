@@ -13,6 +13,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from worker import store
+from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are what the system's clocks and SQLite can represent.
@@ -84,8 +85,10 @@ class Settings(BaseSettings):
     body_seconds: Positive = Field(
         10.0, description="Seconds for a request's headers to arrive, and for its body."
     )
-    max_cells: Count = Field(20_000_000, description="Cells of one sweep.")
-    max_bytes: Count = Field(32 * 2**30, description="Bytes of one sweep's stored arrays before compression.")
+    max_cells: Count = Field(DEFAULT_MAX_CELLS, description="Cells of one sweep.")
+    max_bytes: Count = Field(
+        DEFAULT_MAX_BYTES, description="Bytes of one sweep's stored arrays before compression."
+    )
     max_queue: Count = Field(1_000, description="Jobs that may be queued or running.")
     max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
     max_export_bytes: Count = Field(

@@ -1,4 +1,4 @@
-"""What a sweep will take: cells, bytes and core-seconds, worked out without computing any of it."""
+"""Cost of a sweep before it is computed: cells, chunks, stored bytes, core-seconds; and its limits."""
 
 import math
 from typing import Final, Literal
@@ -11,8 +11,9 @@ from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Problem, SpecTooLarge
 
-DEFAULT_MAX_CELLS: Final = 10_000_000
-DEFAULT_MAX_BYTES: Final = 64 * 2**30
+#: Limits on one sweep where the settings of a service set no others.
+DEFAULT_MAX_CELLS: Final = 20_000_000
+DEFAULT_MAX_BYTES: Final = 32 * 2**30
 
 
 class Cost(Strict):
@@ -28,7 +29,7 @@ class Cost(Strict):
 
 
 def cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds one cell of the sweep takes, by the table of contact models."""
+    """Core-seconds per cell of a sweep, from the table of contact models."""
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     base = CONTACT_MODELS[spec.model.kind].cost_us
     period_us = spec.model.cost_us(base, gamma, omega, ramp=spec.ramp_axis is not None)
@@ -36,7 +37,7 @@ def cell_seconds(spec: SweepSpec) -> float:
 
 
 def estimate(spec: SweepSpec, chunks: int) -> Cost:
-    """What a sweep cut into so many chunks will take, by the table of contact models."""
+    """Cost of a sweep that is cut into `chunks` chunks, from the table of contact models."""
     cells = math.prod(spec.shape)
     return Cost(
         cells=cells,
@@ -47,7 +48,7 @@ def estimate(spec: SweepSpec, chunks: int) -> Cost:
 
 
 def check_size(cost: Cost, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
-    """Raise `SpecTooLarge` for more cells or stored bytes than allowed."""
+    """Raise `SpecTooLarge` if there are more than `max_cells` cells or `max_bytes` stored bytes."""
     if cost.cells > max_cells:
         raise SpecTooLarge(
             [Problem("", f"asks for {cost.cells} cells; at most {max_cells} are allowed: take fewer values")]

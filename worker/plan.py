@@ -1,15 +1,13 @@
-"""How a sweep is cut into chunks, and which chunk waits for which.
+"""Division of a sweep into chunks, and their order.
 
-Pure: computes no physics, touches no disk, holds no list of chunks, so that a plan of
-a million of them costs nothing.
+A plan is pure and computes each chunk when it is indexed, so a plan of a million chunks costs nothing.
 
-Chunks lie on a regular grid. They are numbered in the order they can be run: from rest
-that is the grid's own order; on a ramp all lines' first chunks come before any line's
-second ones, down after up, so that a chunk never waits for a later number and
-neighbouring numbers hardly ever wait for each other.
+Chunks form a regular grid and are numbered in an order in which they can run. From rest that is the order of
+the grid. On a ramp, the first chunks of all lines precede the second ones, and "down" follows "up": a chunk
+depends only on lower numbers, and consecutive numbers rarely depend on each other.
 
-From rest there are about as many chunks along every axis, so that a line of cells touches few of
-them whichever axis it goes along. On a ramp a chunk holds whole lines along it where they fit.
+From rest there are about as many chunks along every axis, so that a line of cells along any axis crosses few
+chunks. On a ramp a chunk spans the whole ramp axis if that fits.
 """
 
 import math
@@ -23,12 +21,14 @@ from worker.cost import cell_seconds
 from worker.schema import bytes_per_cell
 from worker.spec import AXES, SweepSpec
 
-#: What one chunk should cost in core-seconds: enough to hide a task's overhead, and small enough to show
-#: progress, to lose little, and to let a small job that comes in between have its turn soon.
+#: Core-seconds of a chunk: long enough to hide a task's overhead; short enough for progress, for little loss
+#: on a failure, and for small jobs to start soon between the chunks of large ones.
 TARGET_SECONDS: Final = 0.75
+#: A sweep that costs less than FEWEST_CHUNKS * TARGET_SECONDS has FEWEST_CHUNKS chunks, or fewer of
+#: SMALLEST_SECONDS each.
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
-#: Before compression: who reads one cell reads its chunk.
+#: Before compression; reading one cell reads its whole chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
 
 Span = tuple[int, int]
@@ -36,7 +36,7 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A block of cells: half-open index spans into the grid. `after`: the chunk to wait for."""
+    """A block of cells: half-open index spans of the grid. `after` is the chunk that must be done before."""
 
     index: int
     direction: int  # index into the specification's directions
@@ -57,14 +57,14 @@ class Chunk:
 
     @property
     def slices(self) -> tuple[slice, slice, slice, slice]:
-        """Its place in an array of the store."""
-        here = slice(self.direction, self.direction + 1)
-        return here, slice(*self.xi), slice(*self.omega), slice(*self.gamma)
+        """Its cells along (direction, xi, omega, gamma) in an array of the store."""
+        direction = slice(self.direction, self.direction + 1)
+        return direction, slice(*self.xi), slice(*self.omega), slice(*self.gamma)
 
 
 @dataclass(frozen=True)
 class Plan(Sequence[Chunk]):
-    """The chunks of a sweep, worked out one by one when asked for."""
+    """The chunks of a sweep, computed when indexed."""
 
     directions: tuple[str, ...]
     grid: tuple[int, int, int]  # cells along (xi, omega, gamma)
@@ -87,7 +87,7 @@ class Plan(Sequence[Chunk]):
 
     @cached_property
     def lines(self) -> int:
-        """Chunks that start without a predecessor: independent lines of a ramp, or all."""
+        """Chunks without a predecessor: one per line of chunks along a ramp; from rest, all."""
         return math.prod(self._counts_beside_ramp)
 
     def __len__(self) -> int:
@@ -106,7 +106,7 @@ class Plan(Sequence[Chunk]):
         return self.chunk(range(len(self))[index])
 
     def chunk(self, index: int) -> Chunk:
-        """The chunk of that number, 0 <= index < len(plan)."""
+        """The chunk at `index`, 0 <= index < len(plan)."""
         wave, line = divmod(index, self.lines)
         _, omega, gamma = self._counts_beside_ramp
         block = [line // (omega * gamma), line // gamma % omega, line % gamma]
@@ -116,11 +116,11 @@ class Plan(Sequence[Chunk]):
             steps = self.counts[ramp]
             direction, visit = divmod(wave, steps)
             block[ramp] = steps - 1 - visit if self.directions[direction] == "down" else visit
-        first, second, third = (self._span(axis, place) for axis, place in enumerate(block))
-        return Chunk(index, direction, first, second, third, index - self.lines if wave else None)
+        xi, omega_span, gamma_span = (self._span(axis, coord) for axis, coord in enumerate(block))
+        return Chunk(index, direction, xi, omega_span, gamma_span, index - self.lines if wave else None)
 
     def number(self, *coords: int) -> int:
-        """The number of the chunk at (direction, xi, omega, gamma) in the grid of chunks."""
+        """Index of the chunk at `coords` = (direction, xi, omega, gamma) of the grid of chunks."""
         direction, *block = coords
         wave = 0
         if self.ramp_axis is not None:
@@ -131,9 +131,9 @@ class Plan(Sequence[Chunk]):
         _, omegas, gammas = self._counts_beside_ramp
         return wave * self.lines + (block[0] * omegas + block[1]) * gammas + block[2]
 
-    def _span(self, axis: int, place: int) -> Span:
+    def _span(self, axis: int, coord: int) -> Span:
         size = self.chunk_shape[axis]
-        return place * size, min((place + 1) * size, self.grid[axis])
+        return coord * size, min((coord + 1) * size, self.grid[axis])
 
     @cached_property
     def _counts_beside_ramp(self) -> tuple[int, int, int]:
@@ -146,10 +146,10 @@ class Plan(Sequence[Chunk]):
 def make_plan(
     spec: SweepSpec, *, chunk_cells: int | None = None, chunk_shape: tuple[int, ...] | None = None
 ) -> Plan:
-    """Cut a sweep into chunks of about `chunk_cells` cells, or of exactly `chunk_shape` (xi, omega, gamma).
+    """Divide a sweep into chunks of about `chunk_cells` cells, or of `chunk_shape` cells (xi, omega, gamma).
 
-    With neither given, a chunk is worth a second or so of computing. The cut decides nothing
-    but speed: every number stored is the same for any. Raises ValueError for a size below 1.
+    By default a chunk costs about TARGET_SECONDS. The division does not affect the stored numbers. Raises
+    ValueError for a size below 1.
     """
     _, *grid = spec.shape
     if chunk_shape is None:
@@ -170,7 +170,7 @@ def _cells_per_chunk(spec: SweepSpec) -> int:
 
 
 def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
-    """Up to `cells` cells: as far along the ramp as they go, then about as many chunks along every axis."""
+    """Chunk shape of at most `cells` cells: first as long as possible along the ramp, then balanced."""
     if cells < 1:
         raise ValueError(f"chunk_cells: must be at least 1, not {cells}")
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
@@ -180,7 +180,7 @@ def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
 
 
 def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
-    """Sizes along some axes, of up to `cells` cells together, that cut each into about as many parts."""
+    """Chunk sizes that divide every axis of `grid` into about as many parts, of at most `cells` cells."""
 
     def cut(parts: int) -> dict[str, int]:
         return {axis: -(-n // min(n, parts)) for axis, n in grid.items()}
@@ -188,13 +188,13 @@ def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:
     every = range(1, max(grid.values()) + 1)
     fits = bisect_left(every, True, key=lambda parts: math.prod(cut(parts).values()) <= cells)
     size = cut(every[fits])
-    for axis in ("gamma", "omega", "xi"):  # what is left of the cells goes to the axis most looked along
+    for axis in ("gamma", "omega", "xi"):  # remaining cells extend the axis of most diagrams first
         if axis in size:
             size[axis] = _even(grid[axis], cells * size[axis] // math.prod(size.values()))
     return size
 
 
-def _even(n: int, most: int) -> int:
-    """The size that cuts n into as few parts as `most` allows, as equal as can be."""
-    parts = -(-n // most)
+def _even(n: int, max_size: int) -> int:
+    """The size that divides n into the fewest parts of at most `max_size`, as equal as possible."""
+    parts = -(-n // max_size)
     return -(-n // parts)

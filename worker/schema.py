@@ -1,8 +1,7 @@
-"""What a store holds: every stored variable once, with its name, dimensions, type, units, meaning and fill.
+"""The stored variables of a sweep: name, dimensions, type, units, long name and fill value of each, once.
 
-A `Layout` is all that the store needs to know of a study: its dimensions and coordinates, how it is cut into
-chunks, its arrays and attributes. The variables of a sweep are declared here; another kind of study declares
-its own in its package.
+A `Layout` is the store's description of a study: dimensions, coordinates, chunks, arrays and attributes.
+Another kind of study declares its own variables in its package.
 """
 
 import math
@@ -19,7 +18,7 @@ from worker.spec import SweepSpec
 from worker.spec.contact_models import Stepped
 from worker.spec.time_steps import corners, stated
 
-#: The four dimensions that make a cell's address in a sweep, slowest first.
+#: The dimensions that identify a cell of a sweep, slowest first.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
 
 
@@ -28,7 +27,7 @@ _CHUNK_KEY: Final = re.compile("c(?:/(?:0|[1-9][0-9]{0,8})){1,8}")
 
 
 class Array(NamedTuple):
-    """One stored array. `fill` is what a cell not computed yet reads as."""
+    """One stored array. `fill` is the value of cells that are not computed."""
 
     name: str
     dims: tuple[str, ...]
@@ -38,7 +37,7 @@ class Array(NamedTuple):
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
-        """The dimensions of a sweep's array beyond the cell's own; a chunk spans them whole."""
+        """The dimensions of a sweep's array other than CELL_DIMS; every chunk spans them whole."""
         return tuple(dim for dim in self.dims if dim not in CELL_DIMS)
 
 
@@ -51,7 +50,7 @@ class Coordinate(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """The arrays of a store, how they are cut, and what is said of them.
+    """Dimensions, coordinates, chunks, arrays and attributes of a store.
 
     Every array has the cell dimensions first; a chunk spans the others whole. The last array is `outcome`,
     over the cell dimensions alone: it is written last, and a cell without an outcome is missing.
@@ -62,10 +61,9 @@ class Layout:
     extra_sizes: Mapping[str, int]  # length of every other dimension
     arrays: tuple[Array, ...]  # in the order they are written
     coordinate_attrs: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store: what it is, whose it is
-    identity: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # attributes that tell this store from any other
+    attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store
+    #: Attributes that distinguish this store from every other: `job` and `chunk_shape`.
+    identity: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,11 +79,11 @@ class Layout:
         return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
 
     def coords(self, slices: Sequence[slice]) -> tuple[int, ...]:
-        """Where the chunk that spans these cells lies in the grid of chunks."""
+        """Coordinates in the grid of chunks of the chunk that spans these cells."""
         return tuple(span.start // size for span, size in zip(slices, self.chunk_sizes.values(), strict=True))
 
     def describe(self, slices: Sequence[slice]) -> str:
-        """These cells in words, the fastest dimension first: `up, gamma 1 to 1.5, omega 0.5, xi 0.26`."""
+        """Text for these cells, the fastest dimension first: `up, gamma 1 to 1.5, omega 0.5, xi 0.26`."""
         spans = {
             dim: _ends(self.coordinates[dim][span])
             for dim, span in zip(self.chunk_sizes, slices, strict=True)
@@ -94,7 +92,7 @@ class Layout:
         return ", ".join(([spans["direction"]] if "direction" in spans else []) + numbers)
 
     def has_key(self, key: str) -> bool:
-        """Whether a key of the store can be one of this layout's files: metadata or chunks, nothing else."""
+        """Whether `key` can be a file of a store with this layout: metadata, or a chunk of an array."""
         name, _, rest = key.partition("/")
         if name not in self.coordinates and name not in self.names:
             return key == _METADATA_KEY
@@ -134,7 +132,7 @@ END_STATE: Final = _array(
     "end_state", "<f8", "state at the end of the window, in the cell's own units",
     {"fields": " ".join(STATE_FIELDS)}, "state",
 )  # fmt: skip
-#: Written last, so that a cell which has an outcome has everything else too.
+#: Written last: a cell that has an outcome has every other value too.
 OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | _OUTCOMES)
 
 COORDINATES: Final = (
@@ -146,7 +144,7 @@ COORDINATES: Final = (
 
 
 def arrays(spec: SweepSpec) -> Iterator[Array]:
-    """The arrays a sweep stores; only ramps keep the state they carry on from."""
+    """The arrays of a sweep in the order they are written; only ramps store `end_state`."""
     yield from RECORD
     if spec.ramp_axis is not None:
         yield END_STATE
@@ -159,7 +157,7 @@ def sizes(spec: SweepSpec) -> dict[str, int]:
 
 
 def bytes_per_cell(spec: SweepSpec) -> int:
-    """Bytes one cell of a sweep takes before compression."""
+    """Stored bytes per cell of a sweep before compression."""
     length = sizes(spec)
     return sum(
         np.dtype(array.dtype).itemsize * math.prod(length[dim] for dim in array.extra_dims)
@@ -168,7 +166,7 @@ def bytes_per_cell(spec: SweepSpec) -> int:
 
 
 def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
-    """The store of a sweep that is cut into chunks of `chunk_shape` cells along (xi, omega, gamma)."""
+    """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     length = sizes(spec)
     # Variable-length text: zarr has no stable form for the fixed-length one.
     directions = np.array(spec.directions, dtype=np.dtypes.StringDType())

@@ -1,11 +1,11 @@
-"""Kinds of study: what a service accepts as a job, and what workers compute of it.
+"""Kinds of study: the protocol of what a job computes, and its implementation for sweeps.
 
-A study says how its specification is parsed, how it is cut into chunks, what a worker does with one chunk,
-what is stored, and what all of it costs. Everything between (the ledger, the queue, executors, the store,
-progress, cancelling, repairs) works on these five answers alone and knows no kind of study.
+A study parses its specification, plans its chunks, declares its stored variables, estimates its cost, and
+computes one chunk. The ledger, queue, executors, store, progress, cancelling and repair use these five
+methods and no others.
 
-A sweep is the first kind. Another one brings a package of its own and a row of STUDIES; what it needs of
-queries and routes it adds in the service (see docs/architecture.md).
+Another kind of study is a package of its own and a row of STUDIES; its queries and routes are in the service
+(see docs/architecture.md).
 """
 
 from collections.abc import Iterator
@@ -26,17 +26,17 @@ class Spec(Protocol):
 
     @property
     def name(self) -> str:
-        """A label for people; no part of the study's identity."""
+        """A label; not part of the study's identity."""
 
     @property
     def protocol(self) -> Any:
         """An object whose `kind` is the study's key in STUDIES."""
 
     def as_submitted(self) -> dict[str, Any]:
-        """Plain JSON values, which `parse` takes again."""
+        """Plain JSON values, which `Study.parse` accepts."""
 
     def job_id(self, kernel_version: str) -> str:
-        """32 hex digits: the same specification and kernel version, the same job."""
+        """32 hex digits that depend on the specification and the kernel version alone."""
 
 
 class Chunk(Protocol):
@@ -44,18 +44,18 @@ class Chunk(Protocol):
 
     @property
     def index(self) -> int:
-        """Its number in the plan; a chunk never waits for a later one."""
+        """Its index in the plan."""
 
     @property
     def after(self) -> int | None:
-        """The chunk to wait for."""
+        """Index of the chunk that must be done before, which is lower; None without one."""
 
     @property
     def cells(self) -> int: ...
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape in which its task records these cells."""
+        """Shape of the arrays in which its task records these cells."""
 
     @property
     def slices(self) -> tuple[slice, ...]:
@@ -63,18 +63,18 @@ class Chunk(Protocol):
 
 
 class Plan(Protocol):
-    """The chunks of a study, each worked out when it is asked for: a plan may hold a million."""
+    """The chunks of a study, each computed when it is indexed: there may be a million."""
 
     @property
     def chunk_shape(self) -> tuple[int, ...]:
-        """How the study is cut: kept in the ledger, to make the same plan again."""
+        """Cells of a chunk along each dimension; the ledger keeps it, to make the same plan again."""
 
     @property
     def cells(self) -> int: ...
 
     @property
     def lines(self) -> int:
-        """Chunk i waits for chunk i - lines, if there is one: as many chunks begin without waiting."""
+        """Chunks without a predecessor; each other chunk i depends on chunk i - lines."""
 
     def __len__(self) -> int: ...
 
@@ -83,26 +83,29 @@ class Plan(Protocol):
     def __iter__(self) -> Iterator[Chunk]: ...
 
     def number(self, *coords: int) -> int:
-        """The index of the chunk at these coordinates in the store's grid of chunks."""
+        """Index of the chunk at these coordinates of the store's grid of chunks."""
 
 
 class Study(Protocol):
-    """A kind of study. All methods are pure, but for `task`."""
+    """A kind of study. All methods except `task` are pure."""
 
     def parse(self, data: object) -> Any:
         """The specification from plain JSON values. Raises a `SpecError` that names every broken rule."""
 
     def plan(self, spec: Any, chunk_shape: tuple[int, ...] | None = None) -> Any:
-        """The chunks, cut as `chunk_shape` says, or as this study sees fit."""
+        """The chunks, of `chunk_shape` or of a shape that the study chooses."""
 
     def variables(self, spec: Any, chunk_shape: tuple[int, ...]) -> Layout:
-        """What is stored."""
+        """The layout of the store."""
 
     def estimate(self, spec: Any, plan: Any) -> Cost:
-        """What it will take; computes and allocates nothing."""
+        """The cost; computes and allocates nothing."""
 
     def task(self, spec: Any, chunk: Any, store_url: str) -> ChunkReport:
-        """Compute one chunk and store it, in a worker process. Repeated, it writes the same bytes."""
+        """Compute one chunk and store it, in a worker process; repeated, it writes the same bytes.
+
+        Raises a `tasks.TaskError` or a `store.StoreError`.
+        """
 
 
 class SweepStudy:
@@ -126,12 +129,12 @@ class SweepStudy:
 
 SWEEP: Final = SweepStudy()
 
-#: The kind of study by the `kind` of its specification's `protocol`.
+#: Every kind of study by the `kind` of its specification's `protocol`.
 STUDIES: Final[dict[str, Study]] = {"rest": SWEEP, "ramp": SWEEP}
 
 
 def study_of(spec: Spec) -> Study:
-    """The kind of study that a specification is of."""
+    """The kind of study of a specification."""
     return STUDIES[spec.protocol.kind]
 
 
@@ -149,5 +152,5 @@ def from_json(text: str | bytes) -> Any:
 
 
 def run_task(spec: Spec, chunk: Chunk, store_url: str) -> ChunkReport:
-    """Compute one chunk of a study of any kind; what executors have workers do."""
+    """Compute one chunk of a study of any kind: the function that executors run in workers."""
     return study_of(spec).task(spec, chunk, store_url)

@@ -1,11 +1,8 @@
-"""Room: computing one chunk of a sweep; the only thing that workers of a cluster run.
+"""Tasks: computes a chunk of a sweep, stores it, and returns a report. Tasks are idempotent.
 
-A task takes values, writes its chunk to the store, and returns a report, never data. Run
-again, it writes the same bytes. Imports the kernel and worker; nothing of the service.
-
-    TaskError               why a chunk was not computed
-    ├── ChunkCancelled      somebody set the store's cancel mark
-    └── PredecessorMissing  a ramp's chunk has nothing to carry on from
+TaskError               why a chunk was not computed
+├── ChunkCancelled      the cancel flag of the store is set
+└── PredecessorMissing  the previous chunk of the ramp is not stored
 """
 
 import importlib
@@ -26,8 +23,8 @@ from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 
-#: How much computing, by the cost table, goes between two looks at the cancel mark. The
-#: table can be wrong by a lot for hard cells, hence well below what a user would wait for.
+#: Estimated core-seconds between two checks of the cancel flag. Hard cells can take many times the estimate,
+#: so the interval is far below the time in which a user expects a job to stop.
 CANCEL_SECONDS: Final = 0.25
 
 
@@ -36,7 +33,7 @@ class TaskError(Exception):
 
 
 class ChunkCancelled(TaskError):
-    """The store's cancel mark was set; nothing of the chunk was written."""
+    """The cancel flag of the store is set; nothing of the chunk was written."""
 
 
 class PredecessorMissing(TaskError):
@@ -45,39 +42,39 @@ class PredecessorMissing(TaskError):
 
 @dataclass(frozen=True, slots=True)
 class ChunkReport:
-    """What became of a chunk. `outcomes` counts its cells by `kernel.params.Outcome`."""
+    """Report of a computed chunk."""
 
     index: int
     cells: int
-    seconds: float  # wall, from start to stored
+    seconds: float  # wall time, storing included
     kernel_seconds: float  # of which in the kernel
-    checksum: str  # of the stored bytes, see store.verify
-    outcomes: tuple[int, ...]
+    checksum: str  # of the stored bytes, see store.find_corrupt
+    outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
 
 
-#: A line's place among the lines of its chunk.
-_Place = tuple[int, int]
+#: Position of a line among the lines of its chunk.
+_LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
 
 
 def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
-    """Compute every cell of `chunk` and store it; the store must have been created.
+    """Compute every cell of `chunk` and store it; the store must exist.
 
-    Raises `ChunkCancelled`, `PredecessorMissing`, or a `store.StoreError`; then nothing, or
-    nothing that counts, has been written, and the chunk can simply be run again.
+    Raises `ChunkCancelled`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells
+    stay missing and the chunk can be run again.
     """
     began = time.perf_counter()
-    store.check_chunk(store_url, chunk)  # before minutes are spent on what cannot be stored
+    store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
     record = _empty_record(spec, chunk)
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
     starts = _starts(spec, chunk, store_url)
     kernel_seconds = 0.0
-    for place in np.ndindex(lines["outcome"].shape[:2]):
-        for piece, done, seconds in _run_line(spec, cells, place, starts.get(place), store_url):
+    for index in np.ndindex(lines["outcome"].shape[:2]):
+        for piece, done, seconds in _run_line(spec, cells, index, starts.get(index), store_url):
             kernel_seconds += seconds
             for name, array in lines.items():
-                array[(*place, piece)] = getattr(done, name)
+                array[(*index, piece)] = getattr(done, name)
     checksum = store.write_chunk(store_url, chunk, record)
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took = time.perf_counter() - began
@@ -85,21 +82,21 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
 
 
 def _run_line(
-    spec: SweepSpec, cells: _Arrays, place: _Place, start: Start | None, store_url: str
+    spec: SweepSpec, cells: _Arrays, index: _LineIndex, start: Start | None, store_url: str
 ) -> Iterator[tuple[slice, Line, float]]:
-    """Run one line piece by piece; yields where, what, and the kernel's seconds.
+    """Compute one line in pieces; yields each piece's slice, results and kernel seconds.
 
-    The pieces depend on the specification alone, not on the clock, so that they cannot make
-    two runs differ.
+    The pieces depend on the specification alone and not on the clock, for reproducible results. Raises
+    ChunkCancelled.
     """
-    gamma, omega, xi = (cells[axis][place] for axis in ("gamma", "omega", "xi"))
+    gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
     step = max(1, int(CANCEL_SECONDS / cell_seconds(spec)))
     for low in range(0, len(gamma), step):
         if store.is_cancelled(store_url):
             raise ChunkCancelled(f"cancelled: {store_url}")
         piece = slice(low, low + step)
         began = time.perf_counter()
-        with _naming(gamma=gamma[piece], omega=omega[piece], xi=xi[piece]):
+        with _noting_cells(gamma=gamma[piece], omega=omega[piece], xi=xi[piece]):
             done = run_cells(spec, gamma[piece], omega[piece], xi[piece], start)
         yield piece, done, time.perf_counter() - began
         last = low + len(done.outcome) - 1
@@ -107,8 +104,8 @@ def _run_line(
 
 
 @contextmanager
-def _naming(**axes: NDArray[np.float64]) -> Iterator[None]:
-    """Have an error say in which cells it happened."""
+def _noting_cells(**axes: NDArray[np.float64]) -> Iterator[None]:
+    """Add a note with the cells to any error."""
     try:
         yield
     except Exception as error:
@@ -124,7 +121,11 @@ def run_cells(
     xi: NDArray[np.float64],
     start: Start | None,
 ) -> Line:
-    """Cells (n,) one after the other as a sweep computes them; on a ramp from `start`, or from rest."""
+    """Compute a line of cells as a sweep does.
+
+    gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
+    None starts from rest. Raises KernelInputError for values that the kernel does not accept.
+    """
     carry = spec.ramp_axis is not None
     return run_line(
         np.ascontiguousarray(gamma),
@@ -144,48 +145,49 @@ def run_cells(
 def plate_of(
     model: Contact, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]
 ) -> Any:
-    """The kernel's plate under these cells, (n,) each."""
+    """The kernel's plate for cells of these parameters, (n,) each."""
     kernel = importlib.import_module(CONTACT_MODELS[model.kind].kernel)
     return kernel.plate(**model.plate_arguments(gamma, omega, xi))
 
 
 def _start(state: NDArray[np.float64], outcome: int, cell: Cell) -> Start | None:
-    """The state to carry on from; a diverged cell leaves none: the next starts from rest."""
+    """The start of the next cell on a ramp; None after a diverged cell: the next one starts from rest."""
     return None if outcome == Outcome.DIVERGED else Start(np.ascontiguousarray(state), cell)
 
 
-def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_Place, Start | None]:
-    """For each line of a ramp's chunk, the end of the cell before; empty where all start from rest."""
+def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
+    """The start of each line of a ramp's chunk; empty if all lines start from rest."""
     layer = _layer_before(spec, chunk)
     if layer is None:
         return {}
     stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
-    found = {
+    previous = {
         name: _in_visiting_order(spec, layer, array) for name, array in (stored | _cells(spec, layer)).items()
     }
-    if np.any(found["outcome"] == Outcome.MISSING):
+    if np.any(previous["outcome"] == Outcome.MISSING):
         raise PredecessorMissing(
-            f"chunk {chunk.index} carries on from chunk {chunk.after}, which is not stored"
+            f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
         )
-    return {place: _start_at(found, (*place, 0)) for place in np.ndindex(found["outcome"].shape[:2])}
+    return {index: _start_at(previous, (*index, 0)) for index in np.ndindex(previous["outcome"].shape[:2])}
 
 
-def _start_at(found: _Arrays, place: tuple[int, ...]) -> Start | None:
-    cell = Cell(*(float(found[name][place]) for name in Cell._fields))
-    return _start(found["end_state"][place], found["outcome"][place], cell)
+def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:
+    cell = Cell(*(float(arrays[name][index]) for name in Cell._fields))
+    return _start(arrays["end_state"][index], arrays["outcome"][index], cell)
 
 
 def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
-    """The cells, one on each line, that a ramp visits just before the chunk's first."""
+    """The cells, one per line, that precede the chunk's first cells on the ramp."""
     axis = spec.ramp_axis
     if axis is None or chunk.after is None:
         return None
     low, high = getattr(chunk, axis)
-    direction, place = chunk.direction, low - 1
+    direction, position = chunk.direction, low - 1
     if spec.directions[direction] == "down":
-        at_the_top = high == len(spec.axis_values(axis))
-        direction, place = (direction - 1, high - 1) if at_the_top else (direction, high)
-    spans = {name: getattr(chunk, name) for name in AXES} | {axis: (place, place + 1)}
+        is_last = high == len(spec.axis_values(axis))
+        # A "down" ramp starts from the end of "up", whose last cell has the same parameters.
+        direction, position = (direction - 1, high - 1) if is_last else (direction, high)
+    spans = {name: getattr(chunk, name) for name in AXES} | {axis: (position, position + 1)}
     return Chunk(chunk.index, direction, **spans)
 
 
@@ -200,16 +202,15 @@ def _empty_record(spec: SweepSpec, chunk: Chunk) -> _Arrays:
 
 
 def _cells(spec: SweepSpec, chunk: Chunk) -> _Arrays:
-    """The three parameters of every cell, each of the chunk's shape."""
+    """The parameters of every cell, each array of shape chunk.shape."""
     values = [spec.axis_values(axis)[slice(*getattr(chunk, axis))] for axis in AXES]
     return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
 
 
 def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> NDArray[Any]:
-    """A view of a chunk's array with a line's cells, in the order visited, along its third axis.
+    """A view of a chunk's array with the cells of a line, in the order of the ramp, along its third axis.
 
-    From rest all cells make one line; on a ramp there is a line along it for each pair of the
-    other two parameters.
+    From rest all cells form one line; on a ramp there is one line for each pair of the other two parameters.
     """
     if spec.ramp_axis is None:
         return array.reshape(1, 1, chunk.cells, *array.shape[3:])
@@ -218,10 +219,11 @@ def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> ND
 
 
 def compile_kernels() -> None:
-    """Compile every kernel a worker may be asked for."""
-    one = np.ones(1)
+    """Compile the kernels of all contact models, by computing one cell with each."""
+    axis = np.ones(1)
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
         run_line(
-            one, one, one, plate=plate_of(contact, one, one, one), carry=False, settle=0, observe=1, keep=1
-        )
+            axis, axis, axis, plate=plate_of(contact, axis, axis, axis),
+            carry=False, settle=0, observe=1, keep=1,
+        )  # fmt: skip

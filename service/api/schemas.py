@@ -9,7 +9,8 @@ from typing import Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.jobs.model import Failure, JobRecord, JobState
-from service.jobs.model_selection import ChoiceView
+from service.jobs.prepare import choice_of
+from worker.analysis.model_selection import ModelChoice
 
 #: Lists leave out a specification longer than this, in characters of JSON.
 LONG_SPEC: Final = 10_000
@@ -50,7 +51,7 @@ class JobView(BaseModel):
     started: datetime | None
     finished: datetime | None
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists if it is long")
-    choice: ChoiceView | None = Field(None, description="model `auto`: the model that was chosen, and why")
+    choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
     failures: list[FailureView] = Field([], description="empty in lists and events")
     links: dict[str, str]
 
@@ -167,7 +168,7 @@ def job_view(
         started=_time(job.started),
         finished=_time(job.finished),
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
-        choice=None if job.choice is None else ChoiceView.model_validate_json(job.choice),
+        choice=choice_of(job),
         failures=[FailureView(**failure._asdict()) for failure in failures],
         links=_links(job.id),
     )

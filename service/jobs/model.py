@@ -100,7 +100,7 @@ class JobRecord(NewJob):
     run_cells: int  # cells done at that time
     chunks_done: int
     cells_done: int
-    choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.Choice, once chosen
+    choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
 
     @property
     def revision(self) -> tuple[object, ...]:

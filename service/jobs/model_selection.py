@@ -10,12 +10,10 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from typing import Final
 
-from pydantic import BaseModel, Field
-
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord
 from service.jobs.prepare import JobPreparer
-from worker.analysis.model_selection import Choice, choose, is_open, resolved
+from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
 from worker.executors.base import Executor
 from worker.executors.errors import ExecutorError, WorkerDied
 from worker.plan import make_plan
@@ -24,27 +22,6 @@ log = logging.getLogger(__name__)
 
 #: Workers that may die while choosing one model, before the job fails.
 MAX_WORKER_DEATHS: Final = 3
-
-
-class RungView(BaseModel):
-    """One model compared with the exact contact, over a sample of the sweep's cells; deviations in rad."""
-
-    model: str
-    cost: float = Field(description="core-µs per cell per plate period, by the table that decides")
-    measured: float | None = Field(description="core-µs per cell per plate period, measured while choosing")
-    median: float | None = Field(description="deviation of flight times; null where some cell has none")
-    percentile_95: float | None
-    cells: int
-    resting: int = Field(0, description="cells at rest on the plate throughout, which a closed form answers")
-
-
-class ChoiceView(BaseModel):
-    """The model that was chosen for a sweep whose own is `auto`."""
-
-    model: str
-    reason: str
-    tolerance: float
-    table: list[RungView]
 
 
 class ModelSelector:
@@ -57,7 +34,7 @@ class ModelSelector:
         self, ledger: Ledger, executor: Executor, preparer: JobPreparer, wake: Callable[[], None]
     ) -> None:
         self._ledger, self._executor, self._preparer, self._wake = ledger, executor, preparer, wake
-        self._pending: dict[str, Future[Choice]] = {}  # by job id
+        self._pending: dict[str, Future[ModelChoice]] = {}  # by job id
         self._worker_deaths: Counter[str] = Counter()
 
     def select(self, job: JobRecord) -> JobRecord | None:
@@ -86,7 +63,7 @@ class ModelSelector:
         self._pending[job.id] = future
         future.add_done_callback(lambda _: self._wake())
 
-    def _result(self, job: JobRecord, future: "Future[Choice]") -> Choice | None:
+    def _result(self, job: JobRecord, future: "Future[ModelChoice]") -> ModelChoice | None:
         """The choice; None if it has to be made again."""
         try:
             return future.result()
@@ -98,7 +75,7 @@ class ModelSelector:
             del self._worker_deaths[job.id]
             raise
 
-    def _save(self, job: JobRecord, choice: Choice) -> JobRecord | None:
+    def _save(self, job: JobRecord, choice: ModelChoice) -> JobRecord | None:
         """Write the choice to the ledger, with chunks for the cost of the chosen model."""
         submitted = self._preparer.prepare(job).submitted
         plan = make_plan(resolved(submitted, choice))

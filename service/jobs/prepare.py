@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from service.jobs.model import JobRecord
 from service.settings import Settings
-from worker.analysis.model_selection import Choice, resolved
+from worker.analysis.model_selection import ModelChoice, resolved
 from worker.schema import Layout
 from worker.studies import Chunk, Plan, Study, from_json, study_of
 
@@ -96,7 +96,7 @@ class JobPreparer:
             spec=submitted if choice is None else resolved(submitted, choice),
             plan=_plan(job, submitted) if plan is None else plan,
             store_url=self._settings.store_of(job.id),
-            attributes={} if choice is None else {"model": choice.model, "choice": choice.lasting()},
+            attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
         )
         _, replaced = self._jobs.pop(_key(job), (None, 0))
         self._jobs[_key(job)] = (prepared, len(job.spec))
@@ -107,9 +107,9 @@ class JobPreparer:
         return prepared
 
 
-def choice_of(job: JobRecord) -> Choice | None:
+def choice_of(job: JobRecord) -> ModelChoice | None:
     """The model chosen for a job; None for one that names its model, and until the choice is made."""
-    return None if job.choice is None else Choice.model_validate_json(job.choice)
+    return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
 
 
 def _key(job: JobRecord) -> _Key:

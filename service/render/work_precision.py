@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from service.formats import PictureFormat
 from service.render.style import FONT, TEXT, encode
-from worker.analysis.work_precision import Measured
+from worker.analysis.work_precision import Measurement
 
 
 class Series(NamedTuple):
@@ -42,7 +42,7 @@ ERRORS: Final = (3e-8, 30.0)
 COSTS: Final = (0.02, 2e3)
 
 
-def draw(rows: Sequence[Measured], format: PictureFormat) -> bytes:
+def draw(rows: Sequence[Measurement], format: PictureFormat) -> bytes:
     """The bytes of a png or svg: one panel for each purpose."""
 
     def panels(figure: Figure) -> None:
@@ -55,7 +55,7 @@ def draw(rows: Sequence[Measured], format: PictureFormat) -> bytes:
     return encode(SIZE, panels, format)
 
 
-def _panel(axes: Axes, purpose: str, rows: list[Measured]) -> None:
+def _panel(axes: Axes, purpose: str, rows: list[Measurement]) -> None:
     axes.set(xscale="log", yscale="log", xlim=ERRORS, ylim=COSTS)
     axes.grid(color="0.92", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -70,7 +70,7 @@ def _panel(axes: Axes, purpose: str, rows: list[Measured]) -> None:
     axes.tick_params(which="both", direction="in", top=True, right=True, labelfontfamily=FONT, labelsize=9)
 
 
-def _line(axes: Axes, series: Series, rows: list[Measured]) -> None:
+def _line(axes: Axes, series: Series, rows: list[Measurement]) -> None:
     points = [(row, row.error, row.cost) for row in rows if row.error is not None and row.cost is not None]
     joined = [(error, cost) for row, error, cost in points if error and row.model != "ball"]
     if joined:
@@ -89,7 +89,7 @@ def _reference(axes: Axes, series: Series, cost: float) -> None:
                   textcoords="offset points", color=series.text_colour, fontsize=9, **TEXT)  # fmt: skip
 
 
-def _point(axes: Axes, series: Series, row: Measured, error: float, cost: float) -> None:
+def _point(axes: Axes, series: Series, row: Measurement, error: float, cost: float) -> None:
     percentile = row.error_95 if row.error_95 is not None else ERRORS[1]
     axes.plot([error, percentile], [cost, cost], color=series.colour, linewidth=0.8, alpha=0.45)
     axes.plot([error], [cost], color=series.colour, marker=series.marker, linestyle="none",
@@ -99,7 +99,7 @@ def _point(axes: Axes, series: Series, row: Measured, error: float, cost: float)
                   color=series.text_colour, ha="right" if offset[0] < 0 else "center", **TEXT)  # fmt: skip
 
 
-def _label(row: Measured) -> tuple[str, tuple[int, int]]:
+def _label(row: Measurement) -> tuple[str, tuple[int, int]]:
     """The label of a point, and its offset from it in points."""
     if row.model == "ball":
         return "where the dashpot locks" if row.locked_only else "everywhere", (0, 8)

@@ -13,7 +13,7 @@ from service.jobs.model import JobRecord
 from service.jobs.on_demand import OnDemandCache
 from service.results.mode_map import Plane, plane
 from service.results.selection import MAX_READ, Sweep, check_points, nearest_index
-from worker.analysis.thresholds import BOUNCING, USUAL_CELLS, Refined, refine
+from worker.analysis.thresholds import BOUNCING, TYPICAL_CELLS, Refined, refine
 from worker.cost import cell_seconds
 from worker.executors.base import Executor
 
@@ -106,7 +106,7 @@ def _lowest(part: Plane) -> NDArray[np.float64]:
 
 
 def _check_cost(sweep: Sweep, omegas: int) -> None:
-    seconds = USUAL_CELLS * cell_seconds(sweep.spec) * len(sweep.spec.directions)  # per omega
+    seconds = TYPICAL_CELLS * cell_seconds(sweep.spec) * len(sweep.spec.directions)  # per omega
     if omegas * seconds > MAX_SECONDS:
         raise TooLarge(
             f"tolerance: refining {omegas:,} values of omega takes about {omegas * seconds:.3g} "

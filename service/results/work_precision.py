@@ -7,7 +7,7 @@ from typing import Any, Final
 from pydantic import BaseModel, Field
 
 from worker.analysis import work_precision
-from worker.analysis.work_precision import Measured
+from worker.analysis.work_precision import Measurement
 from worker.executors.base import Executor
 
 #: What each purpose's errors are measured from.
@@ -20,7 +20,7 @@ REFERENCES: Final = {
 class Tradeoff(BaseModel):
     """Costs in core-µs per cell per plate period, errors in rad of flight time."""
 
-    rows: list[Measured]
+    rows: list[Measurement]
     cells: int = Field(description="in the comparison; errors are of those whose reference is periodic")
     periods: int = Field(description="plate periods per cell")
     micro_flight: float = Field(description="rad; shorter flights are left out")
@@ -28,16 +28,16 @@ class Tradeoff(BaseModel):
     advice: str
 
 
-def submit(executor: Executor) -> list[Future[Measured]]:
+def submit(executor: Executor) -> list[Future[Measurement]]:
     """Start the measurements on the workers, one future per row of the table."""
-    return [executor.call(work_precision.measure, rung) for rung in work_precision.RUNGS]
+    return [executor.call(work_precision.measure, setup) for setup in work_precision.SETUPS]
 
 
-def table(rows: list[Measured]) -> Tradeoff:
+def table(rows: list[Measurement]) -> Tradeoff:
     """The table made of measurements."""
     return Tradeoff(
         rows=rows,
-        cells=len(work_precision.LINES) * work_precision.CELLS_A_LINE,
+        cells=len(work_precision.LINES) * work_precision.CELLS_PER_LINE,
         periods=work_precision.SETTLE + work_precision.OBSERVE,
         micro_flight=work_precision.MICRO_FLIGHT,
         references=REFERENCES,
@@ -45,7 +45,7 @@ def table(rows: list[Measured]) -> Tradeoff:
     )
 
 
-def advice(rows: Sequence[Measured]) -> str:
+def advice(rows: Sequence[Measurement]) -> str:
     """Which model to take for which purpose, with the costs and errors just measured."""
     soft = _row(rows, "contact", model="soft")
     rigid, hard = _row(rows, "contact", model="rigid"), _row(rows, "plate", model="rigid")
@@ -61,7 +61,7 @@ def advice(rows: Sequence[Measured]) -> str:
     )
 
 
-def _row(rows: Sequence[Measured], purpose: str, **settings: Any) -> Any:
+def _row(rows: Sequence[Measurement], purpose: str, **settings: Any) -> Any:
     """The first such row; Any, because the models of the advice always have a cost and an error."""
     settings = {"purpose": purpose, **settings}
     return next(row for row in rows if all(getattr(row, name) == value for name, value in settings.items()))

@@ -75,8 +75,8 @@ def test_the_job_shows_what_was_chosen_and_why(done):
     assert choice["reason"].startswith(
         "rigid: the cheapest within 0.001 rad of exact soft in 95% of the cells"
     )
-    assert [rung["model"] for rung in choice["table"]] == ["ball", "rigid", "soft"]
-    assert all(rung["measured"] > 0.0 and rung["cells"] == 46 for rung in choice["table"])
+    assert [row["model"] for row in choice["table"]] == ["ball", "rigid", "soft"]
+    assert all(row["measured"] > 0.0 and row["cells"] == 46 for row in choice["table"])
     assert job["spec"]["model"]["kind"] == "auto"
 
 

@@ -19,7 +19,7 @@ from service.jobs.model import JobRecord, JobState
 from service.jobs.prepare import JobPreparer
 from service.settings import Settings
 from worker import plan as planning
-from worker.analysis.model_selection import Choice
+from worker.analysis.model_selection import ModelChoice
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
@@ -87,7 +87,7 @@ def test_a_service_that_starts_again_prepares_a_job_once(tmp_path: Path, calls: 
 # The preparer alone
 
 
-def record(spec: SweepSpec, seq: int = 1, choice: Choice | None = None) -> JobRecord:
+def record(spec: SweepSpec, seq: int = 1, choice: ModelChoice | None = None) -> JobRecord:
     plan = make_plan(spec)
     return JobRecord(
         id=spec.job_id(KERNEL_VERSION), name=spec.name, spec=json.dumps(spec.as_submitted()),
@@ -130,11 +130,11 @@ def test_it_is_the_same_value_until_the_job_changes(preparer: JobPreparer):
 def test_a_chosen_model_takes_the_place_of_auto_in_what_is_computed(preparer: JobPreparer):
     spec = small(model={"kind": "auto", "restitution": 0.0})
     before = preparer.prepare(record(spec))
-    choice = Choice(model="rigid", reason="because", tolerance=1e-3, table=())
+    choice = ModelChoice(model="rigid", reason="because", tolerance=1e-3, table=())
     after = preparer.prepare(record(spec, choice=choice))
     assert before.spec.model.kind == before.submitted.model.kind == after.submitted.model.kind == "auto"
     assert after.spec.model.kind == "rigid"
-    assert after.attributes == {"model": "rigid", "choice": choice.lasting()}
+    assert after.attributes == {"model": "rigid", "choice": choice.reproducible()}
 
 
 def test_what_a_submission_has_made_is_kept(preparer: JobPreparer, calls: Counter[str]):

@@ -20,28 +20,28 @@ from service.results.work_precision import REFERENCES, advice
 from service.server.embedded import running
 from service.settings import Settings
 from worker.analysis import work_precision
-from worker.analysis.work_precision import RUNGS, Measured, measure
+from worker.analysis.work_precision import SETUPS, Measurement, measure
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
-#: The rungs that the advice needs; to measure them all takes a minute.
+#: The setups that the advice needs; to measure them all takes a minute.
 ADVISED = tuple(
-    rung
-    for rung in RUNGS
-    if rung.model == "rigid" or (rung.purpose == "contact" and rung.model in ("soft", "ball"))
-    or (rung.purpose, rung.scheme, rung.steps_per_contact) == ("contact", "verlet", 20)
+    setup
+    for setup in SETUPS
+    if setup.model == "rigid" or (setup.purpose == "contact" and setup.model in ("soft", "ball"))
+    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("contact", "verlet", 20)
 )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def measured() -> list[Measured]:
-    return [measure(rung) for rung in ADVISED]
+def measured() -> list[Measurement]:
+    return [measure(setup) for setup in ADVISED]
 
 
 # Table, advice and picture
 
 
-def test_the_table_and_the_advice(measured: list[Measured]):
+def test_the_table_and_the_advice(measured: list[Measurement]):
     rows = [row.model_dump() for row in measured]
     lines = table_lines(rows, REFERENCES)
     assert len(lines) == len(ADVISED) + 6
@@ -55,7 +55,7 @@ def test_the_table_and_the_advice(measured: list[Measured]):
 
 
 @pytest.mark.parametrize("format", ["png", "svg"])
-def test_the_picture(measured: list[Measured], format: str):
+def test_the_picture(measured: list[Measurement], format: str):
     picture = draw(measured, format)
     assert picture.startswith(b"\x89PNG" if format == "png" else b"<?xml")
     assert draw(measured, format) == picture
@@ -67,7 +67,7 @@ def test_the_picture(measured: list[Measured], format: str):
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(work_precision, "RUNGS", ADVISED)  # all of them take a minute
+        patch.setattr(work_precision, "SETUPS", ADVISED)  # all of them take a minute
         with running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
             yield address
 
@@ -76,7 +76,7 @@ def test_workers_measure_once_for_all_requests(address: str):
     with Client(address) as client:
         first, second = client.tradeoff(), client.tradeoff()
         assert first == second
-        assert [row["model"] for row in first["rows"]] == [rung.model for rung in ADVISED]
+        assert [row["model"] for row in first["rows"]] == [setup.model for setup in ADVISED]
         assert first["cells"] == 80
         assert set(first["references"]) == {"contact", "plate"}
         assert client.tradeoff_picture("svg").startswith(b"<?xml")
@@ -127,7 +127,7 @@ class Slow(Inline):
 
 
 def test_a_request_before_the_end_gets_the_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(work_precision, "RUNGS", ADVISED[:2])
+    monkeypatch.setattr(work_precision, "SETUPS", ADVISED[:2])
     executor = Slow()
     with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
         first = client.get("/v1/tradeoff")

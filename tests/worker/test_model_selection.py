@@ -13,7 +13,7 @@ from kernel_runs import Model, run
 from kernel.params import KERNEL_VERSION, Line
 from kernel.threshold import threshold
 from worker.analysis.deviation import deviations
-from worker.analysis.model_selection import CELLS, Choice, choose, resolved, sample
+from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Ball, Rigid, Soft
 
@@ -26,8 +26,8 @@ def sweep(tolerance: float = 1e-2, **given) -> SweepSpec:
     return SweepSpec(**({"gamma": RANGE, "omega": 0.5, "xi": 0.26} | given), model=model)
 
 
-def percentiles(choice: Choice) -> dict[str, float | None]:
-    return {rung.model: rung.percentile_95 for rung in choice.table}
+def percentiles(choice: ModelChoice) -> dict[str, float | None]:
+    return {row.model: row.percentile_95 for row in choice.table}
 
 
 # What is chosen
@@ -36,15 +36,15 @@ def percentiles(choice: Choice) -> dict[str, float | None]:
 def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
     choice = choose(sweep(1e-4, model=STIFF))
     assert choice.model == "rigid"
-    assert [rung.model for rung in choice.table] == ["ball", "rigid", "soft"]
-    assert all(rung.cells == CELLS for rung in choice.table)
+    assert [row.model for row in choice.table] == ["ball", "rigid", "soft"]
+    assert all(row.cells == CELLS for row in choice.table)
     assert percentiles(choice)["rigid"] < 1e-5
     assert percentiles(choice)["ball"] > 1.0
     assert percentiles(choice)["soft"] == 0.0
     assert choice.reason.startswith(
         "rigid: the cheapest within 0.0001 rad of exact soft in 95% of the cells (48"
     )
-    assert all(rung.measured > 0.0 for rung in choice.table)
+    assert all(row.measured > 0.0 for row in choice.table)
 
 
 def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
@@ -57,7 +57,7 @@ def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
 def test_where_everything_rests_a_ball_will_do():
     choice = choose(sweep(1e-9, gamma={"start": 0.1, "stop": 0.5, "num": 20}))
     assert choice.model == "ball"
-    assert [rung.resting for rung in choice.table] == [20] * 3
+    assert [row.resting for row in choice.table] == [20] * 3
     assert "(20 cells, 20 of them at rest, in closed form; 95th" in choice.reason
 
 
@@ -66,9 +66,9 @@ def test_what_rests_is_counted_by_each_model():
     ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
     choice = choose(sweep(1e-2, gamma={"start": 0.1, "stop": 1.9, "num": 200}, protocol=ramp, model=STIFF))
     onsets = {"ball": 1.0, "rigid": float(threshold(0.5, 0.26)), "soft": float(threshold(0.5, 0.26))}
-    for rung in choice.table:
+    for row in choice.table:
         visited = np.array([0.1 + 1.8 * (200 * (2 * k + 1) // 24) / 199 for k in range(12)])
-        assert rung.resting == np.count_nonzero(visited < onsets[rung.model])
+        assert row.resting == np.count_nonzero(visited < onsets[row.model])
 
 
 def test_a_locked_dashpot_is_a_ball():
@@ -107,9 +107,9 @@ def test_the_error_of_settling_cut_short_is_measured_too():
 def test_the_same_sweep_always_gets_the_same_model_for_the_same_reasons():
     spec = sweep(1e-2, omega=[0.5, 0.67, 1.0])
     one, two = choose(spec), choose(SweepSpec.from_json(json.dumps(spec.as_submitted())))
-    assert one.lasting() == two.lasting()
-    assert "measured" not in json.dumps(one.lasting())
-    assert Choice.model_validate_json(one.model_dump_json()) == one
+    assert one.reproducible() == two.reproducible()
+    assert "measured" not in json.dumps(one.reproducible())
+    assert ModelChoice.model_validate_json(one.model_dump_json()) == one
 
 
 def test_a_sweep_computed_with_its_choice_keeps_its_contact():
@@ -117,7 +117,7 @@ def test_a_sweep_computed_with_its_choice_keeps_its_contact():
     exact = Soft(restitution=0.2, penetration=1e-2, adhesive=False)
     kinds = {"soft": exact, "rigid": Rigid(kind="rigid", restitution=0.2), "ball": Ball(kind="ball")}
     for kind, model in kinds.items():
-        choice = Choice(model=kind, reason="", tolerance=1e-2, table=())
+        choice = ModelChoice(model=kind, reason="", tolerance=1e-2, table=())
         assert resolved(spec, choice).model == model
         assert resolved(spec, choice).settle == spec.settle
 

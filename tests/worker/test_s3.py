@@ -192,7 +192,7 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
 ):
     address = os.environ["AWS_ENDPOINT_URL"]
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    monkeypatch.setattr(backend, "_PATIENCE", backend._PATIENCE / 30)
+    monkeypatch.setattr(backend, "_RETRY_TIMEOUT", backend._RETRY_TIMEOUT / 30)
     executor = Inline()
     with service(tmp_path, executor, stores=f"{BUCKET_URL}/away") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]

@@ -116,7 +116,8 @@ def test_down_after_up_goes_on_from_the_top(tmp_path, small_spec):
 def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path, small_spec):
     spec = small_spec(protocol=ramp("gamma", "up"))
     plan, url = stored(tmp_path, spec, (2, 3, 5))
-    with pytest.raises(PredecessorMissing, match="chunk 1 carries on from chunk 0, which is not stored"):
+    message = "chunk 1 continues chunk 0 of the ramp, which is not stored"
+    with pytest.raises(PredecessorMissing, match=message):
         run_chunk(spec, plan[1], url)
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
     run_chunk(spec, plan[0], url)

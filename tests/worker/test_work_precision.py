@@ -4,61 +4,65 @@ from typing import Any
 
 import pytest
 
-from worker.analysis.work_precision import CELLS_A_LINE, LINES, RUNGS, Measured, Rung, measure
+from worker.analysis.work_precision import CELLS_PER_LINE, LINES, SETUPS, Measurement, Setup, measure
 from worker.spec.contact_models import CONTACT_MODELS
 
 #: All but the expensive stepped ones, of which one stands for the others.
-CHEAP = tuple(rung for rung in RUNGS if rung.model != "stepped" or
-              (rung.purpose, rung.scheme, rung.steps_per_contact) == ("contact", "verlet", 20))  # fmt: skip
+CHEAP = tuple(
+    setup
+    for setup in SETUPS
+    if setup.model != "stepped"
+    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("contact", "verlet", 20)
+)
 
 
 @pytest.fixture(scope="module")
-def measured() -> list[Measured]:
-    return [measure(rung) for rung in CHEAP]
+def measured() -> list[Measurement]:
+    return [measure(setup) for setup in CHEAP]
 
 
-def row_of(rows: list[Measured], purpose: str, model: str, **settings: Any) -> Measured:
+def row_of(rows: list[Measurement], purpose: str, model: str, **settings: Any) -> Measurement:
     settings = {"purpose": purpose, "model": model, **settings}
     (row,) = (row for row in rows if all(getattr(row, name) == value for name, value in settings.items()))
     return row
 
 
-def test_every_cell_is_compared_and_has_an_answer(measured: list[Measured]):
+def test_every_cell_is_compared_and_has_an_answer(measured: list[Measurement]):
     for row in measured:
         assert (row.unresolved, row.refused) == (0.0, 0.0)
-        assert row.cells > (5 if row.locked_only else len(LINES) * CELLS_A_LINE / 2)
+        assert row.cells > (5 if row.locked_only else len(LINES) * CELLS_PER_LINE / 2)
 
 
-def test_the_reference_has_no_error(measured: list[Measured]):
+def test_the_reference_has_no_error(measured: list[Measurement]):
     exact = row_of(measured, "contact", "soft")
     assert (exact.error, exact.error_95, exact.agree) == (0.0, 0.0, 1.0)
 
 
-def test_a_soft_contact_becomes_a_hard_plate_in_proportion_to_its_depth(measured: list[Measured]):
+def test_a_soft_contact_becomes_a_hard_plate_in_proportion_to_its_depth(measured: list[Measurement]):
     for d in (1e-2, 1e-3, 1e-4, 1e-5):
         assert row_of(measured, "plate", "soft", penetration=d).error == pytest.approx(2 * d, rel=0.1)
 
 
-def test_a_rigid_plate_is_the_hard_one_to_the_reference_s_own_depth(measured: list[Measured]):
+def test_a_rigid_plate_is_the_hard_one_to_the_reference_s_own_depth(measured: list[Measurement]):
     rigid = row_of(measured, "plate", "rigid")
     assert rigid.error == pytest.approx(2e-7, rel=0.1)
     assert rigid.agree == 1.0
 
 
-def test_a_ball_is_a_spring_only_where_the_dashpot_locks(measured: list[Measured]):
+def test_a_ball_is_a_spring_only_where_the_dashpot_locks(measured: list[Measurement]):
     for purpose in ("contact", "plate"):
         assert row_of(measured, purpose, "ball", locked_only=False).error > 1.0
         assert row_of(measured, purpose, "ball", locked_only=True).error < 0.03
 
 
-def test_models_in_the_order_of_their_cost(measured: list[Measured]):
+def test_models_in_the_order_of_their_cost(measured: list[Measurement]):
     costs = [row_of(measured, "contact", model, **settings).cost for model, settings in (
         ("ball", {"locked_only": False}), ("rigid", {}), ("soft", {}), ("stepped", {}))]  # fmt: skip
     assert costs == sorted(costs)
     assert costs[-1] > 10 * costs[-2]
 
 
-def test_the_cost_table_agrees_with_the_measurements(measured: list[Measured]):
+def test_the_cost_table_agrees_with_the_measurements(measured: list[Measurement]):
     """Up to a factor for the speed of this machine."""
     models = {"ball": {"locked_only": False}, "rigid": {}, "soft": {"penetration": 1e-3}}
     factors = {
@@ -71,7 +75,7 @@ def test_the_cost_table_agrees_with_the_measurements(measured: list[Measured]):
 def test_more_steps_reduce_the_error_at_the_scheme_s_order():
     """Second order: 2.5 times the steps, an error some 6 times smaller."""
     twenty, fifty = (
-        measure(Rung(purpose="contact", model="stepped", restitution=0.01, penetration=1e-3,
+        measure(Setup(purpose="contact", model="stepped", restitution=0.01, penetration=1e-3,
                      steps_per_contact=steps, scheme="verlet", locked_only=True))
         for steps in (20, 50)
     )  # fmt: skip
@@ -80,8 +84,8 @@ def test_more_steps_reduce_the_error_at_the_scheme_s_order():
 
 def test_steps_that_a_specification_would_refuse_are_counted_not_computed():
     """Euler with 20 steps in a contact of d = 0.1: too long for the dashpot that locks, and for it alone."""
-    deep = Rung(purpose="contact", model="stepped", restitution=0.01, penetration=0.1, scheme="euler")
+    deep = Setup(purpose="contact", model="stepped", restitution=0.01, penetration=0.1, scheme="euler")
     some = measure(deep.model_copy(update={"steps_per_contact": 20}))
-    assert some.refused == CELLS_A_LINE / (len(LINES) * CELLS_A_LINE)
+    assert some.refused == CELLS_PER_LINE / (len(LINES) * CELLS_PER_LINE)
     none = measure(deep.model_copy(update={"steps_per_contact": 1}))
     assert (none.refused, none.cells, none.cost, none.error) == (1.0, 0, None, None)

@@ -1,4 +1,4 @@
-"""Room: how far two models are apart in the same cells, in rad of flight time. Pure."""
+"""Deviation of two contact models in the same cells, in rad of flight time."""
 
 import math
 from typing import Final
@@ -8,32 +8,34 @@ from numpy.typing import NDArray
 
 from kernel.params import Line, Outcome
 
-#: Two cycles are laid beside each other over their least common multiple of plate periods up to this.
+#: Longest common cycle, in plate periods, over which two periodic cells are compared flight by flight.
 LONGEST_CYCLE: Final = 128
 
-#: Where flights do not repeat, what their distribution is told by.
+#: Quantiles by which the distributions of flights are compared where they do not repeat.
 QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 
-#: A distribution drawn again differs by about its own scatter: so many times that is no deviation. With
-#: this many, 93 to 96 of 100 chaotic cells are within their tolerance of their own next window.
+#: A difference of distributions counts beyond so many times their scatter. Two windows of one chaotic cell
+#: differ by their scatter: with this factor, 93% to 96% of such cells agree with their own next window.
 SCATTERS: Final = 2.0
+#: Parts of a window from whose differences its scatter is estimated.
 PARTS: Final = 4
 
 _Array = NDArray[np.float64]
 
 
 def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
-    """(n,) for each cell, how far `other` is from `exact`; NaN where `exact` has no answer.
+    """Deviation of `other` from `exact` in each cell, (n,), rad; NaN where `exact` is unresolved or diverged.
 
-    Zero where both rest and infinite where only one does. Both periodic: the largest difference
-    between the sorted flights of as many plate periods, a flight that only one has counting
-    whole. Else: the largest difference between quantiles of the flights, beyond their scatter.
+    0 where both are at rest; infinite where only one is, or where `other` is unresolved or diverged. Both
+    periodic: the largest difference of the sorted flights over a common cycle, where a flight without a
+    counterpart counts with its whole time. Otherwise: the largest difference of the quantiles, less the
+    scatter. Flights of at most `micro_flight` (rad) are ignored.
     """
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
 
 def percentile(values: _Array, percent: float) -> float | None:
-    """The value that so many percent do not exceed; None where that is not finite, or of nothing."""
+    """The percentile of values (n,), always one of them; None if it is not finite or there are no values."""
     if not len(values):
         return None
     value = float(np.percentile(values, percent, method="higher"))
@@ -48,43 +50,42 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
     resting = [line.outcome[i] == Outcome.AT_REST for line in (exact, other)]
     if any(resting):
         return 0.0 if all(resting) else math.inf
-    one, two = (_counted(line, i, micro_flight) for line in (exact, other))
-    periods = [int(line.periods[i]) for line in (exact, other)]
-    both = math.lcm(*periods)  # 0 if one of them has no cycle
-    if 0 < both <= LONGEST_CYCLE:
-        turns = [both // one for one in periods]
+    exact_flights, other_flights = (_flights(line, i, micro_flight) for line in (exact, other))
+    common = math.lcm(int(exact.periods[i]), int(other.periods[i]))  # 0 if one of them has no cycle
+    if 0 < common <= LONGEST_CYCLE:
         return _between_cycles(
-            np.tile(one[-int(exact.bounces[i]) :], turns[0]), np.tile(two[-int(other.bounces[i]) :], turns[1])
+            np.tile(exact_flights[-int(exact.bounces[i]) :], common // int(exact.periods[i])),
+            np.tile(other_flights[-int(other.bounces[i]) :], common // int(other.periods[i])),
         )
-    return _between_distributions(one, two)
+    return _between_distributions(exact_flights, other_flights)
 
 
-def _counted(line: Line, i: int, micro_flight: float) -> _Array:
-    """The flights kept of a cell that count."""
+def _flights(line: Line, i: int, micro_flight: float) -> _Array:
+    """The recorded flights of a cell longer than `micro_flight`."""
     flights = line.flight_time[i, : min(int(line.flights[i]), line.flight_time.shape[1])]
     return flights[flights > micro_flight]
 
 
-def _between_cycles(one: _Array, two: _Array) -> float:
-    longest = max(len(one), len(two))
-    one, two = (np.sort(np.pad(flights, (0, longest - len(flights)))) for flights in (one, two))
-    return float(np.max(np.abs(one - two)))
+def _between_cycles(exact: _Array, other: _Array) -> float:
+    longest = max(len(exact), len(other))
+    exact, other = (np.sort(np.pad(flights, (0, longest - len(flights)))) for flights in (exact, other))
+    return float(np.max(np.abs(exact - other)))
 
 
-def _between_distributions(one: _Array, two: _Array) -> float:
-    if not len(one) or not len(two):
-        return 0.0 if len(one) == len(two) else math.inf
-    distance = float(np.max(np.abs(_quantiles(one) - _quantiles(two))))
-    return max(0.0, distance - SCATTERS * _scatter(one))
+def _between_distributions(exact: _Array, other: _Array) -> float:
+    if not len(exact) or not len(other):
+        return 0.0 if len(exact) == len(other) else math.inf
+    distance = float(np.max(np.abs(_quantiles(exact) - _quantiles(other))))
+    return max(0.0, distance - SCATTERS * _scatter(exact))
 
 
 def _scatter(flights: _Array) -> float:
-    """How far two windows as long as this one would be apart, from how far its parts are."""
+    """Expected distance of the quantiles of two windows of this length, from those of its parts."""
     if len(flights) < 4 * PARTS:
         return 0.0
     parts = [_quantiles(part) for part in np.array_split(flights, PARTS)]
-    apart = max(float(np.max(np.abs(a - b))) for i, a in enumerate(parts) for b in parts[:i])
-    return apart / math.sqrt(PARTS)
+    distance = max(float(np.max(np.abs(a - b))) for i, a in enumerate(parts) for b in parts[:i])
+    return distance / math.sqrt(PARTS)
 
 
 def _quantiles(flights: _Array) -> _Array:

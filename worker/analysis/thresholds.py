@@ -1,13 +1,12 @@
-"""Room: where bouncing begins or ends, finer than a sweep's grid; what a worker does for it.
+"""Refinement of thresholds: where bouncing begins or ends, finer than a sweep's grid.
 
-A ramp is taken up again from the stored state of the last grid cell before the change and goes
-on in smaller steps. A step that brings the change is halved, and its cell not believed: the
-spring is still ringing from the step itself, the more so the less it is damped, and may have
-been thrown off by that. So the ramp creeps on from where it was, until neither the step nor
-all that the last steps of its size gained is larger than half the tolerance. Sweeps from rest
-have no step to ring from: theirs is a plain bisection, each cell started from rest.
+Ramps continue from the stored state of the last grid cell before the change, in smaller steps. A step whose
+cell is beyond the change is halved and repeated from the cell before: the step itself excites the spring, the
+more so the less it is damped, and may have caused the change. This ends when neither the step, nor the sum
+of the last accepted steps of its size, is larger than half the tolerance.
 
-Imports the kernel by way of worker.tasks; nothing of the service.
+From rest there are no steps in gamma to excite the spring: the threshold is found by bisection, with every
+cell started from rest.
 """
 
 import math
@@ -21,49 +20,53 @@ from worker import store
 from worker.spec import SMALLEST, SweepSpec
 from worker.tasks import run_cells
 
-#: Cells that one threshold may take; where they do not suffice there is no answer.
-MOST_CELLS: Final = 2_000
+#: Limit on the cells computed for one threshold on a ramp; beyond it the threshold is NaN.
+MAX_CELLS: Final = 2_000
 
-#: Cells that one usually takes, for foreseeing what a request will cost.
-USUAL_CELLS: Final = 40
+#: Typical number of cells per threshold, to estimate the cost of a request.
+TYPICAL_CELLS: Final = 40
 
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
 class Refined(NamedTuple):
-    """Per value of omega asked for: NaN where the sweep holds no change, or it could not be followed."""
+    """Thresholds in gamma, one per value of omega; NaN where the grid has no change or refinement fails.
+
+    A direction that the sweep does not have is all NaN.
+    """
 
     up: tuple[float, ...]  # the lowest gamma that bounces, ascending or from rest
     down: tuple[float, ...]  # the lowest gamma that bounces, descending
 
 
 class _Edge(NamedTuple):
-    """The last cell before a change in a sweep's grid, and the first after it."""
+    """Indices along gamma of the last cell before a change, and of the first after it."""
 
     before: int
     after: int
 
 
 def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
-    """The thresholds of a stored sweep at these places on its axes, to `tolerance` in gamma.
+    """The thresholds of a stored sweep, to `tolerance` in gamma.
 
-    The sweep is from rest or ramped along gamma. Raises a `store.StoreError`.
+    spec: from rest, or a ramp along gamma. xi, omegas: indices on the sweep's axes. Raises a
+    `store.StoreError`.
     """
     fine = spec.model_copy(update={"keep": 1})
-    found: dict[str, list[float]] = {"up": [], "down": []}
+    thresholds: dict[str, list[float]] = {"up": [], "down": []}
     for omega in omegas:
         for direction, name in enumerate(spec.directions):
             row = store.read_slice(url, ("outcome",), direction=direction, xi=xi, omega=omega)["outcome"]
             down = name == "down"
             edge = _edge(row, down)
-            place = (direction, xi, omega)
-            value = math.nan if edge is None else _followed(fine, url, place, edge, tolerance, down)
-            found["down" if down else "up"].append(value)
-    return Refined(*(tuple(found[name]) or (math.nan,) * len(omegas) for name in Refined._fields))
+            line = (direction, xi, omega)
+            value = math.nan if edge is None else _refine_line(fine, url, line, edge, tolerance, down)
+            thresholds["down" if down else "up"].append(value)
+    return Refined(*(tuple(thresholds[name]) or (math.nan,) * len(omegas) for name in Refined._fields))
 
 
 def _edge(outcome: NDArray[np.uint8], down: bool) -> _Edge | None:
-    """Where along gamma the lowest bouncing cell and the last resting one below it lie; None without both."""
+    """The lowest bouncing cell along gamma and the highest one at rest below it; None without both."""
     bouncing = np.flatnonzero(np.isin(outcome, BOUNCING))
     if not len(bouncing):
         return None
@@ -74,22 +77,23 @@ def _edge(outcome: NDArray[np.uint8], down: bool) -> _Edge | None:
     return _Edge(lowest, int(resting[-1])) if down else _Edge(int(resting[-1]), lowest)
 
 
-def _followed(
-    spec: SweepSpec, url: str, place: tuple[int, int, int], edge: _Edge, tolerance: float, down: bool
+def _refine_line(
+    spec: SweepSpec, url: str, line: tuple[int, int, int], edge: _Edge, tolerance: float, down: bool
 ) -> float:
-    direction, xi, omega = place
+    """The threshold on the line at indices (direction, xi, omega); NaN if it is not found."""
+    direction, xi, omega = line
     gamma = spec.axis_values("gamma")
     values = spec.axis_values("omega")[omega], spec.axis_values("xi")[xi]
     cell = Cell(float(gamma[edge.before]), *map(float, values))
     beyond = float(gamma[edge.after])
     if spec.ramp_axis is None:
-        return _bisected(spec, cell, beyond, tolerance)
+        return _bisect(spec, cell, beyond, tolerance)
     state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=edge.before)
-    return _crept(spec, Start(state["end_state"], cell), beyond - cell.gamma, tolerance, down)
+    return _ramp_on(spec, Start(state["end_state"], cell), beyond - cell.gamma, tolerance, down)
 
 
-def _bisected(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> float:
-    """From rest: between a cell that rests and a higher gamma that bounces."""
+def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> float:
+    """From rest: the threshold between `cell`, which is at rest, and the higher gamma `bouncing`."""
     resting = cell.gamma
     while bouncing - resting > tolerance:
         middle = 0.5 * (resting + bouncing)
@@ -100,22 +104,25 @@ def _bisected(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) ->
     return bouncing
 
 
-def _crept(spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool) -> float:
-    """On a ramp: from `start`, before the change; the first `step` is the grid's own, with its sign."""
-    gained = 0.0
+def _ramp_on(spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool) -> float:
+    """On a ramp: the threshold beyond `start`, less than one signed `step` of the grid away.
+
+    NaN after MAX_CELLS cells, or below the lowest gamma of specifications.
+    """
+    advance = 0.0  # sum of the accepted steps since the last halving
     step *= 0.5
-    for _ in range(MOST_CELLS):
+    for _ in range(MAX_CELLS):
         cell = start.cell._replace(gamma=start.cell.gamma + step)
         if cell.gamma < SMALLEST or cell.gamma == start.cell.gamma:
             return math.nan
         outcome, end = _run(spec, cell, start)
-        # A cell without an answer is no place to go on from: it counts as beyond the change.
+        # An unresolved or diverged cell has no usable final state: it counts as beyond the change.
         if outcome not in (BOUNCING if down else (Outcome.AT_REST,)):
-            if max(abs(step), gained) <= 0.5 * tolerance:
+            if max(abs(step), advance) <= 0.5 * tolerance:
                 return start.cell.gamma if down else cell.gamma
-            step, gained = 0.5 * step, 0.0
+            step, advance = 0.5 * step, 0.0
         else:
-            start, gained = Start(end, cell), gained + abs(step)
+            start, advance = Start(end, cell), advance + abs(step)
     return math.nan
 
 

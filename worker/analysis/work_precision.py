@@ -1,15 +1,14 @@
-"""Room: what each contact model costs and how far off it is, measured over a fixed set of cells.
+"""Work-precision measurements: cost and error of the contact models over a fixed set of cells.
 
-The cells are ten lines of eight values of gamma, from the paper's figures to far beyond: a plate
-twenty times slower and faster than the spring, no damping, a dashpot that locks, gamma = 100.
-Each is computed from rest by a model and by the exact soft contact that stands for what is meant:
+The cells are ten lines of eight values of gamma, from those of the paper's figures to extremes: a plate 20
+times slower or faster than the spring, no damping, a dashpot that locks, gamma = 100. Each is computed from
+rest with a model and with the exact soft contact that is the reference of the purpose:
 
-    "contact"  the very contact of d = 1e-3, e = 0.01: what a model makes of it
-    "plate"    a hard plate without rebound, d = 1e-7, e = 0: what a softer contact makes of it
+    "contact"  this contact itself, d = 1e-3, e = 0.01
+    "plate"    a hard plate without rebound, d = 1e-7, e = 0
 
-Errors are those of worker.analysis.deviation where the reference repeats; where it is aperiodic, flights
-cannot be told one by one, and cells count for the agreement of modes only. One measurement is a
-task like any other: it returns numbers, never data.
+Errors are those of worker.analysis.deviation in the cells whose reference is periodic. Aperiodic cells have
+no flights to compare one by one and count for the agreement of modes only.
 """
 
 import math
@@ -32,11 +31,11 @@ OBSERVE: Final = 50
 
 KEEP: Final = 1_024
 
-#: Flights that count, rad: with rebound a landing ends in ever smaller hops without end.
+#: Shorter flights are ignored, rad: with rebound a landing ends in infinitely many ever smaller hops.
 MICRO_FLIGHT: Final = 1e-2
 
-#: Timed again until so many core-seconds are spent: short ones are at the mercy of the clock.
-LEAST_SECONDS: Final = 0.05
+#: Timings are repeated for so many core-seconds: single runs are too short for the clock.
+MIN_SECONDS: Final = 0.05
 
 _SQRT_HALF: Final = float(np.sqrt(0.5))
 
@@ -53,8 +52,8 @@ LINES: Final = (
     (5.0, 100.0, 1.1, 10.0),  # a locked dashpot
     (0.5, 0.26, 10.0, 100.0),
 )
-LOCKED: Final = 8  # the line with xi * Omega = 500, where the spring is a ball
-CELLS_A_LINE: Final = 8
+LOCKED: Final = 8  # index of the line with xi * Omega = 500, where the spring moves like a ball
+CELLS_PER_LINE: Final = 8
 
 Purpose = Literal["contact", "plate"]
 
@@ -67,8 +66,8 @@ class _Cells(NamedTuple):
     xi: NDArray[np.float64]
 
 
-class Rung(Strict):
-    """One model and its settings; of `restitution` None is f(xi)."""
+class Setup(Strict):
+    """One model and its settings; a `restitution` of None is f(xi)."""
 
     purpose: Purpose
     model: Literal["soft", "stepped", "rigid", "ball"]
@@ -76,73 +75,75 @@ class Rung(Strict):
     penetration: float | None = None
     steps_per_contact: int | None = None
     scheme: Literal["verlet", "euler"] | None = None
-    locked_only: bool = False  # on the line with the locked dashpot alone
+    locked_only: bool = False  # computed on the line with the locked dashpot alone
 
 
-class Measured(Rung):
-    """What a rung costs, core-microseconds a cell and plate period, and how far off it is, rad."""
+class Measurement(Setup):
+    """Cost of a model in core-microseconds per cell per plate period, and its errors in rad."""
 
     cost: float | None  # median over the lines; null where all are refused
-    cost_most: float | None  # of the dearest line
-    error: float | None  # median over the cells whose reference repeats; null without one, or bound
+    cost_most: float | None  # of the most expensive line
+    error: float | None  # median over the cells whose reference is periodic; null without one, or if infinite
     error_95: float | None  # 95th percentile
     cells: int  # compared
     agree: float  # share of all cells with the reference's outcome and mode
-    unresolved: float  # share of all cells without an answer
+    unresolved: float  # share of all cells that are unresolved or diverged
     refused: float  # share of all cells for which the steps are unstable
 
 
-REFERENCES: Final[dict[Purpose, Rung]] = {
-    "contact": Rung(purpose="contact", model="soft", restitution=0.01, penetration=1e-3),
-    "plate": Rung(purpose="plate", model="soft", restitution=0.0, penetration=1e-7),
+REFERENCES: Final[dict[Purpose, Setup]] = {
+    "contact": Setup(purpose="contact", model="soft", restitution=0.01, penetration=1e-3),
+    "plate": Setup(purpose="plate", model="soft", restitution=0.0, penetration=1e-7),
 }
 
 
-def _stepped(purpose: Purpose, e: float, d: float, steps: tuple[int, ...]) -> tuple[Rung, ...]:
-    one = Rung(purpose=purpose, model="stepped", restitution=e, penetration=d)
+def _stepped(purpose: Purpose, e: float, d: float, steps: tuple[int, ...]) -> tuple[Setup, ...]:
+    stepped = Setup(purpose=purpose, model="stepped", restitution=e, penetration=d)
     settings = [(n, scheme) for scheme in ("verlet", "euler") for n in steps]
-    return tuple(one.model_copy(update={"steps_per_contact": n, "scheme": scheme}) for n, scheme in settings)
+    return tuple(
+        stepped.model_copy(update={"steps_per_contact": n, "scheme": scheme}) for n, scheme in settings
+    )
 
 
-def _soft(purpose: Purpose, e: float, *depths: float) -> tuple[Rung, ...]:
-    return tuple(Rung(purpose=purpose, model="soft", restitution=e, penetration=d) for d in depths)
+def _soft(purpose: Purpose, e: float, *depths: float) -> tuple[Setup, ...]:
+    return tuple(Setup(purpose=purpose, model="soft", restitution=e, penetration=d) for d in depths)
 
 
-#: All that is measured.
-RUNGS: Final = (
+#: Everything that is measured, in the order of the table.
+SETUPS: Final = (
     REFERENCES["contact"],
     *_stepped("contact", 0.01, 1e-3, (20, 50, 100)),
-    Rung(purpose="contact", model="rigid", restitution=0.01),
-    Rung(purpose="contact", model="ball", restitution=None),
-    Rung(purpose="contact", model="ball", restitution=None, locked_only=True),
+    Setup(purpose="contact", model="rigid", restitution=0.01),
+    Setup(purpose="contact", model="ball", restitution=None),
+    Setup(purpose="contact", model="ball", restitution=None, locked_only=True),
     *_soft("plate", 0.0, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
     *_stepped("plate", 1e-6, 1e-2, (20, 50, 100)),
     *_stepped("plate", 1e-6, 1e-3, (20, 50, 100)),
-    Rung(purpose="plate", model="rigid", restitution=0.0),
-    Rung(purpose="plate", model="ball", restitution=None),
-    Rung(purpose="plate", model="ball", restitution=None, locked_only=True),
+    Setup(purpose="plate", model="rigid", restitution=0.0),
+    Setup(purpose="plate", model="ball", restitution=None),
+    Setup(purpose="plate", model="ball", restitution=None, locked_only=True),
 )
 
 
 class _Part(NamedTuple):
-    """A rung on one line of cells, beside its reference."""
+    """A setup on one line of cells, compared with its reference."""
 
-    errors: NDArray[np.float64]  # of the cells whose reference repeats
-    cost: float | None  # core-microseconds a cell and plate period
-    agree: int
+    errors: NDArray[np.float64]  # rad, of the cells whose reference is periodic
+    cost: float | None  # core-microseconds per cell per plate period
+    agree: int  # cells, as the next two
     unresolved: int
     refused: int
 
 
-def measure(rung: Rung) -> Measured:
-    """Run a rung and its reference over the cells it is for."""
-    lines = [LINES[LOCKED]] if rung.locked_only else LINES
-    parts = [_on_line(rung, _cells(line)) for line in lines]
+def measure(setup: Setup) -> Measurement:
+    """Measure a setup against its reference over all lines, or over the locked one. Run by workers."""
+    lines = [LINES[LOCKED]] if setup.locked_only else LINES
+    parts = [_on_line(setup, _cells(line)) for line in lines]
     errors = np.concatenate([part.errors for part in parts])
     costs = np.array([part.cost for part in parts if part.cost is not None])
-    cells = len(lines) * CELLS_A_LINE
-    return Measured(
-        **rung.model_dump(),
+    cells = len(lines) * CELLS_PER_LINE
+    return Measurement(
+        **setup.model_dump(),
         cost=percentile(costs, 50.0),
         cost_most=percentile(costs, 100.0),
         error=percentile(errors, 50.0),
@@ -154,58 +155,58 @@ def measure(rung: Rung) -> Measured:
     )
 
 
-def _on_line(rung: Rung, cells: _Cells) -> _Part:
-    if not _stable(rung, cells):
-        return _Part(np.empty(0), None, 0, 0, CELLS_A_LINE)
-    exact = _run(REFERENCES[rung.purpose], cells)
-    found, cost = _timed(rung, cells)
-    same = (
-        (exact.outcome == found.outcome) & (exact.bounces == found.bounces) & (exact.periods == found.periods)
-    )
-    errors = deviations(exact, found, MICRO_FLIGHT)[exact.outcome == Outcome.PERIODIC]
-    unresolved = np.count_nonzero(found.outcome >= Outcome.UNRESOLVED)
+def _on_line(setup: Setup, cells: _Cells) -> _Part:
+    if not _is_stable(setup, cells):
+        return _Part(np.empty(0), None, 0, 0, CELLS_PER_LINE)
+    exact = _run(REFERENCES[setup.purpose], cells)
+    line, cost = _timed(setup, cells)
+    same = (exact.outcome == line.outcome) & (exact.bounces == line.bounces) & (exact.periods == line.periods)
+    errors = deviations(exact, line, MICRO_FLIGHT)[exact.outcome == Outcome.PERIODIC]
+    unresolved = np.count_nonzero(line.outcome >= Outcome.UNRESOLVED)
     return _Part(errors, cost, int(np.count_nonzero(same)), int(unresolved), 0)
 
 
 def _cells(line: tuple[float, float, float, float]) -> _Cells:
     omega, xi, low, high = line
-    gamma = np.geomspace(low, high, CELLS_A_LINE)
+    gamma = np.geomspace(low, high, CELLS_PER_LINE)
     return _Cells(gamma, np.full_like(gamma, omega), np.full_like(gamma, xi))
 
 
-def _stable(rung: Rung, cells: _Cells) -> bool:
+def _is_stable(setup: Setup, cells: _Cells) -> bool:
     """Whether a specification with these steps would be accepted."""
-    if rung.steps_per_contact is None or rung.scheme is None:
+    if setup.steps_per_contact is None or setup.scheme is None:
         return True
     fewest = stable_steps_per_contact(
-        cells.omega, cells.xi, rung.restitution or 0.0, rung.penetration or 0.0,
-        scheme=Scheme[rung.scheme.upper()],
+        cells.omega, cells.xi, setup.restitution or 0.0, setup.penetration or 0.0,
+        scheme=Scheme[setup.scheme.upper()],
     )  # fmt: skip
-    return bool(np.all(rung.steps_per_contact >= fewest))
+    return bool(np.all(setup.steps_per_contact >= fewest))
 
 
-def _timed(rung: Rung, cells: _Cells) -> tuple[Line, float]:
-    """The record, and core-microseconds a cell and plate period: the least of several, so that neighbours
-    on the machine count as little as can be."""
-    _run(rung, _Cells(*(axis[:1] for axis in cells)), observe=1)  # compiles
-    least, spent = math.inf, 0.0
-    while spent < LEAST_SECONDS:
+def _timed(setup: Setup, cells: _Cells) -> tuple[Line, float]:
+    """The record, and core-microseconds per cell per plate period.
+
+    The time is the minimum of several runs, which other processes of the machine affect least.
+    """
+    _run(setup, _Cells(*(axis[:1] for axis in cells)), observe=1)  # compiles
+    shortest, total = math.inf, 0.0
+    while total < MIN_SECONDS:
         began = time.thread_time()
-        found = _run(rung, cells)
+        line = _run(setup, cells)
         took = time.thread_time() - began
-        least, spent = min(least, took), spent + took
-    return found, least / CELLS_A_LINE / (SETTLE + OBSERVE) * 1e6
+        shortest, total = min(shortest, took), total + took
+    return line, shortest / CELLS_PER_LINE / (SETTLE + OBSERVE) * 1e6
 
 
-def _run(rung: Rung, cells: _Cells, observe: int = OBSERVE) -> Line:
+def _run(setup: Setup, cells: _Cells, observe: int = OBSERVE) -> Line:
     return run_line(
-        cells.gamma, cells.omega, cells.xi, plate=plate_of(_contact(rung), *cells), carry=False,
+        cells.gamma, cells.omega, cells.xi, plate=plate_of(_contact(setup), *cells), carry=False,
         settle=SETTLE if observe == OBSERVE else 0, observe=observe, keep=KEEP, micro_flight=MICRO_FLIGHT,
     )  # fmt: skip
 
 
-def _contact(rung: Rung) -> Any:
-    """What a specification would say of this rung."""
-    fields = CONTACT_MODELS[rung.model].fields
-    said = {name: value for name, value in rung.model_dump().items() if name in fields.model_fields}
-    return fields(kind=rung.model, **{name: value for name, value in said.items() if value is not None})
+def _contact(setup: Setup) -> Any:
+    """The contact of a specification with this setup."""
+    fields = CONTACT_MODELS[setup.model].fields
+    values = {name: value for name, value in setup.model_dump().items() if name in fields.model_fields}
+    return fields(kind=setup.model, **{name: value for name, value in values.items() if value is not None})

@@ -1,7 +1,4 @@
-"""Room: the values an axis of a sweep takes: a number, a list of numbers, or a range.
-
-Imports pydantic, numpy and worker.spec.errors only; loads quickly, so that clients can.
-"""
+"""Axes of a sweep: a number, a list of numbers, or a range."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -33,12 +30,12 @@ class Strict(BaseModel):
 
 
 def _plain(value: object) -> object:
-    """numpy's numbers as Python's; everything else as it is."""
+    """Convert a numpy scalar to a Python number; return any other value unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _to_float(value: object) -> object:
-    """Numbers finite, and -0.0 as 0.0: the two are the same sweep."""
+    """Reject non-finite numbers, and convert -0.0 to 0.0: the two define the same sweep."""
     value = _plain(value)
     if isinstance(value, float) and not np.isfinite(value):
         raise BrokenRuleError("", f"must be finite, not {describe(value)}")
@@ -48,7 +45,7 @@ def _to_float(value: object) -> object:
 
 
 def _to_int(value: object) -> object:
-    """200.0 is the whole number 200; 200.5 is told its neighbours."""
+    """Convert a float without a fractional part to int; the error for 200.5 proposes 200 or 201."""
     value = _plain(value)
     if not isinstance(value, float) or not np.isfinite(value):
         return value
@@ -60,9 +57,9 @@ def _to_int(value: object) -> object:
     return int(value)
 
 
-#: Put last into an `Annotated[float, ...]`: a finite number, never text or a boolean.
+#: Last item of an `Annotated[float, ...]`: a finite number; text and booleans are rejected.
 NUMBER: Final = BeforeValidator(_to_float)
-#: Put last into an `Annotated[int, ...]`: a whole number, which 200.0 is too.
+#: Last item of an `Annotated[int, ...]`: a whole number; 200.0 is accepted.
 WHOLE: Final = BeforeValidator(_to_int)
 
 Number = Annotated[float, NUMBER]
@@ -94,7 +91,7 @@ class Range(Strict):
 
 
 def _to_tuple(value: object) -> object:
-    """A list or a numpy array as a tuple, its length checked before its elements are."""
+    """Convert a list or a numpy array to a tuple; checks the length before pydantic checks the elements."""
     if isinstance(value, np.ndarray):
         if value.ndim != 1:
             raise BrokenRuleError("", f"must have one dimension, not {value.ndim}")
@@ -108,9 +105,11 @@ def _to_tuple(value: object) -> object:
 
 
 def _increasing(values: tuple[float, ...]) -> tuple[float, ...]:
-    for place, (one, two) in enumerate(pairwise(values)):
-        if not one < two:
-            rule = f"must increase, but {one!r} at [{place}] is followed by {two!r}; sort and drop repeats"
+    for i, (value, following) in enumerate(pairwise(values)):
+        if not value < following:
+            rule = (
+                f"must increase, but {value!r} at [{i}] is followed by {following!r}; sort and drop repeats"
+            )
             raise BrokenRuleError("", rule)
     return values
 
@@ -138,15 +137,15 @@ Axis = Annotated[
 ]
 
 
-#: An axis as it is kept: a number, its values, or a range.
+#: An axis after validation: a number, its values, or a range.
 AxisValue = float | tuple[float, ...] | Range
 
 
 def values_of(axis: AxisValue) -> NDArray[np.float64]:
-    """The axis's values, (n,) increasing; a range hits its ends exactly.
+    """The values of an axis, (n,) increasing; the first and last value of a range are exactly its ends.
 
-    The only place where a range becomes numbers, so that specification, store and
-    task cannot disagree about the last digit.
+    Specification, store and task all expand ranges with this function, so their values agree to the last
+    digit.
     """
     if not isinstance(axis, Range):
         return np.atleast_1d(np.asarray(axis, dtype=np.float64))
@@ -156,12 +155,12 @@ def values_of(axis: AxisValue) -> NDArray[np.float64]:
     return values
 
 
-#: Kernels take no number nearer to zero than this but zero itself.
-FAINTEST: Final = 1e-30
+#: The lowest positive number that kernels accept (`kernel.validation`).
+SMALLEST_POSITIVE: Final = 1e-30
 
 
 def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
-    """A validator: all of an axis lies in [low, high], and its values are distinct."""
+    """A validator that raises BrokenRuleError unless all values are distinct and lie in [low, high]."""
 
     def check(axis: AxisValue) -> AxisValue:
         for field, value in _ends(axis):
@@ -170,9 +169,10 @@ def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
             if value > high:
                 raise BrokenRuleError(field, f"must be at most {high:g}, not {value!r}")
         values = values_of(axis)
-        faint = values[(values > 0.0) & (values < FAINTEST)]
-        if len(faint):
-            raise BrokenRuleError("", f"must be 0 or at least {FAINTEST:g}, not {float(faint[0])!r}")
+        too_small = values[(values > 0.0) & (values < SMALLEST_POSITIVE)]
+        if len(too_small):
+            rule = f"must be 0 or at least {SMALLEST_POSITIVE:g}, not {float(too_small[0])!r}"
+            raise BrokenRuleError("", rule)
         if isinstance(axis, Range) and not np.all(np.diff(values_of(axis)) > 0):
             rule = f"must be small enough for distinct values: {axis.start!r} and {axis.stop!r} are too close"
             raise BrokenRuleError("num", rule)

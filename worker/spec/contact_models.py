@@ -1,6 +1,6 @@
-"""The contact models: what a specification says of each, what it means cell by cell, what it costs.
+"""The contact models: the fields of each in a specification, their kernel arguments and their costs.
 
-Imports no numba: a model's kernel is named here and imported by the tasks that compute with it.
+Imports no numba: the table names a model's kernel module, and the tasks that compute with it import it.
 """
 
 import functools
@@ -16,22 +16,22 @@ from kernel.step_limits import steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
 
-#: Contact depths delta_c/A between these are what double precision carries.
+#: Range of contact depths d = delta_c/A that double precision can represent.
 MIN_PENETRATION: Final = 1e-12
 MAX_PENETRATION: Final = 1.0
 DEFAULT_PENETRATION: Final = 1e-3
 
-#: A law that never pulls reaches e = 0 only as its damping grows without bound, and under the
-#: other one the contact then has no end, which leaves time steps nothing to be a part of.
+#: Lower bound on the restitution of a nonadhesive contact, whose damping grows without bound as e goes to 0,
+#: and of `stepped`: an adhesive contact with e = 0 never ends, so no time step is a fraction of its duration.
 MIN_RESTITUTION: Final = 1e-6
 
-#: The exact solution's own flights are good to about this, rad.
+#: Rounding error of the exact solution's flight times, rad.
 MIN_TOLERANCE: Final = 1e-9
 
 MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
-#: Core-microseconds per cell per plate period of `rigid` where cells cannot be computed side by side:
-#: on a ramp, and where it bounces back.
+#: Core-microseconds per cell per plate period of `rigid` where cells cannot be computed in parallel lanes:
+#: on a ramp, and with restitution above 0.
 RIGID_RAMP_US: Final = 0.75
 RIGID_ELASTIC_US: Final = 2.0
 
@@ -40,21 +40,24 @@ _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
 
 
 class ContactFields(Strict):
-    """What a specification says of its contact; `kind` names the row of CONTACT_MODELS."""
+    """Contact fields of a specification; `kind` names the row of CONTACT_MODELS."""
 
     kind: str
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
-        """What the `plate` of the model's kernel is given for these cells, (n,) each."""
+        """Keyword arguments of the kernel module's `plate` for cells (n,)."""
         raise NotImplementedError
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
-        """Core-microseconds per cell per plate period; `base` is the table's, for cells from rest."""
+        """Core-microseconds per cell per plate period of a sweep with these axis values.
+
+        base: `ContactModel.cost_us`, which holds for cells from rest. ramp: whether the protocol is a ramp.
+        """
         return base
 
 
 class _SoftContact(ContactFields):
-    """What every model with a spring-dashpot contact is told."""
+    """Fields of every model with a spring-dashpot contact."""
 
     restitution: _Restitution = 0.01
     penetration: Annotated[float, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION), NUMBER] | None = None
@@ -96,7 +99,7 @@ class Soft(_SoftContact):
 
 
 class Stepped(_SoftContact):
-    """The same contact by fixed time steps; what a sweep may ask of them, see worker.spec.time_steps."""
+    """The same contact with fixed time steps; `worker.spec.time_steps` checks them."""
 
     kind: Literal["stepped"]
     steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
@@ -107,7 +110,7 @@ class Stepped(_SoftContact):
         return super().plate_arguments(gamma, omega, xi) | steps
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
-        """`base` is of one time step: times their number in a plate period, in the middle of the sweep."""
+        """`base` times the number of steps per plate period: the geometric mean of the sweep's two ends."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
         return base * float(np.sqrt(np.prod(steps.astype(float))))
@@ -172,12 +175,12 @@ class Auto(_SoftContact):
 
 
 class ContactModel(NamedTuple):
-    """One contact model. All that the project knows of its kinds of contact is in the table below."""
+    """One contact model: a row of CONTACT_MODELS."""
 
     fields: type[ContactFields]
-    kernel: str  # the module whose `plate` it computes with
-    cost_us: float  # core-microseconds per cell per plate period, cells from rest; of `stepped` per time step
-    label: str  # for pictures and messages
+    kernel: str  # name of the module that has its `plate`
+    cost_us: float  # core-microseconds per cell per plate period from rest; of `stepped`, per time step
+    label: str  # for figures and messages
 
 
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
@@ -187,7 +190,7 @@ CONTACT_MODELS: Final[dict[str, ContactModel]] = {
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
     "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact"),
     "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact"),
-    # Until a model is chosen, the exact one, which is the dearest of them.
+    # Until a model is chosen: the exact one, which is the most expensive.
     "auto": ContactModel(Auto, "kernel.models.soft", 2.0, "auto contact"),
 }
 
@@ -212,7 +215,7 @@ def _check_kind(value: object) -> object:
 
 
 class _Contact:
-    """Any of the table's contacts; the table is read when pydantic makes the schema of a specification."""
+    """Union of the table's contacts, read when pydantic builds the schema of a specification."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -225,17 +228,17 @@ class _Contact:
         )
 
 
-#: A contact as a specification gives it: any of the table's.
+#: The contact of a specification: any row of the table.
 Contact = Soft | Stepped | Rigid | Ball | Auto
 if not TYPE_CHECKING:
     Contact = _Contact
 
 
 def penetration_of(model: ContactFields, gamma: _Array, omega: _Array) -> _Array:
-    """Contact depth d = delta_c/A of each cell, in plate amplitudes.
+    """Contact depth d = delta_c/A, in plate amplitudes, of cells (n,).
 
-    A rest length L = Lambda*g/omega0**2 has l = L/A = Lambda*Omega**2/Gamma, of which the
-    paper takes 1e-4. Models without a soft contact have the default's.
+    A rest length L = Lambda*g/omega0**2 gives l = L/A = Lambda*Omega**2/Gamma and d = 1e-4*l, as in the
+    paper. Models without a soft contact get DEFAULT_PENETRATION.
     """
     rest_length = getattr(model, "rest_length", None)
     if rest_length is not None:

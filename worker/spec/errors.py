@@ -1,14 +1,11 @@
-"""Room: what is wrong with a specification, said so that it can be put right.
+"""Errors of a specification, one line per problem: the field, the rule, and the nearest valid value.
 
-Every problem is one line: the field, the rule, and the nearest thing that works.
-Imports pydantic only.
-
-The errors, all `ValueError`s:
-
-    SpecError               something about a specification; carries `problems`
-    ├── SpecUnreadable      the file or text is not JSON or TOML at all
-    ├── SpecInvalid         a field breaks a rule
-    └── SpecTooLarge        every field is fine, but together they ask for more than is allowed
+ValueError
+├── SpecError               a specification cannot be used; `problems` lists why
+│   ├── SpecUnreadable      the text is not JSON or TOML
+│   ├── SpecInvalid         a field breaks a rule
+│   └── SpecTooLarge        the sweep has more cells or bytes than allowed
+└── BrokenRuleError         raised by validators; converted to SpecInvalid
 """
 
 import difflib
@@ -17,10 +14,10 @@ from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
-#: One finding of pydantic's: type, loc, msg, input, ctx.
+#: One entry of `ValidationError.errors()`: type, loc, msg, input, ctx.
 _Entry = Mapping[str, Any]
 
-#: A body that is wrong in a thousand places is told the first few.
+#: Problems listed in one error; of further ones only the number is given.
 MAX_PROBLEMS: Final = 20
 
 
@@ -37,7 +34,7 @@ _DESCRIPTIONS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
 
 
 class Problem(NamedTuple):
-    """One broken rule. `field` is a path such as `gamma.num` or `gamma[3]`; empty for the whole."""
+    """One broken rule. `field` is a path such as `gamma.num` or `gamma[3]`; empty for the specification."""
 
     field: str
     rule: str
@@ -47,7 +44,7 @@ class Problem(NamedTuple):
 
 
 class SpecError(ValueError):
-    """A specification that cannot be used; `problems` says why, one line each."""
+    """A specification that cannot be used; `problems` lists the broken rules."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -66,11 +63,11 @@ class SpecInvalid(SpecError):
 
 
 class SpecTooLarge(SpecError):
-    """More cells or bytes than is allowed here."""
+    """The sweep has more cells or stored bytes than allowed."""
 
 
 class BrokenRuleError(ValueError):
-    """Raised inside a validator: `field` (relative to where it is raised) breaks `rule`."""
+    """Raised inside a validator; `field` is relative to the validated value."""
 
     def __init__(self, field: str, rule: str) -> None:
         super().__init__(rule)
@@ -79,12 +76,12 @@ class BrokenRuleError(ValueError):
 
 
 def describe(value: object) -> str:
-    """Any value in a few safe printable characters, for echoing bad input back."""
+    """A short printable description of an invalid value, for error messages."""
     if isinstance(value, int) and value.bit_length() > 128:
         return f"a whole number of about {round(value.bit_length() * 0.30103)} digits"
-    for kind, words in _DESCRIPTIONS:
+    for kind, description in _DESCRIPTIONS:
         if isinstance(value, kind):
-            return words(value)
+            return description(value)
     return _shorten(f"a value of type {type(value).__name__}")
 
 
@@ -94,22 +91,22 @@ def one_of(names: Iterable[str]) -> str:
     return " or ".join(filter(None, [", ".join(quoted[:-1]), quoted[-1]]))
 
 
-def did_you_mean(wrong: object, right: Iterable[str]) -> str:
-    """A hint at the closest of the right words, or nothing."""
-    close = difflib.get_close_matches(wrong.lower(), list(right), n=1) if isinstance(wrong, str) else []
+def did_you_mean(wrong: object, names: Iterable[str]) -> str:
+    """`; did you mean 'name'?` with the name closest to `wrong`; empty if none is close."""
+    close = difflib.get_close_matches(wrong.lower(), list(names), n=1) if isinstance(wrong, str) else []
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
 def problems_of(error: ValidationError, fields: Mapping[str, Sequence[str]]) -> list[Problem]:
-    """Pydantic's findings in our words.
+    """Convert pydantic's errors to problems, at most MAX_PROBLEMS and one with the number of the others.
 
-    `fields` lists the field names of every object by its tag (a union's tags look
-    like `<range>` and are no part of a field's path); `""` is the specification itself.
+    fields: the field names of every object by its tag; `""` is the specification itself. Tags of unions
+    look like `<range>` and are not part of a field's path.
     """
-    found = error.errors(include_url=False)
-    problems = [_problem(entry, fields) for entry in found[:MAX_PROBLEMS]]
-    if len(found) > MAX_PROBLEMS:
-        problems.append(Problem("", f"and {len(found) - MAX_PROBLEMS} more problems"))
+    entries = error.errors(include_url=False)
+    problems = [_problem(entry, fields) for entry in entries[:MAX_PROBLEMS]]
+    if len(entries) > MAX_PROBLEMS:
+        problems.append(Problem("", f"and {len(entries) - MAX_PROBLEMS} more problems"))
     return problems
 
 

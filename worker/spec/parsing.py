@@ -1,7 +1,7 @@
-"""Room: specification files and request bodies as plain values, read without surprises.
+"""Strict reading of specification files and request bodies.
 
-Standard library and worker.spec.errors only. Python's own readers accept more than a
-specification means: NaN, repeated keys, integers of any length, nesting without end.
+Python's own readers accept more than a specification may contain: NaN, repeated keys, integers of any
+length. These functions reject all of it with `SpecUnreadable`.
 """
 
 import json
@@ -12,14 +12,14 @@ from typing import Any, Final
 from worker.spec.errors import Problem, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
-MAX_DIGITS: Final = 400  # beyond this no whole number fits a double
+MAX_DIGITS: Final = 400  # a double has at most 309 before the point
 
 
 def _unreadable(rule: str) -> SpecUnreadable:
     return SpecUnreadable([Problem("", rule)])
 
 
-def _no_constant(word: str) -> object:
+def _reject_constant(word: str) -> object:
     raise _unreadable(f"{word} is not a number in JSON; leave the value out or give a finite one")
 
 
@@ -29,22 +29,23 @@ def _whole(digits: str) -> int:
     return int(digits)
 
 
-def _no_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def _reject_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in fields:
             raise _unreadable(f"field {describe(key)} is given twice; give it once")
-        found[key] = value
-    return found
+        fields[key] = value
+    return fields
 
 
 def read_json(text: str | bytes) -> object:
-    """JSON text as plain values. Raises `SpecUnreadable` saying where it stops being JSON."""
+    """Parse JSON text. Raises `SpecUnreadable` with the line and column of a syntax error."""
     try:
         decoded = text if isinstance(text, str) else text.decode("utf-8")
         return json.loads(
-            decoded, parse_constant=_no_constant, parse_int=_whole, object_pairs_hook=_no_repeats
-        )
+            decoded, parse_constant=_reject_constant, parse_int=_whole,
+            object_pairs_hook=_reject_repeated_keys,
+        )  # fmt: skip
     except UnicodeDecodeError as error:
         raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:
@@ -55,7 +56,7 @@ def read_json(text: str | bytes) -> object:
 
 
 def read_file(path: Path) -> object:
-    """A .json or .toml file as plain values. Raises `SpecUnreadable`, also for a missing file."""
+    """Read and parse a .json or .toml file. Raises `SpecUnreadable`, also for a missing file."""
     if path.suffix not in (".json", ".toml"):
         raise _unreadable(f"{path}: a specification file ends in .json or .toml")
     try:

@@ -1,4 +1,4 @@
-"""How the cells of a sweep are started: each from rest, or each from the end of the one before."""
+"""Protocols of a sweep: each cell starts from rest, or on a ramp from the previous cell's final state."""
 
 from typing import Annotated, Final, Literal
 
@@ -17,7 +17,7 @@ class Rest(Strict):
 
 
 class Ramp(Strict):
-    """One parameter moves along its axis and the state is carried over."""
+    """One parameter moves along its axis, and each cell starts from the final state of the previous one."""
 
     kind: Literal["ramp"]
     axis: AxisName

@@ -1,7 +1,7 @@
-"""Room: the sweep specification, the contract between client, service and workers.
+"""The sweep specification: the contract between client, service and workers.
 
-Imports pydantic, numpy, what of the kernel needs no numba, and its neighbours in worker only: a
-client that holds a specification loads no kernel, no cluster and no store.
+worker.spec imports pydantic, numpy, and those modules of the kernel that need no numba, so that a client
+can build a specification without loading kernels, Dask or zarr.
 """
 
 import hashlib
@@ -33,10 +33,11 @@ from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, 
 from worker.spec.protocols import Protocol, Ramp, Rest
 from worker.spec.time_steps import check_steps, corners
 
-#: The sweep's axes in the order the store keeps them, slowest first.
+#: The axes of a sweep in the order of the store's dimensions, slowest first.
 AXES: Final = ("xi", "omega", "gamma")
 
-#: Far beyond what physics asks for, well inside what double precision carries.
+#: Range of gamma and omega, and upper bound of xi: beyond any physical experiment, well within double
+#: precision.
 SMALLEST: Final = 1e-6
 LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
@@ -50,11 +51,10 @@ def _label(name: str) -> str:
 
 
 class SweepSpec(Strict):
-    """A parameter study: which cells, started how, computed by which model, recorded how long.
+    """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
-    `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field
-    and rule. Periods are plate periods; `keep` counts flights; `micro_flight` and
-    `settle_tolerance` are in rad.
+    `settle` and `observe` are in plate periods, `keep` in flights, `micro_flight` and `settle_tolerance` in
+    rad. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
     name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
@@ -79,8 +79,8 @@ class SweepSpec(Strict):
     def _rules(self) -> Self:
         if isinstance(self.protocol, Ramp) and len(self.axis_values(self.protocol.axis)) < 2:
             longer = [axis for axis in AXES if len(self.axis_values(axis)) > 1]
-            way_out = f"ramp along {one_of(longer)}" if longer else f"give {self.protocol.axis} a range"
-            rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {way_out}"
+            remedy = f"ramp along {one_of(longer)}" if longer else f"give {self.protocol.axis} a range"
+            rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {remedy}"
             raise BrokenRuleError("protocol.axis", rule)
         self._check_depth()
         if isinstance(self.model, Stepped):
@@ -89,35 +89,37 @@ class SweepSpec(Strict):
         return self
 
     def _check_depth(self) -> None:
-        """A rest length gives every cell its own contact depth: all of them must be computable."""
+        """With a rest length every cell has its own contact depth: all must lie in the allowed range."""
         rest_length = getattr(self.model, "rest_length", None)
         if rest_length is None:
             return
         gamma, omega = self.axis_values("gamma"), self.axis_values("omega")
         extremes = penetration_of(self.model, gamma[[-1, 0]], omega[[0, -1]])
-        with np.errstate(all="ignore"):  # a subnormal length gives contacts of no depth at all
+        with np.errstate(all="ignore"):  # a subnormal length gives depths of 0
             low = rest_length * MIN_PENETRATION / extremes[0]
             high = rest_length * MAX_PENETRATION / extremes[1]
         if not low <= rest_length <= high:
-            given = f"gives contacts {extremes[0]:.3g} to {extremes[1]:.3g} plate amplitudes deep"
+            depths = f"gives contacts {extremes[0]:.3g} to {extremes[1]:.3g} plate amplitudes deep"
             allowed = f"allowed are {MIN_PENETRATION:g} to {MAX_PENETRATION:g}"
-            way_out = f"{low:.3g} to {high:.3g} works" if low <= high else "narrow gamma or omega"
-            rule = f"{given}, {allowed}; {way_out}"
+            remedy = f"{low:.3g} to {high:.3g} works" if low <= high else "narrow gamma or omega"
+            rule = f"{depths}, {allowed}; {remedy}"
             raise BrokenRuleError("model.rest_length", rule)
 
     @classmethod
     def parse(cls, data: object) -> Self:
-        """A specification from plain values (what JSON or TOML hold).
+        """A specification from the plain values of JSON or TOML.
 
-        Raises `SpecInvalid` with every broken rule found.
+        Raises `SpecInvalid`, which lists every broken rule.
         """
         if isinstance(data, cls):
             return data
         if not isinstance(data, dict):
             raise SpecInvalid([Problem("", f"a specification must be an object, not {describe(data)}")])
-        odd = [key for key in data if not isinstance(key, str) or not key.isprintable()]
-        if odd:
-            raise SpecInvalid([Problem("", f"field names must be printable text, not {describe(odd[0])}")])
+        invalid = [key for key in data if not isinstance(key, str) or not key.isprintable()]
+        if invalid:
+            raise SpecInvalid(
+                [Problem("", f"field names must be printable text, not {describe(invalid[0])}")]
+            )
         return cls(**data)
 
     @classmethod
@@ -137,7 +139,7 @@ class SweepSpec(Strict):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """The store's first axis: ("rest",), ("up",), ("down",) or ("up", "down")."""
+        """Values of the store's first dimension: ("rest",), ("up",), ("down",) or ("up", "down")."""
         if isinstance(self.protocol, Rest):
             return ("rest",)
         return ("up", "down") if self.protocol.direction == "both" else (self.protocol.direction,)
@@ -149,23 +151,26 @@ class SweepSpec(Strict):
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """(directions, xi, omega, gamma), computed without computing any value."""
+        """Cells along (direction, xi, omega, gamma); allocates no axis values."""
         xi, omega, gamma = (_length(getattr(self, axis)) for axis in AXES)
         return len(self.directions), xi, omega, gamma
 
     def canonical(self) -> dict[str, Any]:
-        """Plain JSON values that decide every stored number: axes spelled out, defaults
-        filled in, the label left out; and settling that is not cut short, which older ones never named."""
+        """Plain JSON values of everything that determines the stored numbers.
+
+        Axes are lists of their values and defaults are filled in. The label is left out, and so is a
+        `settle_tolerance` of 0: job ids made before that field existed must not change.
+        """
         unused = set() if self.settle_tolerance > 0.0 else {"settle_tolerance"}
         plain = self.model_dump(exclude={"name", *AXES, *unused})
         return {axis: self.axis_values(axis).tolist() for axis in AXES} | plain
 
     def as_submitted(self) -> dict[str, Any]:
-        """Plain JSON values for people and attributes: ranges stay ranges, the label stays."""
+        """Plain JSON values as submitted: ranges stay ranges, and the label is included."""
         return self.model_dump(mode="json")
 
     def job_id(self, kernel_version: str) -> str:
-        """32 hex digits: the same canonical specification and kernel version, the same job."""
+        """32 hex digits of a hash of the canonical specification and the kernel version."""
         text = json.dumps(self.canonical(), sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(f"{kernel_version}\n{text}".encode()).hexdigest()[:32]
 

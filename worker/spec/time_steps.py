@@ -1,7 +1,4 @@
-"""Room: which time steps a sweep may ask of `stepped`: stable in every cell, and not too many.
-
-Imports numpy and kernel.step_limits, which needs no numba, and its neighbours in worker.
-"""
+"""Time steps of the model `stepped`: they must be stable in every cell of a sweep, and not too many."""
 
 from itertools import product
 from typing import Final, NamedTuple
@@ -19,12 +16,12 @@ from kernel.step_limits import (
 from worker.spec.contact_models import Stepped, penetration_of
 from worker.spec.errors import BrokenRuleError
 
-#: A worker takes some two minutes for this, and cannot be stopped within a cell.
+#: About two minutes of computing; a worker checks the cancel flag only between cells.
 MOST_STEPS_PER_CELL: Final = 10_000_000_000
 
 
 class Cells(NamedTuple):
-    """Cells that are worst for any steps; arrays (n,)."""
+    """Cells with the extreme numbers of steps; arrays (n,)."""
 
     gamma: NDArray[np.float64]
     omega: NDArray[np.float64]
@@ -34,9 +31,8 @@ class Cells(NamedTuple):
 def corners(gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]) -> Cells:
     """The (up to) eight corners of a grid.
 
-    Both numbers of steps asked of `kernel.step_limits` rise or fall with each parameter all the way,
-    the contact's depth included where a rest length makes it go like Omega**2/Gamma: none is
-    larger inside the grid than at every corner.
+    Both numbers of steps in `kernel.step_limits` are monotonic in each parameter, also where a rest length
+    makes the contact's depth proportional to Omega**2/Gamma. So the largest number of a grid is at a corner.
     """
     ends = (sorted({float(axis[0]), float(axis[-1])}) for axis in (gamma, omega, xi))
     table = np.array(list(product(*ends)))
@@ -44,30 +40,32 @@ def corners(gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[
 
 
 def check_steps(model: Stepped, cells: Cells, periods: int) -> None:
-    """Raise BrokenRuleError unless `model` is stable in all `cells` and takes no more steps than it may."""
+    """Raise BrokenRuleError if `model` is unstable in any of `cells` or takes too many steps in `periods`."""
     depth = penetration_of(model, cells.gamma, cells.omega)
-    least = _fewest_stable(model, cells, depth)
-    most = min(MOST_STEPS_PER_PERIOD, MOST_STEPS_PER_CELL // periods)
-    asked = int(
+    min_per_contact = _fewest_stable(model, cells, depth)
+    max_per_period = min(MOST_STEPS_PER_PERIOD, MOST_STEPS_PER_CELL // periods)
+    per_period = int(
         np.max(steps_per_period(model.restitution, depth, model.steps_per_contact, adhesive=model.adhesive))
     )
-    if asked <= most:
+    if per_period <= max_per_period:
         return
-    over = f" over {periods} periods" if most < MOST_STEPS_PER_PERIOD else ""
-    rule = f"asks for {asked:.3g} steps in a plate period, at most {most:.3g} are allowed{over}"
-    fitting = model.steps_per_contact * most // (asked + 1)
-    if fitting >= least:
+    over = f" over {periods} periods" if max_per_period < MOST_STEPS_PER_PERIOD else ""
+    rule = (
+        f"asks for {per_period:.3g} steps in a plate period, at most {max_per_period:.3g} are allowed{over}"
+    )
+    fitting = model.steps_per_contact * max_per_period // (per_period + 1)
+    if fitting >= min_per_contact:
         raise BrokenRuleError("model.steps_per_contact", f"{rule}; {fitting} would do")
     field = "penetration" if model.rest_length is None else "rest_length"
-    deeper = _rounded_up(getattr(model, field) * asked / most)
+    deeper = _rounded_up(getattr(model, field) * per_period / max_per_period)
     raise BrokenRuleError(f"model.{field}", f"{rule}; {deeper:g} would do")
 
 
 def stated(model: Stepped, cells: Cells) -> dict[str, float]:
-    """What a store says of its time steps, over all cells: the longest (rad), and the limit of stability.
+    """A store's attribute `time_steps`: the longest step of all cells (rad) and the limit of stability.
 
     The limit is that of contact, spring and dashpot together in the worst cell, as a step (rad) and as
-    `steps_per_contact`.
+    `steps_per_contact`. Raises BrokenRuleError if `model` is unstable in any of `cells`.
     """
     depth = penetration_of(model, cells.gamma, cells.omega)
     steps = steps_per_period(model.restitution, depth, model.steps_per_contact, adhesive=model.adhesive)
@@ -83,7 +81,7 @@ def stated(model: Stepped, cells: Cells) -> dict[str, float]:
 
 
 def _fewest_stable(model: Stepped, cells: Cells, depth: NDArray[np.float64]) -> int:
-    """The fewest steps a contact that are stable everywhere; raises if `model` has fewer."""
+    """The fewest stable steps per contact, over all cells; raises BrokenRuleError if `model` has fewer."""
     scheme = Scheme[model.scheme.upper()]
     fewest = stable_steps_per_contact(
         cells.omega, cells.xi, model.restitution, depth, adhesive=model.adhesive, scheme=scheme
@@ -100,6 +98,6 @@ def _fewest_stable(model: Stepped, cells: Cells, depth: NDArray[np.float64]) -> 
 
 
 def _rounded_up(value: float) -> float:
-    """A number a little above, of two digits."""
+    """The value rounded up to two significant digits, by at least half a unit of the second."""
     digit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(np.ceil(value / digit + 0.5) * digit)

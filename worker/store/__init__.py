@@ -1,6 +1,6 @@
-"""Results on disk as zarr v3: the public face of the store.
+"""Stores of results, zarr v3: the public interface.
 
-Everything outside this package uses what is listed here; only the modules behind it import zarr.
+Code outside this package uses only the names listed here. In worker, only this package imports zarr.
 """
 
 from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, rename_for_deletion

@@ -1,8 +1,8 @@
-"""Room: where a store is: a folder of this machine, or a prefix of an S3-compatible bucket.
+"""Addresses of stores: a folder of this machine, or a prefix of an S3-compatible bucket.
 
-The one place that knows what kinds of address there are. A folder is a path; a bucket is
-s3://BUCKET/PREFIX, reached as the AWS_* variables of the environment say (region, endpoint,
-keys), which service and workers must share.
+A folder is a path; a bucket is s3://BUCKET/PREFIX. Region, endpoint and keys of a bucket come from the
+environment's AWS_* variables, which must be the same for the service and its workers. Only this module
+distinguishes the two kinds of address.
 """
 
 import shutil
@@ -22,17 +22,17 @@ from worker.store.errors import PlaceUnusable
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
-#: What is raised for a bucket that does not answer, or refuses.
+#: Exceptions for a bucket that does not respond or denies access.
 UNREACHABLE: tuple[type[Exception], ...] = ()
-with suppress(ImportError):  # an extra
+with suppress(ImportError):  # obstore comes with the extra `s3`
     from obstore.exceptions import BaseError
 
     UNREACHABLE = (BaseError,)
 
 _BUCKET: Final = "s3://"
 
-#: How long a bucket that does not answer is asked again before that is an error.
-_PATIENCE: Final = timedelta(seconds=15)
+#: Requests to a bucket that does not respond are retried for so long before they fail.
+_RETRY_TIMEOUT: Final = timedelta(seconds=15)
 
 
 def in_bucket(url: str) -> bool:
@@ -41,18 +41,18 @@ def in_bucket(url: str) -> bool:
 
 
 def check_address(url: str) -> None:
-    """Raise PlaceUnusable for an address that no store can have."""
+    """Raise PlaceUnusable for an address that no store can have, or a bucket without the extra `s3`."""
     if not in_bucket(url):
         if "://" in url:
             raise PlaceUnusable(f"{url}: only folders and s3://BUCKET/PREFIX can hold stores")
         return
     if not urlsplit(url).netloc:
-        raise PlaceUnusable(f"{url}: a place in a bucket reads s3://BUCKET/PREFIX")
+        raise PlaceUnusable(f"{url}: an address in a bucket must be s3://BUCKET/PREFIX")
     _obstore()
 
 
 def open_store(url: str, *, read_only: bool) -> Store:
-    """The keys and values under an address, for zarr. Raises PlaceUnusable."""
+    """The zarr store at an address. Raises PlaceUnusable."""
     check_address(url)
     if in_bucket(url):
         return ObjectStore(_bucket(url), read_only=read_only)
@@ -60,7 +60,7 @@ def open_store(url: str, *, read_only: bool) -> Store:
 
 
 def read_key(url: str, key: str) -> bytes | None:
-    """What lies under a key of a store; None if nothing does."""
+    """The bytes under a key of a store; None if there are none. Raises one of UNREACHABLE for a bucket."""
     try:
         if in_bucket(url):
             return bytes(_bucket(url).get(key).bytes())
@@ -70,7 +70,7 @@ def read_key(url: str, key: str) -> bytes | None:
 
 
 def delete(url: str, key: str) -> None:
-    """Remove what lies under a key of a store; no harm if nothing does."""
+    """Remove a key of a store, if it exists."""
     try:
         if in_bucket(url):
             _bucket(url).delete(key)
@@ -81,24 +81,27 @@ def delete(url: str, key: str) -> None:
 
 
 def rename_for_deletion(url: str) -> str:
-    """Make an address free at once, for its content to be removed where it is now; in a bucket, it stays."""
+    """Rename a folder, so that its address is free at once, and return where it is to be removed from.
+
+    Prefixes of a bucket cannot be renamed: returns `url`, as for a folder that does not exist.
+    """
     if in_bucket(url) or not Path(url).exists():
         return url
     return str(Path(url).rename(f"{url}.deleted-{uuid4().hex}"))
 
 
 def remove(url: str) -> None:
-    """Remove everything under an address; no harm if there is nothing."""
+    """Remove everything under an address, if it exists."""
     if in_bucket(url):
         bucket = _bucket(url)
-        for found in bucket.list():
-            bucket.delete([entry["path"] for entry in found])
+        for entries in bucket.list():
+            bucket.delete([entry["path"] for entry in entries])
     elif Path(url).exists():
         shutil.rmtree(url)
 
 
-def put_mark(url: str) -> None:
-    """Leave an empty file at an address; what is above it need not exist yet."""
+def put_flag(url: str) -> None:
+    """Create an empty file (or object) at an address, and its parent folders."""
     if in_bucket(url):
         above, name = url.rsplit("/", 1)
         _bucket(above).put(name, b"")
@@ -107,17 +110,17 @@ def put_mark(url: str) -> None:
     Path(url).touch()
 
 
-def clear_mark(url: str) -> None:
-    """Take the file away; no harm if there is none."""
+def clear_flag(url: str) -> None:
+    """Remove the file, if it exists."""
     if not in_bucket(url):
         Path(url).unlink(missing_ok=True)
-    elif has_mark(url):
+    elif has_flag(url):
         above, name = url.rsplit("/", 1)
         _bucket(above).delete(name)
 
 
-def has_mark(url: str) -> bool:
-    """Whether the file is there."""
+def has_flag(url: str) -> bool:
+    """Whether the file exists."""
     if not in_bucket(url):
         return Path(url).exists()
     above, name = url.rsplit("/", 1)
@@ -130,14 +133,14 @@ def has_mark(url: str) -> bool:
 
 @lru_cache(maxsize=256)
 def _bucket(url: str) -> "S3Store":
-    """A prefix of a bucket; the connections behind it are kept."""
-    store: S3Store = _obstore().S3Store.from_url(url, retry_config={"retry_timeout": _PATIENCE})
+    """Client of a bucket's prefix, cached with its connections."""
+    store: S3Store = _obstore().S3Store.from_url(url, retry_config={"retry_timeout": _RETRY_TIMEOUT})
     return store
 
 
 def _obstore() -> Any:
     try:
-        import obstore.store  # noqa: PLC0415 - an extra
+        import obstore.store  # noqa: PLC0415 - comes with the extra `s3`
     except ImportError as error:
         raise PlaceUnusable('stores in a bucket need the extra s3: pip install -e ".[s3]"') from error
     return obstore.store

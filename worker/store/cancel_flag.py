@@ -1,7 +1,4 @@
-"""Room: what lies around a store's arrays: the cancel mark beside it, leftovers inside it.
-
-Used through worker.store, which re-exports every function here.
-"""
+"""The cancel flag, an empty file beside a store, and the partial files of killed writers inside it."""
 
 from pathlib import Path
 from typing import Final
@@ -12,24 +9,24 @@ _SUFFIX: Final = ".cancelled"
 
 
 def set_cancelled(url: str) -> None:
-    """Ask every task writing to this store to stop. The store need not exist yet."""
-    backend.put_mark(f"{url}{_SUFFIX}")
+    """Set the cancel flag, which makes every task of this store stop. The store need not exist yet."""
+    backend.put_flag(f"{url}{_SUFFIX}")
 
 
 def clear_cancelled(url: str) -> None:
-    """Take the mark away; no harm if there is none."""
-    backend.clear_mark(f"{url}{_SUFFIX}")
+    """Remove the cancel flag, if it is set."""
+    backend.clear_flag(f"{url}{_SUFFIX}")
 
 
 def is_cancelled(url: str) -> bool:
-    """Whether tasks were asked to stop."""
-    return backend.has_mark(f"{url}{_SUFFIX}")
+    """Whether the cancel flag is set."""
+    return backend.has_flag(f"{url}{_SUFFIX}")
 
 
 def sweep_leftovers(url: str) -> int:
-    """Remove what killed writers left half written; only while nobody writes. Returns how many.
+    """Remove partial files of killed writers and return their number; no task may be writing.
 
-    A bucket has none: an object appears whole or not at all.
+    Buckets have no partial objects: writing one is atomic.
     """
     leftovers = [] if backend.in_bucket(url) else list(Path(url).rglob("*.partial"))
     for path in leftovers:

@@ -1,7 +1,7 @@
-"""A chunk's stored bytes: where they are, that they are durable, and that they are still the same.
+"""Stored bytes of chunks: keys, checksums, removal, durability.
 
-Every array has one file (or object) per chunk, whose address follows from the chunk's coordinates alone; so
-whole jobs can be checked without opening their stores.
+Every array has one file (or object) per chunk. Its key follows from the chunk's coordinates, so a whole job
+can be verified without opening its store.
 """
 
 import hashlib
@@ -16,16 +16,16 @@ from worker.schema import Layout
 from worker.store.backend import delete, in_bucket, read_key
 from worker.store.errors import ChunkCoords
 
-#: A disk's syncs and a bucket's answers come several at a time as fast as one.
+#: Concurrent syncs and requests: they wait for the disk or the network, not for the processor.
 _THREADS: Final = 8
 
 Index = int | slice
-#: Names of arrays with their number of dimensions, in the order they are written.
+#: Names of arrays and their numbers of dimensions, in the order they are written.
 Names = Sequence[tuple[str, int]]
 
 
 class HasSlices(Protocol):
-    """A chunk as the store sees it."""
+    """The properties of a chunk that the store needs."""
 
     @property
     def slices(self) -> tuple[slice, ...]:
@@ -33,25 +33,25 @@ class HasSlices(Protocol):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape in which its task records these cells; it may leave out dimensions of length one."""
+        """Shape of the record's arrays; may omit dimensions of length one."""
 
 
 Chunk = TypeVar("Chunk", bound=HasSlices)
 
 
 def names_of(layout: Layout) -> Names:
-    """The arrays of a layout."""
+    """Names and numbers of dimensions of a layout's arrays."""
     return [(array.name, len(array.dims)) for array in layout.arrays]
 
 
 def key(name: str, dims: int, coords: ChunkCoords) -> str:
-    """Address of one array's chunk below the store's own; `dims`: how many dimensions the array has."""
+    """Key of one array's chunk in its store; `dims` is the array's number of dimensions."""
     extra = "/0" * (dims - len(coords))
     return f"{name}/c/{'/'.join(map(str, coords))}{extra}"
 
 
 def checksum(url: str, names: Names, coords: ChunkCoords) -> str:
-    """SHA-256 over the chunk's stored bytes in these arrays, 64 hex digits; absent ones count too."""
+    """SHA-256 of a chunk's stored bytes in these arrays, 64 hex digits; also covers which are absent."""
     digest = hashlib.sha256()
     for name, dims in names:
         content = read_key(url, key(name, dims, coords))
@@ -61,7 +61,7 @@ def checksum(url: str, names: Names, coords: ChunkCoords) -> str:
 
 
 def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) -> Iterator[Chunk]:
-    """Those chunks whose stored bytes differ from their checksums; a fraction of a millisecond each."""
+    """The chunks whose stored bytes differ from their expected checksums."""
     names = names_of(layout)
     for chunk, expected in chunks:
         if checksum(url, names, layout.coords(chunk.slices)) != expected:
@@ -69,15 +69,15 @@ def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) 
 
 
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
-    """Remove a chunk, its outcomes first, so that its cells read as missing from then on."""
+    """Remove a chunk's stored bytes; `outcome` first, so that its cells read as missing at any time."""
     for name, dims in reversed(names_of(layout)):
         delete(url, key(name, dims, layout.coords(chunk.slices)))
 
 
 def fsync_files(url: str, keys: Sequence[str]) -> None:
-    """Return when files just written, and the folders that name them, would survive a loss of power.
+    """Sync files to disk, and the folders above them up to the store's parent.
 
-    Does nothing for a bucket, which acknowledges only what is durable.
+    Does nothing for a bucket, whose acknowledged objects are durable.
     """
     if in_bucket(url):
         return
@@ -98,5 +98,5 @@ def _fsync(path: Path) -> None:
 
 @cache
 def threads() -> ThreadPoolExecutor:
-    """Threads that wait for disks and buckets."""
+    """The thread pool for syncs and for requests to buckets."""
     return ThreadPoolExecutor(_THREADS, thread_name_prefix="store")

@@ -1,33 +1,33 @@
-"""What can be wrong with a store.
+"""Errors of stores.
 
-StoreError              something is wrong with a store
-├── PlaceUnusable       no store can be kept at this address
-├── StoreMissing        there is no store at this address
-├── StoreConflict       another study, or another cut of this one, is stored there already
-└── StoreDamaged        stored bytes cannot be read back
+StoreError              base class
+├── PlaceUnusable       the address cannot hold a store
+├── StoreMissing        there is no store at the address, or it is incomplete
+├── StoreConflict       the store holds another job, or has other chunks
+└── StoreDamaged        stored bytes are missing or cannot be decoded
 """
 
-#: Where a chunk lies in the grid of chunks, one number for each cell dimension.
+#: Position of a chunk in the grid of chunks, one index per cell dimension.
 ChunkCoords = tuple[int, ...]
 
 
 class StoreError(Exception):
-    """Something is wrong with a store."""
+    """Base class of a store's errors."""
 
 
 class PlaceUnusable(StoreError):
-    """No store can be kept at this address; says why."""
+    """The address cannot hold a store."""
 
 
 class StoreMissing(StoreError):
-    """There is no store at this address."""
+    """There is no store at the address, or its creation was interrupted."""
 
 
 class StoreConflict(StoreError):
-    """What is stored there is not what was to be stored there."""
+    """The store holds another job, or has chunks of another shape."""
 
 
 class StoreDamaged(StoreError):
-    """Stored bytes cannot be read back, or are gone; `chunks` says where, if in chunks."""
+    """Stored bytes are missing or cannot be decoded; `chunks` lists the damaged chunks, if any."""
 
     chunks: tuple[ChunkCoords, ...] = ()

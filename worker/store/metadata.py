@@ -1,4 +1,4 @@
-"""An empty store: its metadata and coordinates, the same bytes every time."""
+"""Metadata and coordinates of a store: the same bytes for the same layout."""
 
 import json
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _CODEC: Final = ZstdCodec(level=3, checksum=True)
 
 
 def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
-    """Every file or object of a store without chunks by its address, with `attrs` beside the layout's own."""
+    """Contents of a store without chunks by key; `attrs` are added to the layout's attributes."""
     content: dict[str, Buffer] = {}
     store = MemoryStore(content)
     group = zarr.open_group(store, mode="w", zarr_format=3)
@@ -30,16 +30,16 @@ def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
 
 
 def _consolidated(content: Mapping[str, Buffer]) -> Buffer:
-    """The root's metadata with that of every array in it, as `zarr.consolidate_metadata` writes it.
+    """The root's metadata with those of every array, as `zarr.consolidate_metadata` writes them.
 
-    That function warns that consolidated metadata is not in the specification of zarr v3. Warning filters
-    belong to the whole process, so no thread of the service can suppress the warning safely.
+    That function warns that consolidated metadata is not part of the zarr v3 specification, and warning
+    filters are process-wide: a thread of the service must not suppress the warning.
     """
     root = json.loads(content[ROOT].to_bytes())
     names = sorted(path.removesuffix(f"/{ROOT}") for path in content if path.endswith(f"/{ROOT}"))
     arrays = {name: json.loads(content[f"{name}/{ROOT}"].to_bytes()) for name in names}
     consolidated = {"kind": "inline", "must_understand": False, "metadata": arrays}
-    # The order of the fields is zarr's: stores that exist were written with it.
+    # The order of the fields is that of zarr, with which existing stores were written.
     root |= {"consolidated_metadata": consolidated, "node_type": root.pop("node_type")}
     text = json.dumps(root, indent=zarr.config.get("json_indent"))
     return default_buffer_prototype().buffer.from_bytes(text.encode())

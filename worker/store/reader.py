@@ -1,8 +1,7 @@
-"""Reading cells of a store: the chunks they lie in, straight from their files.
+"""Reading cells of a store: reads and decompresses chunk files directly.
 
-zarr's own way to a chunk takes many times longer than the chunk's decompression where chunks are small. This
-module reads what `metadata.empty_store` lays out and nothing else: whole chunks of numbers, little-endian,
-zstd with a checksum. It is used through worker.store.
+For small chunks zarr's overhead is many times the cost of decompression. This module reads only the format
+that `metadata.empty_store` defines: whole chunks, little-endian numbers, zstd with a checksum.
 """
 
 import json
@@ -25,7 +24,7 @@ OUTCOME: Final = "outcome"
 
 
 class _Stored(NamedTuple):
-    """One stored array, as the store's metadata describe it."""
+    """One stored array, from the store's metadata."""
 
     dtype: np.dtype[Any]
     fill: Any
@@ -35,26 +34,26 @@ class _Stored(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """What one chunk holds of the requested cells: where in the chunk, and where among those cells."""
+    """The requested cells that lie in one chunk."""
 
     coords: ChunkCoords
-    inside: tuple[slice, ...]
-    among: tuple[slice, ...]
+    in_chunk: tuple[slice, ...]  # their positions in the chunk
+    in_result: tuple[slice, ...]  # their positions in the result
 
 
 def read_cells(
     url: str, names: Iterable[str], where: Mapping[str, Index] | tuple[slice, ...], complete: bool
 ) -> dict[str, NDArray[Any]]:
-    """As `store.read_slice`.
+    """The implementation of `store.read_slice` and `store.read_chunk`.
 
-    `where` is the index along some cell dimensions by name, whole along the others; or along all in order.
+    where: indices along some cell dimensions by name, or slices along all of them in order.
     """
     arrays = _described(_root(url))
     index = where if isinstance(where, tuple) else _in_order(arrays[OUTCOME].dims, where)
     names = list(dict.fromkeys(names))
     parts = list(_parts(arrays[OUTCOME], index))
     reading = _Reading(url, arrays, index)
-    # Outcomes first: a cell that has one had everything else before, and one that has none has nothing.
+    # `outcome` is written last: where it is absent the chunk is not computed, and the others are not read.
     present = reading.take([(OUTCOME, part) for part in parts], lenient=not complete)
     others = [name for name in names if name != OUTCOME]
     reading.take([(name, part) for name in others for _, part in present], lenient=False)
@@ -62,7 +61,7 @@ def read_cells(
         error = StoreDamaged(next(iter(reading.damaged.values())))
         error.chunks = tuple(reading.damaged)
         raise error
-    return {name: reading.answer(name) for name in names}
+    return {name: reading.result(name) for name in names}
 
 
 def _in_order(dims: tuple[str, ...], where: Mapping[str, Index]) -> tuple[Index, ...]:
@@ -72,7 +71,7 @@ def _in_order(dims: tuple[str, ...], where: Mapping[str, Index]) -> tuple[Index,
 
 
 class _Reading:
-    """The requested cells as they come together, and the chunks that are not as they were written."""
+    """Collects the requested cells, and the chunks that are damaged."""
 
     def __init__(self, url: str, arrays: Mapping[str, _Stored], where: tuple[Index, ...]) -> None:
         self._url, self._arrays, self._where = url, arrays, where
@@ -80,31 +79,31 @@ class _Reading:
         self.damaged: dict[ChunkCoords, str] = {}
 
     def take(self, parts: list[tuple[str, _Part]], lenient: bool) -> list[tuple[str, _Part]]:
-        """Read parts of arrays; returns those that are present. The others are damage unless `lenient`."""
+        """Read parts of arrays and return those that exist. Missing ones are damage, unless `lenient`."""
         present = []
         keys = [key(name, len(self._arrays[name].dims), part.coords) for name, part in parts]
-        for (name, part), address, content in zip(parts, keys, _contents(self._url, keys), strict=True):
+        for (name, part), chunk_key, content in zip(parts, keys, _contents(self._url, keys), strict=True):
             if content is not None:
                 present.append((name, part))
-                self._put(name, part, address, content)
+                self._put(name, part, chunk_key, content)
             elif not lenient:
-                self.damaged.setdefault(part.coords, f"{address}: is gone")
+                self.damaged.setdefault(part.coords, f"{chunk_key}: is missing")
         return present
 
-    def answer(self, name: str) -> NDArray[Any]:
-        """The cells of an array, without the dimensions that were indexed by a whole number."""
+    def result(self, name: str) -> NDArray[Any]:
+        """The requested cells of an array, without the dimensions indexed by an integer."""
         drop = tuple(0 if isinstance(index, int) else slice(None) for index in self._where)
         return self._all(name)[drop]
 
-    def _put(self, name: str, part: _Part, address: str, content: bytes) -> None:
+    def _put(self, name: str, part: _Part, chunk_key: str, content: bytes) -> None:
         array = self._arrays[name]
-        numbers = np.empty(array.chunks, array.dtype)  # damaged bytes may claim to hold far more
+        values = np.empty(array.chunks, array.dtype)  # a damaged header may declare a far larger size
         try:
-            decompress(content, numbers)
+            decompress(content, values)
         except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
-            self.damaged.setdefault(part.coords, f"{address}: cannot be read back: {error}")
+            self.damaged.setdefault(part.coords, f"{chunk_key}: cannot be decoded: {error}")
         else:
-            self._all(name)[part.among] = numbers[part.inside]
+            self._all(name)[part.in_result] = values[part.in_chunk]
 
     def _all(self, name: str) -> NDArray[Any]:
         if name not in self._cells:
@@ -116,7 +115,7 @@ class _Reading:
 
 
 def _contents(url: str, keys: list[str]) -> Iterator[bytes | None]:
-    """What is stored under each key; a bucket answers many questions at once as fast as one."""
+    """The bytes under each key; requests to a bucket run concurrently."""
     if in_bucket(url):
         return threads().map(lambda key: read_key(url, key), keys)
     return (read_key(url, key) for key in keys)
@@ -129,13 +128,13 @@ def _root(url: str) -> bytes:
     return content
 
 
-@lru_cache(maxsize=32)  # the specification in it can be long
+@lru_cache(maxsize=32)  # few: `root` holds the specification, which can be long
 def _described(root: bytes) -> dict[str, _Stored]:
     """The arrays of cells by name, from the root's consolidated metadata."""
     try:
         consolidated = json.loads(root).get("consolidated_metadata")
         if not consolidated:
-            raise StoreMissing("the store was never finished; create it again")
+            raise StoreMissing("the store's creation was interrupted; create it again")
         arrays = {
             name: _stored(metadata)
             for name, metadata in consolidated["metadata"].items()
@@ -161,24 +160,24 @@ def _stored(metadata: Mapping[str, Any]) -> _Stored:
 
 
 def _parts(array: _Stored, where: tuple[Index, ...]) -> Iterator[_Part]:
-    """The chunks that hold the cells at these indices."""
+    """The chunks that contain the cells at these indices."""
     axes = [
         list(_spans(_range(n, index), size))
         for n, size, index in zip(array.shape, array.chunks, where, strict=True)
     ]
     for spans in product(*axes):
-        coords, inside, among = zip(*spans, strict=True)
-        yield _Part(coords, inside, among)
+        coords, in_chunk, in_result = zip(*spans, strict=True)
+        yield _Part(coords, in_chunk, in_result)
 
 
 def _range(length: int, index: Index) -> range:
-    """The positions along an axis that an index means; raises IndexError outside it."""
+    """The positions along an axis of `length` that an index selects; raises IndexError outside it."""
     positions = range(length)[index]
     return range(positions, positions + 1) if isinstance(positions, int) else positions
 
 
 def _spans(cells: range, size: int) -> Iterator[tuple[int, slice, slice]]:
-    """The chunks along an axis that hold some of these cells: number, where in it, where among the cells."""
+    """Chunks of `size` along an axis that contain some of `cells`: (index, slice of it, slice of cells)."""
     first = 0
     while first < len(cells):
         chunk = cells[first] // size

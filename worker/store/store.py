@@ -1,9 +1,8 @@
-"""What a study has computed, on disk as zarr v3.
+"""Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens.
 
-A store opens with plain `xarray.open_zarr(url)`. One task owns one chunk of every array
-and writes it whole, so two writers never meet; a file appears by renaming, never half
-written; every byte is under a checksum. Whether a cell is there is told by its outcome,
-never by a file's existence.
+One task owns one chunk of every array and writes it whole, so no two tasks write the same file. Files appear
+by renaming, never partially written, and checksums cover every byte. A cell is computed if its `outcome` is
+not `missing`.
 """
 
 from collections.abc import Iterable, Mapping
@@ -25,45 +24,46 @@ from worker.store.reader import OUTCOME, ROOT, read_cells
 
 
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
-    """Lay out an empty store, with `attrs` beside the layout's own attributes.
+    """Create an empty store, with `attrs` added to the layout's attributes.
 
-    Does nothing if this very store is complete already, and repairs one whose creation was
-    interrupted. Raises `StoreConflict` if something else is there. For the same bytes from
-    the same layout, `attrs` must hold no time of day.
+    Does nothing if the store exists already, and completes one whose creation was interrupted. Raises
+    `StoreConflict` if the store holds another job or has other chunks. `attrs` must not contain a time of
+    day: the same layout must give the same bytes.
     """
-    if not _already_there(url, layout.identity):
+    if not _exists(url, layout.identity):
         repair_metadata(url, layout, attrs)
 
 
 def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> list[str]:
-    """Put right everything in a store but its chunks: metadata, coordinates. Returns what was not right."""
-    right = empty_store(layout, attrs or {})
-    wrong = [address for address, content in right.items() if read_key(url, address) != content.to_bytes()]
-    # The root comes last: whoever finds consolidated metadata finds a complete store.
-    wrong.sort(key=lambda address: address == ROOT)
+    """Rewrite metadata and coordinates that differ from the layout's; return the keys rewritten."""
+    expected = empty_store(layout, attrs or {})
+    wrong = [name for name, content in expected.items() if read_key(url, name) != content.to_bytes()]
+    # The root comes last: a store with consolidated metadata is complete.
+    wrong.sort(key=lambda name: name == ROOT)
     store = open_store(url, read_only=False)
-    for address in wrong:
-        sync(store.set(address, right[address]))
+    for name in wrong:
+        sync(store.set(name, expected[name]))
     fsync_files(url, wrong)
     return wrong
 
 
 def check_chunk(url: str, chunk: HasSlices) -> None:
-    """Raise what `write_chunk` would raise for a store that is missing, damaged or cut otherwise."""
+    """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape."""
     _owned_coords(_open(url, "r"), url, chunk)
 
 
 def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> str:
-    """Store one chunk of every array and return the checksum of the bytes now stored.
+    """Store one chunk of every array and return the checksum of the stored bytes.
 
     record: every array of the store by name, in the order of its layout (`outcome` last), each of shape
-    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes.
+    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes. Raises
+    `StoreMissing`, `StoreDamaged`, or `StoreConflict` if the chunk is not one of the store's.
     """
     group = _open(url, "r+")
     coords = _owned_coords(group, url, chunk)
     names = [(name, len(_array(group, name).shape)) for name in record]
     for name, array in record.items():
-        # Without this a chunk of nothing but fill values would have no file, and no checksum.
+        # Otherwise zarr writes no file for a chunk of fill values, and there is nothing to checksum.
         stored = _array(group, name).with_config({"write_empty_chunks": True})
         lengths = [span.stop - span.start for span in chunk.slices]
         stored[chunk.slices] = array.reshape(*lengths, *stored.shape[len(lengths) :])
@@ -78,12 +78,12 @@ def read_slice(
     complete: bool = False,
     **where: Index,
 ) -> dict[str, NDArray[Any]]:
-    """Part of some arrays, by index along the cell dimensions; touches only the chunks it needs.
+    """Part of some arrays, by index along the cell dimensions; reads only the chunks that it needs.
 
-    `complete`: everything was written, so what is not there is damage and not still to come.
+    An integer drops its dimension, a slice (its step above 0) keeps it; extra dimensions, such as flights,
+    come last. Cells that are not computed read as fill values in every array.
 
-    A whole number drops its dimension, a slice (its step, if any, above 0) keeps it; flights (or state
-    fields) come last. Cells without an outcome yet read as fill values throughout.
+    complete: whether every chunk has been written, so that a missing one is damage.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
     return read_cells(url, names, where, complete)
@@ -92,7 +92,10 @@ def read_slice(
 def read_chunk(
     url: str, chunk: HasSlices, names: Iterable[str], *, complete: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """A block of cells anywhere in the grid; each array is of chunk.shape + its extra dimensions."""
+    """A block of cells anywhere in the grid, each array of shape chunk.shape + its extra dimensions.
+
+    `complete` and errors as in `read_slice`.
+    """
     block = read_cells(url, names, chunk.slices, complete)
     return {
         name: array.reshape(*chunk.shape, *array.shape[len(chunk.slices) :]) for name, array in block.items()
@@ -100,58 +103,59 @@ def read_chunk(
 
 
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
-    """The values along every dimension of a cell, each (n,): numbers as float64, `direction` as text."""
+    """The coordinates of every cell dimension, each (n,): float64, or text for `direction`."""
     group = _open(url, "r")
     return {dim: _read(_array(group, dim)) for dim in _cell_dims(group)}
 
 
 def read_attrs(url: str) -> dict[str, Any]:
-    """The store's attributes: the specification, versions, and what its creator added."""
+    """The store's attributes: the layout's and those given to `create`."""
     return dict(_open(url, "r").attrs)
 
 
 def chunk_shape(url: str) -> tuple[int, ...]:
-    """Cells of a chunk along every dimension that is cut, for planning the same cut again."""
+    """The plan's chunk shape, with which the same plan can be made again."""
     return tuple(read_attrs(url)["chunk_shape"])
 
 
 def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
-    group, trouble = None, ""
+    group, failure = None, ""
     try:
         group = zarr.open_group(open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
         pass
     except (ValueError, KeyError, TypeError) as error:
-        trouble = f"{type(error).__name__}: {error}"
-    # Raised out here, because zarr's errors, kept as ours' context, would not survive the way back
-    # from a worker.
-    if trouble:
-        raise StoreDamaged(f"{url}: the store's metadata cannot be read: {trouble}")
+        failure = f"{type(error).__name__}: {error}"
+    # Raised outside the `except` block, so that zarr's error is not its context: an error that a worker
+    # returns is pickled with its context, and zarr's cannot be.
+    if failure:
+        raise StoreDamaged(f"{url}: the store's metadata cannot be read: {failure}")
     if group is None:
         raise StoreMissing(f"{url}: no store here")
     if group.metadata.consolidated_metadata is None:
-        raise StoreMissing(f"{url}: the store was never finished; create it again")
+        raise StoreMissing(f"{url}: the store's creation was interrupted; create it again")
     return group
 
 
-def _already_there(url: str, wanted: Mapping[str, Any]) -> bool:
+def _exists(url: str, identity: Mapping[str, Any]) -> bool:
+    """Whether the store exists; raises StoreConflict if its identity is another."""
     try:
-        found = read_attrs(url)
+        attrs = read_attrs(url)
     except (StoreMissing, StoreDamaged):
         return False
-    if found.get("job") != wanted["job"]:
-        raise StoreConflict(f"{url}: holds job {found.get('job')}, not {wanted['job']}")
-    if found.get("chunk_shape") != wanted["chunk_shape"]:
-        rule = f"is cut into chunks of {found.get('chunk_shape')}, not {wanted['chunk_shape']}"
+    if attrs.get("job") != identity["job"]:
+        raise StoreConflict(f"{url}: holds job {attrs.get('job')}, not {identity['job']}")
+    if attrs.get("chunk_shape") != identity["chunk_shape"]:
+        rule = f"is cut into chunks of {attrs.get('chunk_shape')}, not {identity['chunk_shape']}"
         raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
     return True
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    found = group[name]
-    if not isinstance(found, zarr.Array):
-        raise StoreDamaged(f"{group.store}: '{name}' is no array")
-    return found
+    array = group[name]
+    if not isinstance(array, zarr.Array):
+        raise StoreDamaged(f"{group.store}: '{name}' is not an array")
+    return array
 
 
 def _cell_dims(group: zarr.Group) -> tuple[str, ...]:
@@ -162,15 +166,16 @@ def _cell_dims(group: zarr.Group) -> tuple[str, ...]:
 def _read(array: zarr.Array[Any]) -> NDArray[Any]:
     try:
         return np.asarray(array[...])
-    except (RuntimeError, ValueError) as error:  # what codecs raise for bytes that are not theirs
-        trouble = str(error)
-    raise StoreDamaged(f"{array.path}: cannot be read back: {trouble}")
+    except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
+        failure = str(error)
+    raise StoreDamaged(f"{array.path}: cannot be decoded: {failure}")
 
 
 def _owned_coords(group: zarr.Group, url: str, chunk: HasSlices) -> ChunkCoords:
-    """Where a task's chunk lies in the grid of chunks.
+    """Coordinates of a task's chunk in the grid of chunks.
 
-    Raises StoreConflict unless it is one of the store's: two tasks in one stored chunk would lose data.
+    Raises StoreConflict unless it is exactly one chunk of the store: two tasks that write to the same
+    stored chunk would overwrite each other's cells.
     """
     outcome = _array(group, OUTCOME)
     dims = zip(_cell_dims(group), chunk.slices, outcome.chunks, outcome.shape, strict=True)
