@@ -1,10 +1,9 @@
-"""The atlas: Gamma x Omega x xi cells of `rigid` from rest, through REST to the embedded cluster.
+"""Atlas: Gamma x Omega x xi cells of `rigid` from rest, over HTTP on the embedded cluster.
 
     python -m benchmarks.atlas [--gamma 1000 --omega 100 --xi 10] [--workers 2] [--queries 40]
 
-Prints the wall time from submission to done on a warm cluster, how much of the workers' time was
-kernel time, the peak memory of every process, the store's size, and how long diagram queries into
-the finished store take over HTTP, along each axis.
+Prints the wall time from submission to completion on warm workers, the share of kernel time, the peak memory
+of every process, the size of the store, and the latency of diagram queries over HTTP along each axis.
 """
 
 import argparse
@@ -30,7 +29,7 @@ from worker.tasks import ChunkReport
 
 
 def atlas(gamma: int, omega: int, xi: int) -> dict[str, Any]:
-    """The specification; 300 plate periods a cell."""
+    """The specification; 300 plate periods per cell."""
     return {
         "name": f"atlas {gamma} x {omega} x {xi}",
         "gamma": {"start": 0.5, "stop": 6.0, "num": gamma},
@@ -44,7 +43,7 @@ def atlas(gamma: int, omega: int, xi: int) -> dict[str, Any]:
 
 
 def warm(client: Client) -> None:
-    """One small job, so that every worker has its kernels."""
+    """Run one small job, so that every worker has compiled its kernels."""
     spec = {**atlas(64, 2, 2), "omega": 1.0, "xi": 0.1, "settle": 1, "observe": 1, "name": "warm"}
     client.submit(spec).wait(progress=False)
 
@@ -52,22 +51,22 @@ def warm(client: Client) -> None:
 def peaks() -> list[tuple[str, float]]:
     """Peak resident memory, GiB, of this process and its children."""
     own = psutil.Process()
-    found = []
+    rows = []
     for process in (own, *own.children(recursive=True)):
         status = Path(f"/proc/{process.pid}/status").read_text()
         high = next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]
-        found.append((process.name(), int(high) / 2**20))
-    return sorted(found, key=lambda row: -row[1])
+        rows.append((process.name(), int(high) / 2**20))
+    return sorted(rows, key=lambda row: -row[1])
 
 
 class Counting(Dask):
-    """The embedded cluster, adding up what the tasks report."""
+    """The embedded cluster; sums the times in the reports of its tasks."""
 
     kernel_seconds = 0.0
     task_seconds = 0.0
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **given: float) -> "Future[ChunkReport]":
-        future = super().submit(spec, chunk, store_url, **given)
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
+        future = super().submit(spec, chunk, store_url, **limits)
         future.add_done_callback(self._count)
         return future
 
@@ -78,7 +77,7 @@ class Counting(Dask):
 
 
 def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
-    """Time diagrams at random places, along each axis."""
+    """Time diagrams along each axis, the other parameters random values of the grid."""
     rng = np.random.default_rng(1)
     values = {
         axis["label"]: (np.geomspace if axis.get("spacing") == "log" else np.linspace)(
@@ -101,18 +100,18 @@ def queries(url: str, job: Job, spec: dict[str, Any], count: int) -> None:
 
 
 def main() -> None:
-    """Run it and print."""
+    """Run the benchmark and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name, size in (("gamma", 1000), ("omega", 100), ("xi", 10), ("workers", 2), ("queries", 40)):
         parser.add_argument(f"--{name}", type=int, default=size)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("dask", "zarr"))
-    spec = atlas(given.gamma, given.omega, given.xi)
+    spec = atlas(arguments.gamma, arguments.omega, arguments.xi)
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
-        settings = embedded.settings(data=data, workers=given.workers, host="127.0.0.1", port=0)
+        settings = embedded.settings(data=data, workers=arguments.workers, host="127.0.0.1", port=0)
         with (
-            closing(Counting(workers=given.workers)) as executor,
+            closing(Counting(workers=arguments.workers)) as executor,
             embedded.running(settings, executor) as url,
             Client(url) as client,
         ):
@@ -122,15 +121,15 @@ def main() -> None:
             job = client.submit(spec).wait(progress=True)
             wall = time.perf_counter() - start
             busy, tasks = executor.kernel_seconds, executor.task_seconds
-            cells = given.gamma * given.omega * given.xi
+            cells = arguments.gamma * arguments.omega * arguments.xi
             print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
             print(f"kernel time: {busy:.1f} s, {busy / tasks:.1%} of the tasks' time,")
-            print(f"             {busy / wall / given.workers:.1%} of the workers'")
+            print(f"             {busy / wall / arguments.workers:.1%} of the workers'")
             stored = sum(f.stat().st_size for f in data.rglob("*") if f.is_file())
             print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
             for name, peak in peaks():
                 print(f"peak memory of {name}: {peak:.2f} GiB")
-            queries(url, job, spec, given.queries)
+            queries(url, job, spec, arguments.queries)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""CPU time of `ball` per cell and plate period over the sweeps of Figs. 3 and 4, beside `rigid`.
+"""CPU time of `ball` and `rigid` per cell per plate period, over the sweeps of Figs. 3 and 4.
 
     python -m benchmarks.ball [--repeat 9] [--settle 200]
 
-1,000 values of Gamma from 1 to 6, 300 plate periods each from rest; `rigid` is the spring of
-rigidity 650 that the ball approximates. Medians over the repetitions, which alternate.
+1,000 values of Gamma from 1 to 6, 300 plate periods each from rest; `rigid` is the spring of rigidity 650
+that the ball approximates. Medians over the repetitions, which alternate between the rows.
 """
 
 import argparse
@@ -32,7 +32,7 @@ ROWS = [
 
 
 def run(settle: int, model: Model, xi: float, restitution: float) -> Line:
-    """The sweep at rigidity 650; which does not affect the ball."""
+    """Compute the sweep at rigidity 650, which does not affect the ball."""
     full = np.full_like
     return run_line(
         GAMMAS, full(GAMMAS, max(xi, 1e-3) / 650.0), full(GAMMAS, xi), model=model,

@@ -1,12 +1,12 @@
-"""What a cell costs, against Gamma, Omega, xi, the penetration, the settling and the size of the grid.
+"""Cost of a cell against Gamma, Omega, xi, penetration, settling periods and the size of the grid.
 
     python -m benchmarks.cost [--repeat 5] [-o docs/cost.png]
 
-The kernel alone, one core, CPU microseconds per cell and plate period: one quantity runs, the others stay at
-Gamma = 2, Omega = 0.5, xi = 0.26, d = 1e-3, 200 + 100 periods; 64 cells within 1 % of Gamma, medians. The
-grid's size goes through REST to the embedded cluster of two workers, from submission to done. "linear?" is
-the exponent of the whole time against the quantity, between its ends (1: proportional); on Gamma, Omega, xi
-and d the cost should not depend, and for them the largest over the smallest says whether it does.
+The kernel alone on one core, CPU microseconds per cell per plate period: one quantity varies, the others are
+Gamma = 2, Omega = 0.5, xi = 0.26, d = 1e-3, 200 + 100 periods; 64 cells within 1% of Gamma, medians. The size
+of the grid: whole sweeps over HTTP on the embedded cluster of two workers, from submission to completion.
+"exponent" is that of the total time against the quantity, between its ends (1: proportional). The cost should
+not depend on Gamma, Omega, xi and d: see the ratio of the largest to the smallest.
 """
 
 import argparse
@@ -46,7 +46,7 @@ Curve = list[tuple[float, float]]
 
 
 def kernel_curve(kind: str, axis: str, repeat: int) -> Curve:
-    """(value, microseconds per cell and plate period) along an axis."""
+    """(value, microseconds per cell per plate period) along an axis."""
     curve = []
     for value in AXES[axis]:
         at = USUAL | {axis: value}
@@ -64,7 +64,7 @@ def kernel_curve(kind: str, axis: str, repeat: int) -> Curve:
 
 
 def size_curve(repeat: int) -> Curve:
-    """(cells, microseconds of wall time per cell and plate period) of whole sweeps on two workers."""
+    """(cells, microseconds of wall time per cell per plate period) of whole sweeps on two workers."""
     curve = []
     shifts = itertools.count()
     with tempfile.TemporaryDirectory() as folder:
@@ -86,13 +86,13 @@ def size_curve(repeat: int) -> Curve:
 
 
 def exponent(curve: Curve) -> float:
-    """Of the whole time against the quantity, between the ends."""
-    (first, least), (last, most) = curve[0], curve[-1]
-    return math.log(most * last / (least * first)) / math.log(last / first)
+    """Exponent of the total time against the quantity, between its ends."""
+    (first, first_cost), (last, last_cost) = curve[0], curve[-1]
+    return math.log(last_cost * last / (first_cost * first)) / math.log(last / first)
 
 
 def row(name: str, axis: str, curve: Curve) -> tuple[str, ...]:
-    """One line of the table."""
+    """One row of the table."""
     costs = [cost for _, cost in curve]
     span = f"{curve[0][0]:g} to {curve[-1][0]:g}"
     linear = f"{exponent(curve):.2f}" if axis in ("settle", "cells") else ""
@@ -108,7 +108,7 @@ def row(name: str, axis: str, curve: Curve) -> tuple[str, ...]:
 
 
 def draw(curves: dict[str, dict[str, Curve]], file: str) -> None:
-    """A panel for each quantity."""
+    """Draw the figure, one panel per quantity."""
     figure = Figure(figsize=(11, 6), layout="constrained")
     for panel, (axis, lines) in zip(figure.subplots(2, 3).flat, curves.items(), strict=True):
         for kind, curve in lines.items():
@@ -117,27 +117,27 @@ def draw(curves: dict[str, dict[str, Curve]], file: str) -> None:
         panel.set_ylim(bottom=0.004)
         panel.grid(alpha=0.3)
         panel.legend(frameon=False, fontsize=8)
-    figure.supylabel("µs per cell and plate period")
+    figure.supylabel("µs per cell per plate period")
     figure.savefig(file, dpi=110)
 
 
 def main() -> None:
-    """Print the table and draw the picture."""
+    """Print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("-o", "--output", default="docs/cost.png")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("dask", "zarr"), flush=True)
     curves: dict[str, dict[str, Curve]] = {}
     for axis in AXES:
         kinds = ("soft",) if axis == "d" else KINDS
-        curves[axis] = {kind: kernel_curve(kind, axis, given.repeat) for kind in kinds}
-    curves["cells"] = {"rigid, two workers, wall time": size_curve(min(given.repeat, 3))}
+        curves[axis] = {kind: kernel_curve(kind, axis, arguments.repeat) for kind in kinds}
+    curves["cells"] = {"rigid, two workers, wall time": size_curve(min(arguments.repeat, 3))}
     rows = [row(kind, axis, curve) for axis, lines in curves.items() for kind, curve in lines.items()]
-    head = ["", "against", "from … to", "least, µs", "most, µs", "most/least", "linear?"]
+    head = ["", "against", "range", "smallest, µs", "largest, µs", "largest/smallest", "exponent"]
     print("\n" + table(head, rows))
-    draw(curves, given.output)
-    print(f"\n{given.output}")
+    draw(curves, arguments.output)
+    print(f"\n{arguments.output}")
 
 
 if __name__ == "__main__":

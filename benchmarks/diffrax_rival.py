@@ -1,4 +1,4 @@
-"""The rigid spring by diffrax: Dopri8 with events; JAX compiles a whole cell as one loop over phases."""
+"""The rigid spring with diffrax: Dopri8 with events; JAX compiles a whole cell as one loop over phases."""
 
 from functools import partial
 from typing import Any
@@ -15,12 +15,12 @@ jax.config.update("jax_enable_x64", True)
 
 _STEPS = 100_000
 _MOST_FLIGHTS = 2_000
-#: How near 0 an event's function has to come: a phase of 200 periods has no more digits.
+#: Tolerance of an event's function: rounding of the phase after 200 periods allows no smaller one.
 _ROOT = 1e-11
 
 
 class Spring:
-    """Compiled once; cells go in one by one, or as a batch side by side."""
+    """The compiled solver, for single cells and for batches."""
 
     def __init__(self, rtol: float) -> None:
         self._cell = jax.jit(partial(_flights, rtol))
@@ -32,12 +32,12 @@ class Spring:
         return np.asarray(flights)[: int(count)].tolist()
 
     def run_batch(self, gamma: np.ndarray, omega: float, xi: float, periods: int) -> np.ndarray:
-        """(n, most) flight times of n cells side by side."""
+        """Flight times (rad) of n cells at once, (n, _MOST_FLIGHTS)."""
         return np.asarray(self._batch(gamma, omega, xi, periods)[0])
 
 
 def _flights(rtol: float, gamma: Any, omega: Any, xi: Any, periods: Any) -> Any:
-    """Flight times, and how many they are; equations as in benchmarks.phases."""
+    """Flight times and their number; equations as in benchmarks.phases."""
     gravity, dashpot, stiffness = 1.0 / gamma, 2.0 * xi / omega, 1.0 / omega**2
     end = 2.0 * jnp.pi * periods
 
@@ -59,12 +59,12 @@ def _flights(rtol: float, gamma: Any, omega: Any, xi: Any, periods: Any) -> Any:
 
     def solve(slope: Any, event: Any, t: Any, y: Any) -> Any:
         """The time and state at the event, or at the end."""
-        found = diffrax.diffeqsolve(
+        solution = diffrax.diffeqsolve(
             diffrax.ODETerm(slope), diffrax.Dopri8(), t, end, None, y, max_steps=_STEPS,
             stepsize_controller=diffrax.PIDController(rtol=rtol, atol=1e-3 * rtol),
             event=diffrax.Event(event, optimistix.Bisection(1e-15, _ROOT, flip=True), direction=False),
         )  # fmt: skip
-        return found.ts[0], found.ys[0]
+        return solution.ts[0], solution.ys[0]
 
     def stick(carry: Any) -> Any:
         t, y, flights, count, _ = carry
@@ -90,7 +90,7 @@ def _flights(rtol: float, gamma: Any, omega: Any, xi: Any, periods: Any) -> Any:
 
 
 def _lifted(force: Any, gravity: Any, t: Any, y: Any) -> Any:
-    """q, q', gap and gap' a moment after a take-off, as benchmarks.phases.lifted."""
+    """q, q', gap and gap' LIFT rad after a take-off, as benchmarks.phases.lifted."""
     sin, cos, h = jnp.sin(t), jnp.cos(t), LIFT
     q, v = y[0], y[1]
     q2 = -2.0 * force(q, v)

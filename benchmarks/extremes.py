@@ -1,12 +1,11 @@
-"""Outcomes and costs of cells drawn from the whole range of parameters, for each model.
+"""Outcomes and costs of random cells over the whole range of parameters, for each model.
 
     python -m benchmarks.extremes [--cells 2000] [--periods 20] [--seed 1] [--worst 3]
 
-Two ranges: the whole one (Omega and xi from 1e-3 to 1e3, Gamma from 1e-3 to 1e2, restitution below 1
-and, by itself, exactly 1, penetration 1e-8 to 1e-1; a fifth of the cells exactly at Gamma = 2, Omega = 1,
-xi = 0, 1/sqrt(2) or 1, or within 1e-12 of them) and the default one (Gamma and xi up to 10, Omega from
-0.1 to 10, the specification's contact). All are log-uniform. Half of the periods are settled. The worst
-cells, the unresolved and then the slowest, are listed.
+Two log-uniform ranges. Whole: Omega and xi from 1e-3 to 1e3, Gamma from 1e-3 to 1e2, penetration from 1e-8 to
+1e-1, restitution below 1 and in rows of its own exactly 1; a fifth of the cells at Gamma = 2, Omega = 1 or
+sqrt(2), xi = 0, 1/sqrt(2) or 1, or within 1e-12 of them. Default: Gamma and xi up to 10, Omega from 0.1 to
+10, the default contact. Half of the periods are settling. Lists the worst cells: unresolved, then slow ones.
 """
 
 import argparse
@@ -21,13 +20,13 @@ from benchmarks.machine import describe
 from benchmarks.models import Model, run_line
 from kernel.params import Outcome
 
-#: What `xi` and `omega` are set to exactly, or nearly.
+#: Special values of xi and omega, and values within rounding of them.
 EDGES_XI = (0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, math.sqrt(0.5) * (1.0 - 1e-12))
 EDGES_OMEGA = (1.0, 1.0 + 1e-12, math.sqrt(2.0))
 
 
 class Kind(NamedTuple):
-    """One line of the table; restitution None is drawn from all below 1."""
+    """One row of the table; a restitution of None is random below 1."""
 
     name: str
     model: Model
@@ -72,7 +71,7 @@ def whole_range(kind: Kind, cells: int, rng: np.random.Generator) -> Sample:
     gamma[::15] = 2.0
     xi[1::10] = rng.choice(EDGES_XI, len(xi[1::10]))
     omega[2::20] = rng.choice(EDGES_OMEGA, len(omega[2::20]))
-    # some next to 0; a contact that does not pull cannot have e = 0
+    # Some close to 0; a nonadhesive contact cannot have e = 0.
     e = rng.uniform(0.0, 1.0, cells)
     e[::4] = 10.0 ** rng.uniform(-6, 0, len(e[::4]))
     if kind.adhesive:
@@ -88,7 +87,7 @@ def default_range(kind: Kind, cells: int, rng: np.random.Generator) -> Sample:
 
 
 def measure(kind: Kind, sample: Sample, periods: int) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Outcome and CPU microseconds per plate period of every cell, each run by itself."""
+    """Outcome and CPU microseconds per plate period of every cell, each computed alone."""
     outcome, cost = np.zeros(len(sample.gamma), np.uint8), np.zeros(len(sample.gamma))
     for i in range(len(outcome)):
         gamma, omega, xi, restitution, penetration = (array[i : i + 1] for array in sample)

@@ -1,8 +1,8 @@
-"""Fig. 2 with 1,000 values of Gamma and 300 plate periods each, from submission to done on a warm cluster.
+"""Fig. 2 with 1,000 values of Gamma, 300 plate periods each: time from submission to completion.
 
     python -m benchmarks.figure [--repeat 5] [--workers 2]
 
-The cluster is the embedded one; every repetition is a new job, whose grid differs by a hair.
+On the warm embedded cluster. Every repetition is a new job, with a slightly different grid.
 """
 
 import argparse
@@ -36,15 +36,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("dask", "zarr"))
     with tempfile.TemporaryDirectory() as folder:
-        settings = embedded.settings(data=Path(folder), workers=given.workers, host="127.0.0.1", port=0)
+        settings = embedded.settings(data=Path(folder), workers=arguments.workers, host="127.0.0.1", port=0)
         with embedded.running(settings) as url, Client(url) as client:
             seconds(client, MODELS[0], -1)
             for model in MODELS:
-                times = [seconds(client, model, shift) for shift in range(given.repeat)]
-                print(f"{model}: median {statistics.median(times):.2f} s of {given.repeat}")
+                times = [seconds(client, model, shift) for shift in range(arguments.repeat)]
+                print(f"{model}: median {statistics.median(times):.2f} s of {arguments.repeat}")
 
 
 if __name__ == "__main__":

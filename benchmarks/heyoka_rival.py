@@ -1,4 +1,4 @@
-"""The rigid spring by heyoka: adaptive Taylor integration with terminal events, one integrator a phase."""
+"""The rigid spring with heyoka: adaptive Taylor integrators with terminal events, one for each phase."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from benchmarks.phases import LIFT, lifted, march
 
 
 class Spring:
-    """Both phases compiled once; a cell only sets the parameters."""
+    """The compiled integrators of both phases; a cell sets their parameters."""
 
     def __init__(self) -> None:
         q, v, gap, gap1 = hy.make_vars("q", "v", "gap", "gap1")

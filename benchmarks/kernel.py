@@ -1,15 +1,15 @@
-"""CPU time per cell and plate period of each contact model and of general integrators, and their errors.
+"""CPU time per cell per plate period of each contact model and of general integrators, and their errors.
 
     python -m benchmarks.kernel [--repeat 7] [--only rigid,heyoka,...]
 
-Time: cells are those of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate
-periods each from rest. "neighbours" runs 64 cells within 1% of Gamma in one line, as a sweep runs
-them; "alone" runs one cell through the scalar functions. Every number is the median over the cells of the
-median over repetitions, and the ratios come from the same run. The general integrators solve the
-rigid spring, compiled beforehand; the slow ones run fewer periods.
+Time: cells of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate periods each
+from rest. "neighbours" computes 64 cells within 1% of Gamma in one line, as in a sweep; "alone" computes one
+cell with the scalar functions. Every number is the median over the cells of the median over repetitions; the
+ratios come from one run. The general integrators solve the rigid spring, compiled beforehand; slow ones
+compute fewer periods.
 
-Error: of the flight times of tests/golden's rigid cells after 200 periods, the worst of all; those numbers
-have an uncertainty of 6e-10. Then the deviation of the first three flights from rest from those of `rigid`.
+Errors: the worst flight time of tests/golden's rigid cells after 200 periods, whose uncertainty is 6e-10; and
+the deviation of the first three flights from those of `rigid`.
 """
 
 import argparse
@@ -56,7 +56,7 @@ Solver = Callable[[float, float, float, int], Sequence[float]]
 
 
 class Row(NamedTuple):
-    """One line of the table: microseconds, and the two errors in rad where they make sense."""
+    """One row of the table: microseconds, and the two errors in rad, NaN if they do not apply."""
 
     name: str
     cost: float
@@ -85,7 +85,7 @@ def flights_alone(gamma: float, omega: float, xi: float, periods: int) -> list[f
 
 
 def flights_neighbours(gamma: float, omega: float, xi: float, periods: int) -> list[float]:
-    """The last flights of the middle one of nine cells side by side."""
+    """The last flights of the middle cell of nine that are computed in parallel lanes."""
     settle = max(0, periods - 20)
     spread = gamma * (1.0 + 1e-3 * np.arange(-4, 5))
     return _recorded(line(spread, omega, xi, settle=settle, observe=periods - settle), 4)
@@ -96,7 +96,7 @@ def _recorded(done: Line, cell: int) -> list[float]:
 
 
 def cost_of(run: Callable[[], object], units: float, repeat: int) -> float:
-    """Median CPU microseconds per unit; the first run, which may compile, does not count."""
+    """Median CPU microseconds per unit; the first run, which may compile, is not timed."""
     run()
     times = []
     for _ in range(repeat):
@@ -120,7 +120,7 @@ def kernel_cost(model: Model, repeat: int, **options: Any) -> float:
 
 
 def golden_error(solve: Solver) -> float:
-    """The worst flight of tests/golden's periodic cells, compared in order of length."""
+    """The largest error of a flight in tests/golden's periodic cells; flights are sorted by length."""
     worst = 0.0
     for cell in GOLDEN:
         flights = solve(cell["gamma"], cell["omega"], cell["xi"], GOLDEN_PERIODS)
@@ -135,7 +135,7 @@ def first_error(solve: Solver) -> float:
     for cell in GOLDEN:
         where = (cell["gamma"], cell["omega"], cell["xi"], 20)
         theirs, ours = solve(*where), flights_alone(*where)
-        # The kernel does not count a flight that is under way when the plate starts.
+        # The kernel does not count a flight that begins before the plate starts.
         pairs = zip(theirs[len(theirs) - len(ours) :], ours, strict=True)
         worst = max(worst, *(abs(a - b) for a, b in islice(pairs, FIRST)))
     return worst
@@ -164,21 +164,21 @@ def rival(name: str, solve: Solver, periods: int, repeat: int) -> Row:
 
 
 def heyoka(repeat: int) -> list[Row]:
-    """Taylor's method to the last digit, compiled."""
+    """Taylor's method to machine precision, compiled."""
     from benchmarks.heyoka_rival import Spring
 
     return [rival("heyoka, tolerance 2.2e-16", Spring().run, PERIODS, repeat)]
 
 
 def sundials(repeat: int) -> list[Row]:
-    """CVODE with roots; the equations are called back in Python."""
+    """CVODE with root finding; the equations are Python callbacks."""
     from benchmarks.sundials_rival import Spring
 
     return [rival("scikit-sundae CVODE (Adams), rtol 1e-11", Spring(1e-11).run, 20, min(repeat, 3))]
 
 
 def diffrax(repeat: int) -> list[Row]:
-    """Dopri8 compiled by JAX, one cell at a time, and as many as `rigid` has neighbours side by side."""
+    """Dopri8 compiled by JAX: one cell at a time, and as many in parallel as `rigid` has neighbours."""
     from benchmarks.diffrax_rival import Spring
 
     spring = Spring(1e-11)
@@ -191,7 +191,7 @@ def diffrax(repeat: int) -> list[Row]:
 
 
 def scipy(repeat: int) -> list[Row]:
-    """solve_ivp, the equations in Python."""
+    """solve_ivp with the equations in Python."""
     from benchmarks import scipy_rival
 
     def of(method: str) -> Solver:
@@ -208,7 +208,9 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=7)
-    parser.add_argument("--only", default=",".join(RIVALS), help="which rivals, with commas; '' for none")
+    parser.add_argument(
+        "--only", default=",".join(RIVALS), help="integrators, separated by commas; '' for none"
+    )
     arguments = parser.parse_args()
     selected = [name for name in arguments.only.split(",") if name]
     packages = {"sundials": "scikit-sundae"}
@@ -221,7 +223,13 @@ def main() -> None:
         errors = ["" if math.isnan(error) else f"{error:.0e}" for error in (row.golden, row.first)]
         return [row.name, short(row.cost), short(row.cost / rows[0].cost), *errors]
 
-    head = ["", "µs per plate period", "of rigid, neighbours", "worst error, rad", "first flights off, rad"]
+    head = [
+        "",
+        "µs per plate period",
+        "relative to rigid, neighbours",
+        "worst error, rad",
+        "first flights, rad",
+    ]
     print("\n" + table(head, [shown(row) for row in rows]))
 
 

@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Description of the machine and of the package versions of a measurement."""
 
 import importlib.metadata
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def describe(*packages: str) -> str:
-    """One line: processor, cores, Python and the versions that matter."""
+    """One line: processor, cores, and versions of Python, numpy, numba and `packages`."""
     model = platform.processor()
     info = Path("/proc/cpuinfo")
     if info.exists():

@@ -1,12 +1,11 @@
-"""The plan, the ledger and the supervisor with a million chunks, on workers that only pretend.
+"""The plan, the ledger and the supervisor with a million chunks, on simulated workers.
 
     python -m benchmarks.million [--chunks 1000000] [--workers 1000,100,2] [--seconds 0]
 
-Every chunk comes back at once, or after --seconds, with a report as a worker would give, so that what is
-measured is the service alone: how many chunks a second it can plan, hand out, take back and commit, with the
-durability of a real ledger (synchronous=FULL). The first number of workers does all chunks; the others a
-tenth of them. At last, what a real Dask cluster of this machine takes: tasks that do nothing, 64 in flight.
-The slower of the two rates is the bottleneck of a cluster.
+Every chunk is reported at once, or after --seconds, so the time is the service's: the rate at which it plans,
+submits and commits chunks to a durable ledger (synchronous=FULL). The first number of workers computes all
+chunks, the others a tenth. Then the rate of a Dask cluster on this machine: empty tasks, 64 in flight. The
+lower of the two rates limits a cluster.
 """
 
 import argparse
@@ -38,8 +37,8 @@ from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 
 
-class Pretending:
-    """An executor of so many workers, each chunk done `seconds` after it was handed out."""
+class Simulated:
+    """An executor of so many workers that reports each chunk `seconds` after its submission."""
 
     def __init__(self, workers: int, seconds: float) -> None:
         self._workers, self._seconds = workers, seconds
@@ -49,8 +48,8 @@ class Pretending:
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **given: float) -> "Future[ChunkReport]":
-        """The report comes when it is due."""
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
+        """Schedule the report of a chunk."""
         future: Future[ChunkReport] = Future()
         with self._wake:
             heapq.heappush(self._due, (time.monotonic() + self._seconds, chunk.index, chunk.cells, future))
@@ -58,15 +57,15 @@ class Pretending:
         return future
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Nothing is ever called here."""
+        """Not used."""
         raise NotImplementedError
 
     def ready(self) -> bool:
-        """Always."""
+        """Always true."""
         return True
 
     def workers(self) -> int:
-        """As many as it was told."""
+        """The number of simulated workers."""
         return self._workers
 
     def close(self) -> None:
@@ -97,21 +96,21 @@ class Counted(Ledger):
 
     @contextmanager
     def writing(self) -> Iterator[WriteTransaction]:
-        """As the ledger's."""
+        """A counted transaction."""
         with super().writing() as ledger:
             yield ledger
         self.commits += 1
 
 
 def sweep(chunks: int) -> SweepSpec:
-    """A sweep of about so many chunks, cut as the plan cuts it."""
+    """A sweep of about so many chunks of the default shape."""
     grid = {"gamma": 1000, "omega": 1000, "xi": 2}
     axes = {"gamma": (0.5, 6.0), "omega": (0.1, 5.0), "xi": (0.02, 5.0)}
 
     def spec() -> SweepSpec:
-        given = {n: {"start": a, "stop": b, "num": grid[n]} for n, (a, b) in axes.items()}
+        ranges = {n: {"start": a, "stop": b, "num": grid[n]} for n, (a, b) in axes.items()}
         return SweepSpec.model_validate(
-            {**given, "model": {"kind": "rigid"}, "settle": 200, "observe": 100, "keep": 16}
+            {**ranges, "model": {"kind": "rigid"}, "settle": 200, "observe": 100, "keep": 16}
         )
 
     grid["xi"] = max(2, math.ceil(chunks / len(make_plan(spec())) * 2))
@@ -119,31 +118,31 @@ def sweep(chunks: int) -> SweepSpec:
 
 
 class Driven(NamedTuple):
-    """What one job took."""
+    """Measurements of one job."""
 
     workers: int
     chunks: int
     wall: float  # s
     first: float  # s to the first commit
-    last_rate: float  # chunks a second in the last tenth
+    last_rate: float  # chunks per second in the last tenth
     commits: int
-    processor: float  # s
-    memory: int  # bytes more than before
+    processor: float  # CPU time, s
+    memory: int  # growth, bytes
     files: int  # bytes of the ledger
-    reread: float  # s for which chunks are done, as after a restart
+    reread: float  # s to read which chunks are done, as after a restart
 
     @property
     def rate(self) -> float:
-        """Chunks a second."""
+        """Chunks per second."""
         return self.chunks / self.wall
 
     @property
     def ledger_bytes(self) -> float:
-        """Of the ledger, for each chunk."""
+        """Bytes of the ledger per chunk."""
         return self.files / self.chunks
 
     def row(self) -> list[str]:
-        """Of the table."""
+        """A row of the table."""
         return [
             f"{self.workers:,}", f"{self.chunks:,}", f"{self.wall:.0f}", f"{self.first:.1f}",
             short(self.rate), short(self.last_rate), short(self.commits / self.wall),
@@ -153,9 +152,9 @@ class Driven(NamedTuple):
 
 
 def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> Driven:
-    """One job from submission to done."""
+    """Run one job from submission to completion."""
     settings = Settings(data=folder, max_cells=10**12, max_bytes=10**15)
-    executor = Pretending(workers, seconds)
+    executor = Simulated(workers, seconds)
     before = psutil.Process().memory_info().rss
     with Counted(settings.ledger_path) as ledger:
         manager = JobManager(ledger, executor, settings)
@@ -188,7 +187,7 @@ def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> Driven
 
 
 def through_dask(tasks: int, in_flight: int = 64) -> float:
-    """Tasks a second of the real executor with two worker processes, the same window in flight."""
+    """Tasks per second of the Dask executor with two worker processes and `in_flight` tasks in flight."""
     with closing(Dask(workers=2)) as executor:
         executor.call(abs, 0).result()
         start = time.perf_counter()
@@ -204,7 +203,7 @@ def through_dask(tasks: int, in_flight: int = 64) -> float:
 
 HEAD = [
     "workers", "chunks", "s", "s to the first", "chunks/s", "in the last tenth", "commits/s",
-    "CPU µs a chunk", "memory, MiB", "ledger, bytes a chunk", "s to read it again",
+    "CPU µs per chunk", "memory, MiB", "ledger, bytes per chunk", "s to reread it",
 ]  # fmt: skip
 
 
@@ -212,15 +211,15 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chunks", type=int, default=1_000_000)
-    parser.add_argument("--workers", default="1000,100,2", help="numbers of workers, with commas")
-    parser.add_argument("--seconds", type=float, default=0.0, help="that a worker takes for a chunk")
-    given = parser.parse_args()
+    parser.add_argument("--workers", default="1000,100,2", help="numbers of workers, separated by commas")
+    parser.add_argument("--seconds", type=float, default=0.0, help="simulated time of a chunk")
+    arguments = parser.parse_args()
     print(describe("dask", "zarr"), flush=True)
     rows = []
-    for place, workers in enumerate(int(number) for number in given.workers.split(",")):
-        spec = sweep(given.chunks if place == 0 else given.chunks // 10)
+    for i, workers in enumerate(int(number) for number in arguments.workers.split(",")):
+        spec = sweep(arguments.chunks if i == 0 else arguments.chunks // 10)
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(drive(spec, workers, given.seconds, Path(folder)).row())
+            rows.append(drive(spec, workers, arguments.seconds, Path(folder)).row())
     print("\n" + table(HEAD, rows))
     rates = [through_dask(2_000) for _ in range(3)]
     print(f"\nDask, two worker processes of this machine: {statistics.median(rates):.0f} tasks/s")

@@ -1,4 +1,4 @@
-"""The kernel's models under short names, for what times them directly."""
+"""The kernel's contact models by short names, for benchmarks that call the kernel directly."""
 
 from enum import IntEnum
 from typing import Any
@@ -11,7 +11,7 @@ from kernel.params import Line
 
 
 class Model(IntEnum):
-    """The contact models by short names."""
+    """The contact models."""
 
     SOFT = 0
     STEPPED = 1
@@ -27,7 +27,7 @@ def plate_of(
     steps_per_contact: int = 20,
     scheme: str = "verlet",
 ) -> Any:
-    """The plate under n cells, from arrays (n,)."""
+    """The plate of n cells, from arrays (n,)."""
     module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
     arguments: dict[str, Any] = {"restitution": restitution}
     if model in (Model.SOFT, Model.STEPPED):
@@ -37,11 +37,11 @@ def plate_of(
     return module.plate(**arguments)
 
 
-#: What `plate_of` takes beside the model.
+#: The arguments of `plate_of` other than the model.
 CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
 
 
 def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **options: Any) -> Line:
-    """`kernel.line.run_line` with the plate of a model in one call."""
+    """Call `kernel.line.run_line` with the plate of a model."""
     contact = {name: options.pop(name) for name in CONTACT if name in options}
     return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **options)

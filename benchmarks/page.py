@@ -1,9 +1,9 @@
-"""The page in a real Chromium on a store of a million cells: how soon it is there, how soon a slider redraws.
+"""The page in Chromium on a store of a million cells: time to the first view, time to redraw.
 
     python -m benchmarks.page [--moves 40] [--cells 1000]
 
-Needs Chromium. The service is the embedded one with two workers; nothing of what the sliders ask for has been
-read before, except what the page itself fetches ahead of them.
+Needs Chromium. The service is the embedded one with two workers. The sliders request data that were not read
+before, except those that the page prefetches.
 """
 
 import argparse
@@ -21,9 +21,9 @@ from tests.support.browser import LONG_LINE, chromium, longest_task, opened, red
 
 #: How often a page is opened.
 VIEWS = 7
-#: The first motion of a service's life may wait for a compiler.
+#: Time-out, ms: the first trajectory of a service may wait for compilation.
 COMPILING_MS = 180_000
-#: What is there once a view is.
+#: Selectors of elements that exist when a view is complete.
 MOVING, SHOWN = ".player[data-phase]", ".panel .plot[data-shown]"
 
 
@@ -41,28 +41,28 @@ def map_of(cells: int) -> dict[str, Any]:
     }
 
 
-def told(what: str, times: Sequence[float]) -> str:
-    """A line: median and 95th percentile, ms."""
+def summary(label: str, times: Sequence[float]) -> str:
+    """One row: median and 95th percentile, ms."""
     p95 = statistics.quantiles(times, n=20, method="inclusive")[-1]
-    return f"{what:<48}{statistics.median(times):7.0f} ms{p95:9.0f} ms   of {len(times)}"
+    return f"{label:<48}{statistics.median(times):7.0f} ms{p95:9.0f} ms   of {len(times)}"
 
 
-def first_view(browser: Any, address: str, seen: str) -> float:
-    """From nothing, no cache, to what `seen` selects, ms."""
+def first_view(browser: Any, address: str, selector: str) -> float:
+    """Time from navigation without a cache until an element of `selector` exists, ms."""
     with opened(browser, address) as page:
-        page.locator(seen).first.wait_for(timeout=COMPILING_MS)
+        page.locator(selector).first.wait_for(timeout=COMPILING_MS)
         return float(page.evaluate("performance.now()"))
 
 
-def slider(browser: Any, url: str, job: Job, along: str, places: list[int]) -> list[float]:
-    """The times to redraw of a view along one axis, its slider moved to these places, ms."""
+def slider(browser: Any, url: str, job: Job, along: str, positions: list[int]) -> list[float]:
+    """Times to redraw a diagram along one axis after its slider moves to each of `positions`, ms."""
     with opened(browser, f"{_view(url, job, 'diagram')}?along={along}") as page:
         wait_shown(page, along=along)
-        return redraws(page, places)
+        return redraws(page, positions)
 
 
 def busiest(browser: Any, url: str, line: Job, grid: Job) -> float:
-    """The longest task while a million flights and a map of a million cells are looked at, ms."""
+    """The longest task of the browser while it shows a million flights and a map of a million cells, ms."""
     with opened(browser, "about:blank") as page:
         watch_tasks(page)
         page.goto(_view(url, line, "diagram"))
@@ -86,39 +86,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--moves", type=int, default=40)
     parser.add_argument("--cells", type=int, default=1000, help="along each of two axes")
-    given = parser.parse_args()
-    anywhere = random.Random(7).sample(range(given.cells), given.moves)
-    start = given.cells // 3
-    steps = [start + place for place in range(given.moves)]
+    arguments = parser.parse_args()
+    anywhere = random.Random(7).sample(range(arguments.cells), arguments.moves)
+    start = arguments.cells // 3
+    steps = list(range(start, start + arguments.moves))
     print(describe("zarr"))
     with tempfile.TemporaryDirectory() as folder:
         settings = embedded.settings(data=Path(folder), workers=2, host="127.0.0.1", port=0)
         with embedded.running(settings) as url, Client(url) as client, chromium() as browser:
             grid, line = (
-                client.submit(spec).wait(progress=False) for spec in (map_of(given.cells), LONG_LINE)
+                client.submit(spec).wait(progress=False) for spec in (map_of(arguments.cells), LONG_LINE)
             )
-            print(f"a spring moves after the service's start: {first_view(browser, url, MOVING):.0f} ms")
+            print(f"first moving spring of the service: {first_view(browser, url, MOVING):.0f} ms")
             print(f"{'':<48}{'median':>10}{'95 %':>12}")
-            print(
-                told(
-                    "first view: the list, and a spring that moves",
-                    _views(browser, url, MOVING),
-                )
-            )
-            print(
-                told(
-                    "first view: a diagram of the million cells",
-                    _views(browser, _view(url, grid, "diagram"), SHOWN),
-                )
-            )
+            print(summary("first view: list of jobs and moving spring", _views(browser, url, MOVING)))
+            diagram = _view(url, grid, "diagram")
+            print(summary("first view: diagram of a million cells", _views(browser, diagram, SHOWN)))
             for along, moved in (("gamma", "Ω"), ("omega", "Γ")):
-                print(told(f"{moved} slider, anywhere", slider(browser, url, grid, along, anywhere)))
-                print(told(f"{moved} slider, step by step", slider(browser, url, grid, along, steps)))
+                print(summary(f"{moved} slider, random", slider(browser, url, grid, along, anywhere)))
+                print(summary(f"{moved} slider, step by step", slider(browser, url, grid, along, steps)))
             print(f"longest task: {busiest(browser, url, line, grid):.0f} ms (0: none of 50 ms or more)")
 
 
-def _views(browser: Any, address: str, seen: str) -> list[float]:
-    return [first_view(browser, address, seen) for _ in range(VIEWS)]
+def _views(browser: Any, address: str, selector: str) -> list[float]:
+    return [first_view(browser, address, selector) for _ in range(VIEWS)]
 
 
 if __name__ == "__main__":

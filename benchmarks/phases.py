@@ -1,7 +1,7 @@
-"""The rigid spring as a script over a general solver computes it: one solve per contact or flight.
+"""The rigid spring with a general solver, as a script would compute it: one solve per contact or flight.
 
-On the plate, q (the spring's length from its natural one, in plate amplitudes) moves alone; in flight the gap
-under the lower mass does so too. The general solver solves each phase; this module chooses the next.
+On the plate the state is q, the elongation of the spring in plate amplitudes, and its rate; in flight also
+the gap under the lower mass and its rate. The solver integrates each phase; `march` alternates between them.
 Equations and units are those of `kernel.models.rigid`.
 """
 
@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-#: A flight is searched from this long (rad) after take-off, where the gap has a double or triple zero.
+#: The landing is searched from this phase (rad) after take-off on: at take-off the gap has a multiple zero.
 LIFT = 1e-3
 
 
@@ -26,11 +26,11 @@ class Spring(NamedTuple):
         return cls(1.0 / gamma, 2.0 * xi / omega, 1.0 / omega**2)
 
     def force(self, q: float, v: float) -> float:
-        """The spring's and its dashpot's, in units of the plate's acceleration."""
+        """Force of spring and dashpot, in units of the plate's acceleration."""
         return self.dashpot * v + self.stiffness * q
 
     def normal(self, t: float, q: float, v: float) -> float:
-        """The normal force; take-off where it falls through zero."""
+        """The normal force; the mass takes off where it falls through zero."""
         return self.gravity - math.cos(t) - self.force(q, v)
 
 

@@ -1,11 +1,11 @@
-"""Where the atlas's time goes: stacks of both workers and the service, sampled while it runs.
+"""Profile of the atlas: sampled stacks of both workers and of the service.
 
     python -m benchmarks.profile [--omega 50] [--rate 100] [-o docs/atlas-profile.svg]
 
-1000 x --omega x 10 cells of `rigid`, 300 plate periods, through REST to the embedded cluster, as in
-benchmarks.atlas. py-spy (extra `bench`) looks at the processes from outside; compiled kernels show as the
-Python function that calls them, threads that wait do not count. Writes a flame graph, wide is long, and
-prints the largest costs by what the code is for.
+1000 x --omega x 10 cells of `rigid`, 300 plate periods, over HTTP on the embedded cluster, as in
+benchmarks.atlas. py-spy (extra `bench`) samples the processes from outside. Compiled kernels appear as the
+Python function that calls them; waiting threads are left out. Writes a flame graph and prints the share of
+each purpose of the code.
 """
 
 import argparse
@@ -32,7 +32,7 @@ Stack = tuple[str, ...]
 #: The project's packages, at which the paths of frames are cut.
 PACKAGES = ("kernel", "worker", "service")
 
-#: What a sample is for: the first of these that is in its stack, looked for in this order.
+#: Purposes of the code by text of a stack's frames; the first match in this order counts.
 PURPOSES = (
     ("kernel: the compiled physics", ("run_line (kernel",)),
     (
@@ -45,14 +45,14 @@ PURPOSES = (
     ("HTTP", ("(uvicorn/", "(service/", "(starlette/")),
     ("Dask: scheduler, workers, client", ("(distributed/", "(tornado/", "(dask/")),
 )
-#: A thread whose innermost function is one of these waits, also where it is only its turn that it waits for.
+#: Innermost functions of waiting threads.
 WAITS = ("EpollSelector.select ", "Condition.wait ", "Popen.poll ", "_worker ")
 ROW, WIDTH = 17, 1200
 LEAST = 0.002
 
 
 def sampled(pids: Iterable[int], seconds: float, rate: int, folder: Path) -> list[subprocess.Popen[bytes]]:
-    """Start looking at processes; each leaves folder/PID.txt of folded stacks."""
+    """Start sampling processes; folded stacks are written to folder/PID.txt."""
     spy = Path(sys.executable).with_name("py-spy")
     return [
         subprocess.Popen([
@@ -64,14 +64,14 @@ def sampled(pids: Iterable[int], seconds: float, rate: int, folder: Path) -> lis
 
 
 def stacks(file: Path, root: str) -> Counter[Stack]:
-    """Folded stacks, below a common root; without line numbers, files by their package."""
-    found: Counter[Stack] = Counter()
+    """Folded stacks of a file below the frame `root`; without line numbers, paths from the package on."""
+    samples: Counter[Stack] = Counter()
     for line in file.read_text().splitlines():
         frames, _, count = line.rpartition(" ")
         stack = (root, *(_named(frame) for frame in frames.split(";")))
         if not stack[-1].startswith(WAITS):
-            found[stack] += int(count)
-    return found
+            samples[stack] += int(count)
+    return samples
 
 
 def _named(frame: str) -> str:
@@ -85,16 +85,16 @@ def _named(frame: str) -> str:
 
 
 def purpose(stack: Stack) -> str:
-    """What a sample was for."""
+    """The purpose of a sample."""
     for name, signs in PURPOSES:
         if any(sign in frame for frame in stack for sign in signs):
             return name
     return "Python and the rest"
 
 
-def flame(found: Counter[Stack], title: str) -> str:
-    """The stacks as an SVG: one bar a frame, its width its share, what it calls above it."""
-    total = sum(found.values())
+def flame(samples: Counter[Stack], title: str) -> str:
+    """A flame graph as SVG: one bar per frame, as wide as its share; the functions it calls are above it."""
+    total = sum(samples.values())
     bars: list[tuple[int, float, float, str]] = []  # level, left, share, frame
 
     def lay(level: int, left: float, below: list[tuple[Stack, int]]) -> None:
@@ -109,7 +109,7 @@ def flame(found: Counter[Stack], title: str) -> str:
                 lay(level + 1, left, group)
             left += share
 
-    lay(0, 0.0, list(found.items()))
+    lay(0, 0.0, list(samples.items()))
     top = max(level for level, *_ in bars)
     height = (top + 1) * ROW + 34
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="monospace">'
@@ -131,14 +131,14 @@ def _bar(frame: str, left: float, top: float, share: float) -> str:
 
 
 def main() -> None:
-    """Run, sample, draw and print."""
+    """Run the atlas, sample, draw and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--omega", type=int, default=50)
-    parser.add_argument("--rate", type=int, default=100, help="samples a second of each process")
+    parser.add_argument("--rate", type=int, default=100, help="samples per second of each process")
     parser.add_argument("-o", "--output", default="docs/atlas-profile.svg")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("dask", "zarr", "py-spy"), flush=True)
-    found: Counter[Stack] = Counter()
+    samples: Counter[Stack] = Counter()
     with tempfile.TemporaryDirectory() as folder, closing(Dask(workers=2)) as executor:
         workers = [
             p.pid for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
@@ -147,21 +147,23 @@ def main() -> None:
         settings = embedded.settings(data=Path(folder) / "data", host="127.0.0.1", port=0)
         with embedded.running(settings, executor) as url, Client(url) as client:
             warm(client)
-            spies = sampled(names, 600, given.rate, Path(folder))
-            client.submit(atlas(1000, given.omega, 10)).wait(progress=False)
+            spies = sampled(names, 600, arguments.rate, Path(folder))
+            client.submit(atlas(1000, arguments.omega, 10)).wait(progress=False)
             for spy in spies:
-                spy.send_signal(2)  # it writes what it has seen
+                spy.send_signal(2)  # SIGINT: it writes its samples
                 spy.wait(60)
         for pid, name in names.items():
-            found += stacks(Path(folder) / f"{pid}.txt", name)
-    total, of = sum(found.values()), Counter[str]()
-    for stack, count in found.items():
-        of[purpose(stack)] += count
-    title = f"{1000 * given.omega * 10:,} cells of the atlas, both workers and the service, {total:,} samples"
-    Path(given.output).write_text(flame(found, title))
-    head = ["what for", "share of all processes' busy time"]
-    print("\n" + table(head, [(name, f"{count / total:.1%}") for name, count in of.most_common()]))
-    print(f"\n{given.output}")
+            samples += stacks(Path(folder) / f"{pid}.txt", name)
+    total, by_purpose = sum(samples.values()), Counter[str]()
+    for stack, count in samples.items():
+        by_purpose[purpose(stack)] += count
+    title = (
+        f"{1000 * arguments.omega * 10:,} cells of the atlas, both workers and the service, {total:,} samples"
+    )
+    Path(arguments.output).write_text(flame(samples, title))
+    head = ["purpose", "share of all processes' busy time"]
+    print("\n" + table(head, [(name, f"{count / total:.1%}") for name, count in by_purpose.most_common()]))
+    print(f"\n{arguments.output}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""How long a diagram takes over HTTP from stores of ten thousand to ten million cells.
+"""Latency of diagrams over HTTP from stores of ten thousand to ten million cells.
 
     python -m benchmarks.queries [--queries 30] [--largest 7]
 
-Through REST, from a sweep to its answers, on an executor that computes one chunk in forty really and writes
-its record again in the place of the next ones: real numbers, really compressed, planned and stored as any,
-only not those of their cells. Queries go to random places, on one connection; files are in the page cache.
+The stores are filled over HTTP by an executor that computes one chunk in forty and writes its record for the
+next ones too: numbers are realistic, but not those of their cells. Queries are for random values of the grid,
+on one connection; files are in the page cache.
 """
 
 import argparse
@@ -34,43 +34,43 @@ from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.tasks import ChunkReport, run_chunk
 
-#: (gamma, omega, xi): a line along Gamma is always the same 1000 values.
+#: Values of (gamma, omega, xi); those of gamma are always the same.
 GRIDS = {4: (1000, 10, 1), 5: (1000, 100, 1), 6: (1000, 100, 10), 7: (1000, 1000, 10)}
 ONE_IN = 40
 
 
 class Tiling:
-    """An executor that computes one chunk in `ONE_IN` and repeats what it found."""
+    """An executor that computes one chunk in `ONE_IN` and writes its record for the others."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(max_workers=2, thread_name_prefix="tiles")
-        self._found: dict[tuple[int, ...], dict[str, NDArray[Any]]] = {}
+        self._records: dict[tuple[int, ...], dict[str, NDArray[Any]]] = {}  # by shape
         self._lock = threading.Lock()
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **given: float) -> "Future[ChunkReport]":
-        """A chunk, computed or copied."""
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
+        """Compute or copy a chunk."""
         return self._thread.submit(self._write, spec, chunk, store_url)
 
     def _write(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
         shape = (*chunk.shape, spec.keep)
-        if chunk.index % ONE_IN == 0 or shape not in self._found:
+        if chunk.index % ONE_IN == 0 or shape not in self._records:
             report = run_chunk(spec, chunk, store_url)
             names = [array.name for array in schema.arrays(spec)]
             with self._lock:
-                self._found[shape] = store.read_chunk(store_url, chunk, names)
+                self._records[shape] = store.read_chunk(store_url, chunk, names)
             return report
-        began, record = time.perf_counter(), self._found[shape]
+        began, record = time.perf_counter(), self._records[shape]
         checksum = store.write_chunk(store_url, chunk, record)
         outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
         took = time.perf_counter() - began
         return ChunkReport(chunk.index, chunk.cells, took, 0.0, checksum, tuple(outcomes.tolist()))
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """As any executor."""
+        """Call a function in a thread."""
         return self._thread.submit(function, *arguments)
 
     def ready(self) -> bool:
-        """Always."""
+        """Always true."""
         return True
 
     def workers(self) -> int:
@@ -85,49 +85,50 @@ class Tiling:
 def timed(
     http: httpx2.Client, path: str, parameters: Callable[[], dict[str, Any]], count: int
 ) -> list[float]:
-    """Milliseconds of single answers, the first left out."""
+    """Latencies of `count` requests, ms; a first one is not counted."""
     times = []
     for _ in range(count + 1):
-        given = parameters()
+        params = parameters()
         start = time.perf_counter()
-        http.get(path, params=given).raise_for_status()
+        http.get(path, params=params).raise_for_status()
         times.append((time.perf_counter() - start) * 1e3)
     return times[1:]
 
 
 def rows_of(url: str, client: Client, power: int, queries: int) -> list[tuple[str, ...]]:
-    """A store of 10^power cells, made and asked."""
-    given = atlas(*GRIDS[power])
+    """Fill a store of 10^power cells and time its queries; returns rows of the table."""
+    data = atlas(*GRIDS[power])
     if GRIDS[power][2] == 1:
-        given["xi"] = 0.1
-    spec = SweepSpec.model_validate(given)
+        data["xi"] = 0.1
+    spec = SweepSpec.model_validate(data)
     start = time.perf_counter()
-    job = client.submit(given).wait(progress=False)
-    made = time.perf_counter() - start
+    job = client.submit(data).wait(progress=False)
+    took = time.perf_counter() - start
     rng = np.random.default_rng(power)
     values = {axis: spec.axis_values(axis) for axis in AXES}
 
-    def place(along: str) -> dict[str, Any]:
+    def diagram(along: str) -> dict[str, Any]:
         fixed = {axis: float(rng.choice(values[axis])) for axis in AXES if axis != along}
         return {"along": along, **fixed}
 
     rows = []
     with httpx2.Client(base_url=url, timeout=120) as http:
-        asked = {
-            axis: (f"/v1/jobs/{job.id}/diagram", lambda a=axis: place(a), len(values[axis])) for axis in AXES
+        requests = {
+            axis: (f"/v1/jobs/{job.id}/diagram", lambda a=axis: diagram(a), len(values[axis]))
+            for axis in AXES
         }
-        asked["modes"] = (
+        requests["modes"] = (
             f"/v1/jobs/{job.id}/modes", lambda: {"xi": float(rng.choice(values["xi"]))},
             len(values["gamma"]) * len(values["omega"]),
         )  # fmt: skip
-        for name, (path, parameters, points) in asked.items():
+        for name, (path, parameters, points) in requests.items():
             if points == 1 or points > 200_000:
                 continue
             times = timed(http, path, parameters, queries if points < 10_000 else max(5, queries // 4))
             p95 = float(np.quantile(times, 0.95))
             what = "mode map" if name == "modes" else f"along {name}"
             rows.append((f"1e{power}, {what}", f"{points:,}", short(statistics.median(times)), short(p95)))
-    print(f"1e{power} cells: made in {made:.0f} s", flush=True)
+    print(f"1e{power} cells: filled in {took:.0f} s", flush=True)
     return rows
 
 
@@ -138,7 +139,7 @@ def main() -> None:
     parser.add_argument(
         "--largest", type=int, default=7, choices=GRIDS, help="power of ten of the largest store"
     )
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("zarr"), flush=True)
     rows: list[tuple[str, ...]] = []
     with tempfile.TemporaryDirectory() as folder, closing(Tiling()) as executor:
@@ -146,9 +147,9 @@ def main() -> None:
             data=Path(folder), host="127.0.0.1", port=0, max_cells=math.prod(GRIDS[7])
         )
         with embedded.running(settings, executor) as url, Client(url) as client:
-            for power in range(min(GRIDS), given.largest + 1):
-                rows += rows_of(url, client, power, given.queries)
-    print("\n" + table(["cells in the store", "values in the answer", "p50, ms", "p95, ms"], rows))
+            for power in range(min(GRIDS), arguments.largest + 1):
+                rows += rows_of(url, client, power, arguments.queries)
+    print("\n" + table(["cells of the store", "values in the response", "p50, ms", "p95, ms"], rows))
 
 
 if __name__ == "__main__":

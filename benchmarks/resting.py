@@ -1,10 +1,10 @@
-"""Cost of a cell at rest on the plate beside one that bounces: a contact without end is one evaluation.
+"""Cost of cells at rest on the plate, which have a closed form, and of bouncing cells.
 
     python -m benchmarks.resting [--cells 200] [--repeat 5]
 
-Both at Omega = 0.6, xi = 0.05, Gamma evenly from a tenth to 0.99 of the threshold of Eq. 25 (of 1 for the
-ball), and from 1.1 to 2 times it; on an up ramp and from rest; windows of 300 and of 3,000 plate periods.
-Core-microseconds per cell, the fastest of several runs. The cost at rest does not depend on the window.
+Omega = 0.6, xi = 0.05; Gamma from 0.1 to 0.99 and from 1.1 to 2 times the threshold of Eq. 25 (1 for the
+ball); on an up ramp and from rest; windows of 300 and of 3,000 plate periods. Core-microseconds per cell, the
+fastest of several runs. The cost at rest does not depend on the window.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(describe())
     heads = [f"{state}, {periods} periods" for state in ("resting", "bouncing") for periods in PERIODS]
-    print("\ncore-us a cell" + " " * 10 + "".join(f"{head:>24}" for head in heads))
+    print("\ncore-us per cell" + " " * 8 + "".join(f"{head:>24}" for head in heads))
     for model in (Model.BALL, Model.RIGID, Model.SOFT):
         onset = 1.0 if model == Model.BALL else float(threshold(OMEGA, XI))
         for carry in (True, False):

@@ -1,4 +1,4 @@
-"""The rigid spring by scipy's solve_ivp with terminal events."""
+"""The rigid spring with scipy's solve_ivp and terminal events."""
 
 import math
 from typing import Any

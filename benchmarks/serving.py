@@ -1,4 +1,4 @@
-"""A real `bounce serve` in a process of its own, jobs for it, and connections that poll it without end."""
+"""A `bounce serve` process, jobs for it, and connections that poll it."""
 
 import asyncio
 import hashlib
@@ -16,12 +16,12 @@ import httpx2
 import psutil
 
 MB = 1 << 20
-#: Seconds for an answer, on a machine that may be busy with other things.
-PATIENCE = 60.0
+#: Time-out of a request, s; the machine may be busy.
+TIMEOUT = 60.0
 
 
 def sweep(number: int, gammas: int = 400, settle: int = 4_000) -> dict[str, Any]:
-    """Another one for each number, each of the same amount of work: a second or so of one core."""
+    """A sweep for each number, all of the same work: about a second of one core."""
     return {
         "name": f"benchmark {number}",
         "gamma": {"start": 1.0, "stop": 5.0, "num": gammas},
@@ -35,7 +35,7 @@ def sweep(number: int, gammas: int = 400, settle: int = 4_000) -> dict[str, Any]
 
 
 class Serving:
-    """The service, on a free port and a folder of its own; answers when this returns."""
+    """The service on a free port with its own folder; the constructor returns when it is ready."""
 
     def __init__(self, folder: Path) -> None:
         with socket.socket() as probe:
@@ -60,7 +60,7 @@ class Serving:
             return False
 
     def worker_pids(self) -> list[int]:
-        """The processes that compute: those with kernels loaded."""
+        """The worker processes: children with more than 100 MB, as loaded kernels take."""
         family = self.me.children(recursive=True)
         return [child.pid for child in family if child.memory_info().rss > 100 * MB]
 
@@ -70,10 +70,10 @@ class Serving:
 
     def submit(self, spec: dict[str, Any]) -> str:
         """The path of the job."""
-        return str(httpx2.post(f"{self.url}/v1/jobs", json=spec, timeout=PATIENCE).headers["Location"])
+        return str(httpx2.post(f"{self.url}/v1/jobs", json=spec, timeout=TIMEOUT).headers["Location"])
 
     def wait(self, path: str) -> dict[str, Any]:
-        """The job when it is done; ends the program if it ends otherwise."""
+        """The job when it is done; raises SystemExit if it fails."""
         while (job := self._job(path))["state"] in ("queued", "running"):
             time.sleep(0.05)
         if job["state"] != "done":
@@ -81,23 +81,23 @@ class Serving:
         return job
 
     def _job(self, path: str) -> dict[str, Any]:
-        job: dict[str, Any] = httpx2.get(self.url + path, timeout=PATIENCE).json()
+        job: dict[str, Any] = httpx2.get(self.url + path, timeout=TIMEOUT).json()
         return job
 
     def delete(self, path: str) -> None:
-        """Forget a job."""
-        httpx2.delete(self.url + path, timeout=PATIENCE).raise_for_status()
+        """Delete a job."""
+        httpx2.delete(self.url + path, timeout=TIMEOUT).raise_for_status()
 
     def digest(self, job: dict[str, Any]) -> str:
-        """Of everything in a job's store."""
+        """SHA-256 of every file of a job's store."""
         store = self.data / "stores" / f"{job['id']}.zarr"
-        found = hashlib.sha256()
+        digest = hashlib.sha256()
         for path in sorted(path for path in store.rglob("*") if path.is_file()):
-            found.update(str(path.relative_to(store)).encode() + path.read_bytes())
-        return found.hexdigest()
+            digest.update(str(path.relative_to(store)).encode() + path.read_bytes())
+        return digest.hexdigest()
 
     def end(self) -> float:
-        """Stop it as its operator would; seconds that took."""
+        """Stop it with SIGTERM and return how long that took, s."""
         began = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(60)
@@ -105,16 +105,16 @@ class Serving:
 
 
 class Polls:
-    """Connections that ask for one path again and again, `pause` seconds after each answer.
+    """Connections that request one path repeatedly, `pause` seconds after each response.
 
-    Bytes on a socket and no more: a client library would take more of the machine than the service does.
+    They use sockets directly: a client library would use more processor time than the service.
     """
 
     def __init__(self, port: int, path: str, connections: int, pause: float) -> None:
         self.seconds: list[float] = []
         self.wrong: list[str] = []
         self._port, self._pause, self._connections = port, pause, connections
-        self._question = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
+        self._request = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
         self._over = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._work()))
 
@@ -135,7 +135,7 @@ class Polls:
         while not self._over.is_set():
             began = time.perf_counter()
             try:
-                status = await self._ask(reader, writer)
+                status = await self._send(reader, writer)
             except (OSError, asyncio.IncompleteReadError) as error:
                 self.wrong.append(repr(error))
                 reader, writer = await asyncio.open_connection("127.0.0.1", self._port)
@@ -146,8 +146,8 @@ class Polls:
             await asyncio.sleep(self._pause)
         writer.close()
 
-    async def _ask(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> int:
-        writer.write(self._question)
+    async def _send(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> int:
+        writer.write(self._request)
         head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
         await reader.readexactly(int(head.split("content-length: ")[1].split("\r\n")[0]))
         return int(head.split()[1])

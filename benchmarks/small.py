@@ -1,10 +1,9 @@
-"""A small job: from handing in 1,000 cells to their first whole diagram, on warm workers.
+"""A small job: time from the submission of 1,000 cells to their complete diagram, on warm workers.
 
     python -m benchmarks.small [--repeat 9] [--workers 2] [--alone]
 
-Over HTTP, with the embedded cluster: with nothing else to do, and while a sweep of ten million cells is
-running, whose chunks hold every worker (not with --alone). Every repetition is a new job, whose grid
-differs by a hair.
+Over HTTP on the embedded cluster: when it is idle, and (unless --alone) while a sweep of ten million cells
+occupies every worker. Every repetition is a new job, with a slightly different grid.
 """
 
 import argparse
@@ -26,7 +25,7 @@ MODELS: dict[str, dict[str, Any]] = {
 
 
 def small(model: dict[str, Any], shift: int) -> dict[str, Any]:
-    """The specification; 300 plate periods a cell."""
+    """The specification; 300 plate periods per cell."""
     return {
         "name": f"small {shift}",
         "gamma": {"start": 1.0 + shift * 1e-6, "stop": 6.0, "num": 1000},
@@ -39,15 +38,15 @@ def small(model: dict[str, Any], shift: int) -> dict[str, Any]:
 
 
 def seconds(client: Client, spec: dict[str, Any]) -> float:
-    """Wall time from submission to a whole diagram."""
+    """Wall time from submission to a complete diagram, s."""
     start = time.perf_counter()
-    found = client.submit(spec).wait(progress=False).diagram(along="gamma")
-    assert found.attrs["complete"]
+    diagram = client.submit(spec).wait(progress=False).diagram(along="gamma")
+    assert diagram.attrs["complete"]
     return time.perf_counter() - start
 
 
 def table(client: Client, repeat: int, first: int) -> None:
-    """Time every model `repeat` times and print."""
+    """Time every model `repeat` times and print the rows; shifts of the grids start at `first`."""
     for name, model in MODELS.items():
         times = sorted(seconds(client, small(model, first + shift)) for shift in range(repeat))
         low, high = statistics.median(times), times[-1]
@@ -55,27 +54,27 @@ def table(client: Client, repeat: int, first: int) -> None:
 
 
 def main() -> None:
-    """Run it and print."""
+    """Run the benchmark and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=9)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--alone", action="store_true", help="not beside a large sweep")
-    given = parser.parse_args()
+    parser.add_argument("--alone", action="store_true", help="only on the idle cluster")
+    arguments = parser.parse_args()
     print(describe("dask", "zarr"))
     with tempfile.TemporaryDirectory() as folder:
-        settings = embedded.settings(data=Path(folder), workers=given.workers, host="127.0.0.1", port=0)
+        settings = embedded.settings(data=Path(folder), workers=arguments.workers, host="127.0.0.1", port=0)
         with embedded.running(settings) as url, Client(url) as client:
-            for shift in range(1, 1 + 2 * given.workers):
+            for shift in range(1, 1 + 2 * arguments.workers):
                 seconds(client, small(MODELS["rigid"], -shift))
-            print(f"{'1,000 cells':28}{'median s':>10}{'most s':>10}{'times':>10}")
-            table(client, given.repeat, 0)
-            if given.alone:
+            print(f"{'1,000 cells':28}{'median, s':>10}{'max, s':>10}{'jobs':>10}")
+            table(client, arguments.repeat, 0)
+            if arguments.alone:
                 return
             large = client.submit(atlas(1000, 1000, 10))
             while not large.refresh().progress.chunks_done:
                 time.sleep(0.1)
             print("beside ten million cells")
-            table(client, given.repeat, given.repeat)
+            table(client, arguments.repeat, arguments.repeat)
             large.cancel()
 
 

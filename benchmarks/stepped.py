@@ -1,9 +1,9 @@
-"""CPU time of one time step of `stepped` beside the same step in a plain C loop, in one run.
+"""CPU time of one time step of `stepped`, and of the same step in a plain C loop.
 
     python -m benchmarks.stepped [--repeat 9] [--compiler cc]
 
-Fig. 2's cell at Gamma = 1.5 from rest, adhesive contact, 20 steps per contact; the C loop is
-`stepped_loop.c`, compiled here with -O3 -march=native. Medians over the repetitions, which alternate.
+The cell of Fig. 2 at Gamma = 1.5 from rest, adhesive contact, 20 steps per contact. The C loop is
+`stepped_loop.c`, compiled with -O3 -march=native. Medians over the repetitions, which alternate.
 """
 
 import argparse
@@ -29,7 +29,7 @@ PENETRATIONS = (1e-2, 1e-3, 1e-4)
 
 
 def compile_loop(compiler: str, folder: str) -> Callable[[float, int], float]:
-    """The C loop as a function of penetration and steps per plate period, giving its last flight."""
+    """Compile the C loop: (penetration, steps per plate period) -> its longest last flight, rad."""
     source, library = Path(__file__).with_name("stepped_loop.c"), Path(folder) / "stepped_loop.so"
     flags = ["-O3", "-march=native", "-shared", "-fPIC"]
     subprocess.run([compiler, *flags, "-o", str(library), str(source), "-lm"], check=True)
@@ -48,11 +48,11 @@ def compile_loop(compiler: str, folder: str) -> Callable[[float, int], float]:
 
 
 def run_kernel(penetration: float, scheme: str) -> float:
-    """The longest of the last flights of `stepped`."""
-    one = np.ones(1)
-    gamma, omega, xi = (value * one for value in CELL)
+    """The longest of the last flights of `stepped`, rad."""
+    unit = np.ones(1)
+    gamma, omega, xi = (value * unit for value in CELL)
     line = run_line(
-        gamma, omega, xi, model=Model.STEPPED, restitution=RESTITUTION * one, penetration=penetration * one,
+        gamma, omega, xi, model=Model.STEPPED, restitution=RESTITUTION * unit, penetration=penetration * unit,
         adhesive=True, carry=False, settle=PERIODS // 2, observe=PERIODS - PERIODS // 2, keep=8,
         scheme=scheme,
     )  # fmt: skip
@@ -60,7 +60,7 @@ def run_kernel(penetration: float, scheme: str) -> float:
 
 
 def nanoseconds(run: Callable[[], float], steps: int) -> float:
-    """CPU time of one step."""
+    """CPU time of one step, ns."""
     start = time.process_time()
     run()
     return (time.process_time() - start) / (steps * PERIODS) * 1e9

@@ -1,7 +1,7 @@
-/* The plain loop that `stepped` is measured against: the same soft contact and the same velocity
- * Verlet (the velocity at the end of a step solved for, two unknowns), adhesive law, one step
- * after another, contact and flight told apart by the sign of the gap at each step's end.
- * Units as everywhere: rad, plate amplitudes, m A omega^2. */
+/* The plain loop that `stepped` is compared with: the same soft adhesive contact and the same velocity
+ * Verlet scheme, whose velocity at the end of a step is implicit (two unknowns). The sign of the gap at
+ * the end of each step distinguishes contact from flight.
+ * Units: phase in rad, lengths in plate amplitudes, forces in m A omega^2. */
 
 #include <math.h>
 #include <stdint.h>

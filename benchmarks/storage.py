@@ -1,10 +1,10 @@
-"""How the store's bytes should be kept: codecs, their levels, and shards, on real chunks of the atlas.
+"""Codecs, compression levels and shards of a store, compared on chunks of the atlas.
 
     python -m benchmarks.storage [--chunks 8] [--repeat 3]
 
-Chunks are those the plan makes, spread over the million-cell atlas, computed by the kernel. First table:
-every array of them through zarr with each codec, in memory, processor time. Second: the same chunks as files,
-as they are now and as one shard per task of smaller inner chunks, written and then read along Gamma.
+The chunks are those of the plan, spread over the atlas of a million cells. First table: processor time of
+writing and reading all their arrays in memory with each codec. Second table: the same chunks as files, as
+now and with one shard of smaller inner chunks per task, written and then read along Gamma.
 """
 
 import argparse
@@ -43,7 +43,7 @@ CODECS: dict[str, Any] = {
 
 
 def computed(spec: SweepSpec, plan: Plan, count: int) -> tuple[list[Record], float]:
-    """So many chunks spread over the plan, as arrays; and how long one took to compute, s."""
+    """Records of `count` chunks spread over the plan, and the mean kernel time per chunk, s."""
     names = [array.name for array in schema.arrays(spec)]
     records, kernel = [], []
     with tempfile.TemporaryDirectory() as folder:
@@ -57,9 +57,9 @@ def computed(spec: SweepSpec, plan: Plan, count: int) -> tuple[list[Record], flo
     return records, statistics.mean(kernel)
 
 
-def written(place: Any, record: Record, codec: Any, lines: int | None = None) -> zarr.Group:
-    """One chunk's arrays, each one chunk, or one shard of chunks of so many lines along Gamma."""
-    group = zarr.open_group(place, mode="w", zarr_format=3)
+def written(target: Any, record: Record, codec: Any, lines: int | None = None) -> zarr.Group:
+    """Write a record, each array as one chunk, or as one shard of chunks of `lines` lines along Gamma."""
+    group = zarr.open_group(target, mode="w", zarr_format=3)
     for name, values in record.items():
         whole = values.shape
         size = next(n for n in range(min(lines or 1, whole[1]), 0, -1) if whole[1] % n == 0)
@@ -69,7 +69,7 @@ def written(place: Any, record: Record, codec: Any, lines: int | None = None) ->
 
 
 def timed(run: Callable[[], Any], repeat: int, clock: Callable[[], float] = time.process_time) -> float:
-    """Median seconds, of the processor unless another clock is given."""
+    """Median time of a run by `clock`, s; processor time by default."""
     times = []
     for _ in range(repeat):
         start = clock()
@@ -79,7 +79,7 @@ def timed(run: Callable[[], Any], repeat: int, clock: Callable[[], float] = time
 
 
 def codec_row(name: str, records: list[Record], kernel: float, repeat: int) -> tuple[str, ...]:
-    """Ratio and speeds of one codec."""
+    """Row of the table: compression ratio and speeds of one codec."""
     raw = sum(values.nbytes for record in records for values in record.values())
     kept = 0
     write, read = [], []
@@ -97,24 +97,24 @@ def codec_row(name: str, records: list[Record], kernel: float, repeat: int) -> t
 
 
 def shard_row(name: str, records: list[Record], lines: int | None, repeat: int) -> tuple[str, ...]:
-    """Files and times of one way to lay chunks out on the disk."""
+    """Row of the table: files and times of one layout on disk."""
     codec = ZstdCodec(level=3, checksum=True)
     with tempfile.TemporaryDirectory() as folder:
-        places = [Path(folder) / str(number) for number in range(len(records))]
+        targets = [Path(folder) / str(number) for number in range(len(records))]
 
         def write() -> None:
-            for place, record in zip(places, records, strict=True):
-                written(LocalStore(place), record, codec, lines)
+            for target, record in zip(targets, records, strict=True):
+                written(LocalStore(target), record, codec, lines)
 
         def read() -> None:
-            for place in places:
-                group = zarr.open_group(LocalStore(place, read_only=True), mode="r")
+            for target in targets:
+                group = zarr.open_group(LocalStore(target, read_only=True), mode="r")
                 for key in ("flight_time", "outcome"):
                     group[key][0, 0]
 
         took, line = timed(write, repeat, time.perf_counter), timed(read, 3 * repeat, time.perf_counter)
         files = [
-            file for place in places for file in place.rglob("*") if file.is_file() and "c" in file.parts
+            file for target in targets for file in target.rglob("*") if file.is_file() and "c" in file.parts
         ]
         size = sum(file.stat().st_size for file in files)
     count = len(records)
@@ -129,30 +129,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--chunks", type=int, default=8)
     parser.add_argument("--repeat", type=int, default=3)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("zarr", "numcodecs"), flush=True)
     spec = SweepSpec.model_validate(atlas(1000, 100, 10))
     plan = make_plan(spec)
-    records, kernel = computed(spec, plan, given.chunks)
+    records, kernel = computed(spec, plan, arguments.chunks)
     shape = "x".join(map(str, plan.chunk_shape))
     print(f"{len(plan)} chunks of {shape} cells (xi, omega, gamma), {kernel:.2f} s of kernel each")
     head = [
         "codec",
         "ratio",
-        "kB a chunk",
+        "kB per chunk",
         "write, MB/s",
         "read, MB/s",
-        "write, ms a chunk",
-        "of the kernel's time",
+        "write, ms per chunk",
+        "share of the kernel's time",
     ]
-    print("\n" + table(head, [codec_row(name, records, kernel, given.repeat) for name in CODECS]))
+    print("\n" + table(head, [codec_row(name, records, kernel, arguments.repeat) for name in CODECS]))
     layouts = {
         "now: a task writes one chunk of each array": None,
         "a task writes a shard, inner chunks of one line along Gamma": 1,
         "a task writes a shard, inner chunks of ten lines": 10,
     }
-    rows = [shard_row(name, records, lines, given.repeat) for name, lines in layouts.items()]
-    head = ["layout", "files a task", "kB a task", "write, ms a task", "read a line, ms a task"]
+    rows = [shard_row(name, records, lines, arguments.repeat) for name, lines in layouts.items()]
+    head = ["layout", "files per task", "kB per task", "write, ms per task", "read a line, ms per task"]
     print("\n" + table(head, rows))
 
 

@@ -1,11 +1,11 @@
-"""What a study of a thousand million cells takes on a cluster, from what is measured here in one run.
+"""Extrapolated cost of a study of a thousand million cells on a cluster.
 
     python -m benchmarks.study [--cells 1000000000] [--omega 20]
 
-A piece of the atlas (1000 x --omega x 10 cells of `rigid`, 300 plate periods a cell) is computed through REST
-by two workers; ten thousand chunks are driven through the ledger against a thousand pretended workers
-(benchmarks.million), and two thousand empty tasks through Dask. The table multiplies; it assumes that a
-cluster's cores are like these, and that its file system takes what its workers write.
+Measures a part of the atlas (1000 x --omega x 10 cells of `rigid`, 300 plate periods per cell) over HTTP on
+two workers, ten thousand chunks in the ledger with a thousand simulated workers (benchmarks.million), and two
+thousand empty tasks in Dask. The extrapolation assumes that the cluster has cores like these and a file
+system that is not the bottleneck.
 """
 
 import argparse
@@ -26,21 +26,22 @@ from worker import schema
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 
-PLACES = (100, 1000)
+#: Numbers of workers.
+WORKERS = (100, 1000)
 
 
 class Piece(NamedTuple):
-    """What a cell took of what."""
+    """Costs per cell."""
 
-    kernel: float  # s of a core
-    task: float  # s of a worker while it has a chunk
-    worker: float  # s of a worker, idle ones too
+    kernel: float  # kernel time, s
+    task: float  # time of tasks, s
+    worker: float  # time of workers, idle time included, s
     stored: float  # bytes
     raw: int  # bytes before compression
 
 
 def piece(omega: int) -> Piece:
-    """A part of the atlas, measured."""
+    """Compute a part of the atlas and measure its cost."""
     spec = atlas(1000, omega, 10)
     cells = 10_000 * omega
     with tempfile.TemporaryDirectory() as folder, closing(Counting(workers=2)) as executor:
@@ -63,30 +64,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cells", type=int, default=1_000_000_000)
     parser.add_argument("--omega", type=int, default=20)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("dask", "zarr"), flush=True)
-    cells = given.cells
-    one = piece(given.omega)
+    cells = arguments.cells
+    cell = piece(arguments.omega)
     plan = make_plan(SweepSpec.model_validate(atlas(1000, 1000, math.ceil(cells / 1e6))))
-    chunk_seconds = one.task * math.prod(plan.chunk_shape)
+    chunk_seconds = cell.task * math.prod(plan.chunk_shape)
     with tempfile.TemporaryDirectory() as folder:
-        driven = million.drive(million.sweep(10_000), PLACES[-1], 0.0, Path(folder))
+        driven = million.drive(million.sweep(10_000), WORKERS[-1], 0.0, Path(folder))
     dask = million.through_dask(2_000)
-    hours = {n: max(cells * one.worker / n, len(plan) / min(dask, driven.rate)) / 3600 for n in PLACES}
+    hours = {n: max(cells * cell.worker / n, len(plan) / min(dask, driven.rate)) / 3600 for n in WORKERS}
     arrays = len(list(schema.arrays(SweepSpec.model_validate(atlas(10, 10, 10)))))
     rows = [
-        ("kernel, core-hours", short(cells * one.kernel / 3600)),
-        ("worker-hours, everything", short(cells * one.worker / 3600)),
+        ("kernel, core-hours", short(cells * cell.kernel / 3600)),
+        ("worker-hours, everything", short(cells * cell.worker / 3600)),
         *((f"hours on {n:,} workers", short(hour)) for n, hour in hours.items()),
         ("chunks", f"{len(plan):,} of {short(chunk_seconds)} s"),
         (
             "stored",
-            f"{cells * one.stored / 1e9:,.0f} GB, of {cells * one.raw / 1e9:,.0f} GB before compression",
+            f"{cells * cell.stored / 1e9:,.0f} GB, of {cells * cell.raw / 1e9:,.0f} GB before compression",
         ),
         ("files", f"{len(plan) * arrays:,}"),
         ("ledger", f"{len(plan) * driven.ledger_bytes / 1e6:,.0f} MB"),
-        ("chunks a second: supervisor and ledger", short(driven.rate)),
-        ("chunks a second: Dask's scheduler and client", short(dask)),
+        ("chunks per second: supervisor and ledger", short(driven.rate)),
+        ("chunks per second: Dask's scheduler and client", short(dask)),
         ("workers that these keep busy", f"{min(dask, driven.rate) * chunk_seconds:,.0f}"),
     ]
     print("\n" + table([f"{cells:,} cells, 300 plate periods each", ""], rows))

@@ -1,4 +1,4 @@
-"""The rigid spring by SUNDIALS' CVODE with roots, through scikit-sundae; Adams' method, dense solver."""
+"""The rigid spring with SUNDIALS' CVODE and root finding, through scikit-sundae; Adams' method."""
 
 import math
 from typing import Any
@@ -9,11 +9,11 @@ from benchmarks import phases
 from benchmarks.phases import LIFT, lifted, march
 
 _STEPS = 100_000
-_EVENT = 2  # CVODE's status at a root; at the end it is another
+_EVENT = 2  # CVODE's status at a root
 
 
 class Spring:
-    """Both phases set up once; a cell only sets the parameters."""
+    """The solvers of both phases; a cell sets their parameters."""
 
     def __init__(self, rtol: float) -> None:
         self._cell = phases.Spring.of(1.0, 1.0, 1.0)

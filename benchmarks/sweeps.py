@@ -1,12 +1,12 @@
-"""A whole sweep by the service beside what one would write instead, on two processes, in one run.
+"""A whole sweep with the service and with alternatives, on two processes each.
 
     python -m benchmarks.sweeps [--gamma 1000 --omega 20 --xi 5] [--cells 16] [--repeat 3]
 
-`rigid`, 300 plate periods a cell from rest, over the atlas's range, each row from its start to all results
-stored. joblib and dask.bag map scipy's solve_ivp (DOP853, benchmarks/scipy_rival.py) over --cells cells drawn
-from the grid; their time for the whole grid is extrapolated per cell. xsweep and joblib over this project's
-kernel do the whole grid, a line along Gamma at a time, and keep flights and outcomes as the service does:
-xsweep in its own zarr store, joblib in memory. Both have the kernel compiled and their workers started.
+`rigid`, 300 plate periods per cell from rest, over the range of the atlas; every time includes storing the
+results. joblib and dask.bag map scipy's solve_ivp (DOP853, benchmarks/scipy_rival.py) over --cells random
+cells of the grid, extrapolated to the whole grid. xsweep and joblib with this project's kernel compute the
+whole grid in lines along Gamma and keep the same flights and outcomes: xsweep in its zarr store, joblib in
+memory. In both, the kernel is compiled and the workers are running beforehand.
 """
 
 import argparse
@@ -39,7 +39,7 @@ PROCESSES = 2
 
 
 def kernel_line(gamma: np.ndarray, omega: float, xi: float) -> Line:
-    """All Gamma at one Omega and xi, as the service's task runs them."""
+    """All values of Gamma at one Omega and xi, as a task of the service computes them."""
     full = np.full_like
     return run_line(
         gamma, full(gamma, omega), full(gamma, xi), model=Model.RIGID, restitution=full(gamma, 0.0),
@@ -48,7 +48,7 @@ def kernel_line(gamma: np.ndarray, omega: float, xi: float) -> Line:
 
 
 def scipy_cell(cell: tuple[float, float, float]) -> list[float]:
-    """What a script keeps of one cell."""
+    """The last flights of one cell, as a script would keep them."""
     return scipy_rival.run(*cell, PERIODS)[-KEEP:]
 
 
@@ -57,7 +57,7 @@ def scipy_cell(cell: tuple[float, float, float]) -> list[float]:
     version="1",
 )
 def swept_line(gamma: Any, omega: float, xi: float) -> Any:
-    """The same line as xsweep calls it."""
+    """The same line, for xsweep."""
     done = kernel_line(np.ascontiguousarray(gamma, float), float(omega), float(xi))
     return xr.Dataset(
         {
@@ -69,32 +69,32 @@ def swept_line(gamma: Any, omega: float, xi: float) -> Any:
 
 
 def by_xsweep(axes: dict[str, np.ndarray], folder: Path) -> None:
-    """xsweep on two threads, which the kernel lets run side by side, and its zarr store."""
+    """xsweep on two threads (the kernel releases the GIL), with its zarr store."""
     space = xr.Dataset({name: (name, values) for name, values in axes.items()})
-    space = space.assign_coords(flight=np.arange(KEEP))  # or it would not know how many
+    space = space.assign_coords(flight=np.arange(KEEP))  # xsweep needs the length of every dimension
     policy = xsweep.SweepPolicy(store=folder / "xsweep.zarr", executor="thread", max_workers=PROCESSES)
     swept_line(space, policy=policy)
 
 
 def by_joblib_kernel(axes: dict[str, np.ndarray]) -> None:
-    """joblib over the same kernel, results in memory."""
+    """joblib with the same kernel, results in memory."""
     lines = ((axes["gamma"], omega, xi) for omega in axes["omega"] for xi in axes["xi"])
     joblib.Parallel(n_jobs=PROCESSES)(joblib.delayed(kernel_line)(*line) for line in lines)
 
 
 def by_joblib_scipy(cells: list[tuple[float, float, float]]) -> None:
-    """The loop of a script, shared out."""
+    """The loop of a script over processes of joblib."""
     joblib.Parallel(n_jobs=PROCESSES)(joblib.delayed(scipy_cell)(cell) for cell in cells)
 
 
 def by_bag_scipy(cells: list[tuple[float, float, float]]) -> None:
-    """The same as a bag on Dask's processes."""
+    """The same with dask.bag."""
     bag = dask.bag.from_sequence(cells, partition_size=2)
     bag.map(scipy_cell).compute(scheduler="processes", num_workers=PROCESSES)
 
 
 def seconds(run: Callable[[], Any], repeat: int, first: bool = True) -> float:
-    """Median wall time; the first run, which starts processes that stay, does not count."""
+    """Median wall time, s; with `first`, a run beforehand, which starts the processes, is not counted."""
     if first:
         run()
     times = []
@@ -106,7 +106,7 @@ def seconds(run: Callable[[], Any], repeat: int, first: bool = True) -> float:
 
 
 def by_service(spec: dict[str, Any], repeat: int) -> float:
-    """Submission to done through REST, on warm workers; every repetition another sweep by a hair."""
+    """Time over HTTP from submission to completion, on warm workers; every repetition is a new job."""
     with tempfile.TemporaryDirectory() as folder:
         settings = embedded.settings(data=Path(folder), workers=PROCESSES, host="127.0.0.1", port=0)
         with embedded.running(settings) as url, Client(url) as client:
@@ -125,26 +125,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name, default in (("gamma", 1000), ("omega", 20), ("xi", 5), ("cells", 16), ("repeat", 3)):
         parser.add_argument(f"--{name}", type=int, default=default)
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(describe("scipy", "joblib", "dask", "xsweep"), flush=True)
-    spec = atlas(given.gamma, given.omega, given.xi)
+    spec = atlas(arguments.gamma, arguments.omega, arguments.xi)
     axes = {name: SweepSpec.model_validate(spec).axis_values(name) for name in ("gamma", "omega", "xi")}
     rng = np.random.default_rng(1)
-    cells = [tuple(float(rng.choice(axes[name])) for name in axes) for _ in range(given.cells)]
-    kernel_line(axes["gamma"][:8], 1.0, 0.1)  # compiled before anything forks
-    whole = given.gamma * given.omega * given.xi
+    cells = [tuple(float(rng.choice(axes[name])) for name in axes) for _ in range(arguments.cells)]
+    kernel_line(axes["gamma"][:8], 1.0, 0.1)  # compile before processes are forked
+    whole = arguments.gamma * arguments.omega * arguments.xi
     rows: list[tuple[str, int, float]] = []
     times = []
-    for _ in range(given.repeat):
+    for _ in range(arguments.repeat):
         with tempfile.TemporaryDirectory() as folder:
             times.append(seconds(lambda f=folder: by_xsweep(axes, Path(f)), 1, first=False))
     rows.append(("xsweep, the same kernel", whole, statistics.median(times)))
-    rows.append(("joblib, the same kernel", whole, seconds(lambda: by_joblib_kernel(axes), given.repeat)))
+    rows.append(("joblib, the same kernel", whole, seconds(lambda: by_joblib_kernel(axes), arguments.repeat)))
     rows.append(("joblib over scipy DOP853", len(cells), seconds(lambda: by_joblib_scipy(cells), 1)))
     rows.append(("dask.bag over scipy DOP853", len(cells), seconds(lambda: by_bag_scipy(cells), 1, False)))
-    own = by_service(spec, given.repeat)
-    rows.insert(0, ("this service, through REST", whole, own))
-    head = ["", "cells run", "s", f"s for {whole:,} cells", "of the service"]
+    own = by_service(spec, arguments.repeat)
+    rows.insert(0, ("this service, over HTTP", whole, own))
+    head = ["", "cells computed", "s", f"s for {whole:,} cells", "relative to the service"]
     shown = [
         (name, f"{cells:,}", short(took), short(took / cells * whole), short(took / cells * whole / own))
         for name, cells, took in rows

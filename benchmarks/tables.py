@@ -1,10 +1,10 @@
-"""Tables as Markdown, so that what a benchmark prints can be copied into docs/performance.md."""
+"""Markdown tables, in which benchmarks print their results for docs/performance.md."""
 
 from collections.abc import Sequence
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """The first column to the left, the others to the right; columns as wide as they need."""
+    """A Markdown table: first column left-aligned, the others right-aligned, padded to equal widths."""
     cells = [[str(cell) for cell in row] for row in (head, *rows)]
     widths = [max(3, *(len(row[column]) for row in cells)) for column in range(len(head))]
 
@@ -19,5 +19,5 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def short(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits and no more."""
+    """A number with `digits` significant digits; large ones in full, with thousands separators."""
     return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:,.0f}"

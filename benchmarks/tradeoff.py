@@ -1,9 +1,9 @@
-"""What each contact model costs and how far off it is: `bounce tradeoff` without a service.
+"""Cost and error of each contact model: `bounce tradeoff` without a service.
 
     python -m benchmarks.tradeoff [-o docs/tradeoff.png]
 
-The same measurement (`worker.analysis.work_precision`), one setup after the other in this process, so that
-rungs do not share the machine; the picture and figures of docs/accuracy.md come from here.
+Runs the measurements of `worker.analysis.work_precision` one after another in this process, so that they do
+not share the machine. The figure and numbers of docs/accuracy.md come from here.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from worker.analysis.work_precision import SETUPS, measure
 
 
 def main() -> None:
-    """Print the table, and write the picture if asked to."""
+    """Print the table, and write the figure to the file of option -o."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
     arguments = parser.parse_args()
