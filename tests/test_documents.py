@@ -380,7 +380,9 @@ def test_sections_that_code_cites_exist():
     cited = {
         int(number)
         for path in sources
-        for sections in re.findall(r"docs/model\.md,\s+sections? (\d(?:\D{1,5}\d)*)", path.read_text())
+        for sections in re.findall(
+            r"docs/model\.md,\s+sections? (\d\b(?:(?:,| to| and)\s+\d\b)*)", path.read_text()
+        )
         for number in re.findall(r"\d", sections)
     }
     assert cited <= {
