@@ -13,9 +13,9 @@ import time
 import numpy as np
 
 from benchmarks.machine import describe
-from benchmarks.models import Model, run_line
 from kernel.params import Line
 from kernel.restitution import restitution_of
+from tests.support.plates import Model, run_line
 
 PERIODS = 300
 GAMMAS = np.linspace(1.0, 6.0, 1000)

@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 from benchmarks.atlas import atlas, warm
 from benchmarks.kernel import NEIGHBOURS, cost_of, line
 from benchmarks.machine import describe
-from benchmarks.models import Model
 from benchmarks.tables import short, table
 from service.client import Client
 from service.server import embedded
+from tests.support.plates import Model
 
 USUAL: dict[str, Any] = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "settle": 200, "observe": 100, "d": 1e-3}
 KINDS = {"rigid": Model.RIGID, "soft": Model.SOFT}

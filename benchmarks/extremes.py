@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.machine import describe
-from benchmarks.models import Model, run_line
 from kernel.params import Outcome
+from tests.support.plates import Model, run_line
 
 #: Special values of xi and omega, and values within rounding of them.
 EDGES_XI = (0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, math.sqrt(0.5) * (1.0 - 1e-12))

@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.machine import describe
-from benchmarks.models import Model, run_line
 from benchmarks.tables import short, table
 from kernel.params import Line
+from tests.support.plates import Model, run_line
 
 PERIODS = 300
 NEIGHBOURS = 64

@@ -13,9 +13,9 @@ import time
 import numpy as np
 
 from benchmarks.machine import describe
-from benchmarks.models import Model, run_line
 from kernel.params import Line, Outcome
 from kernel.threshold import threshold
+from tests.support.plates import Model, run_line
 
 OMEGA, XI = 0.6, 0.05
 PERIODS = (300, 3000)

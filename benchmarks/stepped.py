@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import describe
-from benchmarks.models import Model, run_line
 from kernel.restitution import damping_ratio
 from kernel.step_limits import Scheme, steps_per_period
+from tests.support.plates import Model, run_line
 
 CELL = (1.5, 0.5, 0.26)
 RESTITUTION = 0.1

@@ -26,11 +26,11 @@ import xsweep
 from benchmarks import scipy_rival
 from benchmarks.atlas import atlas, warm
 from benchmarks.machine import describe
-from benchmarks.models import Model, run_line
 from benchmarks.tables import short, table
 from kernel.params import Line
 from service.client import Client
 from service.server import embedded
+from tests.support.plates import Model, run_line
 from worker.spec import SweepSpec
 
 PERIODS = 300

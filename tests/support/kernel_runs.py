@@ -3,15 +3,14 @@
 import math
 import os
 from collections.abc import Iterator
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from hypothesis import settings
 from naive import Setting, State
+from plates import Model, plate_of, run_line
 
-from kernel import interface, line, trajectory
-from kernel.models import ball, rigid, soft, stepped
+from kernel import interface, trajectory
 from kernel.models.rigid import RigidPlate
 from kernel.models.soft import SoftPlate
 from kernel.numerics.first_root import ROOT
@@ -19,43 +18,6 @@ from kernel.params import Cell, Line
 from kernel.trajectory import Trajectory
 
 TWO_PI = 2.0 * math.pi
-
-
-class Model(IntEnum):
-    """The contact models by short names."""
-
-    SOFT = 0
-    STEPPED = 1
-    RIGID = 2
-    BALL = 3
-
-
-def plate_of(
-    model: Model,
-    restitution: np.ndarray,
-    penetration: np.ndarray,
-    adhesive: bool = True,
-    steps_per_contact: int = 20,
-    scheme: str = "verlet",
-) -> Any:
-    """The plate under n cells, from arrays (n,)."""
-    module = {Model.SOFT: soft, Model.STEPPED: stepped, Model.RIGID: rigid, Model.BALL: ball}[model]
-    arguments: dict[str, Any] = {"restitution": restitution}
-    if model in (Model.SOFT, Model.STEPPED):
-        arguments |= {"penetration": penetration, "adhesive": adhesive}
-    if model is Model.STEPPED:
-        arguments |= {"steps_per_contact": steps_per_contact, "scheme": scheme}
-    return module.plate(**arguments)
-
-
-#: What `plate_of` takes beside the model.
-CONTACT = ("restitution", "penetration", "adhesive", "steps_per_contact", "scheme")
-
-
-def run_line(gamma: Any, omega: Any, xi: Any, *, model: Model, **options: Any) -> Line:
-    """`kernel.line.run_line` with the plate of a model in one call."""
-    contact = {name: options.pop(name) for name in CONTACT if name in options}
-    return line.run_line(gamma, omega, xi, plate=plate_of(model, **contact), **options)
 
 
 def sample(cell: Cell, contact: dict[str, Any], state: Any, *, model: Model, **options: Any) -> Trajectory:

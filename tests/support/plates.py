@@ -1,4 +1,4 @@
-"""The kernel's contact models by short names, for benchmarks that call the kernel directly."""
+"""The contact models by short names, and their plates in one call: for tests and benchmarks of the kernel."""
 
 from enum import IntEnum
 from typing import Any
