@@ -47,6 +47,8 @@ class Window(NamedTuple):
     observe: int  # plate periods recorded
     micro_flight: float  # rad; shorter flights do not count for outcome and mode
     settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
+    settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
+    exponents: int  # Lyapunov exponents computed
 
 
 class Flights(NamedTuple):

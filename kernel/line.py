@@ -80,6 +80,8 @@ def run_line(
     keep: int,
     micro_flight: float = 0.0,
     settle_tolerance: float = 0.0,
+    settle_until: int | None = None,
+    exponents: int = 0,
     start: Start | None = None,
 ) -> Line:
     """Run n cells in the given order and return their record.
@@ -89,20 +91,25 @@ def run_line(
     `start` or from rest; without, every cell starts from rest. settle, observe: plate periods discarded
     and recorded. keep: flights stored. micro_flight: rad; shorter flights do not count for outcome and
     mode. settle_tolerance: rad; if > 0, flights that repeat within it end the settling early.
+    settle_until: plate periods that a cell still settling may take in all; None: no more than the window.
+    exponents: Lyapunov exponents to compute.
 
     A trajectory that fails is an outcome, not an exception. Raises KernelInputError for arguments outside
     what a kernel can compute.
     """
     arrays = {"gamma": gamma, "omega": omega, "xi": xi}
     check_arrays(arrays)
-    check_window(settle, observe, keep, micro_flight, settle_tolerance)
+    check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
     _check_plate(plate, len(gamma))
     gamma, omega, xi = (np.ascontiguousarray(a) for a in arrays.values())
     n = len(gamma)
-    line = empty_line(n, keep)
+    line = empty_line(n, keep, exponents)
     state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
-    window = Window(int(settle), int(observe), float(micro_flight), float(settle_tolerance))
+    window = Window(
+        int(settle), int(observe), float(micro_flight), float(settle_tolerance),
+        int(settle_until or 0), int(exponents),
+    )  # fmt: skip
     if isinstance(plate, RigidPlate) and not carry:
         run_lockstep(plate, gamma, omega, xi, window, line)
         return line

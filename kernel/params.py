@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Part of every job's identity: raise it whenever any stored number may change.
-KERNEL_VERSION: Final = "1"
+KERNEL_VERSION: Final = "2"
 
 
 class Cell(NamedTuple):
@@ -34,6 +34,7 @@ class Outcome(IntEnum):
     AT_REST = 3  # in contact throughout the window
     UNRESOLVED = 4  # the budget of evaluations ran out
     DIVERGED = 5  # a number stopped being finite
+    SETTLING = 6  # the flights still approach a cycle
 
 
 class KernelInputError(ValueError):
@@ -59,6 +60,10 @@ STATE_FIELDS: Final = (
 )
 
 
+#: Lyapunov exponents of a cell at most: a spring's state has four dimensions beside the plate's phase.
+MAX_EXPONENTS: Final = 4
+
+
 class Start(NamedTuple):
     """A state to continue from, with the cell whose plate amplitude its lengths are measured in."""
 
@@ -73,19 +78,21 @@ class Line(NamedTuple):
     takeoff_phase: NDArray[np.float64]  # (n, keep) rad, modulo 2*pi
     flights: NDArray[np.int32]  # (n,) flights that took off and landed inside the window
     outcome: NDArray[np.uint8]  # (n,) an Outcome
-    bounces: NDArray[np.int16]  # (n,) flights per cycle, 0 if none was found
-    periods: NDArray[np.int16]  # (n,) plate periods per cycle
+    bounces: NDArray[np.int32]  # (n,) flights per cycle, 0 if none was found
+    periods: NDArray[np.int32]  # (n,) plate periods per cycle
     end_state: NDArray[np.float64]  # (n, len(STATE_FIELDS)) at the end of each cell's window
+    lyapunov: NDArray[np.float64]  # (n, exponents) per plate period, natural logarithm, the largest first
 
 
-def empty_line(n: int, keep: int) -> Line:
-    """The record of n cells that have not been run, with room for `keep` flights of each."""
+def empty_line(n: int, keep: int, exponents: int = 0) -> Line:
+    """The record of n cells that have not been run, with room for `keep` flights and `exponents` of each."""
     return Line(
         flight_time=np.full((n, keep), np.nan),
         takeoff_phase=np.full((n, keep), np.nan),
         flights=np.zeros(n, np.int32),
         outcome=np.zeros(n, np.uint8),
-        bounces=np.zeros(n, np.int16),
-        periods=np.zeros(n, np.int16),
+        bounces=np.zeros(n, np.int32),
+        periods=np.zeros(n, np.int32),
         end_state=np.full((n, len(STATE_FIELDS)), np.nan),
+        lyapunov=np.full((n, exponents), np.nan),
     )

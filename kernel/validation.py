@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import STATE_FIELDS, KernelInputError, Start
+from kernel.params import MAX_EXPONENTS, STATE_FIELDS, KernelInputError, Start
 
 #: Parameters must lie within this and its inverse. Their squares, such as 1/d^2, then stay within 1e60, and
 #: products of four of those, which the kernels form, within a double's range of 1e308.
@@ -50,12 +50,30 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
 
 
 def check_window(
-    settle: int, observe: int, keep: int, micro_flight: float, settle_tolerance: float = 0.0
+    settle: int,
+    observe: int,
+    keep: int,
+    micro_flight: float,
+    settle_tolerance: float = 0.0,
+    settle_until: int | None = None,
+    exponents: int = 0,
 ) -> None:
-    """Check an observation window: settle and observe in plate periods, keep in flights, the rest in rad."""
+    """Check an observation window, as in `kernel.line.run_line`.
+
+    settle, observe and settle_until are in plate periods, keep in flights, micro_flight and settle_tolerance
+    in rad, exponents a number.
+    """
     for name, value, minimum in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
             raise KernelInputError(name, f"must be an integer >= {minimum}, got {value!r}")
+    if settle_until is not None and (isinstance(settle_until, bool) or settle_until < settle + observe):
+        raise KernelInputError(
+            "settle_until", f"must be at least settle + observe, {settle + observe}, got {settle_until!r}"
+        )
+    if isinstance(exponents, bool) or not 0 <= exponents <= MAX_EXPONENTS:
+        raise KernelInputError(
+            "exponents", f"must be an integer from 0 to {MAX_EXPONENTS}, got {exponents!r}"
+        )
     for name, length in (("micro_flight", micro_flight), ("settle_tolerance", settle_tolerance)):
         if not np.isfinite(length) or length < 0.0:
             raise KernelInputError(name, f"must be >= 0 and finite, got {length!r}")

@@ -125,12 +125,16 @@ RECORD: Final = (
     _array("flight_time", "<f8", "flight time, last flights of the window in order", _ANGLE, "flight"),
     _array("takeoff_phase", "<f8", "plate phase at take-off, modulo 2 pi", _ANGLE, "flight"),
     _array("flights", "<i4", "flights taken off and landed within the window", _COUNT),
-    _array("bounces", "<i2", "mode: bounces in one cycle, 0 if none was found", _COUNT),
-    _array("periods", "<i2", "mode: plate periods in one cycle, 0 if none was found", _COUNT),
+    _array("bounces", "<i4", "mode: bounces in one cycle, 0 if none was found", _COUNT),
+    _array("periods", "<i4", "mode: plate periods in one cycle, 0 if none was found", _COUNT),
 )
 END_STATE: Final = _array(
     "end_state", "<f8", "state at the end of the window, in the cell's own units",
     {"fields": " ".join(STATE_FIELDS)}, "state",
+)  # fmt: skip
+LYAPUNOV: Final = _array(
+    "lyapunov", "<f8", "Lyapunov exponents, the largest first",
+    {"units": "1", "comment": "per plate period, natural logarithm"}, "exponent",
 )  # fmt: skip
 #: Written last: a cell that has an outcome has every other value too.
 OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | _OUTCOMES)
@@ -146,6 +150,8 @@ COORDINATES: Final = (
 def arrays(spec: SweepSpec) -> Iterator[Array]:
     """The arrays of a sweep in the order they are written; only ramps store `end_state`."""
     yield from RECORD
+    if spec.exponents:
+        yield LYAPUNOV
     if spec.ramp_axis is not None:
         yield END_STATE
     yield OUTCOME
@@ -153,7 +159,11 @@ def arrays(spec: SweepSpec) -> Iterator[Array]:
 
 def sizes(spec: SweepSpec) -> dict[str, int]:
     """Length of every dimension of a sweep."""
-    return dict(zip(CELL_DIMS, spec.shape, strict=True)) | {"flight": spec.keep, "state": len(STATE_FIELDS)}
+    return dict(zip(CELL_DIMS, spec.shape, strict=True)) | {
+        "flight": spec.keep,
+        "exponent": spec.exponents,
+        "state": len(STATE_FIELDS),
+    }
 
 
 def bytes_per_cell(spec: SweepSpec) -> int:

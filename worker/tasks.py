@@ -138,6 +138,8 @@ def run_cells(
         keep=spec.keep,
         micro_flight=spec.micro_flight,
         settle_tolerance=spec.settle_tolerance,
+        settle_until=spec.settle_until,
+        exponents=spec.exponents,
         start=start if carry else None,
     )
 

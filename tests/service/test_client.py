@@ -249,7 +249,7 @@ def test_a_diagram_is_a_dataset(job: Job):
     assert dict(diagram.sizes) == {"gamma": 46, "flight": 8}
     assert diagram.flight_time.dims == diagram.takeoff_phase.dims == ("gamma", "flight")
     assert {name: diagram[name].dtype.str for name in ("flights", "outcome", "bounces", "periods")} == {
-        "flights": "<i4", "outcome": "|u1", "bounces": "<i2", "periods": "<i2",
+        "flights": "<i4", "outcome": "|u1", "bounces": "<i4", "periods": "<i4",
     }  # fmt: skip
     assert float(diagram.omega) == 0.5  # the grid's value, not the one requested
     assert float(diagram.xi) == 0.26

@@ -28,8 +28,8 @@ def made(**changes: Any) -> Diagram:
         "takeoff_phase": np.array([[NAN, NAN], [1.0, NAN], [2.0, 0.5], [NAN, NAN]]),
         "flights": np.array([0, 1, 7, 0], np.int32),
         "outcome": np.array([3, 1, 2, 0], np.uint8),
-        "bounces": np.array([0, 1, 0, 0], np.int16),
-        "periods": np.array([0, 1, 0, 0], np.int16),
+        "bounces": np.array([0, 1, 0, 0], np.int32),
+        "periods": np.array([0, 1, 0, 0], np.int32),
     }
     fields: dict[str, Any] = {
         "along": "gamma",
@@ -55,8 +55,8 @@ def long(cells: int, keep: int, seed: int = 1, **changes: Any) -> Diagram:
         "takeoff_phase": np.zeros(shape),
         "flights": np.full(cells, keep, np.int32),
         "outcome": np.full(cells, 2, np.uint8),
-        "bounces": np.zeros(cells, np.int16),
-        "periods": np.zeros(cells, np.int16),
+        "bounces": np.zeros(cells, np.int32),
+        "periods": np.zeros(cells, np.int32),
     }
     return made(**(arrays | changes))
 

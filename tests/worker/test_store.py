@@ -71,7 +71,7 @@ def test_opens_with_plain_xarray(url, spec):
             assert dataset[axis].attrs["long_name"]
         assert dataset["flight_time"].dims == ("direction", "xi", "omega", "gamma", "flight")
         assert dataset["takeoff_phase"].dims == dataset["flight_time"].dims
-        for name, dtype in (("flights", "i4"), ("outcome", "u1"), ("bounces", "i2"), ("periods", "i2")):
+        for name, dtype in (("flights", "i4"), ("outcome", "u1"), ("bounces", "i4"), ("periods", "i4")):
             assert dataset[name].dims == ("direction", "xi", "omega", "gamma")
             assert dataset[name].dtype == np.dtype(dtype)
         assert dataset["flight_time"].attrs["units"] == "rad"

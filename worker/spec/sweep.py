@@ -18,6 +18,7 @@ from pydantic import (
     model_validator,
 )
 
+from kernel.params import MAX_EXPONENTS
 from worker.spec import parsing
 from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
 from worker.spec.contact_models import (
@@ -53,8 +54,9 @@ def _label(name: str) -> str:
 class SweepSpec(Strict):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
-    `settle` and `observe` are in plate periods, `keep` in flights, `micro_flight` and `settle_tolerance` in
-    rad. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
+    `settle`, `observe` and `settle_until` are in plate periods, `keep` in flights, `micro_flight` and
+    `settle_tolerance` in rad. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names
+    each field and rule.
     """
 
     name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
@@ -66,8 +68,10 @@ class SweepSpec(Strict):
     settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 200
     observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 100
     keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
-    micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.0
+    micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.05
     settle_tolerance: Annotated[float, Field(ge=0.0), NUMBER] = 0.0
+    settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
+    exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
 
     def __init__(self, /, **data: object) -> None:
         try:
@@ -82,6 +86,10 @@ class SweepSpec(Strict):
             remedy = f"ramp along {one_of(longer)}" if longer else f"give {self.protocol.axis} a range"
             rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {remedy}"
             raise BrokenRuleError("protocol.axis", rule)
+        if self.settle_until is not None and self.settle_until < self.settle + self.observe:
+            window = self.settle + self.observe
+            rule = f"must be at least settle + observe, {window}, or null; {window} would change nothing"
+            raise BrokenRuleError("settle_until", rule)
         self._check_depth()
         if isinstance(self.model, Stepped):
             axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
@@ -158,10 +166,11 @@ class SweepSpec(Strict):
     def canonical(self) -> dict[str, Any]:
         """Plain JSON values of everything that determines the stored numbers.
 
-        Axes are lists of their values and defaults are filled in. The label is left out, and so is a
-        `settle_tolerance` of 0: job ids made before that field existed must not change.
+        Axes are lists of their values and defaults are filled in. The label is left out, and so are fields
+        of later releases that are off: job ids made before these fields existed must not change.
         """
-        unused = set() if self.settle_tolerance > 0.0 else {"settle_tolerance"}
+        later = ("settle_tolerance", "settle_until", "exponents")
+        unused = {field for field in later if not getattr(self, field)}
         plain = self.model_dump(exclude={"name", *AXES, *unused})
         return {axis: self.axis_values(axis).tolist() for axis in AXES} | plain
 
