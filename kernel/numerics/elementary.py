@@ -1,7 +1,9 @@
-"""sin, cos and exp as straight-line arithmetic, which the compiler can vectorise over lanes of cells.
+"""Elementary functions for compiled code; no other module under `kernel` calls the C library's.
 
-A call into the C library takes one number at a time, and its last digit depends on the library. Each
-function here reduces its argument by a constant split into parts, so that the reduction is exact, then
+A call into the C library takes one number at a time, and its last digit depends on the library. log,
+hypot, atan2 and others are those of `kernel.portable_math`, in which plain Python and compiled code agree.
+sin, cos, exp and expm1 are here, as straight-line arithmetic, which the compiler can vectorise over lanes
+of cells. Each reduces its argument by a constant split into parts, so that the reduction is exact, then
 evaluates a polynomial (a Chebyshev fit in 50-digit arithmetic whose error is below the rounding of the
 result), summed in pairs to shorten the chain of dependent operations. Results are accurate to two units
 in the last place; the tests compare them with 50 digits.
@@ -12,26 +14,85 @@ from typing import Final
 
 import numpy as np
 
+from kernel import portable_math
 from kernel.numerics.intrinsics import fma, power_of_two
-from kernel.numerics.jit import inlined, jit
+from kernel.numerics.jit import compilable, inlined, jit
+from kernel.portable_math import (
+    EXP_POLYNOMIAL,
+    LN2_HIGH,
+    LN2_LOW,
+    ONE_OVER_LN2,
+    asinh,
+    atan2,
+    atanh,
+    cbrt,
+    hypot,
+    log,
+    log1p,
+)
+
+__all__ = [
+    "HYPERBOLIC_LIMIT",
+    "TWO_PI",
+    "asinh",
+    "atan2",
+    "atanh",
+    "cbrt",
+    "circular_or_hyperbolic",
+    "exp",
+    "expm1",
+    "hypot",
+    "log",
+    "log1p",
+    "sincos",
+    "sincos_small",
+]
+
+for _function in (
+    portable_math._log_of_sum,
+    portable_math._atan_of_ratio,
+    portable_math.exp,
+    asinh,
+    atan2,
+    atanh,
+    cbrt,
+    hypot,
+    log,
+    log1p,
+):
+    compilable(_function)
 
 TWO_PI: Final = 2.0 * math.pi
 
 _TWO_OVER_PI: Final = 2.0 / math.pi
 
-# pi/2 in three parts and ln 2 in two (Cody and Waite). The first parts of pi/2 have 31 and 32 significant
-# bits, that of ln 2 has 32, so that their products with a number of turns below 2**21 are exact. The parts
-# add up to pi/2 within 1e-37 and to ln 2 within 1.2e-26.
+# pi/2 in three parts (Cody and Waite). The first two have 31 and 32 significant bits, so that their products
+# with a number of turns below 2**21 are exact. The parts add up to pi/2 within 1e-37.
 _HALF_PI_1: Final = 1.5707963267341256
 _HALF_PI_2: Final = 6.077100506303966e-11
 _HALF_PI_3: Final = 2.0222662487959506e-21
-_ONE_OVER_LN2: Final = 1.4426950408889634
-_LN2_1: Final = 0.6931471803691238
-_LN2_2: Final = 1.9082149292705877e-10
 
 #: rad up to which `sincos_small` keeps its accuracy: 6.4e4 turns of pi/2, whose products with the parts of
 #: pi/2 are exact, and whose remainder is known to 6.4e4 * 1e-37.
 _REDUCTION_LIMIT: Final = 1e5
+
+#: 2/pi in pieces of 24 bits, for larger arguments: piece i counts 2**(-24 (i + 1)). The largest double begins
+#: at 2**(24 * 42), whose seven pieces behind the point need 49 of these.
+_PIECE_BITS: Final = 24
+_PIECE: Final = 2**_PIECE_BITS
+_PIECES_BEHIND: Final = 7
+_HALF_PI: Final = 0.5 * math.pi
+_HALF_PI_REST: Final = 6.123233995736766e-17
+_TWO_OVER_PI_PIECES: Final = np.array(
+    [
+        10680707, 7228996, 1387004, 2578385, 16069853, 12639074, 9804092, 4427841, 16666979, 11263675,
+        12935607, 2387514, 4345298, 14681673, 3074569, 13734428, 16653803, 1880361, 10960616, 8533493,
+        3062596, 8710556, 7349940, 6258241, 3772886, 3769171, 3798172, 8675211, 12450088, 3874808,
+        9961438, 366607, 15675153, 9132554, 7151469, 3571407, 2607881, 12013382, 4155038, 6285869,
+        7677882, 13102053, 15825725, 473591, 9065106, 15363067, 6271263, 9264392, 5636912, 4652155,
+    ],
+    dtype=np.int64,
+)  # fmt: skip
 
 #: Up to this argument `circular_or_hyperbolic` gives sinh and cosh to rounding. Its polynomials are fitted
 #: for x^2 > 0, |x| <= pi/4; with -x^2 they are extrapolated, whose error stays below two units in the last
@@ -59,6 +120,12 @@ def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
     """
     turns = math.floor(fma(x, _TWO_OVER_PI, 0.5))
     r = fma(turns, -_HALF_PI_3, fma(turns, -_HALF_PI_2, fma(turns, -_HALF_PI_1, x)))
+    return _of_remainder(r, np.int64(turns), sign)
+
+
+@inlined
+def _of_remainder(r: float, quadrant: np.int64, sign: float) -> tuple[float, float]:
+    """`circular_or_hyperbolic` of r + quadrant pi/2, |r| <= pi/4."""
     u = sign * r * r
     v = u * u
     odd = fma(
@@ -80,7 +147,6 @@ def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
         fma(u, -0.0013888888888887382, 0.041666666666666664),
     )
     sine, cosine = fma(r * u, odd, r), 1.0 - fma(-v, even, 0.5 * u)
-    quadrant = np.int64(turns)
     swapped = (quadrant & 1) != 0
     first, second = (cosine, sine) if swapped else (sine, cosine)
     return (
@@ -91,23 +157,77 @@ def circular_or_hyperbolic(x: float, sign: float) -> tuple[float, float]:
 
 @jit
 def sincos(x: float) -> tuple[float, float]:
-    """(sin x, cos x) for any x in rad."""
-    return sincos_small(x) if abs(x) < _REDUCTION_LIMIT else (math.sin(x), math.cos(x))
+    """(sin x, cos x) for any x in rad; NaN where x is not finite."""
+    return sincos_small(x) if abs(x) < _REDUCTION_LIMIT else _sincos_large(x)
+
+
+@jit
+def _sincos_large(x: float) -> tuple[float, float]:
+    """(sin x, cos x) for |x| >= 1, by the method of Payne and Hanek.
+
+    |x| is four pieces of 24 bits. Of its product with 2/pi in such pieces, whole multiples of 2**24 quarter
+    turns do not matter, and of the rest the seven pieces behind the point determine the remainder to 2**-140,
+    2**-78 of the smallest one that a double leaves.
+    """
+    t, top = abs(x), 0  # the first piece counts 2**(24 * top)
+    if not t < math.inf:
+        return math.nan, math.nan
+    while t >= _PIECE:
+        t /= _PIECE
+        top += 1
+    first = math.floor(t)
+    t = (t - first) * _PIECE
+    second = math.floor(t)
+    t = (t - second) * _PIECE
+    third = math.floor(t)
+    fourth = (t - third) * _PIECE
+    pieces = (np.int64(first), np.int64(second), np.int64(third), np.int64(fourth))
+    carry, total = np.int64(0), np.int64(0)
+    fraction, rest = 0.0, 0.0  # of a quarter turn, and 1 - fraction
+    for behind in range(_PIECES_BEHIND, -1, -1):
+        total = carry
+        for k in range(4):
+            i = behind + top - 1 - k
+            if i >= 0:
+                total += pieces[k] * _TWO_OVER_PI_PIECES[i]
+        carry = total >> _PIECE_BITS
+        if behind > 0:
+            piece = total & (_PIECE - 1)
+            fraction = (fraction + piece) / _PIECE
+            rest = (rest + (_PIECE - 1 - piece)) / _PIECE
+    if fraction >= 0.5:
+        fraction, total = -rest, total + 1
+    r = fraction * _HALF_PI
+    lost = fma(fraction, _HALF_PI, -r) + fraction * _HALF_PI_REST  # what r was rounded by
+    sine, cosine = _of_remainder(r, np.int64(total), 1.0)
+    sine, cosine = fma(lost, cosine, sine), fma(-lost, sine, cosine)
+    return -sine if x < 0.0 else sine, cosine
+
+
+@inlined
+def _exp_parts(x: float) -> tuple[float, float]:
+    """2**k and e with exp(x) = 2**k (1 + e), for -708 <= x <= 709."""
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10 = EXP_POLYNOMIAL
+    k = math.floor(fma(x, ONE_OVER_LN2, 0.5))
+    r = fma(k, -LN2_LOW, fma(k, -LN2_HIGH, x))
+    s = r * r
+    t = s * s
+    low = fma(s, fma(r, c3, c2), fma(r, c1, c0))
+    high = fma(s, fma(r, c7, c6), fma(r, c5, c4))
+    top = fma(s, c10, fma(r, c9, c8))
+    p = fma(t, fma(t, top, high), low)
+    return power_of_two(int(k)), fma(s, p, r)
 
 
 @jit
 def exp(x: float) -> float:
     """The exponential of x <= 0; exp(-708) = 3.3e-308 for all x below -708."""
-    x = max(x, _LOWEST_EXPONENT)
-    k = math.floor(fma(x, _ONE_OVER_LN2, 0.5))
-    r = fma(k, -_LN2_2, fma(k, -_LN2_1, x))
-    s = r * r
-    t = s * s
-    low = fma(s, fma(r, 0.008333333333326084, 0.04166666666666667), fma(r, 0.1666666666666667, 0.5))
-    high = fma(
-        s, fma(r, 2.755725517000089e-06, 2.480158732567746e-05),
-        fma(r, 0.0001984126987500228, 0.0013888888888883711),
-    )  # fmt: skip
-    top = fma(s, 2.09147553258932e-09, fma(r, 2.5105312729622103e-08, 2.755727347871858e-07))
-    p = fma(t, fma(t, top, high), low)
-    return (1.0 + fma(s, p, r)) * power_of_two(int(k))
+    scale, e = _exp_parts(max(x, _LOWEST_EXPONENT))
+    return (1.0 + e) * scale
+
+
+@jit
+def expm1(x: float) -> float:
+    """exp(x) - 1 for x <= 0, without cancellation for small x."""
+    scale, e = _exp_parts(max(x, _LOWEST_EXPONENT))
+    return fma(scale, e, scale - 1.0)
