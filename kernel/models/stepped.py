@@ -33,9 +33,9 @@ from kernel.models.time_stepping import (
     previous_point,
     step,
 )
-from kernel.numerics.elementary import TWO_PI
+from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT, Phase
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
 from kernel.restitution import damping_ratio
 from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
@@ -120,7 +120,8 @@ def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float)
     static_gap, static_elongation = static_state(gamma, w, kappa)
     lead = 0.0 if plate.adhesive else beta / kappa
     h = TWO_PI / plate.steps[i]
-    grid = Grid(plate.steps[i], h, math.cos(h), math.sin(h), plate.implicit)
+    sin, cos = sincos(h)
+    grid = Grid(plate.steps[i], h, cos, sin, plate.implicit)
     return SteppedSpring(
         gravity=1.0 / gamma,
         grid=grid,
@@ -145,22 +146,29 @@ def _flies(s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: 
     return lifted_off(gap, gap1, 1.0, s.flight.lead)
 
 
+@inlined
+def _forcing(s: SteppedSpring, phi: float) -> float:
+    """cos(phi) - 1/Gamma, the acceleration of a free mass relative to the plate."""
+    _, cos = sincos(phi)
+    return cos - s.gravity
+
+
 @jit
 def _locate(s: SteppedSpring, law: Law, x: Point, phi: float) -> tuple[float, Point]:
     """The length (rad) of the step from x at phi that ends where the contact or flight does, and its end.
 
     By regula falsi on `end_function`, as a function of the step's length.
     """
-    m, f0 = s.grid.implicit, math.cos(phi) - s.gravity
+    m, f0 = s.grid.implicit, _forcing(s, phi)
     low, high, side = 0.0, s.grid.step, 0
-    end = step(law, m, f0, math.cos(phi + high) - s.gravity, x, high)
+    end = step(law, m, f0, _forcing(s, phi + high), x, high)
     below, above = end_function(law, x), end_function(law, end)
     h = high
     if below >= 0.0 or above <= 0.0:
         return h, end
     for _ in range(ROUNDS):
         h = high - above * (high - low) / (above - below)
-        end = step(law, m, f0, math.cos(phi + h) - s.gravity, x, h)
+        end = step(law, m, f0, _forcing(s, phi + h), x, h)
         value = end_function(law, end)
         if value == 0.0 or high - low <= 4.0 * EPS * s.grid.step:
             break
@@ -202,10 +210,10 @@ def _run(
     n = math.floor(phi / h + MIN_STEP_FRACTION) + 1
     if n > last:
         return horizon, HORIZON, x
-    f0, f1 = math.cos(phi) - s.gravity, math.cos(n % steps * h) - s.gravity
+    f0, f1 = _forcing(s, phi), _forcing(s, n % steps * h)
     row = begin_march(s.grid, law, f1, step(law, m, f0, f1, x, n * h - phi))
     while True:
-        c, d = math.cos(n % steps * h), math.sin(n % steps * h)
+        d, c = sincos(n % steps * h)
         row = march(s.grid, law, s.gravity, c, d, row, min(BLOCK, last - n))
         n += row.taken
         if not abs(row.now.gap) + abs(row.now.q) < LARGEST:
@@ -235,9 +243,13 @@ def _contact(
 def _flight(
     s: SteppedSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until landing. The budget counts as in `_contact`."""
+    """In flight until contact returns. The budget counts as in `_contact`.
+
+    A flight that begins below the surface may end there, rising: its velocity then stays.
+    """
     tau, ending, x = _run(s, s.flight, phi, Point(gap, gap1, q, q1), horizon, budget)
-    gap, gap1 = x.gap, x.gap1
+    after, after1 = x.gap, x.gap1
     if ending == ROOT:
-        gap, gap1 = min(gap, 0.0), min(gap1, 0.0)
-    return Phase(tau, ending, ending != ROOT, gap, gap1, x.q, x.q1, 1)
+        after = min(after, 0.0)
+        after1 = min(after1, 0.0) if gap >= 0.0 else after1
+    return Phase(tau, ending, ending != ROOT, after, after1, x.q, x.q1, 1)
