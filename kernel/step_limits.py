@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from kernel.portable_math import hypot
 from kernel.restitution import contact_time, damping_ratio
 
 #: More steps than this in a plate period are refused; a cell that needs them is unresolved. At about 4 ns a
@@ -36,6 +37,8 @@ _HALVINGS: Final = 60
 
 _Array = NDArray[np.float64]
 
+_hypot: Final = np.vectorize(hypot, otypes=[np.float64])  # numpy's own depends on the machine
+
 
 class Scheme(IntEnum):
     """The integration scheme."""
@@ -46,7 +49,7 @@ class Scheme(IntEnum):
 
 def _largest_eigenvalue(spring: _Array, contact: _Array) -> _Array:
     """The largest eigenvalue of spring * L + contact * E (see the module's text), elementwise."""
-    return spring + 0.5 * contact + np.hypot(spring, 0.5 * contact)
+    return np.asarray(spring + 0.5 * contact + _hypot(spring, 0.5 * contact))
 
 
 def largest_stable_step(

@@ -1,7 +1,15 @@
 """When a spring that moves with the plate first takes off (paper section 3.3.1; docs/model.md, section 5)."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from kernel.portable_math import atan2, hypot
+
+# numpy's own depend on the machine in the last digit
+_atan2: Final = np.vectorize(atan2, otypes=[np.float64])
+_hypot: Final = np.vectorize(hypot, otypes=[np.float64])
 
 
 def threshold(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
@@ -13,8 +21,8 @@ def threshold(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
     omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
     square = omega * omega
     with np.errstate(divide="ignore"):
-        in_contact = np.hypot(1.0 - square, 2.0 * xi * omega)
-        return np.asarray(2.0 * in_contact / np.hypot(2.0 - square, 4.0 * xi * omega))
+        in_contact = _hypot(1.0 - square, 2.0 * xi * omega)
+        return np.asarray(2.0 * in_contact / _hypot(2.0 - square, 4.0 * xi * omega))
 
 
 def takeoff_phase(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
@@ -25,5 +33,5 @@ def takeoff_phase(omega: ArrayLike, xi: ArrayLike) -> NDArray[np.float64]:
     omega, xi = np.asarray(omega, dtype=np.float64), np.asarray(xi, dtype=np.float64)
     square = omega * omega
     # n touches zero where N e^{i phi} is real, N = (2 - Omega^2 + 4 i xi Omega)/(1 - Omega^2 + 2 i xi Omega)
-    phase = np.arctan2(2.0 * xi * omega, 1.0 - square) - np.arctan2(4.0 * xi * omega, 2.0 - square)
+    phase = _atan2(2.0 * xi * omega, 1.0 - square) - _atan2(4.0 * xi * omega, 2.0 - square)
     return np.asarray(np.mod(phase, 2.0 * np.pi))

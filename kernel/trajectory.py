@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from kernel.cell import BUDGET, SHORTEST_FLIGHT
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
-from kernel.numerics.elementary import TWO_PI
+from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
-from kernel.params import Cell
+from kernel.params import Cell, KernelInputError
 from kernel.validation import check_arrays
 
 #: Contacts and flights computed at most, so that a call ends within seconds.
@@ -67,9 +67,12 @@ def sample(
     params.STATE_FIELDS), such as a cell's end state; None for rest. Returns n = periods * samples + 1
     samples. `stepped` is sampled at the nearest of its own steps.
 
-    Raises KernelInputError as `line.run_line` does.
+    Raises KernelInputError as `line.run_line` does, and for a state at another phase than 0: a cell that is
+    unresolved or diverged ended before its window did.
     """
     check_arrays({name: np.array([value], np.float64) for name, value in cell._asdict().items()})
+    if state is not None and not (state[0] == 0.0 and np.all(np.isfinite(state))):
+        raise KernelInputError("state", f"must be finite and at phase 0, the end of a window; got {state}")
     spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
     times = np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
     return _Walk(spring, times, periods).run(_begin(spring, state))
@@ -136,7 +139,8 @@ class _Walk:
             if here.in_flight:
                 self._n[i] = 0.0
             else:
-                self._n[i] = contact_force(self._spring, math.cos(self._times[i]), x.gap, x.gap1, x.q, x.q1)
+                _, cos = sincos(self._times[i])
+                self._n[i] = contact_force(self._spring, cos, x.gap, x.gap1, x.q, x.q1)
         self._next = max(self._next, last)
 
     def _trajectory(self) -> Trajectory:
@@ -144,7 +148,7 @@ class _Walk:
         flights = np.array(self._flights, np.float64).reshape(-1, 2)
         return Trajectory(
             self._times,
-            np.cos(self._times),
+            np.array([sincos(time)[1] for time in self._times]),
             self._gap,
             self._q,
             self._n,

@@ -18,7 +18,7 @@ from kernel.cell import Flights, Progress, Window, horizon_of, record
 from kernel.interface import contact, contact_force, flies, flight, prepare, replay, rest
 from kernel.models.chatter import chatter_completes, chatter_time
 from kernel.models.free_fall import drop, landing, plate_recedes, state_after, takes_off
-from kernel.numerics.elementary import TWO_PI
+from kernel.numerics.elementary import TWO_PI, atan2, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, HORIZON, ROOT, Phase
 from kernel.numerics.jit import jit
 from kernel.validation import check_arrays
@@ -61,7 +61,7 @@ def _prepare(plate: BallPlate, i: int, gamma: float, omega: float, xi: float) ->
     """The constants of cell i; omega and xi do not matter."""
     gravity = 1.0 / gamma
     sin_lift = math.sqrt((1.0 - gravity) * (1.0 + gravity)) if gamma > 1.0 else 0.0
-    return Ball(gravity, plate.restitution[i], math.atan2(sin_lift, gravity), sin_lift)
+    return Ball(gravity, plate.restitution[i], atan2(sin_lift, gravity), sin_lift)
 
 
 @rest.register(Ball)
@@ -88,7 +88,8 @@ def _flies(b: Ball, phi: float, gap: float, gap1: float, q: float, q1: float) ->
     """Off the plate, or leaving it."""
     if gap > 0.0 or gap1 < 0.0:
         return True
-    return not _stays(b, phi, gap1, b.gravity - math.cos(phi), math.sin(phi))
+    sin, cos = sincos(phi)
+    return not _stays(b, phi, gap1, b.gravity - cos, sin)
 
 
 @contact.register(Ball)
@@ -100,7 +101,8 @@ def _contact(
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, False, 0.0, gap1, 0.0, 0.0, 0)
     if gap1 > 0.0:
-        end = chatter_time(gap1, b.gravity - math.cos(phi), math.sin(phi), b.restitution)
+        sin, cos = sincos(phi)
+        end = chatter_time(gap1, b.gravity - cos, sin, b.restitution)
         if end >= horizon:  # in a geometric series the hop velocity falls linearly in time
             return Phase(horizon, HORIZON, False, 0.0, gap1 * (1.0 - horizon / end), 0.0, 0.0, 1)
         return Phase(end, ROOT, False, 0.0, 0.0, 0.0, 0.0, 1)

@@ -168,13 +168,13 @@ def _power_series(p: Flight, tau: float) -> tuple[float, float, float]:
     gap1 = p.gap1 + p.gap2 * tau
     size = abs(p.gap) + abs(p.gap1) * tau + abs(p.gap2) * power
     size1 = abs(p.gap1) + abs(p.gap2) * tau
-    previous = math.inf
+    previous = 0.0
     for order in range(3, MAX_ORDER + 1):
         derivative = plate - 0.5 * last
         gap1 += derivative * power
         size1 += abs(derivative) * power
         largest = abs(plate) + 0.5 * abs(last)
-        if (largest + previous) * power <= NEGLIGIBLE * size1:
+        if order > 3 and (largest + previous) * power <= NEGLIGIBLE * size1:
             break  # the derivatives that follow are combinations of these two
         previous = largest
         power *= tau / order

@@ -29,8 +29,9 @@ LANES: Final = 16
 #: every search ends long before; the cap keeps one that does not from holding up its lane.
 MAX_EVALUATIONS: Final = 60
 
-#: The lowest rate (1/rad) of an oscillator in lanes. Slower ones turn by so little within a phase that
-#: their closed form cancels, for which the scalar functions have power series.
+#: The lowest natural frequency (1/rad) of an oscillator in lanes, whatever its damping. The elongation of
+#: slower ones, of the order 1/(Gamma w), is so large against the gap that their closed form cancels, for
+#: which the scalar functions have power series.
 SLOWEST: Final = 0.03
 
 #: The first guess of a step's width: this many rad of the plate's phase, ...
@@ -66,7 +67,7 @@ ROWS: Final = 31
 @inlined
 def supports(osc: Oscillator) -> bool:
     """Whether lanes can compute this oscillator: all but very slow ones."""
-    return osc.rate > SLOWEST
+    return osc.stiffness > SLOWEST * SLOWEST
 
 
 @inlined

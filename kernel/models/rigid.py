@@ -8,7 +8,6 @@ steady over the rest of it (`kernel.models.chatter`). From there on the mass cou
 short a time moves the spring as the hops would.
 """
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,15 +16,16 @@ from numpy.typing import NDArray
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.chatter import chatter_completes
 from kernel.models.flight import begin_flight, landing, state_after
-from kernel.numerics.elementary import sincos
+from kernel.numerics.elementary import hypot, sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, decay_time, derivatives, envelope, motion, oscillator
 from kernel.validation import check_arrays
 
-#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed
-#: as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the closed form, a
-#: difference of two such amplitudes, keeps eight of sixteen digits; nearer to resonance it would lose more.
+#: |1/Omega**2 - 1 + 2i xi/Omega| is kept above this: an undamped spring exactly at resonance is computed,
+#: while it is in contact, as one whose Omega is 5e-9 beside it. The driven amplitude is the inverse, and the
+#: closed form, a difference of two such amplitudes, keeps eight of sixteen digits; nearer to resonance it
+#: would lose more.
 NEAREST_RESONANCE: Final = 1e-8
 
 
@@ -46,7 +46,7 @@ class Spring(NamedTuple):
 
     gravity: float  # 1/Gamma
     dashpot: float  # 2 xi/Omega
-    stiffness: float  # 1/Omega**2
+    stiffness: float  # 1/Omega**2, in contact: see NEAREST_RESONANCE
     restitution: float
     stuck: Oscillator  # the free elongation in contact
     flight: Oscillator  # and in flight
@@ -72,11 +72,12 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
     """The constants of cell i."""
     stiffness = 1.0 / (omega * omega)
     dashpot = 2.0 * xi / omega
-    if math.hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE:
+    free = oscillator(dashpot, 2.0 * stiffness)
+    if hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE:
         stiffness = 1.0 + NEAREST_RESONANCE
     # Q = 1/(w - 1 + i b) and N = 1 + (w + i b) Q
     re, im = stiffness - 1.0, dashpot
-    size = math.hypot(re, im)
+    size = hypot(re, im)
     q_re, q_im = re / size / size, -im / size / size
     return Spring(
         gravity=1.0 / gamma,
@@ -84,7 +85,7 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
         stiffness=stiffness,
         restitution=plate.restitution[i],
         stuck=oscillator(0.5 * dashpot, stiffness),
-        flight=oscillator(dashpot, 2.0 * stiffness),
+        flight=free,
         static_elongation=-1.0 / (gamma * stiffness),
         q_re=q_re,
         q_im=q_im,
@@ -117,7 +118,8 @@ def _rest(s: Spring) -> tuple[float, float, float, float]:
 @jit
 def _flies(s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float) -> bool:
     """Off the plate, or on it with n < 0."""
-    return gap > 0.0 or gap1 > 0.0 or normal_force(s, math.cos(phi), q, q1) < 0.0
+    _, cos = sincos(phi)
+    return gap > 0.0 or gap1 > 0.0 or normal_force(s, cos, q, q1) < 0.0
 
 
 @terms.register(Stuck)
@@ -160,7 +162,7 @@ def _contact(
     h1 = q1 + (s.q_re * sin + s.q_im * cos)
     h2 = -s.dashpot * h1 - s.stiffness * h
     h3 = -s.dashpot * h2 - s.stiffness * h1
-    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - hypot(s.n_re, s.n_im))
     tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, min(horizon, decayed), budget)
     if ending == HORIZON:
         tau = horizon

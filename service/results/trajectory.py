@@ -128,7 +128,8 @@ def of_cell(
     """The trajectory of the grid cell nearest to `values`, and the state a ramp left the cell in.
 
     None for a sweep from rest, whose cells settle as they did in the sweep. Raises InvalidRequest as
-    `diagram.diagram`, and for a cell of a ramp that is not computed yet.
+    `diagram.diagram`, and for a cell of a ramp that is not computed yet, or that is unresolved or diverged:
+    its stored state is where the computation stopped, not the end of its window.
     """
     spec = sweep.spec
     cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
@@ -150,10 +151,15 @@ def _settled(
     sweep: SweepSpec, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     line = run_cells(sweep, gamma, omega, xi, None)
-    if line.outcome[0] in (Outcome.DIVERGED, Outcome.UNRESOLVED):
-        name = Outcome(line.outcome[0]).name.lower()
-        raise InvalidRequest.of("settle", f"the cell is {name} before the first sample")
+    _check_ended("settle", line.outcome[0])
     return np.asarray(line.end_state[0])
+
+
+def _check_ended(field: str, outcome: int) -> None:
+    """Raise InvalidRequest unless the cell's window ended where its samples are to begin."""
+    if outcome in (Outcome.DIVERGED, Outcome.UNRESOLVED):
+        name = Outcome(outcome).name.lower()
+        raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
 
 
 def _end_state(sweep: Sweep, direction: str, indices: dict[str, int]) -> NDArray[np.float64]:
@@ -161,4 +167,5 @@ def _end_state(sweep: Sweep, direction: str, indices: dict[str, int]) -> NDArray
     arrays = read(sweep, names, direction, indices)
     if arrays[schema.OUTCOME.name] == Outcome.MISSING:
         raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
+    _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
     return np.asarray(arrays[schema.END_STATE.name])
