@@ -4,20 +4,19 @@ An isolated impact is gap'' + 2 zeta gap' + gap = 0 from gap = 0, gap' = -1, one
 The adhesive contact ends where the gap is zero again, the nonadhesive one where the force is
 (docs/model.md, section 2):
 
-    adhesive     duration pi/s                 e = exp(-zeta duration), zeta < 1    (Eqs. 11 and 12)
-    nonadhesive  duration 2 atan2(s, zeta)/s   e = exp(-zeta duration), zeta < 1
-                 duration 2 asinh(s)/s         e = exp(-zeta duration), zeta > 1
+    adhesive     duration pi/sqrt(1 - zeta^2), zeta < 1                       (Eq. 11)
+    nonadhesive  duration 2 arccos(zeta)/sqrt(1 - zeta^2), zeta < 1
+                 duration 2 arccosh(zeta)/sqrt(zeta^2 - 1), zeta > 1
+    both         e = exp(-zeta duration)                                      (Eq. 12)
 
-with s = sqrt(|1 - zeta^2|). Both are inverted for zeta: the adhesive law in closed form, the nonadhesive
-one by bisection, since e falls monotonically from 1 at zeta = 0 towards 0 at infinity.
-
-The formulas exist twice below, for arrays and for numbers. The array functions serve the specification,
-`stepped` and `ball`. The scalar ones are plain Python that `soft` compiles. The two agree to rounding;
-every stored result of one model or another depends on the last digit of each, so joining them takes a
-new KERNEL_VERSION.
+The nonadhesive duration is 2 R_C(zeta^2, 1) at any zeta, R_C being Carlson's elementary integral, which needs
+sqrt and the four operations only. So does the logarithm, so that the damping ratio has the same digits on
+every machine. Each formula is written once, for one number: array functions apply it to every element, and
+`soft` compiles it.
 """
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -28,22 +27,113 @@ from numpy.typing import ArrayLike, NDArray
 #: whose rebound is below the rounding of anything that follows it.
 SMALLEST: Final = 1e-12
 
-#: Nearer to critical damping than this s the quotients below are 0/0; their limits, with an error of
-#: order s**2 = 1e-14, take their place.
-CRITICAL: Final = 1e-7
+#: `_carlson` sums its series for |s| below this. The first omitted term is below 16 s**8 = 6e-18.
+_SERIES: Final = 0.005
 
-#: Halvings of the bracket [0, max(2, 1/sqrt(e))] of zeta in the array functions: from its widest, 1e6, to
-#: 1e-12, below the effect of rounding on e.
-_ARRAY_HALVINGS: Final = 60
+#: 1 - zeta**2 below this counts as zero in the slope of zeta * duration, whose quotient is 0/0 at zeta = 1;
+#: the slope is then off by 1e-4 of itself, which costs Newton's method nothing.
+_CRITICAL: Final = 1e-4
 
-#: Halvings in the scalar function, which stops once no number is left between the ends of the bracket.
-#: Only e = 1, where zeta = 0, needs so many.
-_SCALAR_HALVINGS: Final = 100
+#: Relative size of Newton's step after which the next one, its square, is below rounding.
+_CONVERGED: Final = 1e-9
+
+#: Cap on Newton's steps; at most 7 are taken.
+_NEWTON_STEPS: Final = 20
+
+#: ln 2 in two parts, the first of 32 bits, so that its product with a whole number below 2**21 is exact.
+_ONE_OVER_LN2: Final = 1.4426950408889634
+_LN2_1: Final = 0.6931471803691238
+_LN2_2: Final = 1.9082149292705877e-10
+
+#: Order to which `_exp` sums its power series: 0.35**14/14! = 5e-18.
+_EXP_ORDER: Final = 13
+
+#: exp of anything below this is less than the smallest number.
+_LOWEST_EXPONENT: Final = -745.0
 
 _Array = NDArray[np.float64]
 
 
+# --- one number -----------------------------------------------------------------------------
+
+
+def carlson(x: float, y: float) -> float:
+    """R_C(x, y) for x >= 0 and y > 0, by duplication (Carlson 1995, sections 1 and 2)."""
+    while True:
+        mean = (x + 2.0 * y) / 3.0
+        s = (y - mean) / mean
+        if not abs(s) >= _SERIES:  # a number that is none ends it too
+            break
+        shift = y + 2.0 * math.sqrt(x) * math.sqrt(y)
+        x, y = 0.25 * (x + shift), 0.25 * (y + shift)
+    odd = 1.0 / 7.0 + s * s * (9.0 / 22.0 + s * s * (9.0 / 8.0))
+    even = 3.0 / 10.0 + s * s * (3.0 / 8.0 + s * s * (159.0 / 208.0))
+    return (1.0 + s * s * (even + s * odd)) / math.sqrt(mean)
+
+
+def minus_log(x: float) -> float:
+    """-ln x >= 0 for 0 < x <= 1."""
+    half = 0.5 * (1.0 + x)
+    return (1.0 - x) * carlson(half * half, x)
+
+
+def scalar_damping_ratio(e: float, adhesive: bool) -> float:
+    """The damping ratio zeta that gives restitution e in [0, 1].
+
+    Adhesive e = 0 is critical damping, zeta = 1. Nonadhesive e below SMALLEST is taken as SMALLEST.
+    """
+    if adhesive:
+        if e == 0.0:
+            return 1.0
+        log = minus_log(e)
+        return log / math.sqrt(math.pi * math.pi + log * log)
+    e = max(e, SMALLEST)
+    log = minus_log(e)
+    # zeta * duration = log is concave, so that Newton's method from below never overshoots; for strong
+    # damping, where it is 2 ln(2 zeta), the first step comes from above and ends just below
+    zeta = log / math.pi if log < 2.0 else 0.5 / math.sqrt(e)
+    for _ in range(_NEWTON_STEPS):
+        half = carlson(zeta * zeta, 1.0)
+        square = (1.0 - zeta) * (1.0 + zeta)
+        slope = 2.0 * (half - zeta) / square if abs(square) > _CRITICAL else 4.0 / 3.0
+        step = (log - 2.0 * zeta * half) / slope
+        zeta += step
+        if abs(step) <= _CONVERGED * zeta:
+            break
+    return zeta
+
+
+def _exp(x: float) -> float:
+    """The exponential of x <= 0."""
+    if x < _LOWEST_EXPONENT:
+        return 0.0
+    k = math.floor(x * _ONE_OVER_LN2 + 0.5)
+    r = (x - k * _LN2_1) - k * _LN2_2
+    total = 1.0
+    for order in range(_EXP_ORDER, 0, -1):
+        total = 1.0 + total * r / order
+    return math.ldexp(total, k)
+
+
+def _duration(zeta: float, adhesive: bool) -> float:
+    if not adhesive:
+        return 2.0 * carlson(zeta * zeta, 1.0)
+    return math.pi / math.sqrt((1.0 - zeta) * (1.0 + zeta)) if zeta < 1.0 else math.inf
+
+
+def _restitution(zeta: float, adhesive: bool) -> float:
+    return _exp(-zeta * _duration(zeta, adhesive)) if zeta > 0.0 else 1.0
+
+
 # --- arrays ---------------------------------------------------------------------------------
+
+
+def _each(formula: Callable[[float, bool], float], values: ArrayLike, adhesive: bool) -> _Array:
+    """The formula of every element, computed once for each distinct one: in a sweep most are the same."""
+    array = np.asarray(values, dtype=np.float64)
+    distinct, places = np.unique(array, return_inverse=True)
+    computed = np.array([formula(float(value), adhesive) for value in distinct], dtype=np.float64)
+    return computed[places].reshape(array.shape)
 
 
 def duration(zeta: ArrayLike, adhesive: bool) -> _Array:
@@ -51,37 +141,17 @@ def duration(zeta: ArrayLike, adhesive: bool) -> _Array:
 
     Infinite for an adhesive contact with zeta >= 1, which never ends.
     """
-    zeta = np.asarray(zeta, dtype=np.float64)
-    s = np.sqrt(np.abs((1.0 - zeta) * (1.0 + zeta)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if adhesive:
-            return np.asarray(np.where(zeta < 1.0, np.pi / s, np.inf))
-        angle = np.where(zeta < 1.0, np.arctan2(s, zeta), np.arcsinh(s))
-        return np.asarray(np.where(s > CRITICAL, 2.0 * angle / s, 2.0))
+    return _each(_duration, zeta, adhesive)
 
 
 def restitution(zeta: ArrayLike, adhesive: bool) -> _Array:
     """Restitution e = exp(-zeta * duration) in [0, 1] (Eq. 12), of the shape of zeta >= 0."""
-    zeta = np.asarray(zeta, dtype=np.float64)
-    return np.asarray(np.exp(-zeta * duration(zeta, adhesive)))
+    return _each(_restitution, zeta, adhesive)
 
 
 def damping_ratio(e: ArrayLike, adhesive: bool) -> _Array:
-    """The damping ratio zeta that gives restitution e in [0, 1], of its shape.
-
-    Adhesive e = 0 is critical damping, zeta = 1. Nonadhesive e below SMALLEST is taken as SMALLEST.
-    """
-    e = np.asarray(e, dtype=np.float64)
-    if adhesive:
-        log = -np.log(np.where(e > 0.0, e, 1.0))
-        return np.asarray(np.where(e > 0.0, log / np.hypot(np.pi, log), 1.0))
-    e = np.asarray(np.maximum(e, SMALLEST))
-    low, high = np.zeros_like(e), np.maximum(2.0, 1.0 / np.sqrt(e))
-    for _ in range(_ARRAY_HALVINGS):
-        middle = 0.5 * (low + high)
-        too_elastic = restitution(middle, False) > e
-        low, high = np.where(too_elastic, middle, low), np.where(too_elastic, high, middle)
-    return np.asarray(0.5 * (low + high))
+    """`scalar_damping_ratio` of restitutions e in [0, 1], of their shape."""
+    return _each(scalar_damping_ratio, e, adhesive)
 
 
 def contact_time(e: ArrayLike, penetration: ArrayLike, adhesive: bool) -> _Array:
@@ -102,37 +172,3 @@ def restitution_of(xi: ArrayLike) -> _Array:
     open).
     """
     return 0.5 * restitution(xi, adhesive=False)
-
-
-# --- numbers, for compiled code -------------------------------------------------------------
-
-
-def nonadhesive_restitution(zeta: float) -> float:
-    """Restitution of a nonadhesive impact for one damping ratio zeta >= 0."""
-    if zeta < 1.0:
-        s = math.sqrt((1.0 - zeta) * (1.0 + zeta))
-        if s <= CRITICAL:
-            return math.exp(-2.0)
-        return math.exp(-zeta / s * math.atan2(2.0 * zeta * s, 2.0 * zeta * zeta - 1.0))
-    s = math.sqrt((zeta - 1.0) * (zeta + 1.0))
-    return math.exp(-2.0 * zeta / s * math.asinh(s)) if s > CRITICAL else math.exp(-2.0)
-
-
-def scalar_damping_ratio(e: float, adhesive: bool) -> float:
-    """`damping_ratio` of one restitution e in [0, 1]."""
-    if adhesive:
-        if e == 0.0:
-            return 1.0
-        log = -math.log(e)
-        return log / math.hypot(math.pi, log)
-    e = max(e, SMALLEST)
-    low, high = 0.0, max(2.0, 1.0 / math.sqrt(e))
-    for _ in range(_SCALAR_HALVINGS):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        if nonadhesive_restitution(middle) > e:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)

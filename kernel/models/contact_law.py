@@ -8,9 +8,10 @@ An adhesive contact lasts while gap < 0 and may pull; a nonadhesive one while al
 """
 
 from kernel.numerics.jit import compilable, inlined, jit
-from kernel.restitution import nonadhesive_restitution, scalar_damping_ratio
+from kernel.restitution import carlson, minus_log, scalar_damping_ratio
 
-compilable(nonadhesive_restitution)
+compilable(carlson)
+compilable(minus_log)
 compilable(scalar_damping_ratio)
 
 

@@ -23,7 +23,7 @@ from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import jit
-from kernel.numerics.oscillator import decay_time, derivatives, envelope, motion
+from kernel.numerics.oscillator import all_derivatives, derivatives, motion, quiet_time
 from kernel.validation import check_arrays
 
 
@@ -97,21 +97,40 @@ def _contact(
     """
     m = to_modes(s, phi, gap, gap1, q, q1)
     p = liftoff_function(s, m, phi)
-    margin = p.static - math.hypot(p.wave_re, p.wave_im)
-    ringing = envelope(p.slow_osc, p.slow, p.slow1) + envelope(p.fast_osc, p.fast, p.fast1)
+    margin = p.static - math.sqrt(p.wave_re * p.wave_re + p.wave_im * p.wave_im)
+    slow = all_derivatives(p.slow_osc, p.slow_a, p.slow_b)
+    fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
     decayed = 0.0
-    if ringing >= margin:
+    if slow.size + fast.size >= margin:
         decayed = max(
-            decay_time(p.slow_osc, p.slow, p.slow1, 0.5 * margin),
-            decay_time(p.fast_osc, p.fast, p.fast1, 0.5 * margin),
+            quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * margin),
+            quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * margin),
         )
-    tau, ending, used = first_root(p, sure_contact_time(p, terms(p, 0.0)), min(horizon, decayed), budget)
+    end = min(horizon, decayed)
+    tau, ending, used = first_root(p, sure_contact_time(p, terms(p, 0.0)), end, budget)
+    if tau == 0.0 and ending == ROOT:
+        if _lifts(s, begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)):
+            return Phase(0.0, ROOT, True, gap, gap1, q, q1, used)
+        tau, ending, more = first_root(p, 1.0 / s.gap_mode.rate, end, budget - used)
+        used += more
     if ending == HORIZON:
         tau = horizon
     gap, gap1, q, q1 = from_modes(s, m, phi, tau)
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
+
+
+@jit
+def _lifts(s: SoftSpring, p: Flight) -> bool:
+    """Whether a mass without force on it, n = 0, takes off, `p` being the flight that would follow.
+
+    Contact and flight both ask it where they would end at once. Each computes its phase function in its own
+    way, and where n and n' are zero to rounding, both could end at once for ever.
+    """
+    if s.adhesive or (p.gap == 0.0 and p.gap1 == 0.0):
+        return p.gap1 > 0.0 or (p.gap1 == 0.0 and p.gap2 > 0.0)
+    return s.kappa * p.gap1 + s.beta * p.gap2 > 0.0  # -n'
 
 
 @terms.register(Emergence)
@@ -195,8 +214,12 @@ def _flight(
         emerged, ending, used = first_root(Emergence(p), 0.0, horizon, budget)
         tau, recontact = emerged, HORIZON
         if not _no_recontact(s, p, _lowest_gap2(p, emerged), emerged):
-            tau, recontact, more = first_root(Recontact(p, s.kappa, s.beta), 0.0, emerged, budget - used)
+            below = Recontact(p, s.kappa, s.beta)
+            tau, recontact, more = first_root(below, 0.0, emerged, budget - used)
             used += more
+            if tau == 0.0 and recontact == ROOT and _lifts(s, p):
+                tau, recontact, more = first_root(below, 1.0 / s.gap_mode.rate, emerged, budget - used)
+                used += more
         if recontact != HORIZON or ending != ROOT:
             # contact returns before the mass emerges, or the window ends first
             gap, gap1, q, q1 = state_after(p, tau)

@@ -7,6 +7,11 @@ coordinate and the elongation is coupled to it; in the *elongation mode* it is t
 The stiffer the contact, the smaller the gap of the elongation mode, as 1/kappa; yet between impacts n is
 made of it. So it is computed from the elongation that it is coupled to, never as a difference of the total
 gap and the gap mode's.
+
+The more damped the contact, the further apart the rates of the gap mode: the mass stops within 1/beta rad and
+creeps back at kappa/beta = 1/(2 zeta d). Of that creep n is 1/(2 zeta)**2 of kappa gap, and nearly all of
+kappa gap + beta gap' cancels. So an overdamped mode is carried by its two amplitudes
+(`kernel.numerics.oscillator`), and n follows from each by the sum that cancels least (`_lift`).
 """
 
 import math
@@ -15,8 +20,16 @@ from typing import Final, NamedTuple
 from kernel.models.contact_law import contact_constants, damping_ratio, static_state
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, Terms, terms
-from kernel.numerics.jit import jit
-from kernel.numerics.oscillator import Oscillator, derivatives, envelope, motion, oscillator
+from kernel.numerics.jit import inlined, jit
+from kernel.numerics.oscillator import (
+    Oscillator,
+    advance,
+    all_derivatives,
+    apart,
+    coordinates,
+    oscillator,
+    position,
+)
 from kernel.numerics.quartic import paired, roots
 
 #: As in `rigid`: the relative distance to an undamped resonance is kept above this.
@@ -27,11 +40,14 @@ UNDEFINED: Final = Oscillator(math.nan, math.nan, math.nan, math.nan, math.nan, 
 
 
 class Coupling(NamedTuple):
-    """In one free mode the coupled coordinate is value * x + rate * x', x being the leading one."""
+    """A quantity that follows the leading one, x, of a free mode.
 
-    value: float
-    rate: float
-    quality: float  # 0 to 1: the part of the terms it was computed from that did not cancel
+    It is first * x + second * x'. Where the mode's coordinates are amplitudes a and b, it is
+    first * a + second * b.
+    """
+
+    first: float
+    second: float
 
 
 class Modes(NamedTuple):
@@ -41,6 +57,15 @@ class Modes(NamedTuple):
     elongation_mode: Oscillator
     elongation: Coupling  # the elongation in the gap mode
     gap: Coupling  # the gap in the elongation mode
+
+
+class _Contact(NamedTuple):
+    """The coefficients of the free motion in contact."""
+
+    b: float  # of the spring: 2 xi/Omega
+    w: float  # 1/Omega**2
+    beta: float
+    kappa: float
 
 
 class SoftSpring(NamedTuple):
@@ -57,6 +82,8 @@ class SoftSpring(NamedTuple):
     elongation_mode: Oscillator
     elongation: Coupling  # the elongation in the gap mode
     gap: Coupling  # the gap in the elongation mode
+    gap_lift: Coupling  # the lift-off function in the gap mode
+    elongation_lift: Coupling  # and in the elongation mode
     decoupling: tuple[float, float, float, float]  # the inverse of 1 - gap * elongation, by rows
     static_elongation: float  # < 0
     static_gap: float  # < 0
@@ -67,12 +94,12 @@ class SoftSpring(NamedTuple):
 
 
 class ModalState(NamedTuple):
-    """The free motion in contact: the leading coordinate of each mode with its velocity."""
+    """The free motion in contact: the coordinates of each mode."""
 
-    gap: float  # of the gap mode
-    gap1: float
-    q: float  # of the elongation mode
-    q1: float
+    gap_a: float
+    gap_b: float
+    elongation_a: float
+    elongation_b: float
 
 
 class LiftoffFunction(NamedTuple):
@@ -84,10 +111,10 @@ class LiftoffFunction(NamedTuple):
     static: float  # the static part
     wave_re: float  # the driven part Re(W e^{i phi})
     wave_im: float
-    slow: float  # the two modes' parts at tau = 0, with their rates
-    slow1: float
-    fast: float
-    fast1: float
+    slow_a: float  # the coordinates of the two modes' parts at tau = 0
+    slow_b: float
+    fast_a: float
+    fast_b: float
 
 
 @jit
@@ -97,6 +124,7 @@ def soft_spring(
     """The constants of one cell whose contact has this restitution and penetration d (plate amplitudes)."""
     kappa, beta = contact_constants(d, damping_ratio(restitution, adhesive))
     w, b = 1.0 / (omega * omega), 2.0 * xi / omega
+    flight, stiffness = oscillator(b, 2.0 * w), w  # not shifted from a resonance, which is of the contact
     # G (K (z - 1) - (2z - 1)) = 2z - 1 and (2z - 1) Q = K G, with z = w + i b and K = kappa + i beta
     z, k = complex(w, b), complex(kappa, beta)
     below = (z - 1.0) - (2.0 * z - 1.0) / k
@@ -106,20 +134,23 @@ def soft_spring(
         below = (z - 1.0) - (2.0 * z - 1.0) / k
     driven_q = 1.0 / below
     driven_gap = (2.0 * z - 1.0) / k * driven_q
-    free = _separate_modes(b, w, beta, kappa)
+    c = _Contact(b, w, beta, kappa)
+    free = _separate_modes(c)
     static_gap, static_elongation = static_state(gamma, w, kappa)
     return SoftSpring(
         gravity=1.0 / gamma,
         dashpot=b,
-        stiffness=w,
+        stiffness=stiffness,
         kappa=kappa,
         beta=beta,
         adhesive=adhesive,
-        flight=oscillator(b, 2.0 * w),
+        flight=flight,
         gap_mode=free.gap_mode,
         elongation_mode=free.elongation_mode,
         elongation=free.elongation,
         gap=free.gap,
+        gap_lift=_gap_lift(c, free.gap_mode, adhesive),
+        elongation_lift=_elongation_lift(c, free.elongation_mode, free.gap, adhesive),
         decoupling=_decoupling(free),
         static_elongation=static_elongation,
         static_gap=static_gap,
@@ -130,9 +161,85 @@ def soft_spring(
     )
 
 
+@inlined
+def _sum(x: float, y: float, z: float) -> tuple[float, float]:
+    """x + y + z, and the part of it, 0 to 1, that did not cancel."""
+    total = x + y + z
+    return total, abs(total) / (abs(x) + abs(y) + abs(z))
+
+
 @jit
-def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> Coupling:
-    """The y of y'' + b y' + w y = c1 x' + c0 x, where x, and so y, moves as the oscillator does."""
+def _gap_to_elongation(c: _Contact, rate: float) -> float:
+    """q/gap of a free motion exp(rate tau), from (rate**2 + b rate + w) q = -rate**2 gap."""
+    return -rate * rate / (rate * rate + c.b * rate + c.w)
+
+
+@jit
+def _elongation_to_gap(c: _Contact, rate: float) -> float:
+    """gap/q of a free motion exp(rate tau).
+
+    Either (rate**2 + beta rate + kappa) gap = (b rate + w) q, or with the spring's force on both masses,
+    (2 rate**2 + beta rate + kappa) gap = -rate**2 q.
+    """
+    driving, kept = _sum(c.b * rate, c.w, 0.0)
+    if kept > 0.5:
+        return driving / (rate * rate + c.beta * rate + c.kappa)
+    return -rate * rate / (2.0 * rate * rate + c.beta * rate + c.kappa)
+
+
+@jit
+def _gap_to_force(c: _Contact, rate: float) -> float:
+    """n/gap of a free motion exp(rate tau).
+
+    Either -(kappa + beta rate), or as n = gap'' - b q' - w q. The first cancels where the mass creeps in
+    an overdamped contact, the second where the contact is hardly felt.
+    """
+    force, kept = _sum(c.kappa, c.beta * rate, 0.0)
+    free, kept1 = _sum(rate * rate, 2.0 * c.b * rate, 2.0 * c.w)  # zero in flight
+    stuck, kept2 = _sum(rate * rate, c.b * rate, c.w)  # zero on a rigid plate
+    return -force if kept > min(kept1, kept2) else rate * rate * free / stuck
+
+
+@jit
+def _elongation_to_force(c: _Contact, rate: float) -> float:
+    """n/q of a free motion exp(rate tau), by the same choice as in `_gap_to_force`."""
+    force, kept = _sum(c.kappa, c.beta * rate, 0.0)
+    both, kept1 = _sum(force, 2.0 * rate * rate, 0.0)
+    free, kept2 = _sum(rate * rate, 2.0 * c.b * rate, 2.0 * c.w)
+    return force * rate * rate / both if min(kept, kept1) > kept2 else -free
+
+
+@jit
+def _gap_lift(c: _Contact, mode: Oscillator, adhesive: bool) -> Coupling:
+    """The lift-off function -kappa gap (adhesive) or n in the gap mode."""
+    if adhesive:
+        return Coupling(-c.kappa, -c.kappa) if apart(mode) else Coupling(-c.kappa, 0.0)
+    if apart(mode):
+        return Coupling(_gap_to_force(c, mode.slow), _gap_to_force(c, mode.fast))
+    return Coupling(-c.kappa, -c.beta)
+
+
+@jit
+def _elongation_lift(c: _Contact, mode: Oscillator, gap: Coupling, adhesive: bool) -> Coupling:
+    """The lift-off function -kappa gap (adhesive) or n in the elongation mode, whose gap is `gap`."""
+    if adhesive:
+        return Coupling(-c.kappa * gap.first, -c.kappa * gap.second)
+    if apart(mode):
+        return Coupling(_elongation_to_force(c, mode.slow), _elongation_to_force(c, mode.fast))
+    # -(kappa + beta d/dtau)(first + second d/dtau), with q'' from the mode's equation
+    return Coupling(
+        -(c.kappa * gap.first - c.beta * gap.second * mode.stiffness),
+        -(c.kappa * gap.second + c.beta * (gap.first - 2.0 * mode.damping * gap.second)),
+    )
+
+
+@jit
+def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> tuple[Coupling, float]:
+    """The y of y'' + b y' + w y = c1 x' + c0 x, where x, and so y, moves as the oscillator does.
+
+    As first * x + second * x', whatever the mode's coordinates. Also returns the quality, 0 to 1: the part
+    of the terms it was computed from that did not cancel.
+    """
     a1, a0 = 2.0 * osc.damping, osc.stiffness
     # (value + rate s)(p + r s) = c0 + c1 s wherever s**2 + a1 s + a0 = 0
     # with p**2 - p r a1 + r**2 a0 and c1 p - c0 r expanded, so that nothing large cancels
@@ -141,48 +248,66 @@ def _coupling(osc: Oscillator, b: float, w: float, c1: float, c0: float) -> Coup
     size, size1 = w + a0, b + a1
     quality = abs(det) / (size * size + size * size1 * a1 + size1 * size1 * a0)
     value, rate = c0 * p + r * (c1 * a0 - c0 * a1), (c1 * w - c0 * b) + (c0 * a1 - c1 * a0)
-    return Coupling(value / det, rate / det, quality)
+    return Coupling(value / det, rate / det), quality
 
 
 @jit
-def _separate_modes(b: float, w: float, beta: float, kappa: float) -> Modes:
+def _separate_modes(c: _Contact) -> Modes:
     """The free motion in two modes: of the six ways to choose them, that in which least cancels.
 
     The free motion obeys q'' + b q' + w q = -gap'' and gap'' + beta gap' + kappa gap = b q' + w q, whose
     characteristic polynomial is the quartic below. It has three pairs of quadratic factors, and either
     factor of a pair may be the gap mode.
     """
+    b, w, beta, kappa = c
     c3, c2, c1, c0 = beta + 2.0 * b, kappa + 2.0 * w + b * beta, b * kappa + w * beta, w * kappa
     z = roots(c3, c2, c1, c0)
-    best_quality, best = -1.0, Modes(UNDEFINED, UNDEFINED, Coupling(0.0, 0.0, 0.0), Coupling(0.0, 0.0, 0.0))
+    best_quality, best = -1.0, Modes(UNDEFINED, UNDEFINED, Coupling(0.0, 0.0), Coupling(0.0, 0.0))
     for partner in (1, 2, 3):
         separation, f = paired(c3, c2, c1, c0, z, partner)
         if separation == 0.0:
             continue
         slow, fast = oscillator(0.5 * f.a1, f.b1), oscillator(0.5 * f.a2, f.b2)
         for gap_mode, elongation_mode in ((fast, slow), (slow, fast)):
-            elongation = _coupling(gap_mode, b, w, 2.0 * gap_mode.damping, gap_mode.stiffness)
-            gap = _coupling(elongation_mode, beta, kappa, b, w)
-            quality = separation * elongation.quality * gap.quality
+            elongation, kept = _coupling(gap_mode, b, w, 2.0 * gap_mode.damping, gap_mode.stiffness)
+            gap, kept1 = _coupling(elongation_mode, beta, kappa, b, w)
+            quality = separation * kept * kept1
             if quality > best_quality:
                 best_quality, best = quality, Modes(gap_mode, elongation_mode, elongation, gap)
-    return best
+    elongation, gap = best.elongation, best.gap
+    if apart(best.gap_mode):
+        slow_rate, fast_rate = best.gap_mode.slow, best.gap_mode.fast
+        elongation = Coupling(_gap_to_elongation(c, slow_rate), _gap_to_elongation(c, fast_rate))
+    if apart(best.elongation_mode):
+        slow_rate, fast_rate = best.elongation_mode.slow, best.elongation_mode.fast
+        gap = Coupling(_elongation_to_gap(c, slow_rate), _elongation_to_gap(c, fast_rate))
+    return Modes(best.gap_mode, best.elongation_mode, elongation, gap)
 
 
 @jit
-def _coupled(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
-    """The coupled coordinate and its velocity, where the leading one is x with velocity x1."""
-    x2 = -2.0 * osc.damping * x1 - osc.stiffness * x
-    return coupling.value * x + coupling.rate * x1, coupling.value * x1 + coupling.rate * x2
+def _coupled(coupling: Coupling, osc: Oscillator, a: float, b: float) -> tuple[float, float]:
+    """The coordinates of the coupled quantity, those of the leading one being a and b."""
+    if apart(osc):
+        return coupling.first * a, coupling.second * b
+    b1 = -2.0 * osc.damping * b - osc.stiffness * a
+    return coupling.first * a + coupling.second * b, coupling.first * b + coupling.second * b1
+
+
+@jit
+def _following(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
+    """The coupled quantity and its rate, the leading one being x with rate x1."""
+    a, b = coordinates(osc, x, x1)
+    a, b = _coupled(coupling, osc, a, b)
+    return position(osc, a, b)
 
 
 @jit
 def _decoupling(f: Modes) -> tuple[float, float, float, float]:
     """The inverse of 1 - G E by rows, E being the gap mode's coupling as a matrix and G the other's."""
-    q, q1 = _coupled(f.elongation, f.gap_mode, 1.0, 0.0)
-    m00, m10 = _coupled(f.gap, f.elongation_mode, q, q1)
-    q, q1 = _coupled(f.elongation, f.gap_mode, 0.0, 1.0)
-    m01, m11 = _coupled(f.gap, f.elongation_mode, q, q1)
+    q, q1 = _following(f.elongation, f.gap_mode, 1.0, 0.0)
+    m00, m10 = _following(f.gap, f.elongation_mode, q, q1)
+    q, q1 = _following(f.elongation, f.gap_mode, 0.0, 1.0)
+    m01, m11 = _following(f.gap, f.elongation_mode, q, q1)
     m00, m01, m10, m11 = 1.0 - m00, -m01, -m10, 1.0 - m11
     det = m00 * m11 - m01 * m10
     return m11 / det, -m01 / det, -m10 / det, m00 / det
@@ -201,22 +326,28 @@ def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: f
     q1 += s.q_re * sin + s.q_im * cos
     gap -= s.static_gap + s.g_re * cos - s.g_im * sin
     gap1 += s.g_re * sin + s.g_im * cos
-    coupled, coupled1 = _coupled(s.gap, s.elongation_mode, q, q1)
+    coupled, coupled1 = _following(s.gap, s.elongation_mode, q, q1)
     left, left1 = gap - coupled, gap1 - coupled1
     m00, m01, m10, m11 = s.decoupling
     gap, gap1 = m00 * left + m01 * left1, m10 * left + m11 * left1
-    coupled, coupled1 = _coupled(s.elongation, s.gap_mode, gap, gap1)
-    return ModalState(gap, gap1, q - coupled, q1 - coupled1)
+    coupled, coupled1 = _following(s.elongation, s.gap_mode, gap, gap1)
+    gap_a, gap_b = coordinates(s.gap_mode, gap, gap1)
+    elongation_a, elongation_b = coordinates(s.elongation_mode, q - coupled, q1 - coupled1)
+    return ModalState(gap_a, gap_b, elongation_a, elongation_b)
 
 
 @jit
 def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau rad, where the modes are `m` at phase phi and tau = 0."""
     sin, cos = sincos(phi + tau)
-    gap, gap1 = motion(s.gap_mode, m.gap, m.gap1, tau)
-    q, q1 = motion(s.elongation_mode, m.q, m.q1, tau)
-    coupled_gap, coupled_gap1 = _coupled(s.gap, s.elongation_mode, q, q1)
-    coupled_q, coupled_q1 = _coupled(s.elongation, s.gap_mode, gap, gap1)
+    a, b = advance(s.gap_mode, m.gap_a, m.gap_b, tau)
+    gap, gap1 = position(s.gap_mode, a, b)
+    a, b = _coupled(s.elongation, s.gap_mode, a, b)
+    coupled_q, coupled_q1 = position(s.gap_mode, a, b)
+    a, b = advance(s.elongation_mode, m.elongation_a, m.elongation_b, tau)
+    q, q1 = position(s.elongation_mode, a, b)
+    a, b = _coupled(s.gap, s.elongation_mode, a, b)
+    coupled_gap, coupled_gap1 = position(s.elongation_mode, a, b)
     return (
         s.static_gap + s.g_re * cos - s.g_im * sin + coupled_gap + gap,
         -(s.g_re * sin + s.g_im * cos) + coupled_gap1 + gap1,
@@ -226,24 +357,16 @@ def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[fl
 
 
 @jit
-def _force(osc: Oscillator, kappa: float, c: float, gap: float, gap1: float) -> tuple[float, float]:
-    """-(kappa gap + c gap') and its rate, where the gap moves as the oscillator does."""
-    gap2 = -2.0 * osc.damping * gap1 - osc.stiffness * gap
-    return -(kappa * gap + c * gap1), -(kappa * gap1 + c * gap2)
-
-
-@jit
 def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunction:
     """The lift-off function -(kappa gap + c gap') from phi on, with c = 0 (adhesive) or beta (nonadhesive).
 
     The stiffer of the two modes is its ringing part.
     """
     c = 0.0 if s.adhesive else s.beta
-    gap, gap1 = _coupled(s.gap, s.elongation_mode, m.q, m.q1)
-    f, f1 = _force(s.gap_mode, s.kappa, c, m.gap, m.gap1)
-    g, g1 = _force(s.elongation_mode, s.kappa, c, gap, gap1)
+    f_a, f_b = _coupled(s.gap_lift, s.gap_mode, m.gap_a, m.gap_b)
+    g_a, g_b = _coupled(s.elongation_lift, s.elongation_mode, m.elongation_a, m.elongation_b)
     gap_rings = s.gap_mode.stiffness >= s.elongation_mode.stiffness
-    slow, slow1, fast, fast1 = (g, g1, f, f1) if gap_rings else (f, f1, g, g1)
+    slow_a, slow_b, fast_a, fast_b = (g_a, g_b, f_a, f_b) if gap_rings else (f_a, f_b, g_a, g_b)
     return LiftoffFunction(
         s.elongation_mode if gap_rings else s.gap_mode,
         s.gap_mode if gap_rings else s.elongation_mode,
@@ -251,10 +374,10 @@ def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunctio
         static=-s.kappa * s.static_gap,
         wave_re=-(s.kappa * s.g_re - c * s.g_im),
         wave_im=-(s.kappa * s.g_im + c * s.g_re),
-        slow=slow,
-        slow1=slow1,
-        fast=fast,
-        fast1=fast1,
+        slow_a=slow_a,
+        slow_b=slow_b,
+        fast_a=fast_a,
+        fast_b=fast_b,
     )
 
 
@@ -264,22 +387,22 @@ def _liftoff_terms(p: LiftoffFunction, tau: float) -> Terms:
     """The static and driven parts and the slower mode are smooth, the faster mode rings."""
     sin, cos = sincos(p.phi + tau)
     wave, wave1 = p.wave_re * cos - p.wave_im * sin, -(p.wave_re * sin + p.wave_im * cos)
-    slow, slow1 = motion(p.slow_osc, p.slow, p.slow1, tau)
-    slow2, slow3, slow4 = derivatives(p.slow_osc, slow, slow1)
-    fast, fast1 = motion(p.fast_osc, p.fast, p.fast1, tau)
-    fast2, fast3, fast4 = derivatives(p.fast_osc, fast, fast1)
+    a, b = advance(p.slow_osc, p.slow_a, p.slow_b, tau)
+    slow = all_derivatives(p.slow_osc, a, b)
+    a, b = advance(p.fast_osc, p.fast_a, p.fast_b, tau)
+    fast = all_derivatives(p.fast_osc, a, b)
     bound = abs(p.wave_re) + abs(p.wave_im)
     return Terms(
-        smooth=p.static + wave + slow,
-        smooth1=wave1 + slow1,
-        smooth2=slow2 - wave,
-        smooth3=slow3 - wave1,
-        smooth4=slow4 + bound,
-        ring=fast,
-        ring1=fast1,
-        ring2=fast2,
-        ring3=fast3,
-        ring4=fast4,
-        amplitude=envelope(p.fast_osc, fast, fast1),
-        noise=4.0 * EPS * (p.static + bound + abs(slow) + abs(fast)),
+        smooth=p.static + wave + slow.x,
+        smooth1=wave1 + slow.x1,
+        smooth2=slow.x2 - wave,
+        smooth3=slow.x3 - wave1,
+        smooth4=slow.x4 + bound,
+        ring=fast.x,
+        ring1=fast.x1,
+        ring2=fast.x2,
+        ring3=fast.x3,
+        ring4=fast.x4,
+        amplitude=fast.size,
+        noise=4.0 * EPS * (p.static + bound + slow.size + fast.size),
     )

@@ -11,7 +11,13 @@ import math
 from kernel.models.soft_contact import LiftoffFunction
 from kernel.numerics.first_root import Terms
 from kernel.numerics.jit import jit
-from kernel.numerics.oscillator import first_falling_zero, motion
+from kernel.numerics.oscillator import advance, derivative, first_falling_zero, position
+
+
+@jit
+def _ringing(p: LiftoffFunction, tau: float) -> tuple[float, float]:
+    """The ringing part and its rate at tau."""
+    return position(p.fast_osc, *advance(p.fast_osc, p.fast_a, p.fast_b, tau))
 
 
 @jit
@@ -24,7 +30,7 @@ def sure_contact_time(p: LiftoffFunction, t: Terms) -> float:
     """
     if t.ring + t.smooth < -t.noise or (t.ring1 <= 0.0 and t.ring <= 0.0) or (t.ring < 0.0 <= t.ring2):
         return 0.0
-    end = first_falling_zero(p.fast_osc, t.ring, t.ring1)
+    end = first_falling_zero(p.fast_osc, p.fast_a, p.fast_b)
     if end == math.inf:
         return 0.0
     slope = abs(t.smooth1) + end * (
@@ -34,8 +40,8 @@ def sure_contact_time(p: LiftoffFunction, t: Terms) -> float:
     if lowest > 0.0 and (t.ring >= 0.0 or -t.ring > end * slope):
         return end  # the ringing is positive, or outgrows the smooth part's decrease before it is
     if t.ring1 > 0.0:  # rising, and concave up to its maximum
-        top = first_falling_zero(p.fast_osc, t.ring1, t.ring2)
-        height, _ = motion(p.fast_osc, t.ring, t.ring1, top)
+        top = first_falling_zero(p.fast_osc, *derivative(p.fast_osc, p.fast_a, p.fast_b))
+        height, _ = _ringing(p, top)
         if top >= end or height <= -lowest or height - t.ring <= top * slope:
             return 0.0
     else:
@@ -43,9 +49,9 @@ def sure_contact_time(p: LiftoffFunction, t: Terms) -> float:
     if lowest > 0.0:
         return end
     # back by twice the time in which the ringing, at its speed at the zero, falls by -lowest
-    _, fall = motion(p.fast_osc, t.ring, t.ring1, end)
+    _, fall = _ringing(p, end)
     end += 2.0 * lowest / abs(fall)
     if end <= top:
         return 0.0
-    last, _ = motion(p.fast_osc, t.ring, t.ring1, end)
+    last, _ = _ringing(p, end)
     return end if last > -lowest else 0.0

@@ -3,6 +3,11 @@
 Its solution is x = x0 C + v0 S and x' = -w S x0 + S' v0, with C and S of docs/model.md, section 3. Every
 derivative of x obeys the same equation, which gives n'', gap''' and so on without differencing. Times are
 in rad of the plate's phase, rates in 1/rad.
+
+An overdamped motion may also be carried by its *coordinates*, the amplitudes of its slow and its fast
+exponential: x = a + b and x' = slow a + fast b. With damping ratio zeta, x0 C and v0 S cancel up to a part
+1/(2 zeta)**4 in the force of a contact; the amplitudes never do. Where the roots are not apart, the
+coordinates are x and x' themselves.
 """
 
 import math
@@ -44,6 +49,12 @@ def oscillator(damping: float, stiffness: float) -> Oscillator:
     return Oscillator(damping, stiffness, discriminant, root, stiffness / fast, fast, rate)
 
 
+@inlined
+def apart(osc: Oscillator) -> bool:
+    """Whether both roots are real and far apart, so that the coordinates are two amplitudes."""
+    return osc.discriminant > 0.0 and osc.root > NEAR_CRITICAL * osc.damping
+
+
 @jit
 def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     """C(tau), S(tau) and S'(tau) of docs/model.md, section 3; tau >= 0 in rad.
@@ -60,7 +71,7 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
         return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
     slow = exp(osc.slow * tau)
     spread = 2.0 * osc.root * tau
-    if osc.root > NEAR_CRITICAL * osc.damping:
+    if apart(osc):
         ratio = exp(-spread)  # of the fast exponential to the slow one
         scale = slow / (2.0 * osc.root)
         sine = -scale * math.expm1(-spread)
@@ -119,24 +130,6 @@ def decay_time(osc: Oscillator, x: float, v: float, level: float) -> float:
 
 
 @jit
-def first_falling_zero(osc: Oscillator, x: float, v: float) -> float:
-    """The time (rad) at which a motion from x >= 0, or from x < 0 and rising, first falls to zero.
-
-    Infinite if it never does.
-    """
-    push = v + osc.damping * x
-    if osc.discriminant < 0.0:
-        angle = math.atan2(x, -push / osc.root)
-        return (angle if x >= 0.0 else angle + TWO_PI) / osc.root
-    if x < 0.0 or push >= 0.0:
-        return math.inf
-    if osc.root == 0.0:
-        return -x / push
-    tangent = -x * osc.root / push  # of the hyperbolic angle root * tau
-    return math.atanh(tangent) / osc.root if tangent < 1.0 else math.inf
-
-
-@jit
 def displacement(osc: Oscillator, x0: float, v0: float, tau: float) -> float:
     """x(tau) - x0 by its power series, for tau * rate < SHORT.
 
@@ -150,3 +143,93 @@ def displacement(osc: Oscillator, x0: float, v0: float, tau: float) -> float:
         power *= tau / order
         total += last * power
     return total
+
+
+# --- in coordinates -------------------------------------------------------------------------
+
+
+class Derivatives(NamedTuple):
+    """A free motion at one instant, and bounds from then on."""
+
+    x: float
+    x1: float
+    x2: float
+    x3: float
+    x4: float  # bound on |x''''|
+    size: float  # bound on |x|, and on what was added up for it
+
+
+@inlined
+def coordinates(osc: Oscillator, x: float, v: float) -> tuple[float, float]:
+    """The coordinates of the motion with this x and v = x'."""
+    if apart(osc):
+        return (v - osc.fast * x) / (2.0 * osc.root), (osc.slow * x - v) / (2.0 * osc.root)
+    return x, v
+
+
+@inlined
+def position(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
+    """x and x' of the motion with these coordinates."""
+    return (a + b, osc.slow * a + osc.fast * b) if apart(osc) else (a, b)
+
+
+@inlined
+def derivative(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
+    """The coordinates of x'."""
+    if apart(osc):
+        return osc.slow * a, osc.fast * b
+    return b, -2.0 * osc.damping * b - osc.stiffness * a
+
+
+@jit
+def advance(osc: Oscillator, a: float, b: float, tau: float) -> tuple[float, float]:
+    """The coordinates tau >= 0 rad later."""
+    if apart(osc):
+        return a * exp(osc.slow * tau), b * exp(osc.fast * tau)
+    return motion(osc, a, b, tau)
+
+
+@jit
+def all_derivatives(osc: Oscillator, a: float, b: float) -> Derivatives:
+    """x and its derivatives from its coordinates."""
+    if apart(osc):
+        a1, b1 = osc.slow * a, osc.fast * b
+        a2, b2 = osc.slow * a1, osc.fast * b1
+        a3, b3 = osc.slow * a2, osc.fast * b2
+        bound = abs(osc.slow * a3) + abs(osc.fast * b3)
+        return Derivatives(a + b, a1 + b1, a2 + b2, a3 + b3, bound, abs(a) + abs(b))
+    x2, x3, bound = derivatives(osc, a, b)
+    return Derivatives(a, b, x2, x3, bound, envelope(osc, a, b))
+
+
+@jit
+def quiet_time(osc: Oscillator, a: float, b: float, level: float) -> float:
+    """`decay_time` from the coordinates."""
+    if not apart(osc):
+        return decay_time(osc, a, b, level)
+    if level <= 0.0:
+        return math.inf
+    slow, fast = 2.0 * abs(a) / level, 2.0 * abs(b) / level  # each below half of the level
+    if not (slow < math.inf and fast < math.inf):
+        return math.inf
+    return max(math.log(max(slow, 1.0)) / -osc.slow, math.log(max(fast, 1.0)) / -osc.fast)
+
+
+@jit
+def first_falling_zero(osc: Oscillator, a: float, b: float) -> float:
+    """The time (rad) at which a motion from x >= 0, or from x < 0 and rising, first falls to zero.
+
+    Infinite if it never does. a and b are its coordinates.
+    """
+    if apart(osc):
+        return math.log(-b / a) / (2.0 * osc.root) if a < 0.0 <= a + b else math.inf
+    push = b + osc.damping * a
+    if osc.discriminant < 0.0:
+        angle = math.atan2(a, -push / osc.root)
+        return (angle if a >= 0.0 else angle + TWO_PI) / osc.root
+    if a < 0.0 or push >= 0.0:
+        return math.inf
+    if osc.root == 0.0:
+        return -a / push
+    tangent = -a * osc.root / push  # of the hyperbolic angle root * tau
+    return math.atanh(tangent) / osc.root if tangent < 1.0 else math.inf
