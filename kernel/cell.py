@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.interface import contact, flight, replay
-from kernel.modes import REPEATS, find_cycle
+from kernel.modes import REPEATS, find_cycle, is_settling, limit_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
@@ -38,6 +38,7 @@ APERIODIC: Final = int(Outcome.APERIODIC)
 AT_REST: Final = int(Outcome.AT_REST)
 UNRESOLVED: Final = int(Outcome.UNRESOLVED)
 DIVERGED: Final = int(Outcome.DIVERGED)
+SETTLING: Final = int(Outcome.SETTLING)
 
 
 class Window(NamedTuple):
@@ -45,7 +46,7 @@ class Window(NamedTuple):
 
     settle: int  # plate periods discarded
     observe: int  # plate periods recorded
-    micro_flight: float  # rad; shorter flights do not count for outcome and mode
+    micro_flight: float  # rad; shorter flights do not count for the mode, unless all are
     settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
     exponents: int  # Lyapunov exponents computed
@@ -75,16 +76,20 @@ class Progress(NamedTuple):
     q: float
     q1: float
     takeoff_phase: float
-    takeoff_period: int  # -1 for a flight under way at the start: it is not recorded
+    takeoff_period: int  # -1 for a flight under way at the start or at an extension: it is not recorded
     recorded: int  # flights that took off and landed inside the window (or so far, while settling)
-    flew: bool  # whether a flight longer than micro_flight was under way in the window
+    flew: bool  # whether a flight was under way in the window
     budget: int  # evaluations left
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
+    settle: int  # plate periods before the window: window.settle, and more once `extend` has moved it
 
 
 @jit
-def start_run(state: Any, window: Window) -> Progress:
-    """A run from `state` (6,), see params.STATE_FIELDS."""
+def start_run(state: Any, window: Window, takes_off: bool) -> Progress:
+    """A run from `state` (6,), see params.STATE_FIELDS.
+
+    `takes_off`: whether the flight that the state begins takes off now, so that it is recorded.
+    """
     budget = BUDGET * (window.settle + window.observe)
     return Progress(
         state[0],
@@ -95,18 +100,19 @@ def start_run(state: Any, window: Window) -> Progress:
         state[4],
         state[5],
         state[0],
-        -1,
+        0 if takes_off else -1,
         0,
         False,
         budget,
         ROOT,
+        window.settle,
     )
 
 
 @inlined
 def horizon_of(run: Progress, window: Window) -> float:
     """Rad from the run's phase to the window's end."""
-    return TWO_PI * (window.settle + window.observe - run.period) - run.phase
+    return TWO_PI * (run.settle + window.observe - run.period) - run.phase
 
 
 @inlined
@@ -119,13 +125,13 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
     phase = run.phase + p.tau - TWO_PI * turns
     period = run.period + turns
-    settling = period < window.settle
+    settling = period < run.settle
     recorded, flew = run.recorded, run.flew
-    if run.period < window.settle and not settling:
+    if run.period < run.settle and not settling:
         recorded = 0
     if run.in_flight and p.tau > SHORTEST_FLIGHT:
-        flew = flew or (not settling and p.tau > window.micro_flight)
-        inside = run.takeoff_period >= window.settle or (settling and window.settle_tolerance > 0.0)
+        flew = flew or not settling
+        inside = run.takeoff_period >= run.settle or (settling and window.settle_tolerance > 0.0)
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
             slot = first + recorded % flights.size
             flights.time[slot] = p.tau
@@ -133,11 +139,11 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
             flights.period[slot] = run.takeoff_period
             recorded += 1
     ending = p.ending
-    if ending == HORIZON or (ending == ROOT and period >= window.settle + window.observe):
+    if ending == HORIZON or (ending == ROOT and period >= run.settle + window.observe):
         phase, ending = 0.0, HORIZON
     return Progress(
         phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
-        phase, period, recorded, flew, run.budget - p.used, ending,
+        phase, period, recorded, flew, run.budget - p.used, ending, run.settle,
     )  # fmt: skip
 
 
@@ -148,28 +154,52 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
     `before` is the run before its last phase. Separate from `record`, which is inlined into the loop and
     would grow too large.
     """
-    if run.recorded == before.recorded or run.period >= window.settle or run.recorded % SETTLING_CHECK:
+    if run.recorded == before.recorded or run.period >= run.settle or run.recorded % SETTLING_CHECK:
         return run
     tolerance = window.settle_tolerance
-    bounces, _ = _cycle(flights, first, run.recorded, SETTLING_CHECK, window.micro_flight, tolerance)
+    time, phase, period = _counted(flights, first, run.recorded, SETTLING_CHECK, window.micro_flight)
+    bounces, _ = find_cycle(time, phase, period, tolerance)
     if bounces == 0:
         return run
     return Progress(
-        run.phase, window.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, window.settle, 0, run.flew, run.budget, run.ending,
+        run.phase, run.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
+        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle,
     )  # fmt: skip
 
 
 @jit
-def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progress:
-    """Run one cell from `state` (6,) to the end of its window or to a failure."""
-    run = start_run(state, window)
+def extend(run: Progress, window: Window, flights: Flights, first: int) -> Progress:
+    """`run`, which has ended, made to go on if its cell still settles and window.settle_until permits.
+
+    The periods in all are doubled, up to window.settle_until; the window moves to their end. It begins where
+    the old one ended or later, so that no flight is in both.
+    """
+    taken = run.settle + window.observe
+    added = min(taken, window.settle_until - taken)
+    if run.ending != HORIZON or added < window.observe:
+        return run
+    if classify(run, flights, first, window)[0] != SETTLING:
+        return run
+    return Progress(
+        run.phase, run.period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
+        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added,
+    )  # fmt: skip
+
+
+@jit
+def run_cell(cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool) -> Progress:
+    """Run one cell from `state` (6,) to the end of its window or to a failure.
+
+    `takes_off`: as in `start_run`.
+    """
+    run = start_run(state, window, takes_off)
     cache = np.zeros(CACHE_SIZE)
     while run.ending == ROOT:
         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
             run = replay(cell, run, window, flights, cache)
             if run.ending != ROOT:
-                break
+                run = extend(run, window, flights, 0)
+                continue
         horizon = horizon_of(run, window)
         if run.in_flight:
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
@@ -178,6 +208,8 @@ def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progres
         before, run = run, record(run, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
             run = end_settling(before, run, window, flights, 0)
+        if run.ending != ROOT and window.settle_until > 0:
+            run = extend(run, window, flights, 0)
     return run
 
 
@@ -189,32 +221,56 @@ def store_state(run: Progress, state: Any) -> None:
 
 
 @jit
-def classify(run: Progress, flights: Flights, first: int, micro_flight: float) -> tuple[int, int, int]:
-    """Outcome, bounces and plate periods of a cell whose run has ended."""
+def classify(run: Progress, flights: Flights, first: int, window: Window) -> tuple[int, int, int]:
+    """Outcome, bounces and plate periods of a cell whose run has ended (docs/model.md, section 4)."""
     if run.ending != HORIZON:
         return DIVERGED if run.ending == NON_FINITE else UNRESOLVED, 0, 0
     if not run.flew:
         return AT_REST, 0, 0
-    bounces, periods = _cycle(flights, first, run.recorded, flights.size, micro_flight, REPEATS)
-    return PERIODIC if bounces else APERIODIC, bounces, periods
+    time, phase, period = _counted(flights, first, run.recorded, flights.size, window.micro_flight)
+    bounces, periods = find_cycle(time, phase, period, REPEATS)
+    if bounces > 0:
+        limit = limit_cycle(time, phase, bounces)
+        if periods * limit % bounces == 0:
+            bounces, periods = limit, periods * limit // bounces
+        return PERIODIC, bounces, periods
+    settling = _comes_to_rest(run, flights, first, window) or is_settling(time, phase)
+    return SETTLING if settling else APERIODIC, 0, 0
 
 
 @jit
-def _cycle(
-    flights: Flights, first: int, recorded: int, last: int, micro_flight: float, tolerance: float
-) -> tuple[int, int]:
-    """The cycle of those of the `last` flights that are longer than `micro_flight`: see modes.find_cycle."""
+def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) -> bool:
+    """Whether the last flight of a run that has ended landed in the first half of the window."""
+    if run.in_flight or run.recorded == 0:
+        return False
+    last = first + (run.recorded - 1) % flights.size
+    landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
+    return landing < run.settle + 0.5 * window.observe
+
+
+@jit
+def _counted(
+    flights: Flights, first: int, recorded: int, last: int, micro_flight: float
+) -> tuple[Any, Any, Any]:
+    """Times, take-off phases and periods of those of the `last` flights that count: arrays (n,), in order.
+
+    Those longer than `micro_flight` count; if none is, all do.
+    """
     kept = min(recorded, last)
+    longest = 0.0
+    for i in range(recorded - kept, recorded):
+        longest = max(longest, flights.time[first + i % flights.size])
+    shortest = micro_flight if longest > micro_flight else 0.0
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0
     for i in range(recorded - kept, recorded):
         slot = first + i % flights.size
-        if flights.time[slot] > micro_flight:
+        if flights.time[slot] > shortest:
             time[count] = flights.time[slot]
             phase[count] = flights.phase[slot]
             period[count] = flights.period[slot]
             count += 1
-    return find_cycle(time[:count], phase[:count], period[:count], tolerance)
+    return time[:count], phase[:count], period[:count]
 
 
 @jit
@@ -230,7 +286,7 @@ def write_record(
     line: Line, i: int, run: Progress, flights: Flights, first: int, state: Any, window: Window
 ) -> None:
     """Write the record of a cell whose run has ended as the i-th of `line`; `state` (6,) is its end state."""
-    outcome, bounces, periods = classify(run, flights, first, window.micro_flight)
+    outcome, bounces, periods = classify(run, flights, first, window)
     line.flights[i], line.outcome[i] = run.recorded, outcome
     line.bounces[i], line.periods[i] = bounces, periods
     keep = line.flight_time.shape[1]

@@ -37,11 +37,12 @@ def _walk(
         if carry and started:
             _rescale(state, before, gamma[i], omega[i])
         else:
-            state[0] = 0.0
+            state[0], state[1] = 0.0, 0.0
             state[2], state[3], state[4], state[5] = rest(cell)
         in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
+        takes_off = in_flight and state[1] == 0.0
         state[1] = 1.0 if in_flight else 0.0
-        run = run_cell(cell, state, window, flights)
+        run = run_cell(cell, state, window, flights, takes_off)
         store_state(run, state)
         write_record(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
@@ -89,9 +90,10 @@ def run_line(
     gamma, omega, xi: float64 (n,). plate: made by a model's `plate` function from its own arrays (n,); its
     type selects the model. With `carry` each cell continues from its predecessor's end, the first from
     `start` or from rest; without, every cell starts from rest. settle, observe: plate periods discarded
-    and recorded. keep: flights stored. micro_flight: rad; shorter flights do not count for outcome and
-    mode. settle_tolerance: rad; if > 0, flights that repeat within it end the settling early.
+    and recorded. keep: flights stored. micro_flight: rad; shorter flights do not count for the mode, unless
+    all are. settle_tolerance: rad; if > 0, flights that repeat within it end the settling early.
     settle_until: plate periods that a cell still settling may take in all; None: no more than the window.
+    The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
     exponents: Lyapunov exponents to compute.
 
     A trajectory that fails is an outcome, not an exception. Raises KernelInputError for arguments outside

@@ -9,7 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import MAX_EXPONENTS, STATE_FIELDS, KernelInputError, Start
+from kernel.params import (
+    MAX_EXPONENTS,
+    MAX_SETTLE_TOLERANCE,
+    STATE_FIELDS,
+    KernelInputError,
+    Start,
+)
 
 #: Parameters must lie within this and its inverse. Their squares, such as 1/d^2, then stay within 1e60, and
 #: products of four of those, which the kernels form, within a double's range of 1e308.
@@ -77,6 +83,10 @@ def check_window(
     for name, length in (("micro_flight", micro_flight), ("settle_tolerance", settle_tolerance)):
         if not np.isfinite(length) or length < 0.0:
             raise KernelInputError(name, f"must be >= 0 and finite, got {length!r}")
+    if settle_tolerance > MAX_SETTLE_TOLERANCE:
+        raise KernelInputError(
+            "settle_tolerance", f"must be at most {MAX_SETTLE_TOLERANCE:g}, got {settle_tolerance!r}"
+        )
 
 
 def checked_state(start: Start) -> NDArray[np.float64]:

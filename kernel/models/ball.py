@@ -161,18 +161,18 @@ def _fill_cache(b: Ball, phi: float, budget: int, cache: Any) -> None:
 
 
 @jit
-def _skip_cycles(run: Progress, window: Window, cache: Any) -> Progress:
+def _skip_cycles(run: Progress, cache: Any) -> Progress:
     """The run at a take-off from rest, advanced by as many whole cycles as fit into the settling.
 
     A cycle is the time since the take-off from rest before this one.
     """
     length = max(run.period - int(cache[BEFORE]), 1)
-    cycles = (window.settle - 1 - run.period) // length if cache[BEFORE] >= 0.0 else 0
+    cycles = (run.settle - 1 - run.period) // length if cache[BEFORE] >= 0.0 else 0
     period = run.period + max(cycles, 0) * length
     cache[BEFORE] = period
     return Progress(
         run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, period, run.recorded, run.flew, run.budget, run.ending,
+        run.phase, period, run.recorded, run.flew, run.budget, run.ending, run.settle,
     )  # fmt: skip
 
 
@@ -188,7 +188,7 @@ def _replay(b: Ball, run: Progress, window: Window, flights: Flights, cache: Any
             _fill_cache(b, run.phase, run.budget, cache)
             if cache[COUNT] == 0.0:
                 break
-        run = _skip_cycles(run, window, cache)
+        run = _skip_cycles(run, cache)
         for k in range(int(cache[COUNT])):
             at = FIRST + WIDTH * k
             tau, hop, flying = cache[at + TAU], cache[at + HOP], cache[at + FLIES] == 1.0

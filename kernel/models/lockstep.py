@@ -17,6 +17,7 @@ from kernel.cell import (
     Window,
     allocate_flights,
     end_settling,
+    extend,
     horizon_of,
     record,
     start_run,
@@ -46,6 +47,7 @@ from kernel.models.lanes import (
     supports,
 )
 from kernel.models.rigid import RigidPlate, Spring, land
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT, Phase, departure_step
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import decay_time, derivatives
@@ -170,7 +172,7 @@ def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
     state[0] = 0.0
     state[2], state[3], state[4], state[5] = rest(s)
     state[1] = 1.0 if flies(s, 0.0, state[2], state[3], state[4], state[5]) else 0.0
-    return start_run(state, window)
+    return start_run(state, window, state[1] == 1.0)
 
 
 @jit
@@ -181,7 +183,7 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
     flights = allocate_flights(line.flight_time.shape[1], LANES)
     springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
-    runs = [start_run(state, window) for _ in range(LANES)]
+    runs = [start_run(state, window, False) for _ in range(LANES)]
     index = np.full(LANES, -1)  # the cell in each lane
     begun, left = 0, len(gamma)  # cells put into a lane so far, cells not yet done
     while left > 0:
@@ -206,7 +208,10 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     if window.settle_tolerance > 0.0:
                         runs[k] = end_settling(before, runs[k], window, flights, first)
                     if scalar:
-                        sin, cos = math.sin(runs[k].phase), math.cos(runs[k].phase)
+                        sin, cos = sincos(runs[k].phase)
+                if runs[k].ending != ROOT and window.settle_until > 0:
+                    runs[k] = extend(runs[k], window, flights, k * flights.size)
+                    sin, cos = 0.0, 1.0  # a window ends at phase zero
                 if runs[k].ending != ROOT:
                     store_state(runs[k], state)
                     write_record(line, index[k], runs[k], flights, k * flights.size, state, window)

@@ -20,6 +20,9 @@ SCATTERS: Final = 2.0
 #: Parts of a window from whose differences its scatter is estimated.
 PARTS: Final = 4
 
+#: Outcomes without flights to compare. Cells still settling are compared as aperiodic ones are.
+FAILED: Final = (Outcome.UNRESOLVED, Outcome.DIVERGED)
+
 _Array = NDArray[np.float64]
 
 
@@ -43,9 +46,9 @@ def percentile(values: _Array, percent: float) -> float | None:
 
 
 def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
-    if exact.outcome[i] >= Outcome.UNRESOLVED:
+    if exact.outcome[i] in FAILED:
         return math.nan
-    if other.outcome[i] >= Outcome.UNRESOLVED:
+    if other.outcome[i] in FAILED:
         return math.inf
     resting = [line.outcome[i] == Outcome.AT_REST for line in (exact, other)]
     if any(resting):

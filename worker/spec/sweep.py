@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from kernel.params import MAX_EXPONENTS
+from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE
 from worker.spec import parsing
 from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
 from worker.spec.contact_models import (
@@ -69,7 +69,7 @@ class SweepSpec(Strict):
     observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 100
     keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
     micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.05
-    settle_tolerance: Annotated[float, Field(ge=0.0), NUMBER] = 0.0
+    settle_tolerance: Annotated[float, Field(ge=0.0, le=MAX_SETTLE_TOLERANCE), NUMBER] = 0.0
     settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
     exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
 
