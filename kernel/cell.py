@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from kernel.exponents import Variations, carry, start_variations
 from kernel.interface import contact, flight, replay
 from kernel.modes import REPEATS, find_cycle
 from kernel.numerics.elementary import TWO_PI
@@ -161,12 +162,19 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
 
 
 @jit
-def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progress:
-    """Run one cell from `state` (6,) to the end of its window or to a failure."""
+def run_cell(
+    cell: Any, state: Any, window: Window, flights: Flights, variations: Variations | None = None
+) -> Progress:
+    """Run one cell from `state` (6,) to the end of its window or to a failure.
+
+    `variations`, if given, begin anew and are carried along; phases are then not replayed.
+    """
     run = start_run(state, window)
+    if variations is not None:
+        start_variations(variations)
     cache = np.zeros(CACHE_SIZE)
     while run.ending == ROOT:
-        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+        if variations is None and run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
             run = replay(cell, run, window, flights, cache)
             if run.ending != ROOT:
                 break
@@ -175,6 +183,8 @@ def run_cell(cell: Any, state: Any, window: Window, flights: Flights) -> Progres
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
             p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        if variations is not None:
+            carry(cell, run, p, window, variations)
         before, run = run, record(run, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
             run = end_settling(before, run, window, flights, 0)

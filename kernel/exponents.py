@@ -1,4 +1,4 @@
-"""Lyapunov exponents of a cell: variations carried through its contacts, flights and events (docs/model.md, section 8).
+"""Lyapunov exponents: variations carried through a cell's contacts, flights and events (docs/model.md).
 
 At every full plate period the variations are orthonormalised (Gram and Schmidt), and the logarithms of their
 lengths are summed with the weight (t (1 - t))**2, t being the part of the window that has passed. The weights
@@ -11,18 +11,17 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.cell import Flights, Progress, Window, end_settling, horizon_of, record, start_run
 from kernel.interface import (
     carry_in_contact,
     carry_in_flight,
     carry_through_landing,
     carry_through_takeoff,
-    contact,
-    flight,
+    dimension,
 )
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
+from kernel.params import KernelInputError
 
 #: A variation is lost if less than this part of it is independent of those before it. Rounding leaves about
 #: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.
@@ -37,8 +36,11 @@ class Variations(NamedTuple):
     weight: Any  # (1,) float64, sum of the weights
 
 
-def allocate_variations(exponents: int) -> Variations:
-    """Room for this many exponents."""
+def allocate_variations(plate: Any, exponents: int) -> Variations:
+    """Room for this many exponents. Raises KernelInputError if the plate's model has fewer."""
+    most = dimension(plate)
+    if exponents > most:
+        raise KernelInputError("exponents", f"must be at most {most} for this contact, got {exponents}")
     return Variations(np.zeros((exponents, 4)), np.zeros(exponents), np.zeros(1))
 
 
@@ -66,14 +68,13 @@ def _replace(vectors: Any, k: int) -> None:
 @inlined
 def _sign(row: int, column: int) -> float:
     """An element of the Hadamard matrix of order 4."""
-    both = row & column
-    return -1.0 if (both == 1 or both == 2) else 1.0
+    return 1.0 if (row & column) % 3 == 0 else -1.0
 
 
 @inlined
 def _hadamard(vector: Any, row: int) -> float:
     """The part of a vector (4,) along half of a row of the Hadamard matrix."""
-    total = 0.0
+    total: float = 0.0
     for i in range(4):
         total += 0.5 * _sign(row, i) * vector[i]
     return total
@@ -82,7 +83,8 @@ def _hadamard(vector: Any, row: int) -> float:
 @inlined
 def _square(vectors: Any, k: int) -> float:
     """The squared length of vector k."""
-    return vectors[k, 0] ** 2 + vectors[k, 1] ** 2 + vectors[k, 2] ** 2 + vectors[k, 3] ** 2
+    square: float = vectors[k, 0] ** 2 + vectors[k, 1] ** 2 + vectors[k, 2] ** 2 + vectors[k, 3] ** 2
+    return square
 
 
 @inlined
@@ -112,7 +114,7 @@ def start_variations(variations: Variations) -> None:
 
 
 @jit
-def orthonormalise(variations: Variations, weight: float) -> None:
+def _orthonormalise(variations: Variations, weight: float) -> None:
     """Orthonormalise the vectors and add the logarithms of their lengths with this weight."""
     vectors, sums = variations.vectors, variations.sums
     variations.weight[0] += weight
@@ -132,32 +134,35 @@ def orthonormalise(variations: Variations, weight: float) -> None:
 
 
 @inlined
-def _weight(period: int, window: Window) -> float:
+def _weight(period: int, window: Any) -> float:
     """The weight of the plate period that ends at `period`; 0 before the window."""
     i = period - 1 - window.settle
     if i < 0:
         return 0.0
-    t = (i + 0.5) / window.observe
+    t: float = (i + 0.5) / window.observe
     return (t * (1.0 - t)) ** 2
 
 
-@inlined
-def _carry(cell: Any, run: Progress, p: Phase, window: Window, variations: Variations) -> None:
-    """Carry the variations over the contact or flight `p` that follows `run`, and through its end."""
+@jit
+def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) -> None:
+    """Carry the variations over the contact or flight `p` that follows `run`, and through its end.
+
+    run: `cell.Progress`; window: `cell.Window`.
+    """
     vectors = variations.vectors
     left = window.settle + window.observe - run.period  # plate periods to the window's end
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
     done = 0.0
-    for turn in range(turns + 1):
-        at = TWO_PI * (turn + 1) - run.phase if turn < turns else p.tau
+    for turn in range(1, turns + 2):
+        at = TWO_PI * turn - run.phase if turn <= turns else p.tau
         if at > done:
             if run.in_flight:
                 carry_in_flight(cell, vectors, at - done)
             else:
                 carry_in_contact(cell, vectors, at - done)
             done = at
-        if turn < turns:
-            orthonormalise(variations, _weight(run.period + turn + 1, window))
+        if turn <= turns:
+            _orthonormalise(variations, _weight(run.period + turn, window))
     if p.ending == ROOT:
         if run.in_flight:
             carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
@@ -166,27 +171,7 @@ def _carry(cell: Any, run: Progress, p: Phase, window: Window, variations: Varia
 
 
 @jit
-def run_with_exponents(
-    cell: Any, state: Any, window: Window, flights: Flights, variations: Variations
-) -> Progress:
-    """As `cell.run_cell`, with the variations of one cell, which begin anew."""
-    run = start_run(state, window)
-    start_variations(variations)
-    while run.ending == ROOT:
-        horizon = horizon_of(run, window)
-        if run.in_flight:
-            p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        else:
-            p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
-        _carry(cell, run, p, window, variations)
-        before, run = run, record(run, p, window, flights, 0)
-        if window.settle_tolerance > 0.0:
-            run = end_settling(before, run, window, flights, 0)
-    return run
-
-
-@jit
-def write_exponents(lyapunov: Any, run: Progress, variations: Variations) -> None:
-    """Write a cell's exponents to `lyapunov` (n,), per plate period; NaN if its run failed."""
+def write_exponents(lyapunov: Any, ending: int, variations: Variations) -> None:
+    """Write a cell's exponents to `lyapunov` (n,), per plate period; NaN if its run did not reach its end."""
     for k in range(len(lyapunov)):
-        lyapunov[k] = variations.sums[k] / variations.weight[0] if run.ending == HORIZON else math.nan
+        lyapunov[k] = variations.sums[k] / variations.weight[0] if ending == HORIZON else math.nan

@@ -68,8 +68,22 @@ def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> An
 
 
 # Variations: how a small difference of the state at a fixed phase of the plate moves through contacts,
-# flights and events (docs/model.md, section 8). `vectors` (n, 4) holds n differences of (gap, gap', q, q') and is
-# overwritten. Models without them have no Lyapunov exponents; see `kernel.exponents`.
+# flights and events (docs/model.md, section 7). `vectors` (n, 4) holds n differences of (gap, gap', q, q')
+# and is overwritten. A model that does not register these has no Lyapunov exponents (`kernel.exponents`).
+
+
+@by_type
+def dimension(plate: Any) -> int:  # type: ignore[empty-body]
+    """The dimension of a model's state at a fixed phase, which is its number of Lyapunov exponents.
+
+    0 for models without variations. Called from Python only.
+    """
+
+
+@dimension.otherwise
+def _no_variations(plate: Any) -> int:
+    """None."""
+    return 0
 
 
 @by_type

@@ -1,10 +1,10 @@
-"""Variations of the models that have Lyapunov exponents: `rigid`, `soft`, `ball` (docs/model.md, section 8).
+"""Variations of the models that have Lyapunov exponents: `rigid`, `soft`, `ball` (docs/model.md, section 7).
 
-A variation is a small difference (dg, dg', dq, dq') between two motions at the same phase of the plate. Within a
-contact or flight it obeys the equations of motion without their static and driven parts. An event comes
-dphi = -dg/W later for the varied motion, W being the relative velocity there. Meanwhile one motion obeys the
-equations before the event and the other those after it; so with the event's map R and the rates f of the
-state before and after it,
+A variation is a small difference (dg, dg', dq, dq') between two motions at the same phase of the plate.
+Within a contact or flight it obeys the equations of motion without their static and driven parts. An event
+comes dphi = -dg/W later for the varied motion, W being the relative velocity there. Meanwhile one motion
+obeys the equations before the event and the other those after it; so with the event's map R and the rates f
+of the state before and after it,
 
     d+ = DR (d- + f- dphi) - f+ dphi
 
@@ -14,15 +14,19 @@ there the varied motion is that of the model, which sticks at once.
 
 from typing import Any
 
+import numpy as np
+
 from kernel.interface import (
     carry_in_contact,
     carry_in_flight,
     carry_through_landing,
     carry_through_takeoff,
+    dimension,
 )
 from kernel.models import flight, free_fall
-from kernel.models.ball import Ball
-from kernel.models.rigid import Spring
+from kernel.models.ball import Ball, BallPlate
+from kernel.models.rigid import RigidPlate, Spring
+from kernel.models.soft import SoftPlate
 from kernel.models.soft_contact import Coupling, SoftSpring
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import Phase
@@ -55,6 +59,12 @@ def _forget(vectors: Any) -> None:
 
 
 # --- rigid ----------------------------------------------------------------------------------------------
+
+
+@dimension.register(RigidPlate)
+def _rigid_dimension(plate: RigidPlate) -> int:
+    """A landing without restitution keeps three: its velocity is always the plate's."""
+    return 4 if np.all(plate.restitution > 0.0) else 3
 
 
 @carry_in_contact.register(Spring)
@@ -114,6 +124,12 @@ def _rigid_landing(
 # --- soft -----------------------------------------------------------------------------------------------
 
 
+@dimension.register(SoftPlate)
+def _soft_dimension(plate: SoftPlate) -> int:
+    """Gap and elongation with their velocities."""
+    return 4
+
+
 @inlined
 def _coupled(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
     """The coupled coordinate and its velocity, where the leading one is x with velocity x1."""
@@ -163,7 +179,7 @@ def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
 def _soft_landing(
     s: SoftSpring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
 ) -> None:
-    """The force rises from 0 to -beta W. A nonadhesive contact that returns below the surface rises from 0."""
+    """The force jumps from 0 to -beta W. In a contact that returns below the surface it rises from 0."""
     if end.gap < 0.0:
         return
     for v in vectors:
@@ -172,6 +188,12 @@ def _soft_landing(
 
 
 # --- ball -----------------------------------------------------------------------------------------------
+
+
+@dimension.register(BallPlate)
+def _ball_dimension(plate: BallPlate) -> int:
+    """Gap and its velocity."""
+    return 2
 
 
 @carry_in_contact.register(Ball)
