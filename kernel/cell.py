@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.exponents import Variations, carry, start_variations
+from kernel.exponents import Variations, carry, forget, start_variations
 from kernel.interface import contact, flight, replay
 from kernel.modes import REPEATS, find_cycle
 from kernel.numerics.elementary import TWO_PI
@@ -167,15 +167,18 @@ def run_cell(
 ) -> Progress:
     """Run one cell from `state` (6,) to the end of its window or to a failure.
 
-    `variations`, if given, begin anew and are carried along; phases are then not replayed.
+    `variations`, if given, begin anew and are carried along.
     """
     run = start_run(state, window)
     if variations is not None:
         start_variations(variations)
     cache = np.zeros(CACHE_SIZE)
     while run.ending == ROOT:
-        if variations is None and run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+            before = run
             run = replay(cell, run, window, flights, cache)
+            if variations is not None and (run.period != before.period or run.phase != before.phase):
+                forget(variations, run.period >= window.settle)
             if run.ending != ROOT:
                 break
         horizon = horizon_of(run, window)

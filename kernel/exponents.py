@@ -18,7 +18,7 @@ from kernel.interface import (
     carry_through_takeoff,
     dimension,
 )
-from kernel.numerics.elementary import TWO_PI
+from kernel.numerics.elementary import TWO_PI, log
 from kernel.numerics.first_root import HORIZON, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.params import KernelInputError
@@ -125,7 +125,7 @@ def _orthonormalise(variations: Variations, weight: float) -> None:
         left = _square(vectors, k)
         if left > LOST * LOST * whole:
             if weight > 0.0:
-                sums[k] += weight * 0.5 * math.log(left)
+                sums[k] += weight * 0.5 * log(left)
             _scale(vectors, k, 1.0 / math.sqrt(left))
         else:
             if weight > 0.0:
@@ -168,6 +168,17 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
             carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
         else:
             carry_through_takeoff(cell, vectors, p)
+
+
+@jit
+def forget(variations: Variations, inside: bool) -> None:
+    """Lose all variations, as at a take-off after which the same motion always follows.
+
+    inside: whether the motion since then has reached the window.
+    """
+    variations.vectors[:] = 0.0
+    if inside:
+        variations.sums[:] = -math.inf
 
 
 @jit

@@ -60,8 +60,14 @@ STATE_FIELDS: Final = (
 )
 
 
-#: Lyapunov exponents of a cell at most: a spring's state has four dimensions beside the plate's phase.
-MAX_EXPONENTS: Final = 4
+#: Dimensions of a state at a fixed phase of the plate, and so the largest numbers of Lyapunov exponents: of a
+#: spring; of one that always leaves an ideal plate at the plate's velocity (e = 0); of a ball.
+SPRING_DIMENSION: Final = 4
+INELASTIC_DIMENSION: Final = 3
+BALL_DIMENSION: Final = 2
+
+#: Lyapunov exponents of a cell at most.
+MAX_EXPONENTS: Final = SPRING_DIMENSION
 
 
 class Start(NamedTuple):

@@ -32,30 +32,39 @@ from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import Oscillator, response
+from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 
 
 @inlined
 def _fly(osc: Oscillator, vectors: Any, tau: float) -> None:
     """A spring's flight: the centre of mass, at gap + q/2, moves freely and the elongation as `osc`."""
     cosine, sine, sine1 = response(osc, tau)
-    for v in vectors:
-        centre1 = v[1] + 0.5 * v[3]
-        centre = v[0] + 0.5 * v[2] + tau * centre1
-        q, q1 = cosine * v[2] + sine * v[3], sine1 * v[3] - osc.stiffness * sine * v[2]
-        v[0], v[1], v[2], v[3] = centre - 0.5 * q, centre1 - 0.5 * q1, q, q1
+    for k in range(len(vectors)):
+        centre1 = vectors[k, 1] + 0.5 * vectors[k, 3]
+        centre = vectors[k, 0] + 0.5 * vectors[k, 2] + tau * centre1
+        q, q1 = (
+            cosine * vectors[k, 2] + sine * vectors[k, 3],
+            sine1 * vectors[k, 3] - osc.stiffness * sine * vectors[k, 2],
+        )
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
+            centre - 0.5 * q,
+            centre1 - 0.5 * q1,
+            q,
+            q1,
+        )
 
 
 @inlined
-def _delay(vector: Any, impact: float) -> float:
+def _delay(gap: float, impact: float) -> float:
     """dphi, by which the varied motion lands later. 0 at a graze, where no derivative exists."""
-    return -vector[0] / impact if impact != 0.0 else 0.0
+    return -gap / impact if impact != 0.0 else 0.0
 
 
 @inlined
 def _forget(vectors: Any) -> None:
     """Two motions that differ end in the same state."""
-    for v in vectors:
-        v[0], v[1], v[2], v[3] = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(vectors)):
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = 0.0, 0.0, 0.0, 0.0
 
 
 # --- rigid ----------------------------------------------------------------------------------------------
@@ -63,8 +72,8 @@ def _forget(vectors: Any) -> None:
 
 @dimension.register(RigidPlate)
 def _rigid_dimension(plate: RigidPlate) -> int:
-    """A landing without restitution keeps three: its velocity is always the plate's."""
-    return 4 if np.all(plate.restitution > 0.0) else 3
+    """After a landing without restitution gap' is always zero at gap = 0."""
+    return SPRING_DIMENSION if np.all(plate.restitution > 0.0) else INELASTIC_DIMENSION
 
 
 @carry_in_contact.register(Spring)
@@ -72,9 +81,12 @@ def _rigid_dimension(plate: RigidPlate) -> int:
 def _rigid_contact(s: Spring, vectors: Any, tau: float) -> None:
     """The gap stays zero; the elongation moves as the stuck oscillator."""
     cosine, sine, sine1 = response(s.stuck, tau)
-    for v in vectors:
-        q, q1 = cosine * v[2] + sine * v[3], sine1 * v[3] - s.stiffness * sine * v[2]
-        v[0], v[1], v[2], v[3] = 0.0, 0.0, q, q1
+    for k in range(len(vectors)):
+        q, q1 = (
+            cosine * vectors[k, 2] + sine * vectors[k, 3],
+            sine1 * vectors[k, 3] - s.stiffness * sine * vectors[k, 2],
+        )
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = 0.0, 0.0, q, q1
 
 
 @carry_in_flight.register(Spring)
@@ -88,8 +100,8 @@ def _rigid_flight(s: Spring, vectors: Any, tau: float) -> None:
 @jit
 def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
     """n = 0 at take-off, so that the rates before and after it are the same, and gap = gap' = 0 still."""
-    for v in vectors:
-        v[0], v[1] = 0.0, 0.0
+    for k in range(len(vectors)):
+        vectors[k, 0], vectors[k, 1] = 0.0, 0.0
 
 
 @carry_through_landing.register(Spring)
@@ -99,8 +111,13 @@ def _rigid_landing(
 ) -> None:
     """Sticking, which needs no dphi; a hop; or, with a hop of velocity zero, a new take-off at once."""
     if not end.in_flight:
-        for v in vectors:
-            v[0], v[1], v[2], v[3] = 0.0, 0.0, v[2] + v[0], v[3] + v[1] - s.dashpot * v[0]
+        for k in range(len(vectors)):
+            vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
+                0.0,
+                0.0,
+                vectors[k, 2] + vectors[k, 0],
+                vectors[k, 3] + vectors[k, 1] - s.dashpot * vectors[k, 0],
+            )
         return
     if end.gap1 > 0.0:
         e, impact = s.restitution, -end.gap1 / s.restitution
@@ -112,13 +129,13 @@ def _rigid_landing(
     _, cos = sincos(phi + end.tau)
     after2 = cos - s.gravity + s.dashpot * end.q1 + s.stiffness * end.q  # gap''
     before2 = after2 - s.dashpot * (1.0 + e) * impact
-    for v in vectors:
-        dphi = _delay(v, impact)
-        lost = v[1] + before2 * dphi  # variation of the impact velocity
-        v[1] = -e * lost - after2 * dphi
-        v[2] += (1.0 + e) * v[0]
-        v[3] += (1.0 + e) * (lost - 2.0 * s.dashpot * v[0])
-        v[0] *= -e
+    for k in range(len(vectors)):
+        dphi = _delay(vectors[k, 0], impact)
+        lost = vectors[k, 1] + before2 * dphi  # variation of the impact velocity
+        vectors[k, 1] = -e * lost - after2 * dphi
+        vectors[k, 2] += (1.0 + e) * vectors[k, 0]
+        vectors[k, 3] += (1.0 + e) * (lost - 2.0 * s.dashpot * vectors[k, 0])
+        vectors[k, 0] *= -e
 
 
 # --- soft -----------------------------------------------------------------------------------------------
@@ -127,7 +144,7 @@ def _rigid_landing(
 @dimension.register(SoftPlate)
 def _soft_dimension(plate: SoftPlate) -> int:
     """Gap and elongation with their velocities."""
-    return 4
+    return SPRING_DIMENSION
 
 
 @inlined
@@ -144,17 +161,22 @@ def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
     gap_cosine, gap_sine, gap_sine1 = response(s.gap_mode, tau)
     q_cosine, q_sine, q_sine1 = response(s.elongation_mode, tau)
     m00, m01, m10, m11 = s.decoupling
-    for v in vectors:
-        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, v[2], v[3])
-        left, left1 = v[0] - coupled, v[1] - coupled1
+    for k in range(len(vectors)):
+        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, vectors[k, 2], vectors[k, 3])
+        left, left1 = vectors[k, 0] - coupled, vectors[k, 1] - coupled1
         g, g1 = m00 * left + m01 * left1, m10 * left + m11 * left1
         coupled, coupled1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        h, h1 = v[2] - coupled, v[3] - coupled1
+        h, h1 = vectors[k, 2] - coupled, vectors[k, 3] - coupled1
         g, g1 = gap_cosine * g + gap_sine * g1, gap_sine1 * g1 - s.gap_mode.stiffness * gap_sine * g
         h, h1 = q_cosine * h + q_sine * h1, q_sine1 * h1 - s.elongation_mode.stiffness * q_sine * h
         coupled_gap, coupled_gap1 = _coupled(s.gap, s.elongation_mode, h, h1)
         coupled_q, coupled_q1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        v[0], v[1], v[2], v[3] = g + coupled_gap, g1 + coupled_gap1, h + coupled_q, h1 + coupled_q1
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
+            g + coupled_gap,
+            g1 + coupled_gap1,
+            h + coupled_q,
+            h1 + coupled_q1,
+        )
 
 
 @carry_in_flight.register(SoftSpring)
@@ -169,9 +191,9 @@ def _soft_flight(s: SoftSpring, vectors: Any, tau: float) -> None:
 def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
     """Adhesive: the force falls from -beta W to 0. Nonadhesive: it is 0 before and after."""
     if s.adhesive:
-        for v in vectors:
-            v[1] += s.beta * v[0]
-            v[3] -= s.beta * v[0]
+        for k in range(len(vectors)):
+            vectors[k, 1] += s.beta * vectors[k, 0]
+            vectors[k, 3] -= s.beta * vectors[k, 0]
 
 
 @carry_through_landing.register(SoftSpring)
@@ -182,9 +204,9 @@ def _soft_landing(
     """The force jumps from 0 to -beta W. In a contact that returns below the surface it rises from 0."""
     if end.gap < 0.0:
         return
-    for v in vectors:
-        v[1] -= s.beta * v[0]
-        v[3] += s.beta * v[0]
+    for k in range(len(vectors)):
+        vectors[k, 1] -= s.beta * vectors[k, 0]
+        vectors[k, 3] += s.beta * vectors[k, 0]
 
 
 # --- ball -----------------------------------------------------------------------------------------------
@@ -193,7 +215,7 @@ def _soft_landing(
 @dimension.register(BallPlate)
 def _ball_dimension(plate: BallPlate) -> int:
     """Gap and its velocity."""
-    return 2
+    return BALL_DIMENSION
 
 
 @carry_in_contact.register(Ball)
@@ -207,8 +229,8 @@ def _ball_contact(b: Ball, vectors: Any, tau: float) -> None:
 @jit
 def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
     """Free fall. A ball has no elongation."""
-    for v in vectors:
-        v[0], v[2], v[3] = v[0] + tau * v[1], 0.0, 0.0
+    for k in range(len(vectors)):
+        vectors[k, 0], vectors[k, 2], vectors[k, 3] = vectors[k, 0] + tau * vectors[k, 1], 0.0, 0.0
 
 
 @carry_through_takeoff.register(Ball)
@@ -235,7 +257,7 @@ def _ball_landing(
         e = 0.0
     _, cos = sincos(phi + end.tau)
     gap2 = cos - b.gravity
-    for v in vectors:
-        dphi = _delay(v, impact)
-        v[1] = -e * (v[1] + gap2 * dphi) - gap2 * dphi
-        v[0] *= -e
+    for k in range(len(vectors)):
+        dphi = _delay(vectors[k, 0], impact)
+        vectors[k, 1] = -e * (vectors[k, 1] + gap2 * dphi) - gap2 * dphi
+        vectors[k, 0] *= -e
