@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from kernel.exponents import Variations, begin_window, carry, forget, start_variations
 from kernel.interface import contact, flight, replay
 from kernel.modes import REPEATS, find_cycle, is_settling, limit_cycle
 from kernel.numerics.elementary import TWO_PI
@@ -187,30 +188,42 @@ def extend(run: Progress, window: Window, flights: Flights, first: int) -> Progr
 
 
 @jit
-def run_cell(cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool) -> Progress:
+def run_cell(
+    cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool,
+    variations: Variations | None = None,
+) -> Progress:  # fmt: skip
     """Run one cell from `state` (6,) to the end of its window or to a failure.
 
-    `takes_off`: as in `start_run`.
+    `takes_off`: as in `start_run`. `variations`, if given, begin anew and are carried along.
     """
     run = start_run(state, window, takes_off)
+    if variations is not None:
+        start_variations(variations)
     cache = np.zeros(CACHE_SIZE)
-    while run.ending == ROOT:
-        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-            run = replay(cell, run, window, flights, cache)
+    while True:
+        if run.ending != ROOT:
+            run = extend(run, window, flights, 0)
             if run.ending != ROOT:
-                run = extend(run, window, flights, 0)
+                return run
+            if variations is not None:
+                begin_window(variations)
+        if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
+            before = run
+            run = replay(cell, run, window, flights, cache)
+            if variations is not None and (run.period != before.period or run.phase != before.phase):
+                forget(variations, run.period >= run.settle)
+            if run.ending != ROOT:
                 continue
         horizon = horizon_of(run, window)
         if run.in_flight:
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
             p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
+        if variations is not None:
+            carry(cell, run, p, window, variations)
         before, run = run, record(run, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
             run = end_settling(before, run, window, flights, 0)
-        if run.ending != ROOT and window.settle_until > 0:
-            run = extend(run, window, flights, 0)
-    return run
 
 
 @jit

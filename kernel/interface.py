@@ -65,3 +65,44 @@ def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
 def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
     """The run as it is."""
     return run
+
+
+# Variations: how a small difference of the state at a fixed phase of the plate moves through contacts,
+# flights and events (docs/model.md, section 7). `vectors` (n, 4) holds n differences of (gap, gap', q, q')
+# and is overwritten. A model that does not register these has no Lyapunov exponents (`kernel.exponents`).
+
+
+@by_type
+def dimension(plate: Any) -> int:  # type: ignore[empty-body]
+    """The dimension of a model's state at a fixed phase, which is its number of Lyapunov exponents.
+
+    0 for models without variations. Called from Python only.
+    """
+
+
+@dimension.otherwise
+def _no_variations(plate: Any) -> int:
+    """None."""
+    return 0
+
+
+@by_type
+def carry_in_contact(cell: Any, vectors: Any, tau: float) -> None:
+    """Carry `vectors` over tau > 0 rad of a contact."""
+
+
+@by_type
+def carry_in_flight(cell: Any, vectors: Any, tau: float) -> None:
+    """Carry `vectors` over tau > 0 rad of a flight."""
+
+
+@by_type
+def carry_through_takeoff(cell: Any, vectors: Any, end: Phase) -> None:
+    """Carry `vectors` from the end of the contact `end` to the flight that begins there."""
+
+
+@by_type
+def carry_through_landing(
+    cell: Any, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
+) -> None:
+    """Carry `vectors` through the landing of the flight `end`, which began with the given state at phi."""

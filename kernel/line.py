@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import Window, allocate_flights, run_cell, store_state, write_record
+from kernel.exponents import Variations, allocate_variations, write_exponents
 from kernel.interface import flies, prepare, rest
+from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lockstep import run_lockstep
 from kernel.models.rigid import RigidPlate
 from kernel.numerics.first_root import NON_FINITE
@@ -25,11 +27,12 @@ from kernel.validation import check_arrays, check_window, checked_state
 def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any,
     carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
+    variations: Variations | None,
 ) -> None:  # fmt: skip
     """Run a line cell by cell and fill `line`.
 
     With `carry`, from cell to cell; the first cell goes on from `state` (6,), in the units of `before` =
-    (gamma, omega), if `started`. Both arrays are overwritten.
+    (gamma, omega), if `started`. Both arrays are overwritten. `variations`: for the exponents, or None.
     """
     flights = allocate_flights(line.flight_time.shape[1], 1)
     for i in range(len(gamma)):
@@ -42,7 +45,9 @@ def _walk(
         in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
         takes_off = in_flight and state[1] == 0.0
         state[1] = 1.0 if in_flight else 0.0
-        run = run_cell(cell, state, window, flights, takes_off)
+        run = run_cell(cell, state, window, flights, takes_off, variations)
+        if variations is not None:
+            write_exponents(line.lyapunov[i], run.ending, variations)
         store_state(run, state)
         write_record(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
@@ -112,8 +117,9 @@ def run_line(
         int(settle), int(observe), float(micro_flight), float(settle_tolerance),
         int(settle_until or 0), int(exponents),
     )  # fmt: skip
-    if isinstance(plate, RigidPlate) and not carry:
+    variations = allocate_variations(plate, exponents) if exponents else None
+    if isinstance(plate, RigidPlate) and not carry and variations is None:
         run_lockstep(plate, gamma, omega, xi, window, line)
         return line
-    _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line)
+    _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line, variations)
     return line

@@ -64,8 +64,14 @@ STATE_FIELDS: Final = (
 #: to leave: of 6,000 random cells with settle 2000, 1e-7 changes the outcome of one, and 1e-8 that of none.
 MAX_SETTLE_TOLERANCE: Final = 1e-9
 
-#: Lyapunov exponents of a cell at most: a spring's state has four dimensions beside the plate's phase.
-MAX_EXPONENTS: Final = 4
+#: Dimensions of a state at a fixed phase of the plate, and so the largest numbers of Lyapunov exponents: of a
+#: spring; of one that always leaves an ideal plate at the plate's velocity (e = 0); of a ball.
+SPRING_DIMENSION: Final = 4
+INELASTIC_DIMENSION: Final = 3
+BALL_DIMENSION: Final = 2
+
+#: Lyapunov exponents of a cell at most.
+MAX_EXPONENTS: Final = SPRING_DIMENSION
 
 
 class Start(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
 
+from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 from kernel.restitution import restitution_of as spring_restitution
 from kernel.step_limits import steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict
@@ -55,6 +56,11 @@ class ContactFields(Strict):
         """
         return base
 
+    @property
+    def exponents(self) -> int:
+        """The most Lyapunov exponents that can be computed with this contact; 0: none."""
+        return 0
+
 
 class _SoftContact(ContactFields):
     """Fields of every model with a spring-dashpot contact."""
@@ -96,6 +102,10 @@ class Soft(_SoftContact):
     """Spring-dashpot contact, solved exactly."""
 
     kind: Literal["soft"] = "soft"
+
+    @property
+    def exponents(self) -> int:
+        return SPRING_DIMENSION
 
 
 class Stepped(_SoftContact):
@@ -140,6 +150,10 @@ class Rigid(ContactFields):
             return RIGID_ELASTIC_US
         return RIGID_RAMP_US if ramp else base
 
+    @property
+    def exponents(self) -> int:
+        return SPRING_DIMENSION if self.restitution > 0.0 else INELASTIC_DIMENSION
+
 
 class Ball(ContactFields):
     """One rigid point mass; restitution null takes the spring's own, f(xi)."""
@@ -150,6 +164,10 @@ class Ball(ContactFields):
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
         return {"restitution": e}
+
+    @property
+    def exponents(self) -> int:
+        return BALL_DIMENSION
 
 
 class Auto(_SoftContact):

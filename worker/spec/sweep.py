@@ -22,6 +22,7 @@ from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE
 from worker.spec import parsing
 from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
 from worker.spec.contact_models import (
+    CONTACT_MODELS,
     MAX_PENETRATION,
     MIN_PENETRATION,
     Contact,
@@ -90,11 +91,25 @@ class SweepSpec(Strict):
             window = self.settle + self.observe
             rule = f"must be at least settle + observe, {window}, or null; {window} would change nothing"
             raise BrokenRuleError("settle_until", rule)
+        self._check_exponents()
         self._check_depth()
         if isinstance(self.model, Stepped):
             axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
             check_steps(self.model, corners(*axes), self.settle + self.observe)
         return self
+
+    def _check_exponents(self) -> None:
+        """No more exponents than the state has dimensions, and none where no variations are computed."""
+        most = self.model.exponents
+        if self.exponents <= most:
+            return
+        if most == 0:
+            having = one_of(kind for kind, row in CONTACT_MODELS.items() if row.fields(kind=kind).exponents)
+            rule = f"must be 0 where model.kind is {self.model.kind!r}; {having} has exponents"
+        else:
+            why = " with restitution 0" if self.model.kind == "rigid" else ""
+            rule = f"must be at most {most} where model.kind is {self.model.kind!r}{why}; {most} works"
+        raise BrokenRuleError("exponents", rule)
 
     def _check_depth(self) -> None:
         """With a rest length every cell has its own contact depth: all must lie in the allowed range."""

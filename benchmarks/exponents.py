@@ -1,0 +1,87 @@
+"""Cost of Lyapunov exponents: cells with them beside the same cells without.
+
+    python -m benchmarks.exponents [--cells 60] [--repeat 7]
+
+Up ramps of Gamma from 1.2 to 6 at Omega = 0.5, xi = 0.26 and at Omega = 1, xi = 0.05; settle 200, observe
+100. A ramp goes through the scalar loop, with and without exponents. Beside it, for `rigid`, the same cells
+from rest, which without exponents are computed in lanes. The runs of a row alternate, so that a change in the
+machine's speed meets all of them. Core-microseconds per cell and plate period, medians; ratios to the scalar
+run without exponents.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from benchmarks.machine import describe
+from benchmarks.tables import short, table
+from kernel import line
+from kernel.params import Line
+from tests.support.plates import Model, plate_of
+
+SETTLE, OBSERVE = 200, 100
+SETTINGS = ((0.5, 0.26), (1.0, 0.05))
+
+#: model, restitution, penetration, adhesive, exponents
+ROWS = (
+    ("rigid, e = 0", Model.RIGID, 0.0, 1e-3, True, (1, 2, 3)),
+    ("rigid, e = 0.3", Model.RIGID, 0.3, 1e-3, True, (1, 2, 4)),
+    ("soft, adhesive", Model.SOFT, 0.01, 1e-3, True, (1, 2, 4)),
+    ("soft, nonadhesive", Model.SOFT, 0.01, 1e-3, False, (1, 2, 4)),
+    ("ball, e = 0.5", Model.BALL, 0.5, 1e-3, True, (1, 2)),
+)
+
+
+def run(plate: object, cells: tuple[np.ndarray, ...], exponents: int, carry: bool = True) -> Line:
+    """The cells as an up ramp, or from rest, where `rigid` goes through its lanes."""
+    gamma, omega, xi = cells
+    return line.run_line(
+        gamma, omega, xi, plate=plate, carry=carry, settle=SETTLE, observe=OBSERVE, keep=64,
+        exponents=exponents,
+    )  # fmt: skip
+
+
+def medians(runs: list[Callable[[], Line]], repeat: int) -> np.ndarray:
+    """The median core-seconds of each run (n,), the runs alternating."""
+    for run in runs:
+        run()  # compiles
+    seconds = np.empty((repeat, len(runs)))
+    for i in range(repeat):
+        for k, run in enumerate(runs):
+            began = time.thread_time()
+            run()
+            seconds[i, k] = time.thread_time() - began
+    return np.median(seconds, axis=0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--cells", type=int, default=60, help="values of Gamma at each setting")
+    parser.add_argument("--repeat", type=int, default=7)
+    arguments = parser.parse_args()
+    print(describe())
+    n = arguments.cells
+    gamma = np.tile(np.linspace(1.2, 6.0, n), len(SETTINGS))
+    omega, xi = (np.repeat([setting[i] for setting in SETTINGS], n) for i in (0, 1))
+    cells = (gamma, omega, xi)
+    per_period = 1e6 / (len(gamma) * (SETTLE + OBSERVE))
+    rows = []
+    for name, model, e, d, adhesive, counts in ROWS:
+        plate = plate_of(model, np.full(len(gamma), e), np.full(len(gamma), d), adhesive)
+        runs: list[Callable[[], Line]] = [partial(run, plate, cells, k) for k in (0, *counts)]
+        if model is Model.RIGID:
+            runs.append(partial(run, plate, cells, 0, carry=False))
+        spent = medians(runs, arguments.repeat)
+        ratios = {count: f"{spent[i + 1] / spent[0]:.2f}" for i, count in enumerate(counts)}
+        in_lanes = f"{spent[-1] / spent[0]:.2f}" if model is Model.RIGID else "-"
+        others = [ratios.get(count, "-") for count in (1, 2, 3, 4)]
+        rows.append([name, short(spent[0] * per_period), in_lanes, *others])
+    head = ["contact", "scalar run, us", "lanes", *(f"{count} exponents" for count in (1, 2, 3, 4))]
+    print(table(head, rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""Lyapunov exponents: variations carried through a cell's contacts, flights and events (docs/model.md).
+
+At every full plate period the variations are orthonormalised (Gram and Schmidt), and the logarithms of their
+lengths are summed with the weight (t (1 - t))**2, t being the part of the window that has passed. The weights
+make the mean over a window of N periods of a quasi-periodic motion converge as N**-3 instead of N**-1, and
+that of a chaotic one as that over 0.7 N periods without them.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from kernel.interface import (
+    carry_in_contact,
+    carry_in_flight,
+    carry_through_landing,
+    carry_through_takeoff,
+    dimension,
+)
+from kernel.numerics.elementary import TWO_PI, log
+from kernel.numerics.first_root import HORIZON, ROOT, Phase
+from kernel.numerics.jit import inlined, jit
+from kernel.params import KernelInputError
+
+#: A variation is lost if less than this part of it is independent of those before it. Rounding leaves about
+#: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.
+LOST: Final = 1e-12
+
+
+class Variations(NamedTuple):
+    """The variations of one cell. Arrays of n exponents."""
+
+    vectors: Any  # (n, 4) float64, of (gap, gap', q, q') in plate amplitudes
+    sums: Any  # (n,) float64, weighted sums of the logarithms of their growth; -inf once one was lost
+    weight: Any  # (1,) float64, sum of the weights
+
+
+def allocate_variations(plate: Any, exponents: int) -> Variations:
+    """Room for this many exponents. Raises KernelInputError if the plate's model has fewer."""
+    most = dimension(plate)
+    if exponents > most:
+        raise KernelInputError("exponents", f"must be at most {most} for this contact, got {exponents}")
+    return Variations(np.zeros((exponents, 4)), np.zeros(exponents), np.zeros(1))
+
+
+@jit
+def _replace(vectors: Any, k: int) -> None:
+    """Give vector k a new direction, orthogonal to those before it.
+
+    Of the four vectors (+-1, +-1, +-1, +-1)/2 that are orthogonal to each other, the one least in their span
+    is taken. None of the four lies in the two dimensions of a rigid contact or of a ball.
+    """
+    best, chosen = math.inf, 0
+    for candidate in range(4):
+        inside = 0.0
+        for j in range(k):
+            inside += _hadamard(vectors[j], candidate) ** 2
+        if inside < best:
+            best, chosen = inside, candidate
+    for i in range(4):
+        vectors[k, i] = 0.5 * _sign(chosen, i)
+    for j in range(k):
+        _remove(vectors, k, j)
+    _scale(vectors, k, 1.0 / math.sqrt(_square(vectors, k)))
+
+
+@inlined
+def _sign(row: int, column: int) -> float:
+    """An element of the Hadamard matrix of order 4."""
+    return 1.0 if (row & column) % 3 == 0 else -1.0
+
+
+@inlined
+def _hadamard(vector: Any, row: int) -> float:
+    """The part of a vector (4,) along half of a row of the Hadamard matrix."""
+    total: float = 0.0
+    for i in range(4):
+        total += 0.5 * _sign(row, i) * vector[i]
+    return total
+
+
+@inlined
+def _square(vectors: Any, k: int) -> float:
+    """The squared length of vector k."""
+    square: float = vectors[k, 0] ** 2 + vectors[k, 1] ** 2 + vectors[k, 2] ** 2 + vectors[k, 3] ** 2
+    return square
+
+
+@inlined
+def _scale(vectors: Any, k: int, factor: float) -> None:
+    """Multiply vector k."""
+    for i in range(4):
+        vectors[k, i] *= factor
+
+
+@inlined
+def _remove(vectors: Any, k: int, j: int) -> None:
+    """Subtract from vector k its part along vector j, whose length is 1."""
+    along = 0.0
+    for i in range(4):
+        along += vectors[j, i] * vectors[k, i]
+    for i in range(4):
+        vectors[k, i] -= along * vectors[j, i]
+
+
+@jit
+def begin_window(variations: Variations) -> None:
+    """Begin the sums anew; the variations stay."""
+    variations.sums[:] = 0.0
+    variations.weight[0] = 0.0
+
+
+@jit
+def start_variations(variations: Variations) -> None:
+    """Begin a cell."""
+    begin_window(variations)
+    for k in range(len(variations.sums)):
+        _replace(variations.vectors, k)
+
+
+@jit
+def _orthonormalise(variations: Variations, weight: float) -> None:
+    """Orthonormalise the vectors and add the logarithms of their lengths with this weight."""
+    vectors, sums = variations.vectors, variations.sums
+    variations.weight[0] += weight
+    for k in range(len(sums)):
+        whole = _square(vectors, k)
+        for j in range(k):
+            _remove(vectors, k, j)
+        left = _square(vectors, k)
+        if left > LOST * LOST * whole:
+            if weight > 0.0:
+                sums[k] += weight * 0.5 * log(left)
+            _scale(vectors, k, 1.0 / math.sqrt(left))
+        else:
+            if weight > 0.0:
+                sums[k] = -math.inf
+            _replace(vectors, k)
+
+
+@inlined
+def _weight(period: int, settle: int, window: Any) -> float:
+    """The weight of the plate period that ends at `period`; 0 before the window, which begins at `settle`."""
+    i = period - 1 - settle
+    if i < 0:
+        return 0.0
+    t: float = (i + 0.5) / window.observe
+    return (t * (1.0 - t)) ** 2
+
+
+@jit
+def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) -> None:
+    """Carry the variations over the contact or flight `p` that follows `run`, and through its end.
+
+    run: `cell.Progress`; window: `cell.Window`.
+    """
+    vectors = variations.vectors
+    left = run.settle + window.observe - run.period  # plate periods to the window's end
+    turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
+    done = 0.0
+    for turn in range(1, turns + 2):
+        at = TWO_PI * turn - run.phase if turn <= turns else p.tau
+        if at > done:
+            if run.in_flight:
+                carry_in_flight(cell, vectors, at - done)
+            else:
+                carry_in_contact(cell, vectors, at - done)
+            done = at
+        if turn <= turns:
+            _orthonormalise(variations, _weight(run.period + turn, run.settle, window))
+    if p.ending == ROOT:
+        if run.in_flight:
+            carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
+        else:
+            carry_through_takeoff(cell, vectors, p)
+
+
+@jit
+def forget(variations: Variations, inside: bool) -> None:
+    """Lose all variations, as at a take-off after which the same motion always follows.
+
+    inside: whether the motion since then has reached the window.
+    """
+    variations.vectors[:] = 0.0
+    if inside:
+        variations.sums[:] = -math.inf
+
+
+@jit
+def write_exponents(lyapunov: Any, ending: int, variations: Variations) -> None:
+    """Write a cell's exponents to `lyapunov` (n,), per plate period; NaN if its run did not reach its end."""
+    for k in range(len(lyapunov)):
+        lyapunov[k] = variations.sums[k] / variations.weight[0] if ending == HORIZON else math.nan

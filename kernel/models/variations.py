@@ -1,0 +1,263 @@
+"""Variations of the models that have Lyapunov exponents: `rigid`, `soft`, `ball` (docs/model.md, section 7).
+
+A variation is a small difference (dg, dg', dq, dq') between two motions at the same phase of the plate.
+Within a contact or flight it obeys the equations of motion without their static and driven parts. An event
+comes dphi = -dg/W later for the varied motion, W being the relative velocity there. Meanwhile one motion
+obeys the equations before the event and the other those after it; so with the event's map R and the rates f
+of the state before and after it,
+
+    d+ = DR (d- + f- dphi) - f+ dphi
+
+The functions below write this out for each event. Nothing is approximated except where a model sums chatter:
+there the varied motion is that of the model, which sticks at once.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from kernel.interface import (
+    carry_in_contact,
+    carry_in_flight,
+    carry_through_landing,
+    carry_through_takeoff,
+    dimension,
+)
+from kernel.models import flight, free_fall
+from kernel.models.ball import Ball, BallPlate
+from kernel.models.rigid import RigidPlate, Spring
+from kernel.models.soft import SoftPlate
+from kernel.models.soft_contact import Coupling, SoftSpring
+from kernel.numerics.elementary import sincos
+from kernel.numerics.first_root import Phase
+from kernel.numerics.jit import inlined, jit
+from kernel.numerics.oscillator import Oscillator, response
+from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
+
+
+@inlined
+def _fly(osc: Oscillator, vectors: Any, tau: float) -> None:
+    """A spring's flight: the centre of mass, at gap + q/2, moves freely and the elongation as `osc`."""
+    cosine, sine, sine1 = response(osc, tau)
+    for k in range(len(vectors)):
+        centre1 = vectors[k, 1] + 0.5 * vectors[k, 3]
+        centre = vectors[k, 0] + 0.5 * vectors[k, 2] + tau * centre1
+        q, q1 = (
+            cosine * vectors[k, 2] + sine * vectors[k, 3],
+            sine1 * vectors[k, 3] - osc.stiffness * sine * vectors[k, 2],
+        )
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
+            centre - 0.5 * q,
+            centre1 - 0.5 * q1,
+            q,
+            q1,
+        )
+
+
+@inlined
+def _delay(gap: float, impact: float) -> float:
+    """dphi, by which the varied motion lands later. 0 at a graze, where no derivative exists."""
+    return -gap / impact if impact != 0.0 else 0.0
+
+
+@inlined
+def _forget(vectors: Any) -> None:
+    """Two motions that differ end in the same state."""
+    for k in range(len(vectors)):
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = 0.0, 0.0, 0.0, 0.0
+
+
+# --- rigid ----------------------------------------------------------------------------------------------
+
+
+@dimension.register(RigidPlate)
+def _rigid_dimension(plate: RigidPlate) -> int:
+    """After a landing without restitution gap' is always zero at gap = 0."""
+    return SPRING_DIMENSION if np.all(plate.restitution > 0.0) else INELASTIC_DIMENSION
+
+
+@carry_in_contact.register(Spring)
+@jit
+def _rigid_contact(s: Spring, vectors: Any, tau: float) -> None:
+    """The gap stays zero; the elongation moves as the stuck oscillator."""
+    cosine, sine, sine1 = response(s.stuck, tau)
+    for k in range(len(vectors)):
+        q, q1 = (
+            cosine * vectors[k, 2] + sine * vectors[k, 3],
+            sine1 * vectors[k, 3] - s.stiffness * sine * vectors[k, 2],
+        )
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = 0.0, 0.0, q, q1
+
+
+@carry_in_flight.register(Spring)
+@jit
+def _rigid_flight(s: Spring, vectors: Any, tau: float) -> None:
+    """The flight of a spring."""
+    _fly(s.flight, vectors, tau)
+
+
+@carry_through_takeoff.register(Spring)
+@jit
+def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
+    """n = 0 at take-off, so that the rates before and after it are the same, and gap = gap' = 0 still."""
+    for k in range(len(vectors)):
+        vectors[k, 0], vectors[k, 1] = 0.0, 0.0
+
+
+@carry_through_landing.register(Spring)
+@jit
+def _rigid_landing(
+    s: Spring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
+) -> None:
+    """Sticking, which needs no dphi; a hop; or, with a hop of velocity zero, a new take-off at once."""
+    if not end.in_flight:
+        for k in range(len(vectors)):
+            vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
+                0.0,
+                0.0,
+                vectors[k, 2] + vectors[k, 0],
+                vectors[k, 3] + vectors[k, 1] - s.dashpot * vectors[k, 0],
+            )
+        return
+    if end.gap1 > 0.0:
+        e, impact = s.restitution, -end.gap1 / s.restitution
+    else:
+        _, impact, _, _ = flight.state_after(
+            flight.begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1), end.tau
+        )
+        e = 0.0
+    _, cos = sincos(phi + end.tau)
+    after2 = cos - s.gravity + s.dashpot * end.q1 + s.stiffness * end.q  # gap''
+    before2 = after2 - s.dashpot * (1.0 + e) * impact
+    for k in range(len(vectors)):
+        dphi = _delay(vectors[k, 0], impact)
+        lost = vectors[k, 1] + before2 * dphi  # variation of the impact velocity
+        vectors[k, 1] = -e * lost - after2 * dphi
+        vectors[k, 2] += (1.0 + e) * vectors[k, 0]
+        vectors[k, 3] += (1.0 + e) * (lost - 2.0 * s.dashpot * vectors[k, 0])
+        vectors[k, 0] *= -e
+
+
+# --- soft -----------------------------------------------------------------------------------------------
+
+
+@dimension.register(SoftPlate)
+def _soft_dimension(plate: SoftPlate) -> int:
+    """Gap and elongation with their velocities."""
+    return SPRING_DIMENSION
+
+
+@inlined
+def _coupled(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
+    """The coupled coordinate and its velocity, where the leading one is x with velocity x1."""
+    x2 = -2.0 * osc.damping * x1 - osc.stiffness * x
+    return coupling.value * x + coupling.rate * x1, coupling.value * x1 + coupling.rate * x2
+
+
+@carry_in_contact.register(SoftSpring)
+@jit
+def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
+    """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
+    gap_cosine, gap_sine, gap_sine1 = response(s.gap_mode, tau)
+    q_cosine, q_sine, q_sine1 = response(s.elongation_mode, tau)
+    m00, m01, m10, m11 = s.decoupling
+    for k in range(len(vectors)):
+        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, vectors[k, 2], vectors[k, 3])
+        left, left1 = vectors[k, 0] - coupled, vectors[k, 1] - coupled1
+        g, g1 = m00 * left + m01 * left1, m10 * left + m11 * left1
+        coupled, coupled1 = _coupled(s.elongation, s.gap_mode, g, g1)
+        h, h1 = vectors[k, 2] - coupled, vectors[k, 3] - coupled1
+        g, g1 = gap_cosine * g + gap_sine * g1, gap_sine1 * g1 - s.gap_mode.stiffness * gap_sine * g
+        h, h1 = q_cosine * h + q_sine * h1, q_sine1 * h1 - s.elongation_mode.stiffness * q_sine * h
+        coupled_gap, coupled_gap1 = _coupled(s.gap, s.elongation_mode, h, h1)
+        coupled_q, coupled_q1 = _coupled(s.elongation, s.gap_mode, g, g1)
+        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
+            g + coupled_gap,
+            g1 + coupled_gap1,
+            h + coupled_q,
+            h1 + coupled_q1,
+        )
+
+
+@carry_in_flight.register(SoftSpring)
+@jit
+def _soft_flight(s: SoftSpring, vectors: Any, tau: float) -> None:
+    """The flight of a spring."""
+    _fly(s.flight, vectors, tau)
+
+
+@carry_through_takeoff.register(SoftSpring)
+@jit
+def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
+    """Adhesive: the force falls from -beta W to 0. Nonadhesive: it is 0 before and after."""
+    if s.adhesive:
+        for k in range(len(vectors)):
+            vectors[k, 1] += s.beta * vectors[k, 0]
+            vectors[k, 3] -= s.beta * vectors[k, 0]
+
+
+@carry_through_landing.register(SoftSpring)
+@jit
+def _soft_landing(
+    s: SoftSpring, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
+) -> None:
+    """The force jumps from 0 to -beta W. In a contact that returns below the surface it rises from 0."""
+    if end.gap < 0.0:
+        return
+    for k in range(len(vectors)):
+        vectors[k, 1] -= s.beta * vectors[k, 0]
+        vectors[k, 3] += s.beta * vectors[k, 0]
+
+
+# --- ball -----------------------------------------------------------------------------------------------
+
+
+@dimension.register(BallPlate)
+def _ball_dimension(plate: BallPlate) -> int:
+    """Gap and its velocity."""
+    return BALL_DIMENSION
+
+
+@carry_in_contact.register(Ball)
+@jit
+def _ball_contact(b: Ball, vectors: Any, tau: float) -> None:
+    """A ball at rest on the plate has no state to vary."""
+    _forget(vectors)
+
+
+@carry_in_flight.register(Ball)
+@jit
+def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
+    """Free fall. A ball has no elongation."""
+    for k in range(len(vectors)):
+        vectors[k, 0], vectors[k, 2], vectors[k, 3] = vectors[k, 0] + tau * vectors[k, 1], 0.0, 0.0
+
+
+@carry_through_takeoff.register(Ball)
+@jit
+def _ball_takeoff(b: Ball, vectors: Any, end: Phase) -> None:
+    """As in contact."""
+    _forget(vectors)
+
+
+@carry_through_landing.register(Ball)
+@jit
+def _ball_landing(
+    b: Ball, vectors: Any, phi: float, gap: float, gap1: float, q: float, q1: float, end: Phase
+) -> None:
+    """A hop, or with a hop of velocity zero a new take-off at once; else the ball comes to rest."""
+    if not end.in_flight:
+        _forget(vectors)
+        return
+    if end.gap1 > 0.0:
+        e, impact = b.restitution, -end.gap1 / b.restitution
+    else:
+        drop = free_fall.drop(b.gravity, b.phi_lift, b.sin_lift, phi, gap, gap1)
+        _, impact, _, _ = free_fall.state_after(drop, end.tau)
+        e = 0.0
+    _, cos = sincos(phi + end.tau)
+    gap2 = cos - b.gravity
+    for k in range(len(vectors)):
+        dphi = _delay(vectors[k, 0], impact)
+        vectors[k, 1] = -e * (vectors[k, 1] + gap2 * dphi) - gap2 * dphi
+        vectors[k, 0] *= -e
