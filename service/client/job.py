@@ -120,7 +120,7 @@ class Job(Results):
 
     def _has_ended(self) -> bool:
         """Whether the job is finished; becomes the job that replaces it first, if there is one."""
-        while self.finished and self.replaced_by is not None:
+        while self.finished and self.state != "done" and self.replaced_by is not None:
             self.id, self._etag = self.replaced_by, None
             self._refresh_through_outage()
         return self.finished

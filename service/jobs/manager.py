@@ -83,6 +83,9 @@ class JobManager:
             record = _existing(ledger.find(job.id), job.id)
             if new:  # before the commit: the supervisor finds the job prepared
                 self.preparer.seed(record, spec, plan)
+                for version in ledger.other_versions():
+                    if outdated := ledger.find(spec.job_id(version)):
+                        ledger.replace(outdated, job.id)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:

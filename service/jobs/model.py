@@ -117,8 +117,11 @@ class JobRecord(NewJob):
         """What the readers of an outdated job's results must know; None of any other job."""
         if not self.outdated:
             return None
-        versions = f"computed by kernel version {self.kernel_version}; this release computes version {KERNEL_VERSION}"
-        return versions if self.replaced_by is None else f"{versions}, as job {self.replaced_by}"
+        again = "" if self.replaced_by is None else f", as job {self.replaced_by}"
+        return (
+            f"computed by kernel version {self.kernel_version}; "
+            f"this release computes version {KERNEL_VERSION}{again}"
+        )
 
     @property
     def revision(self) -> tuple[object, ...]:

@@ -95,6 +95,13 @@ class ReadTransaction:
         )
         return [_record(row) for row in rows]
 
+    def other_versions(self) -> list[str]:
+        """The kernel versions of outdated jobs."""
+        rows = self._sql.execute(
+            "SELECT DISTINCT kernel_version FROM jobs WHERE kernel_version != ?", (KERNEL_VERSION,)
+        )
+        return [row[0] for row in rows]
+
     def newest_seq(self) -> int:
         """The number of the last job ever accepted, deleted ones included; 0 if there was none."""
         row = self._sql.execute("SELECT seq FROM sqlite_sequence WHERE name = 'jobs'").fetchone()

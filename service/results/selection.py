@@ -40,7 +40,7 @@ class Sweep:
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Attributes of a file with the sweep's results: the kernel version, and whether it is another now."""
+        """Attributes of a file with these results: the kernel version, and a comment if it is not ours."""
         attributes = {"kernel_version": self.kernel_version}
         if self.kernel_version != KERNEL_VERSION:
             attributes["comment"] = (
