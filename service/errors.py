@@ -12,6 +12,7 @@
     ├── NotInStore             a job's store has nothing under this key
     ├── KeyReused              an Idempotency-Key was used before with another body
     ├── IllegalTransition      the job's state does not allow this
+    ├── OutdatedJob            another kernel version computed it: this would mix two versions
     ├── QueueFull              too many unfinished jobs
     ├── Busy                   too many concurrent expensive requests
     ├── NotComputed            no worker could compute the response
@@ -89,6 +90,10 @@ class KeyReused(ServiceError):
 
 class IllegalTransition(ServiceError):
     """The job's state does not allow this."""
+
+
+class OutdatedJob(ServiceError):
+    """Another kernel version computed the job, and this would mix its numbers with this release's."""
 
 
 class QueueFull(ServiceError):

@@ -29,6 +29,7 @@ from service.errors import (
     NoSpace,
     NotComputed,
     NotInStore,
+    OutdatedJob,
     QueueFull,
     TooLarge,
     Unauthenticated,
@@ -57,6 +58,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     NotInStore: HTTPStatus.NOT_FOUND,
     KeyReused: HTTPStatus.CONFLICT,
     IllegalTransition: HTTPStatus.CONFLICT,
+    OutdatedJob: HTTPStatus.CONFLICT,
     TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
     QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
     Busy: HTTPStatus.TOO_MANY_REQUESTS,
@@ -139,11 +141,12 @@ def _refused(_: Request, error: Exception) -> Response:
 
 
 def _damaged(request: Request, error: Exception) -> Response:
-    """Start the repair of damaged results; 503 naming the chunks, which are computed again."""
+    """Start the repair of damaged results; 503 naming the chunks, or 500 for what cannot be repaired."""
     repairer = request.app.state.service.manager.repairer
     chunks = cast(StoreDamaged, error).chunks
-    detail = repairer.report(request.path_params.get("job_id", ""), chunks)
-    return ProblemResponse(HTTPStatus.SERVICE_UNAVAILABLE, detail)
+    detail, lasting = repairer.report(request.path_params.get("job_id", ""), chunks)
+    status = HTTPStatus.INTERNAL_SERVER_ERROR if lasting else HTTPStatus.SERVICE_UNAVAILABLE
+    return ProblemResponse(status, detail)
 
 
 def _pending(_: Request, error: Exception) -> Response:

@@ -47,6 +47,13 @@ class JobView(BaseModel):
     state: JobState
     progress: ProgressView
     error: str | None
+    kernel_version: str
+    notice: str | None = Field(
+        description="of a job of another kernel version than this release's: that it is; else null"
+    )
+    replaced_by: str | None = Field(
+        description="id of the job that computes the sweep anew, with this release's kernel version"
+    )
     created: datetime
     started: datetime | None
     finished: datetime | None
@@ -156,14 +163,21 @@ def job_view(
     now: float | None = None,
     longest_spec: int | None = None,
     failures: Sequence[Failure] = (),
+    notice: str | None = None,
 ) -> JobView:
-    """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`."""
+    """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.
+
+    `notice` stands in for the job's own.
+    """
     return JobView(
         id=job.id,
         name=job.name,
         state=job.state,
         progress=ProgressView.model_validate(job.progress(time.time() if now is None else now)),
         error=job.error,
+        kernel_version=job.kernel_version,
+        notice=notice or job.notice,
+        replaced_by=job.replaced_by,
         created=_time(job.created),
         started=_time(job.started),
         finished=_time(job.finished),

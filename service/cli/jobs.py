@@ -97,11 +97,18 @@ def cancel(job_id: str, url: str, token: str | None) -> None:
 @job_argument
 @service_options
 def resume(job_id: str, url: str, token: str | None) -> None:
-    """Resume a failed or cancelled job where it stopped."""
+    """Resume a failed or cancelled job where it stopped.
+
+    A job of another kernel version starts anew as another job, whose id is printed.
+    """
     from service.client.display import summary
 
     with open_client(url, token) as client:
-        click.echo(summary(client.job(job_id).resume()), err=True)
+        job = client.job(job_id).resume()
+    if job.id != job_id:
+        click.echo(job.id)
+        click.echo(f"job {job.id} {job.notice}", err=True)
+    click.echo(summary(job), err=True)
 
 
 @click.command()
@@ -130,8 +137,13 @@ COMMANDS: Final = (submit, status, wait, follow, cancel, resume, delete, list_jo
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:
+    submitted = job.id
     try:
         job.wait(timeout=timeout)
+        if job.id != submitted:
+            click.echo(
+                f"job {submitted} was replaced by job {job.id}, of this service's kernel version", err=True
+            )
     except KeyboardInterrupt:
         click.echo(f"stopped waiting; the job continues (cancel it with: bounce cancel {job.id})", err=True)
         sys.exit(130)

@@ -41,7 +41,7 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
     with open_client(url, token) as client:
         job = client.job(job_id)
         write_file(output, job.picture(format=format, **line))
-    _warn_unless_done(job, "the diagram is incomplete")
+    _warn(job, "the diagram is incomplete")
 
 
 @click.command()
@@ -63,6 +63,7 @@ def threshold(
     with open_client(url, token) as client:
         job = client.job(job_id)
         thresholds = job.threshold(xi, tolerance=tolerance)
+        _warn(job, "thresholds may be missing")
         if as_json:
             click.echo(output.as_json(output.threshold_view(thresholds)))
             return
@@ -95,8 +96,10 @@ def modes(
 
     format = output_format(output, TABLES, format)
     with open_client(url, token) as client:
-        mode_map = client.job(job_id).modes(xi, direction, every=every)
+        job = client.job(job_id)
+        mode_map = job.modes(xi, direction, every=every)
     write_file(output, modes_json(mode_map) if format == "json" else modes_csv(mode_map))
+    _warn(job, "cells are missing")
 
 
 @click.command()
@@ -113,7 +116,7 @@ def export(job_id: str, output: str, url: str, token: str | None) -> None:
     with open_client(url, token) as client:
         job = client.job(job_id)
         job.export(Path(output))
-    _warn_unless_done(job, "cells are missing")
+    _warn(job, "cells are missing")
 
 
 @click.command()
@@ -157,7 +160,10 @@ def trajectory(
 COMMANDS: Final = (diagram, threshold, modes, export, trajectory)
 
 
-def _warn_unless_done(job: "Job", consequence: str) -> None:
+def _warn(job: "Job", consequence: str) -> None:
+    """Say what the reader of a job's results must know, on standard error."""
+    if job.notice:
+        click.echo(f"the job is {job.notice}", err=True)
     if job.state != "done":
         click.echo(f"the job is {job.state} at {job.progress.whole_percent}%: {consequence}", err=True)
 

@@ -112,6 +112,8 @@ def job_html(job: JobStatus) -> str:
         "cells": f"<progress value='{progress.percent:g}' max='100'></progress> "
         f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%){time_left(job)}",
     }
+    if job.notice:
+        rows["notice"] = escape(job.notice)
     if job.error:
         rows["error"] = f"<pre style='margin:0'>{escape(job.error)}</pre>"
     body = "".join(

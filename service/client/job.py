@@ -72,7 +72,11 @@ class Job(Results):
         return self._post("cancel")
 
     def resume(self) -> "Job":
-        """Continue a failed or cancelled job where it stopped. Raises Conflict if it is done."""
+        """Continue a failed or cancelled job where it stopped. Raises Conflict if it is done.
+
+        A job of another kernel version starts anew as another job: this object is that job from then on,
+        with its `id`, and `notice` says so.
+        """
         return self._post("resume")
 
     def _post(self, action: str) -> "Job":
@@ -97,20 +101,29 @@ class Job(Results):
         """Wait until the job is done, polling at the interval that the service asks for (Retry-After).
 
         `progress`: True shows a bar on a terminal and plain lines elsewhere, on standard error; a function
-        is called with the job after every request. `timeout` is in seconds. Raises JobFailed, JobCancelled,
-        WaitTimeout (the job continues), or ServiceUnreachable after `MAX_OUTAGE` seconds without an answer.
+        is called with the job after every request. `timeout` is in seconds. If a service of another kernel
+        version replaces the job by another, the wait is for that one, and this object is that job from then
+        on. Raises JobFailed, JobCancelled, WaitTimeout (the job continues), or ServiceUnreachable after
+        `MAX_OUTAGE` seconds without an answer.
         """
         deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
         with display_job(progress) as show:
             show(self)
             delay = FIRST_DELAY
-            while not self.finished and (left := deadline - time.monotonic()) > 0:
+            while not self._has_ended() and (left := deadline - time.monotonic()) > 0:
                 time.sleep(min(delay if self._retry_after is None else self._retry_after, left))
                 delay = min(delay * 1.15, MAX_DELAY)
                 self._refresh_through_outage()
                 show(self)
         self._raise_unless_done(timeout)
         return self
+
+    def _has_ended(self) -> bool:
+        """Whether the job is finished; becomes the job that replaces it first, if there is one."""
+        while self.finished and self.state != "done" and self.replaced_by is not None:
+            self.id, self._etag = self.replaced_by, None
+            self._refresh_through_outage()
+        return self.finished
 
     def _refresh_through_outage(self) -> None:
         """Refresh, retrying for `MAX_OUTAGE` seconds while the service is away."""

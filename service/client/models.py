@@ -104,6 +104,19 @@ class JobStatus:
         return self.view.get("error")
 
     @property
+    def notice(self) -> str | None:
+        """That another kernel version than the service's computed the job; None if it did not.
+
+        After `resume` of such a job: that this job starts it anew.
+        """
+        return self.view.get("notice")
+
+    @property
+    def replaced_by(self) -> str | None:
+        """Id of the job that computes the sweep anew, for a job of another kernel version."""
+        return self.view.get("replaced_by")
+
+    @property
     def links(self) -> dict[str, str]:
         """Paths of the job's resources by name."""
         return dict(self.view.get("links") or {})

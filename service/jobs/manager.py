@@ -5,6 +5,7 @@ import json
 import logging
 import threading
 import time
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
@@ -20,7 +21,8 @@ from service.settings import Settings
 from worker import store
 from worker.cost import check_size
 from worker.executors.base import Executor
-from worker.studies import Plan, study_of
+from worker.spec.errors import SpecError
+from worker.studies import Plan, from_json, study_of
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +52,11 @@ class JobManager:
         self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self._supervisor.wake)
 
     def start(self) -> None:
-        """Continue every job that was queued or running when the service last stopped."""
+        """Continue every job that was queued or running when the service last stopped.
+
+        Those that another kernel version began end, each replaced by a job that computes its study anew.
+        """
+        self._replace_outdated()
         self._scrubber.start()
         self._supervisor.start()
 
@@ -77,6 +83,9 @@ class JobManager:
             record = _existing(ledger.find(job.id), job.id)
             if new:  # before the commit: the supervisor finds the job prepared
                 self.preparer.seed(record, spec, plan)
+                for version in ledger.other_versions():
+                    if outdated := ledger.find(spec.job_id(version)):
+                        ledger.replace(outdated, job.id)
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
@@ -107,14 +116,20 @@ class JobManager:
     def resume(self, job_id: str) -> Submission:
         """Continue a failed or cancelled job where it stopped; an unfinished one stays as it is.
 
-        Raises UnknownJob, QueueFull, and IllegalTransition if the job is done.
+        One of another kernel version starts anew as another job, which is the job returned.
+        Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for one that starts anew also
+        as `submit`, and SpecError if this release does not accept its specification.
         """
-        with self._ledger.writing() as ledger:
+        with self._delete_lock, self._ledger.writing() as ledger:
             job = _existing(ledger.find(job_id), job_id)
             if job.state is JobState.DONE:
-                raise IllegalTransition("the job is done: there is nothing to resume")
-            accepted = self._accept(ledger, job)
-            record = _existing(ledger.find(job_id), job_id)
+                again = ": submit the sweep again to compute it anew" if job.outdated else ""
+                raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
+            if job.outdated:
+                record, accepted = self._replace(ledger, job, from_json(job.spec), self._accept)
+            else:
+                accepted = self._accept(ledger, job)
+                record = _existing(ledger.find(job_id), job_id)
         if accepted:
             self._ledger.keep_reserve()
             self._supervisor.wake()
@@ -144,6 +159,49 @@ class JobManager:
         store.set_cancelled(url)
         return store.rename_for_deletion(url)
 
+    def _replace_outdated(self) -> None:
+        """End the unfinished jobs of other kernel versions, and accept their studies as jobs of this one."""
+        with self._ledger.reading() as ledger:
+            outdated = ledger.outdated_unfinished()
+        for job in outdated:
+            with self._ledger.writing() as ledger:
+                self._retire(ledger, job)
+
+    def _retire(self, ledger: WriteTransaction, job: JobRecord) -> None:
+        """End one of them. A cancel that was requested is carried out; nothing replaces the job then."""
+        if job.cancel_requested:
+            ledger.finish(job, JobState.CANCELLED, time.time())
+            return
+        versions = f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
+        try:
+            successor, _ = self._replace(ledger, job, from_json(job.spec), self._admit)
+            fate = f"job {successor.id} computes all of it anew"
+        except SpecError as error:
+            fate = f"it cannot start anew: {error}"
+        log.warning("job %s ends: %s: %s", job.id, versions, fate)
+        ledger.finish(job, JobState.FAILED, time.time(), f"{versions}: {fate}")
+
+    def _replace(
+        self,
+        ledger: WriteTransaction,
+        outdated: JobRecord,
+        spec: Any,
+        accept: Callable[[WriteTransaction, NewJob], bool],
+    ) -> Submission:
+        """The job of this kernel version for an outdated job's study, inserted or resumed by `accept`.
+
+        Raises as `accept`, and SpecTooLarge.
+        """
+        plan = self.check(spec)
+        job = _new_job(spec, plan)
+        new = ledger.find(job.id) is None
+        accepted = accept(ledger, job)
+        ledger.replace(outdated, job.id)
+        record = _existing(ledger.find(job.id), job.id)
+        if new:
+            self.preparer.seed(record, spec, plan)
+        return Submission(record, accepted)
+
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
         """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
@@ -156,13 +214,21 @@ class JobManager:
         return known is not None
 
     def _accept(self, ledger: WriteTransaction, job: NewJob) -> bool:
-        """Insert or resume a job, or revoke its cancel request; whether there was anything to do."""
+        """Insert or resume a job, or revoke its cancel request; whether there was anything to do.
+
+        Raises QueueFull.
+        """
+        known = ledger.find(job.id)
+        if known is None or known.state in RESUMABLE:
+            self._check_queue(ledger)
+        return self._admit(ledger, job)
+
+    def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
+        """The same, however many jobs are queued."""
         known = ledger.find(job.id)
         if known is None:
-            self._check_queue(ledger)
             ledger.insert(job, time.time())
         elif known.state in RESUMABLE:
-            self._check_queue(ledger)
             ledger.queue(known)
         elif known.cancel_requested:
             ledger.set_cancel_requested(known, False)

@@ -60,4 +60,7 @@ MIGRATIONS: Final = (
         PRIMARY KEY (job, chunk)
     ) WITHOUT ROWID;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN replaced_by TEXT REFERENCES jobs (id) ON DELETE SET NULL;
+    """,
 )

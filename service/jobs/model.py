@@ -1,10 +1,11 @@
 """A job, its states, the transitions between them, and its progress. Pure."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple
 
+from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
 
 
@@ -24,8 +25,8 @@ LEGAL: Final[Mapping[JobState, frozenset[JobState]]] = {
     JobState.QUEUED: frozenset({JobState.RUNNING, JobState.FAILED, JobState.CANCELLED}),
     # all chunks done | a chunk given up | cancelled, and no worker writes
     JobState.RUNNING: frozenset({JobState.DONE, JobState.FAILED, JobState.CANCELLED}),
-    # stored bytes were damaged or lost: their chunks are computed again
-    JobState.DONE: frozenset({JobState.RUNNING}),
+    # stored bytes were damaged or lost: their chunks are computed again | of an outdated job: they cannot be
+    JobState.DONE: frozenset({JobState.RUNNING, JobState.FAILED}),
     # resumed: done chunks are kept
     JobState.FAILED: frozenset({JobState.QUEUED}),
     JobState.CANCELLED: frozenset({JobState.QUEUED}),
@@ -101,11 +102,32 @@ class JobRecord(NewJob):
     chunks_done: int
     cells_done: int
     choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
+    replaced_by: str | None  # of an outdated job: id of the job that computes the same study anew
+
+    @property
+    def outdated(self) -> bool:
+        """Whether another kernel version than this release's computed it.
+
+        Its results can be read. Nothing that this release computes is added to them: the numbers may differ.
+        """
+        return self.kernel_version != KERNEL_VERSION
+
+    @property
+    def notice(self) -> str | None:
+        """What the readers of an outdated job's results must know; None of any other job."""
+        if not self.outdated:
+            return None
+        again = "" if self.replaced_by is None else f", as job {self.replaced_by}"
+        return (
+            f"computed by kernel version {self.kernel_version}; "
+            f"this release computes version {KERNEL_VERSION}{again}"
+        )
 
     @property
     def revision(self) -> tuple[object, ...]:
         """Changes whenever what the job shows changes, except the estimated time left."""
-        return (self.id, self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
+        facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
+        return (self.id, *facts, self.notice)
 
     def progress(self, now: float) -> Progress:
         """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""
@@ -128,3 +150,13 @@ class Failure(NamedTuple):
     error: str
     traceback: str | None  # None where a worker process died
     tries: int  # failed ones
+
+
+def summary_of(failures: Sequence[Failure]) -> str | None:
+    """The first failure, and how many followed; None if there are none."""
+    if not failures:
+        return None
+    first, more = failures[0], len(failures) - 1
+    tries = f" ({first.tries} times)" if first.tries > 1 else ""
+    others = f" (and {more} more chunk{'s' if more > 1 else ''} failed)" if more else ""
+    return f"{first.place}: {first.error}{tries}{others}"

@@ -1,12 +1,15 @@
-"""Repair of stored results: damaged chunks are unmarked and computed again, damaged metadata rewritten."""
+"""Repair of stored results: damaged chunks are unmarked and computed again, damaged metadata rewritten.
+
+A job of another kernel version is not repaired, because this release would write other numbers beside those
+that are there: its damaged chunks are given up and read as missing.
+"""
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
-from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord
+from service.jobs.model import Failure, JobRecord
 from service.jobs.prepare import JobPreparer
 from worker import store
 from worker.store import ChunkCoords
@@ -15,6 +18,13 @@ log = logging.getLogger(__name__)
 
 #: Damaged chunks that a message describes; of more it gives the number.
 MAX_DESCRIBED: Final = 3
+
+
+class Repair(NamedTuple):
+    """What is damaged and what becomes of it, fit to show to a user; `lasting`: it stays as it is."""
+
+    detail: str
+    lasting: bool = False
 
 
 class Repairer:
@@ -28,14 +38,11 @@ class Repairer:
     ) -> None:
         self._ledger, self._preparer, self._on_invalidated = ledger, preparer, on_invalidated
 
-    def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> str:
-        """Repair a store in which a reader met damage, in these chunks or outside any.
-
-        Returns what is damaged and what becomes of it, fit to show to a user.
-        """
+    def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
+        """Repair a store in which a reader met damage, in these chunks or outside any."""
         job = self._ledger.find(job_id)
         if job is None:
-            return "the job was deleted"
+            return Repair("the job was deleted")
         prepared = self._preparer.prepare(job)
         self.repair_metadata(job)
         chunks = [prepared.plan.number(*coords) for coords in damaged]
@@ -43,27 +50,44 @@ class Repairer:
         described = [prepared.describe(prepared.plan[i]) for i in chunks[:MAX_DESCRIBED]]
         more = f" and {len(chunks) - MAX_DESCRIBED} more" if len(chunks) > MAX_DESCRIBED else ""
         subject = f"{'; '.join(described)}{more}" if chunks else "the store's metadata"
-        return f"stored results are damaged and computed again: {subject}"
+        if not job.outdated:
+            return Repair(f"stored results are damaged and computed again: {subject}")
+        if chunks:
+            return Repair(f"stored results are damaged and missing from now on: {subject} ({job.notice})")
+        return Repair(f"stored results are damaged: {subject} ({job.notice})", lasting=True)
 
     def repair_metadata(self, job: JobRecord) -> None:
-        """Rewrite damaged metadata and coordinates; not those of another kernel version, which differ."""
-        if job.kernel_version == KERNEL_VERSION:
+        """Rewrite damaged metadata and coordinates; not those of an outdated job, which differ."""
+        if not job.outdated:
             prepared = self._preparer.prepare(job)
             store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
 
     def invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
-        """Have chunks of a job computed again; until then their cells read as missing."""
+        """Have chunks of a job computed again; until then their cells read as missing.
+
+        Those of an outdated job are given up: their cells stay missing, and a job that was done has failed.
+        """
         with self._ledger.writing() as ledger:
             current = ledger.find(job.id)
             if current is None or current.seq != job.seq:
                 return  # deleted, and perhaps accepted again
-            unmarked = ledger.unmark(current, chunks)
+            if job.outdated:
+                unmarked = ledger.lose(current, [self._lost(current, chunk) for chunk in chunks])
+            else:
+                unmarked = ledger.unmark(current, chunks)
         if not unmarked:
             return
-        log.error("job %s: chunks %s are damaged in the store and computed again", job.id, unmarked)
+        fate = "given up" if job.outdated else "computed again"
+        log.error("job %s: chunks %s are damaged in the store and %s", job.id, unmarked, fate)
         prepared = self._preparer.prepare(job)
         try:
             for chunk in unmarked:
                 store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
         finally:  # they are unmarked, whether or not their files could be removed
-            self._on_invalidated(job.id, unmarked)
+            if not job.outdated:
+                self._on_invalidated(job.id, unmarked)
+
+    def _lost(self, job: JobRecord, chunk: int) -> Failure:
+        prepared = self._preparer.prepare(job)
+        error = f"its stored results were damaged ({job.notice}): resume the job to compute all of it anew"
+        return Failure(chunk, prepared.describe(prepared.plan[chunk]), error, None, tries=0)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from service.jobs.model import Failure, JobRecord, JobState
+from service.jobs.model import Failure, JobRecord, JobState, summary_of
 from service.jobs.prepare import PreparedJob
 from service.jobs.ready_queue import NONE, ReadyQueue
 from service.jobs.retry import FAILED_TRIES, Action, History, RetryPolicy
@@ -151,12 +151,7 @@ class JobRun:
     @property
     def error(self) -> str | None:
         """The first failure, and how many followed."""
-        if not self._failures:
-            return None
-        first, more = self._failures[0], len(self._failures) - 1
-        tries = f" ({first.tries} times)" if first.tries > 1 else ""
-        others = f" (and {more} more chunk{'s' if more > 1 else ''} failed)" if more else ""
-        return f"{first.place}: {first.error}{tries}{others}"
+        return summary_of(self._failures)
 
 
 def _failure(chunk: int, cells: str, error: BaseException, tries: int) -> Failure:

@@ -14,7 +14,6 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Final, NamedTuple
 
-from kernel.params import KERNEL_VERSION
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState
@@ -35,10 +34,6 @@ MAX_IN_FLIGHT: Final = 64
 #: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
 #: chunks soon.
 IDLE_SHARE: Final = 0.25
-
-
-class KernelChanged(Exception):
-    """A job was started by a kernel version whose numbers may differ."""
 
 
 class ChunkFinished(NamedTuple):
@@ -236,13 +231,8 @@ class Supervisor:
     def _open(self, job: JobRecord) -> JobRun:
         """A job whose model is chosen, its store created, nothing in flight.
 
-        Raises KernelChanged, SpecError, StoreError, OSError, or one of `store.UNREACHABLE`.
+        Raises SpecError, StoreError, OSError, or one of `store.UNREACHABLE`.
         """
-        if job.kernel_version != KERNEL_VERSION:
-            raise KernelChanged(
-                f"kernel version {job.kernel_version} started it, this service has version {KERNEL_VERSION}: "
-                "submit the sweep again"
-            )
         prepared = self._preparer.prepare(job)
         store.create(prepared.store_url, prepared.layout, prepared.attributes)
         store.clear_cancelled(prepared.store_url)

@@ -9,7 +9,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Final, NamedTuple
 
-from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState, NewJob, check_transition
+from kernel.params import KERNEL_VERSION
+from service.jobs.model import (
+    UNFINISHED,
+    Failure,
+    JobRecord,
+    JobState,
+    NewJob,
+    check_transition,
+    summary_of,
+)
 from worker.tasks import ChunkReport
 
 Column = str | float | bool | None
@@ -78,25 +87,49 @@ class ReadTransaction:
         )
         return [Unfinished(row["id"], bool(row["cancel_requested"])) for row in rows]
 
+    def outdated_unfinished(self) -> list[JobRecord]:
+        """Queued and running jobs of other kernel versions, in the order they were accepted."""
+        rows = self._sql.execute(
+            "SELECT * FROM jobs WHERE state IN (?, ?) AND kernel_version != ? ORDER BY seq",
+            (*UNFINISHED, KERNEL_VERSION),
+        )
+        return [_record(row) for row in rows]
+
+    def other_versions(self) -> list[str]:
+        """The kernel versions of outdated jobs."""
+        rows = self._sql.execute(
+            "SELECT DISTINCT kernel_version FROM jobs WHERE kernel_version != ?", (KERNEL_VERSION,)
+        )
+        return [row[0] for row in rows]
+
     def newest_seq(self) -> int:
         """The number of the last job ever accepted, deleted ones included; 0 if there was none."""
         row = self._sql.execute("SELECT seq FROM sqlite_sequence WHERE name = 'jobs'").fetchone()
         return int(row[0]) if row else 0
 
     def key(self, key: str) -> Key | None:
-        """What an idempotency key was used for, if it is remembered."""
+        """What an idempotency key was used for, if it is remembered.
+
+        Not one of an outdated job: the same request makes another job now.
+        """
         row = self._sql.execute(
-            "SELECT keys.body, jobs.id FROM keys JOIN jobs ON keys.job = jobs.seq WHERE key = ?", (key,)
+            "SELECT keys.body, jobs.id FROM keys JOIN jobs ON keys.job = jobs.seq"
+            " WHERE key = ? AND kernel_version = ?",
+            (key, KERNEL_VERSION),
         ).fetchone()
         return Key(row["body"], row["id"]) if row else None
 
     def paces(self, jobs: int, max_spec_chars: int) -> list[Pace]:
-        """How long done chunks took, for each of the last `jobs` with a specification of limited length."""
+        """How long done chunks took, for each of the last `jobs` with a specification of limited length.
+
+        Of this release's kernel alone: another version's speed says nothing of it.
+        """
         rows = self._sql.execute(
             "SELECT recent.*, sum(seconds) AS seconds, sum(cells) AS cells FROM chunks JOIN ("
-            "SELECT * FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? ORDER BY seq DESC LIMIT ?"
+            "SELECT * FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? AND kernel_version = ?"
+            " ORDER BY seq DESC LIMIT ?"
             ") AS recent ON job = recent.seq GROUP BY job",
-            (max_spec_chars, jobs),
+            (max_spec_chars, KERNEL_VERSION, jobs),
         )
         return [Pace(_record(row), row["seconds"], row["cells"]) for row in rows]
 
@@ -171,13 +204,17 @@ class WriteTransaction(ReadTransaction):
         """Request that a running job stops, or revoke the request."""
         self._update(job, cancel_requested=cancel_requested)
 
+    def replace(self, job: JobRecord, successor: str) -> None:
+        """Record the job that computes an outdated job's study anew."""
+        self._update(job, replaced_by=successor)
+
     def delete(self, job: JobRecord) -> None:
-        """Forget a job, its chunks and its keys."""
+        """Forget a job, its chunks, its keys, and that it replaces others."""
         self._sql.execute("DELETE FROM jobs WHERE seq = ?", (job.seq,))
 
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Remember what an idempotency key was used for."""
-        self._sql.execute("INSERT INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
+        self._sql.execute("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
 
     def forget_keys(self, before: float) -> None:
         """Forget the keys that were used before that time, in seconds since 1970."""
@@ -203,15 +240,22 @@ class WriteTransaction(ReadTransaction):
 
     def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
         """Have chunks computed again; a job that was done runs again. Returns those that were marked."""
-        unmarked = [(chunk, cells) for chunk in chunks for cells in self._delete_chunk(job, chunk)]
-        if unmarked:
-            self._sql.execute(
-                "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ? WHERE seq = ?",
-                (len(unmarked), sum(cells for _, cells in unmarked), job.seq),
-            )
+        unmarked = self._unmark(job, chunks)
+        if unmarked and job.state is JobState.DONE:
+            self._move(job, JobState.RUNNING, finished=None)
+        return unmarked
+
+    def lose(self, job: JobRecord, failures: Sequence[Failure]) -> list[int]:
+        """Give up damaged chunks of an outdated job, which are never computed again; a job done before fails.
+
+        Returns those that were marked.
+        """
+        lost = self._unmark(job, [failure.chunk for failure in failures])
+        if lost:
+            self.note_failures(job, [failure for failure in failures if failure.chunk in lost])
             if job.state is JobState.DONE:
-                self._move(job, JobState.RUNNING, finished=None)
-        return [chunk for chunk, _ in unmarked]
+                self._move(job, JobState.FAILED, error=summary_of(self.failures(job)))
+        return lost
 
     def note_failures(self, job: JobRecord, failures: Iterable[Failure]) -> None:
         """Record chunks that were given up."""
@@ -228,6 +272,15 @@ class WriteTransaction(ReadTransaction):
             (job.seq, report.index, report.cells, report.seconds, report.checksum, outcomes),
         )
         return inserted.rowcount == 1
+
+    def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
+        """Chunks of these that were marked, unmarked now."""
+        unmarked = [(chunk, cells) for chunk in chunks for cells in self._delete_chunk(job, chunk)]
+        self._sql.execute(
+            "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ? WHERE seq = ?",
+            (len(unmarked), sum(cells for _, cells in unmarked), job.seq),
+        )
+        return [chunk for chunk, _ in unmarked]
 
     def _delete_chunk(self, job: JobRecord, chunk: int) -> list[int]:
         """The chunk's number of cells, if it was marked."""

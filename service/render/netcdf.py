@@ -31,7 +31,8 @@ def write(sweep: Sweep, plan: Plan, path: Path) -> None:
             where = (sweep.spec.directions.index(block.direction), *block.cells.values())
             for array in EXPORTED:
                 file.variables[array.name][where] = block.arrays[array.name]
-        file.attrs.update({name: _text(value) for name, value in layout.attributes.items()})
+        attributes = {**layout.attributes, **sweep.attributes}
+        file.attrs.update({name: _text(value) for name, value in attributes.items()})
 
 
 def _write_coordinate(file: Any, name: str, values: NDArray[Any]) -> None:

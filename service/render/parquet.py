@@ -10,7 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from kernel.params import KERNEL_VERSION, Outcome
+from kernel.params import Outcome
 from service.render.blocks import EXPORTED, Block, blocks
 from service.results.selection import Sweep
 from worker import schema
@@ -37,7 +37,7 @@ _SCHEMA: Final = pa.schema(
 
 def write(sweep: Sweep, plan: Plan, path: Path) -> None:
     """Write the sweep's file. Raises OSError, a `store.StoreError`."""
-    origin = {"kernel_version": KERNEL_VERSION, "spec": json.dumps(sweep.spec.as_submitted())}
+    origin = {**sweep.attributes, "spec": json.dumps(sweep.spec.as_submitted())}
     table = _SCHEMA.with_metadata(origin)
     with parquet.ParquetWriter(path, table, compression="zstd") as file:
         for block in blocks(sweep, plan):

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.params import KERNEL_VERSION
 from service.errors import InvalidRequest, TooLarge
 from worker import schema, store
 from worker.spec import AXES, SweepSpec
@@ -35,6 +36,18 @@ class Sweep:
     spec: SweepSpec
     url: str
     complete: bool = False  # the job is done: a missing chunk is damage, not work to come
+    kernel_version: str = KERNEL_VERSION  # that computed it
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Attributes of a file with these results: the kernel version, and a comment if it is not ours."""
+        attributes = {"kernel_version": self.kernel_version}
+        if self.kernel_version != KERNEL_VERSION:
+            attributes["comment"] = (
+                f"computed by kernel version {self.kernel_version}; "
+                f"the release that wrote this file computes version {KERNEL_VERSION}"
+            )
+        return attributes
 
 
 @dataclass(frozen=True, slots=True)

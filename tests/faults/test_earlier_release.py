@@ -1,33 +1,39 @@
-"""A data folder that release 0.1.0 wrote opens, its jobs go on, and every chunk has the same bytes."""
+"""A data folder that release 0.1.0 wrote, with kernel version 1: its results are read, none is continued.
 
-import json
+The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
+"""
+
 import sqlite3
-import zipfile
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-from paths import GOLDEN
-from scripted import Scripted, wait_for
+import xarray
+from click.testing import CliRunner
+from earlier_release import EXPECTED, unpacked
+from fastapi.testclient import TestClient
+from pyarrow import parquet
+from scripted import Held, Scripted, wait_for
 from served import get, service
 from stores import checksum
 
+from kernel.params import KERNEL_VERSION
+from service.cli.main import main
+from service.client import Client, Conflict
+from service.server import embedded
 from worker import store
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
 
-RELEASE = "data-folder-0.1.0"
-EXPECTED: dict[str, Any] = json.loads((GOLDEN / f"{RELEASE}.json").read_text())
 DONE, INTERRUPTED = (f"/v1/jobs/{EXPECTED[name]['id']}" for name in ("done", "interrupted"))
+NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    with zipfile.ZipFile(GOLDEN / f"{RELEASE}.zip") as archive:
-        archive.extractall(tmp_path)
-    return tmp_path / "bounce-data"
+    return unpacked(tmp_path)
 
 
 def store_of(folder: Path, name: str) -> Path:
@@ -38,6 +44,10 @@ def files(url: Path) -> dict[str, bytes]:
     return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
 
 
+def spec_of(folder: Path, name: str) -> SweepSpec:
+    return SweepSpec.parse(store.read_attrs(str(store_of(folder, name)))["spec"])
+
+
 def recorded_checksums(folder: Path, name: str) -> list[str]:
     """The ledger's, chunk by chunk."""
     query = "SELECT checksum FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
@@ -46,10 +56,30 @@ def recorded_checksums(folder: Path, name: str) -> list[str]:
 
 
 def stored_checksums(folder: Path, name: str) -> list[str]:
-    """Of the bytes in the store, chunk by chunk."""
+    """Of the bytes in the store, chunk by chunk, as far as they are computed."""
     url = str(store_of(folder, name))
-    spec, cut = SweepSpec.parse(store.read_attrs(url)["spec"]), store.chunk_shape(url)
-    return [checksum(url, layout(spec, cut), chunk) for chunk in make_plan(spec, chunk_shape=cut)]
+    spec, cut = spec_of(folder, name), store.chunk_shape(url)
+    plan = make_plan(spec, chunk_shape=cut)
+    there = [chunk for chunk in plan if store.read_chunk(url, chunk, ["outcome"])["outcome"].all()]
+    return [checksum(url, layout(spec, cut), chunk) for chunk in there]
+
+
+def change_ledger(folder: Path, statement: str, *values: Any) -> None:
+    """Change the ledger of the stopped service."""
+    with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger, ledger:
+        ledger.execute(statement, values)
+
+
+def flip(path: Path) -> None:
+    """Damage a file by one bit in its middle."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def successor(client: TestClient, path: str) -> str:
+    """The path of the job that replaces a job."""
+    return f"/v1/jobs/{get(client, path)['replaced_by']}"
 
 
 def test_the_folder_is_that_of_an_interrupted_service(folder: Path):
@@ -58,27 +88,240 @@ def test_the_folder_is_that_of_an_interrupted_service(folder: Path):
 
 
 @pytest.mark.parametrize("name", ["done", "interrupted"])
-def test_a_store_laid_out_today_has_the_same_bytes(folder: Path, tmp_path: Path, name: str):
-    earlier, today = store_of(folder, name), tmp_path / "today.zarr"
-    spec = SweepSpec.parse(store.read_attrs(str(earlier))["spec"])
-    store.create(str(today), layout(spec, store.chunk_shape(str(earlier))))
-    laid_out = files(today)
-    assert "zarr.json" in laid_out
-    assert laid_out.items() <= files(earlier).items()
+def test_a_changed_default_changes_no_earlier_sweep(folder: Path, name: str):
+    """Specifications are stored with every default, and today's parser gives them their ids of then."""
+    spec = spec_of(folder, name)
+    assert spec.job_id("1") == EXPECTED[name]["id"]
+    assert spec.micro_flight == 0.0
+    assert SweepSpec.model_fields["micro_flight"].default > 0.0
 
 
-def test_jobs_of_an_earlier_release_answer_and_resume(folder: Path):
-    before = {name: files(store_of(folder, name)) for name in ("done", "interrupted")}
-    with closing(Scripted()) as executor, service(folder, executor) as client:
-        assert get(client, DONE)["state"] == "done"
+# At the start
+
+
+def test_the_done_job_is_read_as_it_was_written(folder: Path):
+    before = files(store_of(folder, "done"))
+    with service(folder, Held()) as client:
+        job = get(client, DONE)
+        assert (job["state"], job["kernel_version"], job["notice"]) == ("done", "1", NOTICE)
         line = get(client, f"{DONE}/diagram", omega=0.5, xi=0.26)
         assert line["complete"]
-        assert len(line["flight_time"]) > 0
-        wait_for(lambda: bool(get(client, INTERRUPTED)["state"] == "done"))
-        assert get(client, f"{INTERRUPTED}/diagram", omega=0.6, xi=0.1, direction="down")["complete"]
-    assert len(executor.tried) == 9  # three of twelve chunks were there
-    for name in ("done", "interrupted"):
-        assert stored_checksums(folder, name) == EXPECTED[name]["checksums"]
-        assert recorded_checksums(folder, name) == EXPECTED[name]["checksums"]
-        assert before[name].items() <= files(store_of(folder, name)).items()
-    assert before["done"] == files(store_of(folder, "done"))
+        assert len(line["flight_time"]) == 9
+        assert get(client, f"{DONE}/modes")["complete"]
+        assert get(client, f"{DONE}/threshold")["complete"]
+        opened = xarray.open_zarr(store_of(folder, "done"))
+        assert opened.attrs["kernel_version"] == "1"
+        wait_for(lambda: client.app.state.service.manager._is_verified(EXPECTED["done"]["id"]))  # type: ignore[attr-defined]
+    assert files(store_of(folder, "done")) == before
+    assert stored_checksums(folder, "done") == EXPECTED["done"]["checksums"]
+
+
+def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
+    before = files(store_of(folder, "interrupted"))
+    with closing(Scripted()) as executor, service(folder, executor) as client:
+        old = get(client, INTERRUPTED)
+        assert old["state"] == "failed"
+        begun = f"kernel version 1 began it, this release computes {KERNEL_VERSION}"
+        assert old["error"] == f"{begun}: job {old['replaced_by']} computes all of it anew"
+        assert old["notice"] == f"{NOTICE}, as job {old['replaced_by']}"
+        assert (
+            get(client, f"{INTERRUPTED}/diagram", omega=0.56, xi=0.05, direction="up")["bounces"].count(0)
+            < 41
+        )
+        here = successor(client, INTERRUPTED)
+        wait_for(lambda: bool(get(client, here)["state"] == "done"))
+        new = get(client, here)
+        assert (new["kernel_version"], new["notice"], new["replaced_by"]) == (KERNEL_VERSION, None, None)
+        assert old["spec"].items() <= new["spec"].items()
+        assert get(client, f"{here}/diagram", omega=0.6, xi=0.1, direction="down")["complete"]
+        assert not get(client, f"{INTERRUPTED}/diagram", omega=0.6, xi=0.1, direction="down")["complete"]
+    assert sorted(executor.tried) == list(range(new["progress"]["chunks_total"]))
+    assert files(store_of(folder, "interrupted")) == before
+    assert stored_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
+    assert recorded_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
+
+
+def test_the_next_start_changes_nothing_more(folder: Path):
+    views = []
+    for _ in range(2):
+        with service(folder, Held(capacity=0)) as client:
+            views.append([get(client, "/v1/jobs")["total"], get(client, INTERRUPTED)])
+    assert views[0] == views[1]
+    assert views[0][0] == 3
+
+
+def test_a_cancel_requested_before_is_carried_out(folder: Path):
+    change_ledger(folder, "UPDATE jobs SET cancel_requested = 1 WHERE state = 'running'")
+    with service(folder, Held()) as client:
+        job = get(client, INTERRUPTED)
+        assert (job["state"], job["replaced_by"]) == ("cancelled", None)
+        assert get(client, "/v1/jobs")["total"] == 2
+
+
+def test_a_job_whose_specification_is_refused_today_keeps_no_service_from_starting(folder: Path):
+    change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.colour', 'red') WHERE state = 'running'")
+    with service(folder, Held()) as client:
+        job = get(client, INTERRUPTED)
+        assert (job["state"], job["replaced_by"]) == ("failed", None)
+        assert "it cannot start anew: colour: is not a field here" in job["error"]
+
+
+# Requests
+
+
+def test_resuming_answers_with_the_job_that_starts_it_anew(folder: Path):
+    change_ledger(folder, "UPDATE jobs SET state = 'cancelled' WHERE state = 'running'")
+    with service(folder, Held(capacity=0)) as client:
+        first, again = (client.post(f"{INTERRUPTED}/resume") for _ in range(2))
+        new = first.json()
+        assert (first.status_code, again.status_code) == (202, 200)
+        assert first.headers["Location"] == again.headers["Location"] == f"/v1/jobs/{new['id']}"
+        assert new["id"] != EXPECTED["interrupted"]["id"]
+        assert (new["state"], new["kernel_version"]) == ("queued", KERNEL_VERSION)
+        assert new["notice"] == f"starts anew what job {EXPECTED['interrupted']['id']} is: {NOTICE}"
+        assert get(client, first.headers["Location"])["notice"] is None
+        old = get(client, INTERRUPTED)
+        assert (old["state"], old["replaced_by"]) == ("cancelled", new["id"])
+        assert client.post(f"{first.headers['Location']}/cancel").status_code == 202
+        assert client.delete(first.headers["Location"]).status_code == 204
+        assert get(client, INTERRUPTED)["replaced_by"] is None
+        assert client.post(f"{INTERRUPTED}/resume").status_code == 202
+
+
+def test_resuming_what_this_release_refuses_names_the_field(folder: Path):
+    change_ledger(
+        folder,
+        "UPDATE jobs SET state = 'cancelled', spec = json_set(spec, '$.colour', 'red')"
+        " WHERE state = 'running'",
+    )
+    with service(folder, Held()) as client:
+        answer = client.post(f"{INTERRUPTED}/resume")
+        assert answer.status_code == 422
+        assert answer.json()["errors"][0]["field"] == "colour"
+
+
+def test_a_done_job_is_not_resumed_and_its_sweep_submitted_again_is_another_job(folder: Path):
+    with service(folder, Held(capacity=0)) as client:
+        refused = client.post(f"{DONE}/resume")
+        assert refused.status_code == 409
+        assert "submit the sweep again" in refused.json()["detail"]
+        answer = client.post("/v1/jobs", json=get(client, DONE)["spec"])
+        assert answer.status_code == 202
+        assert answer.json()["id"] != EXPECTED["done"]["id"]
+        old = get(client, DONE)
+        assert (old["state"], old["replaced_by"]) == ("done", answer.json()["id"])
+
+
+def test_a_key_used_for_a_job_of_another_kernel_version_is_free(folder: Path):
+    with service(folder, Held()):
+        pass  # brings the ledger to this version
+    change_ledger(folder, "INSERT INTO keys VALUES ('k', 'the body of then', 1, 4e9)")
+    with service(folder, Held(capacity=0)) as client:
+        spec = get(client, DONE)["spec"]
+        statuses = [
+            client.post("/v1/jobs", json=spec, headers={"Idempotency-Key": "k"}).status_code for _ in range(2)
+        ]
+    assert statuses == [202, 200]
+
+
+def test_no_number_of_this_kernel_is_added_to_an_earlier_job(folder: Path):
+    with service(folder, Held()) as client:
+        for path, query in (
+            (f"{DONE}/threshold", {"tolerance": 1e-6}),
+            (f"{DONE}/trajectory", {"gamma": 2.0, "omega": 0.5}),
+        ):
+            answer = client.get(path, params=query)
+            assert answer.status_code == 409
+            assert answer.json()["detail"].startswith(f"the job is {NOTICE}: submit the sweep again")
+
+
+def test_exports_say_which_kernel_computed_them(folder: Path, tmp_path: Path):
+    with service(folder, Held()) as client:
+        for format in ("nc", "parquet"):
+            answer = client.get(f"{DONE}/export", params={"format": format})
+            assert answer.status_code == 200
+            (tmp_path / f"sweep.{format}").write_bytes(answer.content)
+    with xarray.open_dataset(tmp_path / "sweep.nc") as sweep:
+        netcdf = dict(sweep.attrs)
+    metadata = parquet.read_schema(tmp_path / "sweep.parquet").metadata
+    for attributes in (netcdf, {name.decode(): text.decode() for name, text in metadata.items()}):
+        assert attributes["kernel_version"] == "1"
+        assert attributes["comment"].startswith("computed by kernel version 1; the release that wrote")
+
+
+def test_estimates_take_no_speed_from_another_kernel(folder: Path):
+    with service(folder, Held()) as client:
+        with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
+            assert ledger.paces(10, 10_000) == []
+        assert get(client, DONE)["progress"]["chunks_done"] == 1
+
+
+# Damage
+
+
+def test_a_chunk_damaged_before_the_start_is_given_up(folder: Path):
+    flip(store_of(folder, "done") / "flight_time/c/0/0/0/0/0")
+    executor = Held(capacity=0)
+    with service(folder, executor) as client:
+        wait_for(lambda: bool(get(client, DONE)["state"] == "failed"))
+        job = get(client, DONE)
+        assert job["error"].startswith("chunk 0 (rest, gamma 1 to 3, omega 0.5 to 1, xi 0.26): its")
+        assert NOTICE in job["error"]
+        assert [failure["chunk"] for failure in job["failures"]] == [0]
+        assert job["progress"]["cells_done"] == 0
+        line = get(client, f"{DONE}/diagram", omega=0.5)
+        assert not line["complete"]
+        assert line["outcome"] == [0] * 9
+        answer = client.post(f"{DONE}/resume")
+        assert answer.status_code == 202
+        assert answer.json()["id"] == get(client, DONE)["replaced_by"]
+
+
+def test_a_chunk_damaged_later_is_reported_once_and_missing_from_then_on(folder: Path):
+    with service(folder, Held()) as client:
+        manager = client.app.state.service.manager  # type: ignore[attr-defined]
+        wait_for(lambda: manager._is_verified(EXPECTED["done"]["id"]))
+        flip(store_of(folder, "done") / "flight_time/c/0/0/0/0/0")
+        refused = client.get(f"{DONE}/diagram", params={"omega": 0.5})
+        assert refused.status_code == 503
+        assert "damaged and missing from now on: chunk 0" in refused.json()["detail"]
+        assert not get(client, f"{DONE}/diagram", omega=0.5)["complete"]
+        assert get(client, DONE)["state"] == "failed"
+
+
+def test_damaged_metadata_stay_damaged_and_the_answer_says_so(folder: Path):
+    (store_of(folder, "done") / "zarr.json").write_text("{")
+    with service(folder, Held()) as client:
+        answer = client.get(f"{DONE}/diagram", params={"omega": 0.5})
+        assert answer.status_code == 500
+        assert answer.json()["detail"] == f"stored results are damaged: the store's metadata ({NOTICE})"
+        assert get(client, DONE)["state"] == "done"
+    assert (store_of(folder, "done") / "zarr.json").read_text() == "{"
+
+
+# Client and command line
+
+
+def test_client_and_commands_follow_to_the_new_job(folder: Path):
+    settings = embedded.settings(data=folder, port=0)
+    with closing(Scripted()) as executor, embedded.running(settings, executor) as url, Client(url) as client:
+
+        def bounce(*words: str) -> Any:
+            return CliRunner().invoke(main, words, env={"BOUNCE_URL": url})
+
+        old_id = EXPECTED["interrupted"]["id"]
+        old = client.job(old_id)
+        assert f"notice    {old.notice}" in bounce("status", old_id).stdout
+        waited = client.job(old_id).wait(progress=False)
+        assert (waited.id, waited.state) == (old.replaced_by, "done")
+        assert f"job {old_id} was replaced by job {waited.id}" in bounce("wait", old_id).stderr
+        resumed = bounce("resume", old_id)
+        assert resumed.exit_code == 0, resumed.stderr
+        assert resumed.stdout == f"{waited.id}\n"
+        assert NOTICE in resumed.stderr
+        assert old.resume().id == waited.id
+        done = EXPECTED["done"]["id"]
+        assert client.job(done).wait(progress=False).id == done
+        with pytest.raises(Conflict, match="submit the sweep again"):
+            client.job(done).resume()
+        assert f"the job is {NOTICE}" in bounce("threshold", done).stderr

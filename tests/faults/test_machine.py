@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from scripted import Held, sweep, wait_for
 
-from kernel.params import Outcome
+from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, UnknownJob
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
@@ -83,7 +83,7 @@ class Machine(RuleBasedStateMachine):
     def cancel(self, number: int) -> None:
         job = self._find(number)
         try:
-            self.manager.cancel(SWEEPS[number].job_id("1"))
+            self.manager.cancel(SWEEPS[number].job_id(KERNEL_VERSION))
         except UnknownJob:
             assert job is None
         except IllegalTransition:
@@ -93,7 +93,7 @@ class Machine(RuleBasedStateMachine):
     def delete(self, number: int) -> None:
         job = self._find(number)
         try:
-            self.manager.delete(SWEEPS[number].job_id("1"))
+            self.manager.delete(SWEEPS[number].job_id(KERNEL_VERSION))
         except UnknownJob:
             assert job is None
         except IllegalTransition:
@@ -101,7 +101,7 @@ class Machine(RuleBasedStateMachine):
         else:
             assert self._find(number) is None
             assert not Path(self._url(number)).exists()
-            self.marked.pop(SWEEPS[number].job_id("1"), None)
+            self.marked.pop(SWEEPS[number].job_id(KERNEL_VERSION), None)
 
     def _stop(self) -> None:
         """Stop as at the end of a process, with all threads."""
@@ -157,7 +157,7 @@ class Machine(RuleBasedStateMachine):
         return self._found(number).state not in UNFINISHED
 
     def _find(self, number: int) -> JobRecord | None:
-        return self.ledger.find(SWEEPS[number].job_id("1"))
+        return self.ledger.find(SWEEPS[number].job_id(KERNEL_VERSION))
 
     def _found(self, number: int) -> JobRecord:
         job = self._find(number)
@@ -165,7 +165,7 @@ class Machine(RuleBasedStateMachine):
         return job
 
     def _url(self, number: int) -> str:
-        return self._settings.store_of(SWEEPS[number].job_id("1"))
+        return self._settings.store_of(SWEEPS[number].job_id(KERNEL_VERSION))
 
     def _outcomes(self, number: int) -> Any:
         return store.read_slice(self._url(number), ["outcome"], complete=True)["outcome"]

@@ -14,6 +14,7 @@ ALLOWED = {
     ("running", "failed"),
     ("running", "cancelled"),
     ("done", "running"),
+    ("done", "failed"),
     ("failed", "queued"),
     ("cancelled", "queued"),
 }

@@ -19,10 +19,10 @@ import pytest
 from running import running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 
-from kernel.params import Outcome
+from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, LedgerUnavailable, QueueFull, UnknownJob
 from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord, JobState
+from service.jobs.model import UNFINISHED, JobRecord, JobState
 from worker import store
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
 from worker.executors.inline import Inline
@@ -447,7 +447,7 @@ def test_chunks_whose_damaged_files_cannot_be_removed_are_computed_again(
 def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline: Inline):
     spec = sweep()
     with running(tmp_path, inline) as service:
-        place = Path(service.settings.store_of(spec.job_id("1")))
+        place = Path(service.settings.store_of(spec.job_id(KERNEL_VERSION)))
         place.parent.mkdir(parents=True)
         place.write_text("in the way")
         job = service.until(service.submit(spec), JobState.FAILED)
@@ -458,15 +458,19 @@ def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline:
         service.until(service.submit(spec), JobState.DONE)
 
 
-def test_a_job_begun_by_another_kernel_is_not_finished_by_this_one(tmp_path: Path, inline: Inline):
-    with running(tmp_path, Held()) as service:
-        job = service.submit(sweep())
+def test_jobs_begun_by_another_kernel_are_replaced_though_the_queue_is_full(tmp_path: Path):
+    with running(tmp_path, Held(capacity=0), max_queue=2) as service:
+        begun = [service.submit(sweep(omega=omega)) for omega in (0.5, 0.6)]
         with service.ledger.writing() as ledger:
-            ledger._sql.execute("UPDATE jobs SET kernel_version = '0'")
-    with running(tmp_path, inline) as service:
-        job = service.until(job, JobState.FAILED)
-    assert job.error is not None
-    assert "kernel version 0 started it" in job.error
+            ledger._sql.execute("UPDATE jobs SET kernel_version = '0', id = 'before-' || seq")
+    with running(tmp_path, Held(capacity=0), max_queue=2) as service:
+        for job in begun:
+            old = service.ledger.find(f"before-{job.seq}")
+            assert old is not None
+            assert (old.state, old.replaced_by) == (JobState.FAILED, job.id)
+            assert old.error is not None
+            assert old.error.startswith("kernel version 0 began it")
+            assert service.job(job).state in UNFINISHED
 
 
 # Limits

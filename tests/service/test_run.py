@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scripted import small
 
+from kernel.params import KERNEL_VERSION
 from service.jobs.model import JobRecord, JobState
 from service.jobs.prepare import JobPreparer
 from service.jobs.retry import Action, History, RetryPolicy
@@ -27,10 +28,10 @@ def run(tmp_path: Path) -> JobRun:
     spec = small(protocol=RAMP)
     plan = make_plan(spec, chunk_shape=(1, 1, 5))
     job = JobRecord(
-        id="a" * 32, name="", spec=json.dumps(spec.as_submitted()), kernel_version="1",
+        id="a" * 32, name="", spec=json.dumps(spec.as_submitted()), kernel_version=KERNEL_VERSION,
         chunk_shape=plan.chunk_shape, chunks_total=len(plan), cells_total=plan.cells, seq=1,
         state=JobState.RUNNING, cancel_requested=False, error=None, created=0.0, started=0.0, finished=None,
-        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, choice=None,
+        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, choice=None, replaced_by=None,
     )  # fmt: skip
     prepared = JobPreparer(Settings(data=tmp_path)).prepare(job)
     return JobRun(job, prepared, np.zeros(len(plan), np.bool_), POLICY)

@@ -136,12 +136,18 @@ def cancel(service: ServiceDep, job: JobDep) -> Response:
     summary="Resume a job",
     status_code=202,
     response_model=JobView,
-    responses={200: {"model": JobView}, **problem_responses(404, 409, 429)},
+    responses={200: {"model": JobView}, **problem_responses(404, 409, 413, 422, 429)},
 )
 def resume(service: ServiceDep, job: JobDep) -> Response:
-    """A failed or cancelled job computes the chunks that are missing; 200 if it is queued or running."""
+    """A failed or cancelled job computes the chunks that are missing; 200 if it is queued or running.
+
+    A job of another kernel version starts anew as a job of this one: the response describes the new job,
+    whose address is in `Location`.
+    """
     record, accepted = service.manager.resume(job.id)
-    return _job_response(record, 202 if accepted else 200)
+    headers = {"Location": f"/v1/jobs/{record.id}"}
+    notice = None if record.id == job.id else f"starts anew what job {job.id} is: {job.notice}"
+    return _job_response(record, 202 if accepted else 200, headers, notice=notice)
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
@@ -168,9 +174,13 @@ async def events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEv
 
 
 def _job_response(
-    job: JobRecord, status: int, headers: dict[str, str] | None = None, failures: Sequence[Failure] = ()
+    job: JobRecord,
+    status: int,
+    headers: dict[str, str] | None = None,
+    failures: Sequence[Failure] = (),
+    notice: str | None = None,
 ) -> Response:
-    content = job_view(job, failures=failures).model_dump_json()
+    content = job_view(job, failures=failures, notice=notice).model_dump_json()
     return Response(content, status, headers, "application/json")
 
 

@@ -88,11 +88,12 @@ def plane(
     "/trajectory",
     summary="Compute the motion of a cell of the sweep",
     response_model=Trajectory,
-    responses=problem_responses(404, 413, 422, 429),
+    responses=problem_responses(404, 409, 413, 422, 429),
 )
 def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
     """One cell of the sweep in motion: as it settles from rest, or from where the ramp left it."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
+    dependencies.check_kernel(job)
     sweep = dependencies.sweep(service, job)
     spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)

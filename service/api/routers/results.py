@@ -61,7 +61,7 @@ def diagram(
     "/threshold",
     summary="Read or refine the thresholds",
     response_model=Thresholds,
-    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 413, 422, 429, 503)},
+    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 409, 413, 422, 429, 503)},
 )
 def job_threshold(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobThresholdQuery, Query()]
@@ -74,6 +74,7 @@ def job_threshold(
     sweep = dependencies.sweep(service, job)
     result = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
+        dependencies.check_kernel(job)
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 

@@ -8,7 +8,7 @@ import { TrajectoryPanel } from "../motion/panel.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
-import { ProgressBar, UNFINISHED, showActions, summary, titleOf } from "./progress.js";
+import { ProgressBar, UNFINISHED, notice, showActions, summary, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -23,6 +23,7 @@ export class JobView {
     this.id = path[1];
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.about = h("p", { className: "summary" });
+    this.notice = h("p", { className: "notice", hidden: true });
     this.bar = new ProgressBar();
     this.actions = h("div", { className: "actions" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
@@ -31,7 +32,7 @@ export class JobView {
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions),
+      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions, this.notice),
       this.problem, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
@@ -107,10 +108,16 @@ export class JobView {
     this.heading.textContent = titleOf(job);
     document.title = `${titleOf(job)} · Bouncing spring`;
     this.about.replaceChildren(...summary(job));
+    this.notice.hidden = !job.notice;
+    this.notice.replaceChildren(...notice(job));
     this.bar.show(job);
     this.#showError(this.#failure());
     showActions(this.actions, job, {
       onChange: (changed) => {
+        if (changed.id !== this.id) {
+          navigate(["job", changed.id]); // of another kernel version: resumed, it starts anew as another
+          return;
+        }
         this.job = changed;
         this.#describe();
         this.#pollAfter(POLL_MS / 2);

@@ -1,5 +1,6 @@
 // A sweep's progress bar, its one-line summary, and the buttons to cancel, resume or delete it.
 
+import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { confirmed, h } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
@@ -43,6 +44,13 @@ export function summary({ spec, choice }) {
   const axes = AXES.flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
   const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
   return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`)];
+}
+
+/** That another kernel version computed a sweep, and a link to the one that replaces it; nothing for any other sweep. */
+export function notice({ notice: text, replaced_by: successor }) {
+  if (!text) return [];
+  const sentence = `${text[0].toUpperCase()}${text.slice(1)}. `;
+  return successor ? [sentence, h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : [sentence];
 }
 
 function axisText(axis) {

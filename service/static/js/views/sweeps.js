@@ -6,7 +6,7 @@ import { h } from "../lib/dom.js";
 import { ago } from "../lib/format.js";
 import { loadPresets } from "../form/catalogue.js";
 import { Preview } from "../motion/preview.js";
-import { ProgressBar, UNFINISHED, showActions, summary, titleOf } from "./progress.js";
+import { ProgressBar, UNFINISHED, notice, showActions, summary, titleOf } from "./progress.js";
 
 const PAGE_SIZE = 25;
 const MAX_LISTED = 1000; // of one request
@@ -104,14 +104,17 @@ export class Sweeps {
     const time = h("span", { className: "note" });
     const bar = new ProgressBar();
     const buttons = h("div", { className: "actions" });
+    const other = h("p", { className: "notice", hidden: true });
     const error = h("p", { className: "problem", hidden: true });
-    const element = h("li", {}, h("div", { className: "about" }, h("h3", {}, name), about), bar.element, time, buttons, error);
+    const element = h("li", {}, h("div", { className: "about" }, h("h3", {}, name), about), bar.element, time, buttons, other, error);
     const update = (job) => {
       name.textContent = titleOf(job);
       name.href = link(["job", job.id]);
       if (!about.hasChildNodes() || job.choice) about.replaceChildren(...summary(job));
       time.textContent = ago(job.finished ?? job.created);
       bar.show(job);
+      other.hidden = !job.notice;
+      other.replaceChildren(...notice(job));
       error.hidden = !job.error;
       error.textContent = job.error ?? "";
       showActions(buttons, job, { onChange: () => this.refresh(), onDelete: () => this.#onDelete(), onError: (failure) => this.#showError(failure) });

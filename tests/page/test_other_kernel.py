@@ -1,0 +1,43 @@
+"""The page on sweeps of another kernel version: it says so, and leads to the sweep that replaces one."""
+
+from pathlib import Path
+
+from browser import chromium, needs_chromium, opened, screenshot, wait_shown
+from earlier_release import EXPECTED, unpacked
+from scripted import Held
+
+from kernel.params import KERNEL_VERSION
+from service.client import Client
+from service.server import embedded
+
+pytestmark = needs_chromium
+
+NOTICE = f"Computed by kernel version 1; this release computes version {KERNEL_VERSION}"
+
+
+def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacement(tmp_path: Path):
+    done, interrupted = (EXPECTED[name]["id"] for name in ("done", "interrupted"))
+    settings = embedded.settings(data=unpacked(tmp_path), port=0)
+    with (
+        embedded.running(settings, Held(capacity=0)) as address,
+        Client(address) as client,
+        chromium() as browser,
+        opened(browser, f"{address}/#/job/{done}/diagram?omega=0.5") as page,
+    ):
+        new = client.job(interrupted).replaced_by
+        wait_shown(page, omega=0.5)  # the results of then are drawn
+        assert page.locator("header.job .notice").inner_text() == f"{NOTICE}."
+        screenshot(page, "other-kernel")
+        page.goto(f"{address}/#/")
+        rows = page.locator(".jobs li")
+        rows.nth(2).wait_for()
+        notices = [row.locator(".notice").inner_text() for row in rows.all()]
+        replaced = f"{NOTICE}, as job {new}. Show the sweep that replaces it"
+        assert notices == ["", replaced, f"{NOTICE}."]
+        page.get_by_role("link", name="Show the sweep that replaces it").click()
+        page.wait_for_url(f"**/#/job/{new}**")
+        page.goto(f"{address}/#/job/{interrupted}")
+        page.get_by_role("button", name="Resume up and down").click()
+        page.wait_for_url(f"**/#/job/{new}**")
+        page.get_by_role("button", name="Cancel up and down").wait_for()
+        assert page.locator("header.job .notice").is_hidden()
