@@ -85,7 +85,7 @@ class _Note(NamedTuple):
 _NOTES: Final = {
     "below the grid": _Note("≤ {low}", "bounces already at the lowest Γ, {low}: start lower"),
     "above the grid": _Note("> {high}", "at rest up to the highest Γ, {high}: end higher"),
-    "never bounces up": _Note("never", "at rest at every Γ of the sweep, and Eq. 25 is infinite"),
+    "never bounces up": _Note("never", "at rest at every Γ of the sweep, and by Eq. 25 at every other"),
     "never bounces down": _Note("never", "no cell of the ramp down bounces, so no bouncing ends: start it higher"),
     "not ramped": _Note("-", "the sweep is not ramped {direction}"),
     "not refined": _Note("≤ {grid}*", "not refined; the lowest Γ of the grid that bounces"),

@@ -33,10 +33,10 @@ class Thresholds(BaseModel):
     """Per Ω of a sweep, at one ξ: where bouncing begins and ends; null unless the status is `found`.
 
     `below the grid`: the lowest Γ bounces already. `above the grid`: every cell is at rest. `never bounces`:
-    of `up`, every cell is at rest and Eq. 25 is infinite; of `down`, no cell of the ramp bounces. `not ramped`:
-    the sweep does not have this direction. `not refined`: the grid holds the change, and refinement reached its
-    limit. `missing`, `unresolved`, `diverged`, `settling`: the outcome of the cell that decides, the lowest
-    that is not at rest, which does not tell whether it bounces.
+    of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may have; of `down`, no
+    cell of the ramp bounces. `not ramped`: the sweep does not have this direction. `not refined`: the grid
+    holds the change, and refinement reached its limit. `missing`, `unresolved`, `diverged`, `settling`: the
+    outcome of the cell that decides, the lowest that is not at rest, which does not tell whether it bounces.
     """
 
     model_config = ConfigDict(arbitrary_types_allowed=True, frozen=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from worker import store
-from worker.spec import SMALLEST, SweepSpec
+from worker.spec import LARGEST, SMALLEST, SweepSpec
 from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_cells
 
@@ -45,8 +45,8 @@ class Status(StrEnum):
     FOUND = "found"
     BELOW = "below the grid"  # the lowest gamma bounces already
     ABOVE = "above the grid"  # every cell is at rest, also at the highest gamma
-    #: Of up: every cell is at rest, and by Eq. 25 none would bounce at any gamma. Of down: no cell of the ramp
-    #: bounces, so that no bouncing ends.
+    #: Of up: every cell is at rest, and by Eq. 25 would be at every gamma that a specification may have. Of
+    #: down: no cell of the ramp bounces, so that no bouncing ends.
     NEVER = "never bounces"
     NOT_RAMPED = "not ramped"  # the sweep does not have this direction
     NOT_REFINED = "not refined"  # the grid holds the change, refinement reached its limit
@@ -90,7 +90,7 @@ class _Edge(NamedTuple):
 def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
     """The threshold of one line of cells.
 
-    outcome: (n_gamma,) in ascending order of gamma. down: the line was ramped down. endless: by Eq. 25 no
+    outcome: (n_gamma,) in ascending order of gamma. down: the line was ramped down. endless: no
     gamma makes the spring bounce from rest, see `endless_rest`.
     """
     moving = np.flatnonzero(outcome != Outcome.AT_REST)
@@ -104,10 +104,13 @@ def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
 
 
 def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDArray[np.bool_]:
-    """(n,) whether a spring at rest bounces at no gamma: Eq. 25 is infinite. A ball always does."""
+    """(n,) whether a spring at rest bounces at no gamma that a specification may have, by Eq. 25.
+
+    So it is without damping at sqrt(2). A ball bounces everywhere above 1.
+    """
     if spec.model.kind == "ball":
         return np.zeros(len(omega), np.bool_)
-    return np.asarray(np.isinf(threshold(omega, xi)))
+    return np.asarray(threshold(omega, xi) > LARGEST)
 
 
 def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
@@ -136,8 +139,9 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
 
 def _patient(spec: SweepSpec) -> SweepSpec:
     """The specification of a refinement's cells: only the outcome counts, and settling may take long."""
-    until = max(spec.settle_until or 0, PATIENCE * (spec.settle + spec.observe))
-    return spec.model_copy(update={"keep": 1, "exponents": 0, "settle_until": min(until, MAX_PERIODS)})
+    window = spec.settle + spec.observe
+    until = max(spec.settle_until or window, min(PATIENCE * window, MAX_PERIODS))
+    return spec.model_copy(update={"keep": 1, "exponents": 0, "settle_until": until})
 
 
 def _refine_line(
