@@ -4,8 +4,8 @@ import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
-from math import ceil, isclose, isfinite, isnan, log10
-from typing import TYPE_CHECKING, Any, Final
+from math import ceil, isfinite, isnan, log10
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from service.client.display import time_left
 
@@ -59,40 +59,76 @@ def estimate_line(estimate: "Estimate") -> str:
 
 
 def threshold_view(thresholds: "xarray.Dataset") -> dict[str, Any]:
-    """Thresholds as plain values, null where there is none."""
-    columns = {
-        name: thresholds[name].values.tolist()
+    """Thresholds as plain values, null unless the status is `found`."""
+    plain = {
+        name: [value if isfinite(value) else None for value in thresholds[name].values.tolist()]
         for name in ("omega", "analytic", "up", "down")
-        if name in thresholds
     }
-    plain = {name: [v if isfinite(v) else None for v in values] for name, values in columns.items()}
-    return {"xi": float(thresholds.xi), **plain, "tolerance": thresholds.attrs.get("tolerance"),
+    statuses = {name: thresholds[name].values.tolist() for name in ("up_status", "down_status")}
+    return {"xi": float(thresholds.xi), **plain, **statuses,
+            "tolerance": thresholds.attrs.get("tolerance"),
             "complete": bool(thresholds.attrs["complete"])}  # fmt: skip
 
 
+class _Note(NamedTuple):
+    """How a threshold that has no number is written, and what a line below the table says of it.
+
+    `{low}` and `{high}` are the lowest and highest Γ of the sweep, `{direction}` is up or down, `{grid}` the
+    lowest Γ of the grid that bounces.
+    """
+
+    entry: str
+    text: str
+
+
+#: By status; "never bounces" by direction.
+_NOTES: Final = {
+    "below the grid": _Note("≤ {low}", "bounces already at the lowest Γ, {low}: start lower"),
+    "above the grid": _Note("> {high}", "at rest up to the highest Γ, {high}: end higher"),
+    "never bounces up": _Note("never", "at rest at every Γ of the sweep, and by Eq. 25 at every other"),
+    "never bounces down": _Note("never", "no cell of the ramp down bounces, so no bouncing ends: start it higher"),
+    "not ramped": _Note("-", "the sweep is not ramped {direction}"),
+    "not refined": _Note("≤ {grid}*", "not refined; the lowest Γ of the grid that bounces"),
+    "missing": _Note("?", "the cell that decides is not computed yet"),
+    "unresolved": _Note("unresolved", "the cell that decides ran out of events before its window ended"),
+    "diverged": _Note("diverged", "a number of the cell that decides is not finite"),
+    "settling": _Note("settling", "the cell that decides was still settling: give it more time, settle_until"),
+}
+
+
 def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spec: Mapping[str, Any]) -> str:
-    """Thresholds, one Ω per line; below them, why an entry is a bound or missing.
+    """Thresholds, one Ω per line; below them, why an entry is not a number.
 
     `on_grid` contains the thresholds without refinement, the lowest Γ of the grid that bounces; `spec` is the
     specification of the sweep.
     """
     from worker.spec import SweepSpec
 
-    sweep = SweepSpec.parse(dict(spec))
+    gamma = SweepSpec.parse(dict(spec)).axis_values("gamma").tolist()
     tolerance = thresholds.attrs.get("tolerance")
     digits = 6 if tolerance is None else min(max(6, 2 + ceil(-log10(tolerance))), 12)
     width = digits + 6
     notes: dict[str, None] = {}  # in the order of their first use
 
+    def text(value: float, status: str, direction: str, grid: float) -> str:
+        if status == "found":
+            return f"{value:.{digits}f}"
+        note = _NOTES.get(status) or _NOTES[f"{status} {direction}"]
+        numbers = {"low": gamma[0], "high": gamma[-1], "grid": grid}
+        fields = {name: str(float(f"{number:.{digits}g}")) for name, number in numbers.items()}
+        fields["direction"] = direction
+        entry = note.entry.format(**fields)
+        notes[f"{entry}: {note.text.format(**fields)}"] = None
+        return entry
+
     def column(name: str) -> list[str]:
-        if name not in ["down" if direction == "down" else "up" for direction in sweep.directions]:
-            notes[f"-: the sweep is not ramped {name}"] = None
-            return ["-"] * thresholds.sizes["omega"]
-        entries = _Entries(sweep.axis_values("gamma").tolist(), bool(on_grid.attrs["complete"]), digits)
-        pairs = zip(thresholds[name].values.tolist(), on_grid[name].values.tolist(), strict=True)
-        texts = [entries.text(*pair) for pair in pairs]
-        notes.update(dict.fromkeys(entries.notes))
-        return texts
+        rows = zip(
+            thresholds[name].values.tolist(),
+            thresholds[f"{name}_status"].values.tolist(),
+            on_grid[name].values.tolist(),
+            strict=True,
+        )
+        return [text(value, status, name, grid) for value, status, grid in rows]
 
     columns = [
         [f"{value:.{digits}f}" for value in thresholds.omega.values],
@@ -111,34 +147,6 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
     ]
     incomplete = [] if thresholds.attrs["complete"] else ["the job is not done: thresholds may be missing"]
     return "\n".join([*lines, *notes, *incomplete])
-
-
-class _Entries:
-    """Writes thresholds as text and collects the notes that explain bounds."""
-
-    def __init__(self, gamma: Sequence[float], complete: bool, digits: int) -> None:
-        self._lowest, self._highest = gamma[0], gamma[-1]
-        self._complete, self._digits = complete, digits
-        self.notes: list[str] = []
-
-    def text(self, threshold: float, on_grid: float) -> str:
-        """A threshold, or the bound that the grid gives; NaN stands for none."""
-        if isfinite(on_grid) and isclose(on_grid, self._lowest, rel_tol=1e-12):
-            bound = f"≤ {self._lowest:.{self._digits}g}"
-            return self._noted(bound, f"{bound}: the lowest Γ of the grid bounces already")
-        if isfinite(threshold):
-            return f"{threshold:.{self._digits}f}"
-        if isfinite(on_grid):
-            bound = f"≤ {on_grid:.{self._digits}g}*"
-            return self._noted(bound, "*: not refined; the lowest Γ of the grid that bounces")
-        if self._complete:
-            bound = f"> {self._highest:.{self._digits}g}"
-            return self._noted(bound, f"{bound}: no Γ of the grid bounces, this is the highest")
-        return self._noted("-", "-: not computed yet")
-
-    def _noted(self, text: str, note: str) -> str:
-        self.notes.append(note)
-        return text
 
 
 # Tables of cells and samples

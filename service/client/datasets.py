@@ -36,6 +36,8 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
     "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
     "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
+    "up_status": (np.str_, {"long_name": "why up is a number or NaN"}),
+    "down_status": (np.str_, {"long_name": "why down is a number or NaN"}),
 }
 
 _LENGTH: Final = {"units": "plate amplitudes"}
@@ -79,13 +81,14 @@ def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray
 
 
 def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """Thresholds: dim omega, NaN where the sweep does not contain the threshold."""
+    """Thresholds: dim omega, NaN unless the status is `found`."""
     with _reading("a list of thresholds"):
         variables = {
             field: _variable(field, "omega", _with_nan(answer[field]))
             for field in ("analytic", "up", "down")
-            if answer.get(field) is not None
         }
+        for field in ("up_status", "down_status"):
+            variables[field] = _variable(field, "omega", answer[field])
         coordinates = {"omega": _variable("omega", "omega", answer["omega"])}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         dataset = _dataset(variables, coordinates, answer, "bouncing threshold", job_id)

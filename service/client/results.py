@@ -80,10 +80,13 @@ class Results(JobStatus):
     ) -> "xarray.Dataset":
         """The bouncing threshold per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
 
+        `up_status` and `down_status` tell what the sweep says: "found", or why `up` or `down` is NaN, as "below
+        the grid" where the lowest Γ bounces already ("found", "below the grid", "above the grid", "never
+        bounces", "not ramped", "not refined", "missing", "unresolved", "diverged", "settling").
+
         Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
         refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
-        `Client.tradeoff`. NaN where the sweep does not contain the threshold. Raises BadRequest, as for a ξ
-        outside the grid, TooLarge, NotComputedYet, Busy.
+        `Client.tradeoff`. Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
         """
         from service.client.datasets import threshold_dataset
 

@@ -11,9 +11,10 @@ from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import OnDemandCache
-from service.results.mode_map import Plane, plane
+from service.results.mode_map import plane
 from service.results.selection import MAX_READ, Sweep, check_points, nearest_index
-from worker.analysis.thresholds import BOUNCING, TYPICAL_CELLS, Refined, refine
+from worker.analysis import thresholds
+from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
 from worker.executors.base import Executor
 
@@ -29,7 +30,14 @@ Numbers = Annotated[NDArray[np.float64], PlainSerializer(np.ndarray.tolist), Wit
 
 
 class Thresholds(BaseModel):
-    """Per Ω of a sweep, at one ξ: where bouncing begins and ends; null where the sweep does not show it."""
+    """Per Ω of a sweep, at one ξ: where bouncing begins and ends; null unless the status is `found`.
+
+    `below the grid`: the lowest Γ bounces already. `above the grid`: every cell is at rest. `never bounces`:
+    of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may have; of `down`, no
+    cell of the ramp bounces. `not ramped`: the sweep does not have this direction. `not refined`: the grid
+    holds the change, and refinement reached its limit. `missing`, `unresolved`, `diverged`, `settling`: the
+    outcome of the cell that decides, the lowest that is not at rest, which does not tell whether it bounces.
+    """
 
     model_config = ConfigDict(arbitrary_types_allowed=True, frozen=True)
 
@@ -38,6 +46,8 @@ class Thresholds(BaseModel):
     analytic: Numbers = Field(description="Eq. 25")
     up: Numbers = Field(description="lowest Γ that bounces, ascending or from rest")
     down: Numbers = Field(description="lowest Γ that bounces, descending")
+    up_status: list[Status]
+    down_status: list[Status]
     tolerance: float | None = Field(None, description="of up and down, in Γ; null: the spacing of the grid")
     complete: bool
 
@@ -55,13 +65,16 @@ def on_grid(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
     omega = spec.axis_values("omega")
     check_points(len(omega), max_points, f"{len(omega):,} values of omega", None)
     value = nearest_index(spec, "xi", xi).value
-    unknown = np.full(len(omega), np.nan)
-    lowest, complete = {"up": unknown, "down": unknown}, True
+    results: dict[str, Any] = {}
+    for name in ("up", "down"):
+        results[name] = np.full(len(omega), np.nan)
+        results[f"{name}_status"] = [Status.NOT_RAMPED] * len(omega)
+    complete = True
     for direction in spec.directions:
         name = "down" if direction == "down" else "up"
-        lowest[name], computed = _lowest_bouncing(sweep, xi, direction)
+        results[name], results[f"{name}_status"], computed = _of_direction(sweep, value, direction)
         complete = complete and computed
-    return Thresholds(xi=value, omega=omega, analytic=threshold(omega, value), complete=complete, **lowest)
+    return Thresholds(xi=value, omega=omega, analytic=threshold(omega, value), complete=complete, **results)
 
 
 def refined(
@@ -73,8 +86,12 @@ def refined(
     """
     omegas = len(coarse.omega)
     if not job.chunks_done:
-        unknown = np.full(omegas, np.nan)
-        return coarse.model_copy(update={"up": unknown, "down": unknown, "tolerance": tolerance})
+        unknown = {"up": np.full(omegas, np.nan), "down": np.full(omegas, np.nan)}
+        statuses = {
+            name: [Status.MISSING if status is Status.FOUND else status for status in getattr(coarse, name)]
+            for name in ("up_status", "down_status")
+        }
+        return coarse.model_copy(update={**unknown, **statuses, "tolerance": tolerance})
     _check_cost(sweep, omegas)
     xi = int(np.searchsorted(sweep.spec.axis_values("xi"), coarse.xi))
 
@@ -83,26 +100,28 @@ def refined(
         return [executor.call(refine, sweep.spec, sweep.url, xi, block, tolerance) for block in blocks]
 
     parts = on_demand.get((job.id, job.chunks_done, xi, tolerance), submit)
-    lowest: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in Refined._fields
+    joined: dict[str, Any] = {
+        name: [value for part in parts for value in getattr(part, name)] for name in Refined._fields
     }
-    return coarse.model_copy(update={**lowest, "tolerance": tolerance})
+    numbers = {name: np.array(joined[name]) for name in ("up", "down")}
+    return coarse.model_copy(update={**joined, **numbers, "tolerance": tolerance})
 
 
-def _lowest_bouncing(sweep: Sweep, xi: float | None, direction: str) -> tuple[NDArray[np.float64], bool]:
-    """(n_omega,) the lowest Γ that bounces, NaN where none does; and whether every cell is computed."""
-    omegas, gammas = (len(sweep.spec.axis_values(axis)) for axis in ("omega", "gamma"))
-    rows = max(1, MAX_READ // gammas)
-    parts = [
-        plane(sweep, xi, direction, ("outcome",), slice(low, low + rows)) for low in range(0, omegas, rows)
-    ]
-    return np.concatenate([_lowest(part) for part in parts]), all(part.complete for part in parts)
-
-
-def _lowest(part: Plane) -> NDArray[np.float64]:
-    bounces = np.isin(part.arrays["outcome"], BOUNCING)
-    lowest = part.gamma[np.argmax(bounces, axis=1)]
-    return np.where(bounces.any(axis=1), lowest, np.nan)
+def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.float64], list[Status], bool]:
+    """(n_omega,) the lowest Γ that bounces and its statuses, NaN unless found; and whether all is computed."""
+    gamma = sweep.spec.axis_values("gamma")
+    endless = endless_rest(sweep.spec, sweep.spec.axis_values("omega"), xi)
+    rows = max(1, MAX_READ // len(gamma))
+    lowest, statuses, complete = np.full(len(endless), np.nan), [], True
+    for low in range(0, len(endless), rows):
+        part = plane(sweep, xi, direction, ("outcome",), slice(low, low + rows))
+        complete = complete and part.complete
+        for i, row in enumerate(part.arrays["outcome"], low):
+            status, index = thresholds.on_grid(row, direction == "down", bool(endless[i]))
+            statuses.append(status)
+            if index is not None:
+                lowest[i] = gamma[index]
+    return lowest, statuses, complete
 
 
 def _check_cost(sweep: Sweep, omegas: int) -> None:

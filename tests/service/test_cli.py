@@ -26,6 +26,7 @@ from service.client.client import DEFAULT_URL
 from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
+from worker.analysis.thresholds import Status
 from worker.executors.base import Executor
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
@@ -185,8 +186,15 @@ RAMPED = {**TWO_LINES, "omega": 0.5, "protocol": {"kind": "ramp", "axis": "gamma
 @pytest.mark.parametrize(
     ("gamma", "row", "notes"),
     [
-        ([2.0, 2.5], ["≤ 2", "≤ 2"], ["≤ 2: the lowest Γ of the grid bounces already"]),
-        ([0.1, 0.2], ["> 0.2", "> 0.2"], ["> 0.2: no Γ of the grid bounces, this is the highest"]),
+        ([2.0, 2.5], ["≤ 2.0", "≤ 2.0"], ["≤ 2.0: bounces already at the lowest Γ, 2.0: start lower"]),
+        (
+            [0.1, 0.2],
+            ["> 0.2", "never"],
+            [
+                "> 0.2: at rest up to the highest Γ, 0.2: end higher",
+                "never: no cell of the ramp down bounces, so no bouncing ends: start it higher",
+            ],
+        ),
     ],
 )
 @pytest.mark.parametrize("tolerance", [(), ("--tolerance", "1e-5")])
@@ -212,7 +220,8 @@ def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
 
 def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
     def dataset(up: float, **attributes: object) -> xarray.Dataset:
-        columns = {"analytic": np.inf, "up": up, "down": np.nan}
+        status = "not refined" if np.isnan(up) else "found"
+        columns = {"analytic": np.inf, "up": up, "down": np.nan, "up_status": status, "down_status": "not ramped"}
         variables = {name: ("omega", [value]) for name, value in columns.items()}
         return xarray.Dataset(variables, {"omega": [0.5], "xi": 0.26}, {"complete": 1, **attributes})
 
@@ -220,16 +229,30 @@ def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
     _, _, line, *notes = text.splitlines()
     assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5*", "-"]
     assert notes == [
-        "*: not refined; the lowest Γ of the grid that bounces",
+        "≤ 2.5*: not refined; the lowest Γ of the grid that bounces",
         "-: the sweep is not ramped down",
     ]
+
+
+@pytest.mark.parametrize("status", list(Status))
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_every_status_of_a_threshold_is_explained(status: Status, direction: str):
+    if status is Status.FOUND:
+        return
+    variables = {name: ("omega", [np.nan]) for name in ("analytic", "up", "down")}
+    statuses = {name: ("omega", ["not ramped"]) for name in ("up_status", "down_status")}
+    statuses[f"{direction}_status"] = ("omega", [str(status)])
+    dataset = xarray.Dataset(variables | statuses, {"omega": [0.5], "xi": 0.26}, {"complete": 1})
+    notes = threshold_table(dataset, dataset, TWO_LINES).splitlines()[3:]
+    assert len(notes) == 2
+    assert all(": " in note for note in notes)
 
 
 def test_a_threshold_that_is_not_computed_yet_is_not_a_bound(tmp_path: Path):
     with serving(tmp_path, Held()) as url, Client(url) as client:
         _, _, line, *notes = bounce("threshold", client.submit(sweep()).id, url=url).stdout.splitlines()
-    assert line.split()[2] == "-"
-    assert "-: not computed yet" in notes
+    assert line.split()[2] == "?"
+    assert "?: the cell that decides is not computed yet" in notes
     assert notes[-1] == "the job is not done: thresholds may be missing"
 
 

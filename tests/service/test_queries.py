@@ -303,7 +303,9 @@ def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     result = thresholds.on_grid(handmade(tmp_path, outcomes, both), 0.05, 1000)
     gamma = both.axis_values("gamma")
     np.testing.assert_array_equal(result.up, [gamma[4], np.nan, np.nan])
-    np.testing.assert_array_equal(result.down, [gamma[2], np.nan, gamma[0]])
+    np.testing.assert_array_equal(result.down, [gamma[2], np.nan, np.nan])
+    assert result.up_status == ["found", "unresolved", "above the grid"]
+    assert result.down_status == ["found", "unresolved", "below the grid"]
     assert result.complete
 
 

@@ -13,13 +13,14 @@ from fastapi.testclient import TestClient
 from scripted import wait_for
 from served import computing, finished, get, service
 
+import worker.analysis.thresholds
 from kernel.threshold import threshold
 from service.cli.main import main
 from service.client import BadRequest, Client, Job
 from service.server.embedded import running
 from service.settings import Settings
 from worker import store
-from worker.analysis.thresholds import Refined, refine
+from worker.analysis.thresholds import Refined, Status, refine
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
 from worker.executors.inline import Inline
@@ -63,8 +64,9 @@ def test_the_ascending_threshold_is_eq_25(tmp_path: Path, xi: float, model: dict
     """On a grid of steps of 7%, whose own onsets are off by as much, and by half at the antiresonance."""
     gamma = {"start": 0.01, "stop": 80.0, "num": 130, "spacing": "log"}
     spec, url = computed(tmp_path, gamma=gamma, omega=OMEGA, xi=xi, protocol=ramp("up"), model=model)
-    found = np.array(thresholds(spec, url, TOLERANCE).up)
-    assert len(found) == 20
+    refined = thresholds(spec, url, TOLERANCE)
+    found = np.array(refined.up)
+    assert refined.up_status == (Status.FOUND,) * 20
     np.testing.assert_allclose(found, threshold(np.array(OMEGA), xi), rtol=0, atol=TOLERANCE)
 
 
@@ -137,15 +139,38 @@ def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path)
         assert (outcome[0] == 3, outcome[1] == 3) == (True, False)
 
 
-def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(tmp_path: Path):
-    """Everything bounces, or nothing does, or it is not computed yet."""
-    spec, url = computed(tmp_path / "a", gamma=[2.0, 3.0], omega=[0.5], xi=0.26, protocol=ramp("both"))
-    assert np.isnan(thresholds(spec, url, 1e-3)).all()
-    spec, url = computed(tmp_path / "b", gamma=[0.1, 0.2], omega=[0.5], xi=0.26, protocol=ramp("both"))
-    assert np.isnan(thresholds(spec, url, 1e-3)).all()
+@pytest.mark.parametrize(
+    ("gamma", "protocol", "up", "down"),
+    [
+        ([2.0, 3.0], ramp("both"), Status.BELOW, Status.BELOW),
+        ([0.1, 0.2], ramp("both"), Status.ABOVE, Status.NEVER),
+        ([2.0, 3.0], ramp("down"), Status.NOT_RAMPED, Status.BELOW),
+        ([0.1, 0.2], {"kind": "rest"}, Status.ABOVE, Status.NOT_RAMPED),
+        ([2.0], {"kind": "rest"}, Status.BELOW, Status.NOT_RAMPED),
+    ],
+)
+def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(
+    tmp_path: Path, gamma: list[float], protocol: dict[str, str], up: Status, down: Status
+):
+    spec, url = computed(tmp_path, gamma=gamma, omega=[0.5], xi=0.26, protocol=protocol)
+    found = thresholds(spec, url, 1e-3)
+    assert np.isnan(found.up + found.down).all()
+    assert (found.up_status, found.down_status) == ((up,), (down,))
+
+
+def test_a_change_that_is_not_computed_yet_is_missing(tmp_path: Path):
     spec = SweepSpec(gamma=[0.5, 1.5], omega=[0.5], xi=0.26, protocol=ramp("up"), model={"kind": "rigid"})
     store.create(str(tmp_path / "c"), layout(spec, make_plan(spec).chunk_shape))
-    assert np.isnan(thresholds(spec, str(tmp_path / "c"), 1e-3)).all()
+    found = thresholds(spec, str(tmp_path / "c"), 1e-3)
+    assert (found.up_status, found.down_status) == ((Status.MISSING,), (Status.NOT_RAMPED,))
+
+
+def test_a_refinement_that_reaches_its_limit_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    spec, url = computed(tmp_path, gamma=[0.5, 2.0], omega=[0.5], xi=0.26, protocol=ramp("up"))
+    monkeypatch.setattr(worker.analysis.thresholds, "MAX_CELLS", 3)
+    found = thresholds(spec, url, 1e-9)
+    assert np.isnan(found.up).all()
+    assert found.up_status == (Status.NOT_REFINED,)
 
 
 # Through the service

@@ -1,42 +1,83 @@
-"""Refinement of thresholds: where bouncing begins or ends, finer than a sweep's grid.
+"""Thresholds of bouncing: what a sweep's grid says of them, and refinement beyond the grid.
 
-Ramps continue from the stored state of the last grid cell before the change, in smaller steps. A step whose
-cell is beyond the change is halved and repeated from the cell before: the step itself excites the spring, the
-more so the less it is damped, and may have caused the change. This ends when neither the step, nor the sum
-of the last accepted steps of its size, is larger than half the tolerance.
+A threshold lies in a grid if its cells are at rest up to some gamma and the next cell bounces. Where another
+cell decides, or where all cells are at rest or none is, there is no number, and a `Status` says why.
+
+Refinement on a ramp continues from the stored state of the last grid cell before the change, in smaller
+steps. A step whose cell is beyond the change is halved and repeated from the cell before: the step itself
+excites the spring, the more so the less it is damped, and may have caused the change. This ends when neither
+the step, nor the sum of the last accepted steps of its size, is larger than half the tolerance.
 
 From rest there are no steps in gamma to excite the spring: the threshold is found by bisection, with every
 cell started from rest.
 """
 
 import math
+from enum import StrEnum
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Cell, Outcome, Start
+from kernel.threshold import threshold
 from worker import store
-from worker.spec import SMALLEST, SweepSpec
+from worker.spec import LARGEST, SMALLEST, SweepSpec
+from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_cells
 
-#: Limit on the cells computed for one threshold on a ramp; beyond it the threshold is NaN.
+#: Limit on the cells computed for one threshold on a ramp; beyond it the threshold is not refined.
 MAX_CELLS: Final = 2_000
 
 #: Typical number of cells per threshold, to estimate the cost of a request.
 TYPICAL_CELLS: Final = 40
 
+#: A cell of a refinement that is still settling after its window goes on to this many times its length. Near a
+#: threshold settling is slow, and a cell that has not settled decides nothing.
+PATIENCE: Final = 16
+
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
-class Refined(NamedTuple):
-    """Thresholds in gamma, one per value of omega; NaN where the grid has no change or refinement fails.
+class Status(StrEnum):
+    """What a sweep says of one threshold."""
 
-    A direction that the sweep does not have is all NaN.
-    """
+    FOUND = "found"
+    BELOW = "below the grid"  # the lowest gamma bounces already
+    ABOVE = "above the grid"  # every cell is at rest, also at the highest gamma
+    #: Of up: every cell is at rest, and by Eq. 25 would be at every gamma that a specification may have. Of
+    #: down: no cell of the ramp bounces, so that no bouncing ends.
+    NEVER = "never bounces"
+    NOT_RAMPED = "not ramped"  # the sweep does not have this direction
+    NOT_REFINED = "not refined"  # the grid holds the change, refinement reached its limit
+    # The cell that decides does not tell whether it bounces: the name of its outcome.
+    MISSING = "missing"
+    UNRESOLVED = "unresolved"
+    DIVERGED = "diverged"
+    SETTLING = "settling"
+
+
+#: The status by the outcome of the lowest cell that is not at rest.
+_BY_OUTCOME: Final[dict[int, Status]] = dict.fromkeys(BOUNCING, Status.FOUND) | {
+    outcome: Status(outcome.name.lower())
+    for outcome in (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED, Outcome.SETTLING)
+}
+
+
+class OnGrid(NamedTuple):
+    """What one line of cells along gamma says of its threshold."""
+
+    status: Status
+    index: int | None  # of the lowest cell that bounces, where the threshold was found
+
+
+class Refined(NamedTuple):
+    """Thresholds in gamma and their statuses, one per value of omega; NaN unless found."""
 
     up: tuple[float, ...]  # the lowest gamma that bounces, ascending or from rest
     down: tuple[float, ...]  # the lowest gamma that bounces, descending
+    up_status: tuple[Status, ...]
+    down_status: tuple[Status, ...]
 
 
 class _Edge(NamedTuple):
@@ -46,41 +87,67 @@ class _Edge(NamedTuple):
     after: int
 
 
+def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
+    """The threshold of one line of cells.
+
+    outcome: (n_gamma,) in ascending order of gamma. down: the line was ramped down. endless: no
+    gamma makes the spring bounce from rest, see `endless_rest`.
+    """
+    moving = np.flatnonzero(outcome != Outcome.AT_REST)
+    if not len(moving):
+        return OnGrid(Status.NEVER if down or endless else Status.ABOVE, None)
+    lowest = int(moving[0])
+    status = _BY_OUTCOME[int(outcome[lowest])]
+    if status is not Status.FOUND:
+        return OnGrid(status, None)
+    return OnGrid(Status.BELOW, None) if lowest == 0 else OnGrid(status, lowest)
+
+
+def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDArray[np.bool_]:
+    """(n,) whether a spring at rest bounces at no gamma that a specification may have, by Eq. 25.
+
+    So it is without damping at sqrt(2). A ball bounces everywhere above 1.
+    """
+    if spec.model.kind == "ball":
+        return np.zeros(len(omega), np.bool_)
+    return np.asarray(threshold(omega, xi) > LARGEST)
+
+
 def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], tolerance: float) -> Refined:
     """The thresholds of a stored sweep, to `tolerance` in gamma.
 
     spec: from rest, or a ramp along gamma. xi, omegas: indices on the sweep's axes. Raises a
     `store.StoreError`.
     """
-    fine = spec.model_copy(update={"keep": 1})
-    thresholds: dict[str, list[float]] = {"up": [], "down": []}
-    for omega in omegas:
-        for direction, name in enumerate(spec.directions):
+    results = {name: [(math.nan, Status.NOT_RAMPED)] * len(omegas) for name in ("up", "down")}
+    endless = endless_rest(spec, spec.axis_values("omega")[list(omegas)], float(spec.axis_values("xi")[xi]))
+    fine = _patient(spec)
+    for direction, name in enumerate(spec.directions):
+        down = name == "down"
+        for i, omega in enumerate(omegas):
             row = store.read_slice(url, ("outcome",), direction=direction, xi=xi, omega=omega)["outcome"]
-            down = name == "down"
-            edge = _edge(row, down)
-            line = (direction, xi, omega)
-            value = math.nan if edge is None else _refine_line(fine, url, line, edge, tolerance, down)
-            thresholds["down" if down else "up"].append(value)
-    return Refined(*(tuple(thresholds[name]) or (math.nan,) * len(omegas) for name in Refined._fields))
+            status, lowest = on_grid(row, down, bool(endless[i]))
+            result = math.nan, status
+            if lowest is not None:
+                edge = _Edge(lowest, lowest - 1) if down else _Edge(lowest - 1, lowest)
+                result = _refine_line(fine, url, (direction, xi, omega), edge, tolerance, down)
+            results["down" if down else "up"][i] = result
+    values = {name: tuple(value for value, _ in pairs) for name, pairs in results.items()}
+    statuses = {f"{name}_status": tuple(status for _, status in pairs) for name, pairs in results.items()}
+    return Refined(**values, **statuses)
 
 
-def _edge(outcome: NDArray[np.uint8], down: bool) -> _Edge | None:
-    """The lowest bouncing cell along gamma and the highest one at rest below it; None without both."""
-    bouncing = np.flatnonzero(np.isin(outcome, BOUNCING))
-    if not len(bouncing):
-        return None
-    lowest = int(bouncing[0])
-    resting = np.flatnonzero(outcome[:lowest] == Outcome.AT_REST)
-    if not len(resting) or np.any(outcome[:lowest] == Outcome.MISSING):
-        return None
-    return _Edge(lowest, int(resting[-1])) if down else _Edge(int(resting[-1]), lowest)
+def _patient(spec: SweepSpec) -> SweepSpec:
+    """The specification of a refinement's cells: only the outcome counts, and settling may take long."""
+    window = spec.settle + spec.observe
+    until = max(spec.settle_until or window, min(PATIENCE * window, MAX_PERIODS))
+    return spec.model_copy(update={"keep": 1, "exponents": 0, "settle_until": until})
 
 
 def _refine_line(
     spec: SweepSpec, url: str, line: tuple[int, int, int], edge: _Edge, tolerance: float, down: bool
-) -> float:
-    """The threshold on the line at indices (direction, xi, omega); NaN if it is not found."""
+) -> tuple[float, Status]:
+    """The threshold on the line at indices (direction, xi, omega), and its status; NaN unless found."""
     direction, xi, omega = line
     gamma = spec.axis_values("gamma")
     values = spec.axis_values("omega")[omega], spec.axis_values("xi")[xi]
@@ -92,7 +159,7 @@ def _refine_line(
     return _ramp_on(spec, Start(state["end_state"], cell), beyond - cell.gamma, tolerance, down)
 
 
-def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> float:
+def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> tuple[float, Status]:
     """From rest: the threshold between `cell`, which is at rest, and the higher gamma `bouncing`."""
     resting = cell.gamma
     while bouncing - resting > tolerance:
@@ -100,30 +167,40 @@ def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> f
         if not resting < middle < bouncing:
             break
         outcome, _ = _run(spec, cell._replace(gamma=middle), None)
-        resting, bouncing = (middle, bouncing) if outcome == Outcome.AT_REST else (resting, middle)
-    return bouncing
+        if outcome == Outcome.AT_REST:
+            resting = middle
+        elif outcome in BOUNCING:
+            bouncing = middle
+        else:
+            return math.nan, _BY_OUTCOME[outcome]
+    return bouncing, Status.FOUND
 
 
-def _ramp_on(spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool) -> float:
+def _ramp_on(
+    spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool
+) -> tuple[float, Status]:
     """On a ramp: the threshold beyond `start`, less than one signed `step` of the grid away.
 
-    NaN after MAX_CELLS cells, or below the lowest gamma of specifications.
+    Not refined after MAX_CELLS cells, or below the lowest gamma of specifications.
     """
+    same, changed = (BOUNCING, (Outcome.AT_REST,)) if down else ((Outcome.AT_REST,), BOUNCING)
     advance = 0.0  # sum of the accepted steps since the last halving
     step *= 0.5
     for _ in range(MAX_CELLS):
         cell = start.cell._replace(gamma=start.cell.gamma + step)
         if cell.gamma < SMALLEST or cell.gamma == start.cell.gamma:
-            return math.nan
+            break
         outcome, end = _run(spec, cell, start)
-        # An unresolved or diverged cell has no usable final state: it counts as beyond the change.
-        if outcome not in (BOUNCING if down else (Outcome.AT_REST,)):
-            if max(abs(step), advance) <= 0.5 * tolerance:
-                return start.cell.gamma if down else cell.gamma
-            step, advance = 0.5 * step, 0.0
-        else:
+        if outcome in same:
             start, advance = Start(end, cell), advance + abs(step)
-    return math.nan
+            continue
+        # A cell that does not tell whether it bounces is not carried on from: a smaller step may tell.
+        if max(abs(step), advance) <= 0.5 * tolerance:
+            if outcome not in changed:
+                return math.nan, _BY_OUTCOME[outcome]
+            return (start.cell.gamma if down else cell.gamma), Status.FOUND
+        step, advance = 0.5 * step, 0.0
+    return math.nan, Status.NOT_REFINED
 
 
 def _run(spec: SweepSpec, cell: Cell, start: Start | None) -> tuple[int, NDArray[np.float64]]:

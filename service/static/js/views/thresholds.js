@@ -7,13 +7,28 @@ import { csv } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { axisLabel, clampIndex, initialValue, isLog, nearestIndex, threshold } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
-import { disc, polyline, verticalLine } from "../plot/drawing.js";
+import { circle, disc, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, click to show a trajectory, drag to zoom, double-click to reset the zoom.";
+const ARROW = 15; // px
+
+/** What the readout says of a threshold that is not a number, by its status; `grid` are the values of Γ. */
+const REASONS = {
+  "below the grid": (grid) => `bounces already at the lowest Γ, ${number(grid[0])}: start lower`,
+  "above the grid": (grid) => `at rest up to the highest Γ, ${number(grid.at(-1))}: end higher`,
+  "never bounces": () => "never bounces",
+  "not refined": () => "not refined",
+  missing: () => "not computed yet",
+  unresolved: () => "the cell that decides is unresolved",
+  diverged: () => "the cell that decides diverged",
+  settling: () => "the cell that decides was still settling: give it more time",
+};
+const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where an arrow points, in pixels down
+const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
@@ -39,13 +54,20 @@ export class Thresholds extends PlotView {
   whole() {
     const { omega, xi } = this.thresholds;
     const [x0, x1] = extent(omega[0], omega[omega.length - 1]);
-    const computed = this.#computed();
+    const computed = [...this.#computed(), ...this.#edges()];
     const highest = Math.max(...(computed.length ? computed : [threshold(x0, xi), 1]));
     return { x0, x1, y0: 0, y1: 1.12 * highest };
   }
 
   #computed() {
     return [...this.thresholds.up, ...this.thresholds.down].filter((value) => value !== null);
+  }
+
+  /** The Γ of the grid's edges that some threshold lies beyond. */
+  #edges() {
+    const { gamma } = this.grid;
+    const statuses = new Set([...this.thresholds.up_status, ...this.thresholds.down_status]);
+    return [statuses.has("below the grid") && gamma[0], statuses.has("above the grid") && gamma.at(-1)].filter(Boolean);
   }
 
   content() {
@@ -57,10 +79,16 @@ export class Thresholds extends PlotView {
       y: { label: "threshold Γ", low: y0, high: y1 },
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
-      message: this.#computed().length ? null : complete ? "No cell bounces" : "No bouncing cell is computed yet",
+      message: this.#message(complete),
       layers: [(ctx, box) => this.#draw(ctx, box)],
       cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
     };
+  }
+
+  /** Why there is nothing to draw. */
+  #message(complete) {
+    if (this.#computed().length || this.#edges().length) return null;
+    return complete ? "No threshold in this sweep" : "No bouncing cell is computed yet";
   }
 
   #draw(ctx, box) {
@@ -72,14 +100,16 @@ export class Thresholds extends PlotView {
     });
     polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
     for (const { key, direction } of this.#series()) {
-      drawSeries(ctx, box, omega, this.thresholds[key], directionColour(direction, box.theme), key);
+      const colour = directionColour(direction, box.theme);
+      drawSeries(ctx, box, omega, this.thresholds[key], colour, key);
+      drawOpen(ctx, box, omega, this.thresholds[`${key}_status`], this.grid.gamma, colour);
     }
   }
 
   /** The computed series: their key in the response, name and direction. */
   #series() {
     const up = this.directions[0] === "rest" ? { key: "up", name: "from rest", direction: "rest" } : { key: "up", name: "ramp up", direction: "up" };
-    return [up, { key: "down", name: "ramp down", direction: "down" }].filter(({ key }) => this.thresholds[key].some((value) => value !== null));
+    return [up, { key: "down", name: "ramp down", direction: "down" }].filter(({ key }) => this.thresholds[`${key}_status`].some((status) => status !== "not ramped"));
   }
 
   #legend() {
@@ -91,7 +121,13 @@ export class Thresholds extends PlotView {
         line(ctx, x, y, colour, 1.2);
         drawMarker(ctx, [x + 12, y], 3.4, colour, key, theme.surface);
       }]),
+      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawArrow(ctx, x + 12, y - ARROW / 2, 1, theme.muted, theme.surface)]] : []),
+      ...(this.#has(UNDECIDED) ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
+  }
+
+  #has(statuses) {
+    return [...this.thresholds.up_status, ...this.thresholds.down_status].some((status) => statuses.has(status));
   }
 
   nearest(x, y) {
@@ -109,31 +145,28 @@ export class Thresholds extends PlotView {
   }
 
   describe({ index }) {
-    const { omega, analytic, up, down } = this.thresholds;
+    const { omega, analytic } = this.thresholds;
     const parts = [`Ω = ${number(omega[index])}`, `Eq. 25: Γ = ${number(analytic[index], 4)}`];
-    if (up[index] !== null) parts.push(`${this.directions[0] === "rest" ? "from rest" : "up"}: ${this.#valueText(up[index])}`);
-    if (down[index] !== null) parts.push(`down: ${this.#valueText(down[index])}`);
+    for (const { key, name } of this.#series()) {
+      const value = this.thresholds[key][index];
+      parts.push(`${name}: ${value === null ? REASONS[this.thresholds[`${key}_status`][index]](this.grid.gamma) : number(value, 4)}`);
+    }
     return parts.join(" · ");
-  }
-
-  /** A threshold at the lowest Γ of the sweep is only an upper bound. */
-  #valueText(gamma) {
-    return gamma > this.grid.gamma[0] ? number(gamma, 4) : `${number(gamma, 4)} or less (lowest Γ of the sweep)`;
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
   cellOf({ index, y }) {
     const { omega, xi, up, down } = this.thresholds;
-    const gamma = y ?? up[index] ?? down[index];
-    if (gamma === null) return null;
+    const gamma = y ?? up[index] ?? down[index] ?? this.grid.gamma[0];
     const isNearerDown = down[index] !== null && Math.abs(down[index] - gamma) < Math.abs((up[index] ?? Infinity) - gamma);
     const direction = isNearerDown ? "down" : this.directions[0];
     return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega: omega[index], xi, direction };
   }
 
   table() {
-    const { omega, xi, analytic, up, down } = this.thresholds;
-    return csv(["omega", "xi", "eq_25", "up", "down"], omega.map((value, i) => [value, xi, analytic[i], up[i], down[i]]));
+    const { omega, xi, analytic, up, down, up_status, down_status } = this.thresholds;
+    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status"],
+      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i]]));
   }
 }
 
@@ -161,4 +194,27 @@ function drawMarker(ctx, [x, y], size, colour, key, background) {
   ctx.fillStyle = background;
   ctx.fillRect(x - size, y - size, 2 * size, 2 * size);
   polyline(ctx, colour, 1.6, [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]]);
+}
+
+/** Where a threshold lies beyond the grid, an open marker with an arrow at its edge; a cross where a cell left it open. */
+function drawOpen(ctx, box, omega, statuses, gamma, colour) {
+  statuses.forEach((status, i) => {
+    const x = box.x.pixel(omega[i]);
+    if (UNDECIDED.has(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
+    else if (BEYOND[status]) drawArrow(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour, box.theme.surface);
+  });
+}
+
+/** An open circle and an arrow from it, down where `sign` is 1. */
+function drawArrow(ctx, x, y, sign, colour, background) {
+  const tip = y + sign * ARROW;
+  polyline(ctx, colour, 1.4, [[x, y], [x, tip]]);
+  polyline(ctx, colour, 1.4, [[x - 3, tip - sign * 4], [x, tip], [x + 3, tip - sign * 4]]);
+  disc(ctx, background, x, y, 3.4);
+  circle(ctx, colour, 1.4, x, y, 3.4);
+}
+
+function drawCross(ctx, x, y, colour) {
+  polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5]]);
+  polyline(ctx, colour, 1.4, [[x - 3.5, y + 3.5], [x + 3.5, y - 3.5]]);
 }
