@@ -56,6 +56,10 @@ class Settings(BaseSettings):
         None, description="Folder, or s3://BUCKET/PREFIX, of the stores; `data`/stores if not given."
     )
 
+    private: bool = Field(
+        True, description="Whether ledger and stores are closed to other users of this machine."
+    )
+
     # The cluster
 
     workers: Count = Field(
@@ -198,6 +202,13 @@ class Settings(BaseSettings):
     def exports_path(self) -> Path:
         """The folder of files being exported."""
         return self.data.absolute() / "exports"
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders of this machine that hold data: of the ledger, and of the stores."""
+        stores = self.data / "stores" if self.stores is None else Path(self.stores)
+        in_bucket = self.stores is not None and store.in_bucket(self.stores)
+        return (self.data,) if in_bucket else (self.data, stores)
 
     def store_of(self, job_id: str) -> str:
         """The address of a job's zarr store: an absolute path or an s3:// URL."""

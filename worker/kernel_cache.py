@@ -10,7 +10,8 @@ in the outermost function. So compiled kernels are kept in
     ROOT/DIGEST/ready/      a copy made by the first process that finished compiling, to start others from
 
 where DIGEST identifies the kernel's sources. ROOT is the argument of `claim_cache`, else `NUMBA_CACHE_DIR`,
-else `bouncing-spring` in the user's cache folder.
+else `bouncing-spring` in the user's cache folder. Whoever can write to ROOT decides what code runs here, so
+it is made for this user alone, and one that others own or can write to is refused.
 """
 
 import fcntl
@@ -26,11 +27,18 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
+from worker.ownership import PRIVATE_FOLDER, NotOurs, check_unshared
+
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _LOCK: Final = "held"
 _READY: Final = "ready"
 _COMPILED: Final = "*.nbc"
 _OLD_SECONDS: Final = 14 * 24 * 3600
+
+
+class CacheRefused(Exception):
+    """Other users could have written the compiled kernels; the text says where, and what to do."""
+
 
 #: The slot this process holds. The lock's file descriptor stays open until the process ends.
 _held: list[Path] = []
@@ -41,6 +49,7 @@ def warm(root: str | Path | None = None) -> None:
 
     Loading takes about a second, compiling half a minute. Of several processes that start together, one
     compiles and the others wait for it. May run in a thread if the cache is claimed already.
+    Raises CacheRefused.
     """
     slot = claim_cache(root)
     # Not at the top of the module: kernels are declared here, with the cache that was just claimed.
@@ -63,7 +72,7 @@ def claim_cache(root: str | Path | None = None) -> Path | None:
 
     Called again, returns the same folder. Returns None if kernels have been declared without a cache.
     The folder stays when the process ends, for the next one. Call it before starting threads: it changes
-    the environment.
+    the environment. Raises CacheRefused.
     """
     if _held:
         return _held[0]
@@ -74,6 +83,17 @@ def claim_cache(root: str | Path | None = None) -> Path | None:
     if "numba" in sys.modules:
         sys.modules["numba"].core.config.reload_config()
     return slot
+
+
+def _check(root: Path) -> None:
+    """Raise CacheRefused if other users own or can write to `root`, or anything in it."""
+    try:
+        check_unshared(root)
+    except NotOurs as error:
+        raise CacheRefused(
+            f"the kernel cache {root} is not safe to use: {error}, so others could run code here; remove it, "
+            f"and it is made anew for you alone, or set {_VARIABLE} to a folder of your own"
+        ) from error
 
 
 def default_root() -> Path:
@@ -95,6 +115,7 @@ def _home() -> Path:
 
 def _claim(root: Path) -> Path:
     try:
+        _check(root)
         return _first_free_slot(root / _digest())
     except OSError:  # no home, a read-only disk, a file system without locks
         return _first_free_slot(Path(tempfile.mkdtemp(prefix="bouncing-spring-")))
@@ -103,8 +124,9 @@ def _claim(root: Path) -> Path:
 def _first_free_slot(folder: Path) -> Path:
     for number in count():
         slot = folder / f"slot-{number}"
-        slot.mkdir(parents=True, exist_ok=True)
-        lock = os.open(slot / _LOCK, os.O_RDWR | os.O_CREAT)
+        for made in (folder.parent, folder, slot):
+            made.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
+        lock = os.open(slot / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

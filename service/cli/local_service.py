@@ -11,10 +11,17 @@ from service.cli.options import DEFAULT_URL
 
 
 def claim_kernel_cache() -> None:
-    """Choose this process's cache of compiled kernels; must run before anything that declares kernels."""
-    from worker.kernel_cache import claim_cache
+    """Choose this process's cache of compiled kernels; must run before anything that declares kernels.
 
-    claim_cache()
+    Raises NotStarted if other users could have written it.
+    """
+    from service.errors import NotStarted
+    from worker.kernel_cache import CacheRefused, claim_cache
+
+    try:
+        claim_cache()
+    except CacheRefused as error:
+        raise NotStarted(str(error)) from error
 
 
 @contextmanager

@@ -45,7 +45,7 @@ def make(sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[byt
 
     Raises NoSpace, another OSError, a `store.StoreError`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(0o700, parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(suffix=f".{format}", dir=folder)
     os.close(handle)
     try:

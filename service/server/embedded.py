@@ -5,13 +5,15 @@ block.
 """
 
 import gc
+import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -24,7 +26,11 @@ from service.server.web_server import WebServer
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
-from worker.kernel_cache import claim_cache, warm
+from worker.kernel_cache import CacheRefused, claim_cache, warm
+from worker.ownership import PRIVATE_FILE, NotOurs, make_private
+
+#: The permissions that files of a private service lack: all of group and others.
+_PRIVATE_UMASK: Final = 0o077
 
 
 def settings(**overrides: Any) -> Settings:
@@ -73,6 +79,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
     with (
         log_to_stderr(settings.log_level),
+        _umask(settings),
         _stopped_by_signals(),
         _listening(settings) as listener,
         _computing(settings, None) as executor,
@@ -83,6 +90,22 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         with _startup_errors():
             server.wait_until_started()
     gc.freeze()  # the process ends: collecting the objects of compiled kernels would take seconds
+
+
+@contextmanager
+def _umask(settings: Settings) -> Iterator[None]:
+    """During the block, what this process and its workers write is for this user alone.
+
+    Only for a process that is a service: the umask counts for all threads.
+    """
+    if not settings.private:
+        yield
+        return
+    previous = os.umask(_PRIVATE_UMASK)
+    try:
+        yield
+    finally:
+        os.umask(previous)
 
 
 class _Stopped(BaseException):
@@ -108,10 +131,10 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def _startup_errors() -> Iterator[None]:
-    """Turn errors of the data folder and the ledger into NotStarted; defects stay what they are."""
+    """Turn errors of data folder, ledger and kernel cache into NotStarted; defects stay what they are."""
     try:
         yield
-    except LedgerUnavailable as error:
+    except (LedgerUnavailable, CacheRefused) as error:
         raise NotStarted(str(error)) from error
     except OSError as error:
         raise NotStarted(f"{error.filename or 'the data folder'}: {error.strerror or error}") from error
@@ -136,8 +159,22 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with listener:
         with _startup_errors():
+            if settings.private:
+                _make_private(settings.folders)
             Ledger(settings.ledger_path).close()
+            if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
+                for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
+                    file.chmod(PRIVATE_FILE)
         yield listener
+
+
+def _make_private(folders: Iterable[Path]) -> None:
+    """Make the folders of the data, or close them to other users. Raises NotStarted."""
+    for folder in folders:
+        try:
+            make_private(folder)
+        except NotOurs as error:
+            raise NotStarted(f"{error}; name another folder with BOUNCE_DATA or BOUNCE_STORES") from error
 
 
 @contextmanager
@@ -147,11 +184,12 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
         yield executor
         return
     with ExitStack() as stack:
-        try:
-            cluster = stack.enter_context(connected_cluster(settings))
-        except ClusterLost as error:
-            raise NotStarted(str(error)) from error
-        _warm_in_background()
+        with _startup_errors():
+            try:
+                cluster = stack.enter_context(connected_cluster(settings))
+            except ClusterLost as error:
+                raise NotStarted(str(error)) from error
+            _warm_in_background()
         yield cluster
 
 

@@ -166,7 +166,7 @@ def test_a_scheduler_file_that_appears_later_is_waited_for(cluster, planned, tmp
     file = tmp_path / "scheduler.json"
     writer = threading.Timer(0.3, cluster._connection.client.write_scheduler_file, [str(file)])
     writer.start()
-    executor = Dask(scheduler_file=file, timeout=PATIENCE)
+    executor = Dask(scheduler_file=file, security=cluster._workers.cluster.security, timeout=PATIENCE)
     writer.join()
     try:
         assert executor.workers() == 2

@@ -1,15 +1,25 @@
-"""A Dask cluster of this machine: a scheduler in this process and worker processes, on loopback only."""
+"""A Dask cluster of this machine: a scheduler in this process and worker processes, on loopback only.
+
+Scheduler, nannies and workers run whatever code they are sent, and every user of the machine reaches their
+ports. So they speak TLS with a certificate made for this cluster, which is known to its processes only; their
+HTTP servers answer nothing; and the workers' files are in a folder of this user alone.
+"""
 
 import asyncio
 import contextlib
+import fcntl
 import logging
 import os
+import shutil
 import signal
+import tempfile
 import threading
-from typing import Any, Final
+import time
+from pathlib import Path
+from typing import IO, Any, Final
 
 import dask
-from distributed import LocalCluster, Status, system
+from distributed import LocalCluster, Security, Status, system
 
 from worker.executors.connection import SCHEDULER_SETTINGS
 
@@ -23,6 +33,16 @@ LOOPBACK: Final = "127.0.0.1"
 #: distributed drops a worker for good if it is not back so long after a death. A worker may take longer on a
 #: busy machine, so this is switched off.
 _LOST_WORKER_SETTINGS: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
+#: Schedulers and workers always listen for HTTP; without routes they answer nothing.
+_NO_HTTP: Final[dict[str, list[str]]] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+#: The beginning of the names of scratch folders, in the system's folder for temporary files.
+_SCRATCH: Final = "bouncing-spring-dask-"
+_LOCK: Final = "held"
+#: A scratch folder younger than this may belong to a cluster that is about to lock it.
+_SETTLED_SECONDS: Final = 60.0
 
 
 class LocalWorkers:
@@ -30,20 +50,32 @@ class LocalWorkers:
 
     A process that dies is restarted by its nanny; a nanny that cannot do that, for lack of memory or of
     process numbers, is replaced. Each process may use `memory` bytes (None: an equal share of the
-    machine's). Sets the Dask settings that its scheduler needs for this process.
+    machine's). Sets the Dask settings that its scheduler needs for this process. Its certificate is valid for
+    a year, which a cluster therefore cannot outlive.
     """
 
     def __init__(self, workers: int, memory: int | None) -> None:
         dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
-        self.cluster: Any = LocalCluster(  # type: ignore[no-untyped-call]
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host=LOOPBACK,
-            dashboard_address=f"{LOOPBACK}:0",
-            # distributed's default is by the number of cores, whatever the number of processes.
-            memory_limit=memory or system.MEMORY_LIMIT // workers,
-        )
+        self._scratch = _Scratch()
+        try:
+            with dask.config.set(_NO_HTTP):
+                self.cluster: Any = LocalCluster(  # type: ignore[no-untyped-call]
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host=LOOPBACK,
+                    security=Security.temporary(),  # type: ignore[no-untyped-call]
+                    dashboard_address=f"{LOOPBACK}:0",
+                    scheduler_kwargs={"dashboard": False},  # it would be there if bokeh is installed
+                    # distributed's default is by the number of cores, whatever the number of processes.
+                    memory_limit=memory or system.MEMORY_LIMIT // workers,
+                    # For the workers, also those that replace others later.
+                    local_directory=str(self._scratch.folder),
+                    config=_NO_HTTP,
+                )
+        except BaseException:
+            self._scratch.remove()
+            raise
         self._number = workers
         loop: Any = self.cluster.loop
         loop.add_callback(self._replace_lost)
@@ -54,6 +86,7 @@ class LocalWorkers:
         kill.start()
         self.cluster.close()
         kill.cancel()
+        self._scratch.remove()
 
     async def _replace_lost(self) -> None:
         """Runs in the cluster's event loop for as long as the cluster does."""
@@ -67,6 +100,47 @@ class LocalWorkers:
                 with contextlib.suppress(Exception):  # distributed logs it; the next round tries again
                     await self.cluster._correct_state()
             await asyncio.sleep(REPLACE_SECONDS)
+
+
+class _Scratch:
+    """A folder for the workers' files that no other user can enter or foresee, locked while it is used.
+
+    distributed's own would be `dask-scratch-space` in the system's folder for temporary files, where another
+    user can make it first. The workers' part of it is the first place where they look for modules.
+    """
+
+    def __init__(self) -> None:
+        _remove_abandoned(Path(tempfile.gettempdir()))
+        self.folder = Path(tempfile.mkdtemp(prefix=_SCRATCH))
+        self._lock = (self.folder / _LOCK).open("w")
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+
+    def remove(self) -> None:
+        """Remove it with all that is in it."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self._lock.close()
+
+
+def _remove_abandoned(temporary: Path) -> None:
+    """Remove the scratch folders that killed processes of this user left."""
+    for folder in temporary.glob(f"{_SCRATCH}*"):
+        with contextlib.suppress(OSError):
+            status = folder.lstat()  # a link is another user's, or of no use
+            if status.st_uid != os.geteuid() or time.time() - status.st_mtime < _SETTLED_SECONDS:
+                continue
+            with _locked(folder / _LOCK):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _locked(path: Path) -> IO[str]:
+    """The file, locked until it is closed. Raises OSError if there is none or another process has it."""
+    file = path.open()
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        raise
+    return file
 
 
 def _kill(nannies: list[Any]) -> None:

@@ -1,0 +1,85 @@
+"""Files and folders that other users of the machine must not change or read.
+
+Imports the standard library only: the kernel cache is checked before anything else is loaded.
+"""
+
+import logging
+import os
+import stat
+from pathlib import Path
+from typing import Final
+
+log = logging.getLogger(__name__)
+
+#: Permissions of group and others, and of these the one to write.
+_OTHERS: Final = 0o077
+_OTHERS_WRITE: Final = 0o022
+#: The permissions of a folder, and of a file, for one user alone.
+PRIVATE_FOLDER: Final = 0o700
+PRIVATE_FILE: Final = 0o600
+
+
+class NotOurs(Exception):
+    """Another user owns a file or folder, or can write to it; the text names it and says what to do."""
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder that only this user can enter, or close one that exists, with a warning.
+
+    Raises NotOurs if another user owns it or has put something into it, OSError.
+    """
+    folder.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
+    status = folder.stat()
+    if not _is_ours(status):
+        raise NotOurs(f"{folder} belongs to another user, who could change what is in it")
+    mode = stat.S_IMODE(status.st_mode)
+    if not mode & _OTHERS:
+        return
+    try:
+        folder.chmod(mode & ~_OTHERS)
+        log.warning("%s was open to other users of this machine (mode %04o); it is closed now", folder, mode)
+    except PermissionError:  # root's, as the volume of a container can be
+        log.warning("%s is open to other users of this machine (mode %04o)", folder, mode)
+    if mode & _OTHERS_WRITE:
+        for path in folder.iterdir():
+            if not _is_ours(path.lstat()):
+                raise NotOurs(f"{path} belongs to another user, who could write to {folder}")
+
+
+def check_unshared(root: Path) -> None:
+    """Raise NotOurs unless all that is in `root` can only have been written by this user, or by root.
+
+    A folder that does not exist passes. Inside a folder that only this user can enter, permissions of
+    others do not matter, owners do: it may have been open before.
+    """
+    try:
+        status = root.stat()
+    except FileNotFoundError:
+        return
+    _check(root, status, _OTHERS_WRITE)
+    for above in root.resolve().parents:
+        mode = above.stat().st_mode
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            raise NotOurs(f"{above} can be written by every user of this machine, who could replace {root}")
+    reachable = _OTHERS_WRITE if status.st_mode & _OTHERS else 0
+    for folder, folders, files in os.walk(root):
+        for name in (*folders, *files):
+            path = Path(folder, name)
+            try:
+                status = path.lstat()
+            except FileNotFoundError:  # a draft of another process, renamed meanwhile
+                continue
+            if stat.S_ISLNK(status.st_mode):
+                raise NotOurs(f"{path} is a link: what it points to may be another user's")
+            _check(path, status, reachable)
+
+
+def _check(path: Path, status: os.stat_result, forbidden: int) -> None:
+    if not _is_ours(status):
+        raise NotOurs(f"{path} belongs to another user")
+    if status.st_mode & forbidden:
+        raise NotOurs(f"{path} can be written by other users (mode {stat.S_IMODE(status.st_mode):04o})")
+
+
+def _is_ours(status: os.stat_result) -> bool:
+    return status.st_uid in (os.geteuid(), 0)
