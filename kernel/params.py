@@ -60,8 +60,8 @@ STATE_FIELDS: Final = (
 )
 
 
-#: The largest settle_tolerance, rad. Flights can repeat within a larger one beside a cycle that they are about
-#: to leave: of 6,000 random cells with settle 2000, 1e-7 changes the outcome of one, and 1e-8 that of none.
+#: The largest settle_tolerance, rad. Flights can repeat within a larger one beside a cycle they are about to
+#: leave: of 6,000 random cells with settle 2000, 1e-7 changes the outcome of one, and 1e-8 that of none.
 MAX_SETTLE_TOLERANCE: Final = 1e-9
 
 #: Dimensions of a state at a fixed phase of the plate, and so the largest numbers of Lyapunov exponents: of a
