@@ -20,7 +20,7 @@ from kernel.models.contact_law import lifted_off, plate_force
 from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
 from kernel.models.soft_contact import SoftSpring, from_modes, liftoff_function, soft_spring, to_modes
 from kernel.models.soft_liftoff import sure_contact_time
-from kernel.numerics.elementary import sincos
+from kernel.numerics.elementary import hypot, sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import jit
 from kernel.numerics.oscillator import all_derivatives, derivatives, motion, quiet_time
@@ -97,7 +97,7 @@ def _contact(
     """
     m = to_modes(s, phi, gap, gap1, q, q1)
     p = liftoff_function(s, m, phi)
-    margin = p.static - math.sqrt(p.wave_re * p.wave_re + p.wave_im * p.wave_im)
+    margin = p.static - hypot(p.wave_re, p.wave_im)
     slow = all_derivatives(p.slow_osc, p.slow_a, p.slow_b)
     fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
     decayed = 0.0

@@ -18,7 +18,7 @@ import math
 from typing import Final, NamedTuple
 
 from kernel.models.contact_law import contact_constants, damping_ratio, static_state
-from kernel.numerics.elementary import sincos
+from kernel.numerics.elementary import hypot, sincos
 from kernel.numerics.first_root import EPS, Terms, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
@@ -128,7 +128,7 @@ def soft_spring(
     # G (K (z - 1) - (2z - 1)) = 2z - 1 and (2z - 1) Q = K G, with z = w + i b and K = kappa + i beta
     z, k = complex(w, b), complex(kappa, beta)
     below = (z - 1.0) - (2.0 * z - 1.0) / k
-    if abs(below) < NEAREST_RESONANCE * w:
+    if hypot(below.real, below.imag) < NEAREST_RESONANCE * w:
         w *= 1.0 + 2.0 * NEAREST_RESONANCE
         z = complex(w, b)
         below = (z - 1.0) - (2.0 * z - 1.0) / k

@@ -13,7 +13,7 @@ coordinates are x and x' themselves.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import TWO_PI, exp, sincos
+from kernel.numerics.elementary import TWO_PI, atan2, atanh, exp, expm1, hypot, log, sincos
 from kernel.numerics.jit import inlined, jit
 
 #: Overdamped, C and S are differences of two exponentials over sqrt(D). Above this ratio of sqrt(D) to a
@@ -74,9 +74,9 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     if apart(osc):
         ratio = exp(-spread)  # of the fast exponential to the slow one
         scale = slow / (2.0 * osc.root)
-        sine = -scale * math.expm1(-spread)
+        sine = -scale * expm1(-spread)
         return scale * (osc.slow * ratio - osc.fast), sine, scale * (osc.slow - osc.fast * ratio)
-    sine = slow * tau if spread == 0.0 else -slow * tau * math.expm1(-spread) / spread
+    sine = slow * tau if spread == 0.0 else -slow * tau * expm1(-spread) / spread
     return slow - osc.slow * sine, sine, slow + osc.fast * sine
 
 
@@ -121,12 +121,12 @@ def decay_time(osc: Oscillator, x: float, v: float, level: float) -> float:
     if envelope(osc, x, v) < level:
         return 0.0
     if osc.discriminant < 0.0:
-        amplitude, rate = math.hypot(x, (v + osc.damping * x) / osc.root), osc.damping
+        amplitude, rate = hypot(x, (v + osc.damping * x) / osc.root), osc.damping
     else:
         amplitude, rate = (abs(v - osc.fast * x) + abs(v - osc.slow * x)) / (2.0 * osc.root), -osc.slow
     if not (amplitude < math.inf and rate > 0.0):
         return math.inf
-    return max(math.log(amplitude / level), 0.0) / rate
+    return max(log(amplitude / level), 0.0) / rate
 
 
 @jit
@@ -212,7 +212,7 @@ def quiet_time(osc: Oscillator, a: float, b: float, level: float) -> float:
     slow, fast = 2.0 * abs(a) / level, 2.0 * abs(b) / level  # each below half of the level
     if not (slow < math.inf and fast < math.inf):
         return math.inf
-    return max(math.log(max(slow, 1.0)) / -osc.slow, math.log(max(fast, 1.0)) / -osc.fast)
+    return max(log(max(slow, 1.0)) / -osc.slow, log(max(fast, 1.0)) / -osc.fast)
 
 
 @jit
@@ -222,14 +222,14 @@ def first_falling_zero(osc: Oscillator, a: float, b: float) -> float:
     Infinite if it never does. a and b are its coordinates.
     """
     if apart(osc):
-        return math.log(-b / a) / (2.0 * osc.root) if a < 0.0 <= a + b else math.inf
+        return log(-b / a) / (2.0 * osc.root) if a < 0.0 <= a + b else math.inf
     push = b + osc.damping * a
     if osc.discriminant < 0.0:
-        angle = math.atan2(a, -push / osc.root)
+        angle = atan2(a, -push / osc.root)
         return (angle if a >= 0.0 else angle + TWO_PI) / osc.root
     if a < 0.0 or push >= 0.0:
         return math.inf
     if osc.root == 0.0:
         return -a / push
     tangent = -a * osc.root / push  # of the hyperbolic angle root * tau
-    return math.atanh(tangent) / osc.root if tangent < 1.0 else math.inf
+    return atanh(tangent) / osc.root if tangent < 1.0 else math.inf

@@ -8,7 +8,7 @@ which may be one of a nearly double pair, is never used by itself.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import inlined, jit
 
 #: Cap on the rounds of Aberth's method. A dozen is usual; roots far apart in size take more. Where the cap
 #: is reached the roots are as good as they get, and `_polished` works from them.
@@ -51,11 +51,12 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex,
 
     c3, c2, c1 >= 0, c0 > 0. Not polished: a double root has half of the digits.
     """
-    unit = c0**0.25  # in units of the geometric mean of the roots' sizes
-    c3, c2, c1 = c3 / unit, c2 / unit**2, c1 / unit**3
-    # about the largest root and, from the reversed polynomial, the smallest, but for factors of order 1
-    large = max(c3, math.sqrt(c2), c1 ** (1.0 / 3.0), 1.0)
-    small = 1.0 / max(c1, math.sqrt(c2), c3 ** (1.0 / 3.0), 1.0)
+    unit = math.sqrt(math.sqrt(c0))  # in units of the geometric mean of the roots' sizes
+    c3, c2, c1 = c3 / unit, c2 / (unit * unit), c1 / (unit * unit * unit)
+    # about the largest root and, from the reversed polynomial, the smallest, but for factors of order 1.
+    # The roots are damped, so that c1 <= c3 c2 and c3 <= c1 c2: no cube root of c1 or c3 is larger
+    large = max(c3, math.sqrt(c2), 1.0)
+    small = 1.0 / max(c1, math.sqrt(c2), 1.0)
     z = [large * _FIRST_GUESS, large * _SECOND_GUESS, small * _FIRST_GUESS, small * _SECOND_GUESS]
     for _ in range(ROUNDS):
         moved = 0.0
@@ -73,14 +74,26 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex,
                 continue
             step = value / slope
             z[i] = s - step
-            moved = max(moved, abs(step) / abs(s))
-        if moved < CONVERGED:
+            moved = max(moved, _square(step) / _square(s))
+        if moved < CONVERGED * CONVERGED:
             break
     for i in range(1, 4):
         for j in range(i, 0, -1):
-            if abs(z[j]) < abs(z[j - 1]):
+            if _square(z[j]) < _square(z[j - 1]):
                 z[j], z[j - 1] = z[j - 1], z[j]
     return unit * z[0], unit * z[1], unit * z[2], unit * z[3]
+
+
+@inlined
+def _square(z: complex) -> float:
+    """|z|^2; its square root would be the C library's hypot."""
+    return z.real * z.real + z.imag * z.imag
+
+
+@inlined
+def _size(z: complex) -> float:
+    """|z|, of numbers whose squares are finite."""
+    return math.sqrt(_square(z))
 
 
 @jit
@@ -91,12 +104,12 @@ def _pairing(p: complex, q: complex, r: complex, s: complex) -> tuple[float, Fac
     of the other; 0 stands also for quadratics that are not real.
     """
     first, second = p * q, r * s
-    imaginary = abs(first.imag) / abs(first) + abs(second.imag) / abs(second)
-    imaginary += abs((p + q).imag) / (abs(p) + abs(q)) + abs((r + s).imag) / (abs(r) + abs(s))
+    imaginary = abs(first.imag) / _size(first) + abs(second.imag) / _size(second)
+    imaginary += abs((p + q).imag) / (_size(p) + _size(q)) + abs((r + s).imag) / (_size(r) + _size(s))
     if imaginary > _REAL:
         return 0.0, Factors(0.0, 0.0, 0.0, 0.0)
-    apart = abs(p - r) / (abs(p) + abs(r)) * (abs(p - s) / (abs(p) + abs(s)))
-    apart *= abs(q - r) / (abs(q) + abs(r)) * (abs(q - s) / (abs(q) + abs(s)))
+    apart = _size(p - r) / (_size(p) + _size(r)) * (_size(p - s) / (_size(p) + _size(s)))
+    apart *= _size(q - r) / (_size(q) + _size(r)) * (_size(q - s) / (_size(q) + _size(s)))
     if first.real <= second.real:
         return apart, Factors(-(p + q).real, first.real, -(r + s).real, second.real)
     return apart, Factors(-(r + s).real, second.real, -(p + q).real, first.real)
