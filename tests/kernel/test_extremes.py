@@ -2,7 +2,7 @@
 
 import math
 import time
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -129,6 +129,17 @@ def test_any_cell_ends_with_an_outcome_in_time(s):
     check_line(line, 2)
     # an elastic contact never comes to rest, and one nearly so takes long
     assert line.outcome[0] != Outcome.UNRESOLVED or s.restitution > 0.99 or resonant(s)
+
+
+def test_contacts_and_flights_of_zero_length_do_not_alternate():
+    """Undamped at resonance, where n = n' = 0 to rounding: from some take-off on both ended at once for ever."""
+    s = Setting(4.278260869565218, 1.0, 0.0, True, 0.01, 1e-8, False)
+    steps = list(phases(s, 40, 5000))
+    assert steps[-1].ending == HORIZON
+    assert all(a.tau > 0.0 or b.tau > 0.0 for a, b in pairwise(steps))
+    assert sum(step.used for step in steps) < 40 * 1000
+    line = run_setting(s, settle=200, observe=100)
+    assert line.outcome[0] in (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
 # --- every phase ----------------------------------------------------------------------------

@@ -357,6 +357,74 @@ def test_bounds_on_an_oscillation_hold(ratio, rate, x, v, tau):
     assert abs(fourth) <= bound * (1.0 + 1e-9) + 1e-300
 
 
+@given(ratio=st.one_of(st.sampled_from(RATIOS), powers(-3.0, 6.0)), rate=powers(-3.0, 3.0), x=signed(10.0),
+       v=signed(10.0), tau=powers(-6.0, 1.0))  # fmt: skip
+@examples(200)
+def test_a_motion_in_coordinates_is_the_same_motion(ratio, rate, x, v, tau):
+    osc, tau = oscillator.oscillator(ratio * rate, rate * rate), tau / rate
+    a, b = oscillator.coordinates(osc, x, v)
+    assert oscillator.position(osc, a, b) == pytest.approx((x, v), rel=1e-14, abs=1e-14 * abs(x) * rate)
+    assert oscillator.all_derivatives(osc, a, b).x1 == pytest.approx(v, rel=1e-14, abs=1e-14 * abs(x) * rate)
+    later = oscillator.advance(osc, a, b, tau)
+    cosine, sine, sine1 = response(ratio * rate, rate * rate, tau)
+    expected = float(x * cosine + v * sine), float(v * sine1 - rate * rate * sine * x)
+    turns = 1.0 + rate * tau * (rate * tau if abs(ratio - 1.0) < 0.1 else 1.0)
+    scale = abs(x) * float(abs(cosine) + rate * abs(sine)) + abs(v) * float(abs(sine) + abs(cosine) / rate)
+    got = oscillator.position(osc, *later)
+    assert abs(got[0] - expected[0]) <= 1e-14 * turns * scale + 1e-300
+    assert abs(got[1] - expected[1]) <= 1e-14 * turns * scale * max(osc.rate, rate) + 1e-300
+    rate_of_it = oscillator.position(osc, *oscillator.derivative(osc, *later))
+    assert rate_of_it[0] == pytest.approx(got[1], rel=1e-12, abs=1e-300)
+    now, then = oscillator.all_derivatives(osc, a, b), oscillator.all_derivatives(osc, *later)
+    assert abs(got[0]) <= now.size * (1.0 + 1e-12)
+    fourth = -2.0 * osc.damping * then.x3 - osc.stiffness * then.x2
+    assert abs(fourth) <= now.x4 * (1.0 + 1e-9) + 1e-300
+    quiet = oscillator.quiet_time(osc, a, b, 0.1 * now.size)
+    if quiet < math.inf:
+        after, _ = oscillator.position(osc, *oscillator.advance(osc, a, b, quiet + tau))
+        assert abs(after) <= 0.1 * now.size * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("ratio", [1.01, 2.0, 1e2, 1e4, 1e6])
+def test_the_creep_of_an_overdamped_motion_keeps_its_digits(ratio):
+    """x'' of the slow exponential, 1/(2 ratio)**4 of what it would be a difference of."""
+    osc = oscillator.oscillator(ratio, 1.0)
+    with mp.workdps(80):
+        root = mp.sqrt(mpf(ratio) ** 2 - 1)
+        slow, fast = -(mpf(ratio) - root), -(mpf(ratio) + root)
+    a, b = oscillator.coordinates(osc, 0.0, -1.0)
+    for tau in 50.0 / ratio * np.array([1.0, 3.0, 10.0]):
+        with mp.workdps(80):
+            true = -(slow**2 * mp.exp(slow * tau) - fast**2 * mp.exp(fast * tau)) / (2 * root)
+        got = oscillator.all_derivatives(osc, *oscillator.advance(osc, a, b, float(tau))).x2
+        assert abs(got / true - 1) <= 3e-15 * (1.0 + tau * abs(slow))
+
+
+@given(ratio=st.one_of(st.sampled_from(RATIOS), powers(-3.0, 6.0)), rate=powers(-3.0, 3.0), x=signed(10.0),
+       v=signed(10.0))  # fmt: skip
+@examples(200)
+def test_the_first_falling_zero_is_one(ratio, rate, x, v):
+    assume(x >= 0.0 or v > 0.0)
+    osc = oscillator.oscillator(ratio * rate, rate * rate)
+    a, b = oscillator.coordinates(osc, x, v)
+    zero = oscillator.first_falling_zero(osc, a, b)
+    assert zero >= 0.0
+
+    def at(tau: float) -> tuple[float, float]:
+        return oscillator.position(osc, *oscillator.advance(osc, a, b, tau))
+
+    times = np.concatenate([np.linspace(0.0, 1.0, 200), np.geomspace(1e-12, 1.0, 200)])
+    times *= zero if zero < math.inf else 20.0 / rate * max(1.0, ratio)
+    values = [at(float(tau)) for tau in np.sort(times)]
+    size = oscillator.all_derivatives(osc, a, b).size
+    if x >= 0.0:
+        assert min(value for value, _ in values[:-1]) >= -1e-12 * size
+    if zero < math.inf:
+        value, speed = values[-1]
+        assert abs(value) <= 1e-13 * size + 1e-13 * zero * abs(speed)
+        assert speed <= 1e-13 * size * osc.rate
+
+
 @given(ratio=st.sampled_from(RATIOS[:-1]), rate=powers(-3.0, 3.0), x=signed(10.0), v=signed(10.0),
        part=st.floats(1e-9, 0.99))  # fmt: skip
 @examples(100)
