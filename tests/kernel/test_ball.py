@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 
+import mpmath
 import numpy as np
 import paths
 import pytest
@@ -200,6 +201,21 @@ def test_grazes_are_distinguished_from_misses():
     for above, lands in ((-1e-9, True), (-1e-12, True), (1e-12, False), (1e-9, False)):
         end = free_fall.landing(make_drop(gamma, phi, touch + above, gap1), 1e4, 10_000)
         assert (abs(end.tau - bottom) < 0.1) == lands
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.1, 0.3, 0.499])
+def test_the_series_of_the_gap_is_complete(tau: float):
+    """At a take-off from rest its leading terms are zero and the ones that follow are all there is."""
+    gamma, slope = 2.0, math.sqrt(0.75)
+    p = make_drop(gamma, TWO_PI - math.atan2(slope, 0.5), 0.0, 0.0)
+    gap, gap1, gap2, _ = free_fall.state_after(p, tau)
+    with mpmath.workdps(50):
+        t, sin, cos = mpmath.mpf(tau), mpmath.mpf(p.sin), mpmath.mpf(p.cos)
+        exact = -sin * (t - mpmath.sin(t)) - cos * (t * t / 2 - 1 + mpmath.cos(t))
+        exact1 = -sin * (1 - mpmath.cos(t)) - cos * (t - mpmath.sin(t))
+        exact2 = -sin * mpmath.sin(t) - cos * (1 - mpmath.cos(t))
+    for value, expected in ((gap, exact), (gap1, exact1), (gap2, exact2)):
+        assert value == pytest.approx(float(expected), rel=2e-15, abs=0.0)
 
 
 def test_small_hops_keep_their_digits():

@@ -130,3 +130,12 @@ def test_model_is_rigid_whatever_the_penetration():
     one = run(1.5, 0.5, 0.26, penetration=1e-3)
     other = run(1.5, 0.5, 0.26, Model.RIGID, penetration=1e-1, adhesive=False)
     assert one.flight_time.tobytes() == other.flight_time.tobytes()
+
+
+def test_a_flight_at_resonance_has_the_springs_own_frequency():
+    """Only what is driven, in contact, is computed beside an undamped resonance (rigid.NEAREST_RESONANCE)."""
+    s = Setting(3.0, 1.0, 0.0)
+    step = next(iter(phases(s, 3, 1)))
+    assert step.flying
+    gap, gap1, _, _ = flight(s, 0.0, step.before).state(step.tau)
+    assert abs(float(gap / gap1)) < 1e-13

@@ -96,6 +96,13 @@ def test_more_samples_show_the_same_motion():
         np.testing.assert_allclose(getattr(few, name), getattr(many, name)[::5], atol=1e-9)
 
 
+@pytest.mark.parametrize("state", [[1.0, 1.0, 0.1, 0.0, -0.3, 0.0], [0.0, 1.0, np.nan, 0.0, -0.3, 0.0]])
+def test_a_state_within_a_window_is_refused(state: list[float]):
+    """An unresolved or diverged cell leaves such a state; samples begin at phase 0."""
+    with pytest.raises(KernelInputError, match="state: must be finite and at phase 0"):
+        sample(Cell(2.3, 0.5, 0.26), {}, np.array(state), model=Model.RIGID, periods=1, samples=10)
+
+
 def test_from_rest_it_begins_on_the_plate(client: TestClient):
     path = trajectory(client, settle=0, gamma=0.5, model={"kind": "rigid"})
     assert path["z2"] == pytest.approx(path["plate"])
