@@ -27,6 +27,10 @@ MODE_FLIGHTS: Final = 256
 #: considers: cycles of up to 8 bounces end it early.
 SETTLING_CHECK: Final = 24
 
+#: A contact of so many plate periods, if it takes the last half of the window, is taken for the end of all
+#: flights: the contacts of the cycles that a window is long enough for are far shorter.
+QUIET: Final = 10.0
+
 #: Size of the array that a model may use to cache what it knows of a cell (`interface.replay`).
 CACHE_SIZE: Final = 64
 
@@ -253,12 +257,12 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
 
 @jit
 def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) -> bool:
-    """Whether the last flight of a run that has ended landed in the first half of the window."""
+    """Whether a run that has ended was in contact for the last half of the window, and QUIET periods."""
     if run.in_flight or run.recorded == 0:
         return False
     last = first + (run.recorded - 1) % flights.size
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
-    return landing < run.settle + 0.5 * window.observe
+    return run.settle + window.observe - landing > max(0.5 * window.observe, QUIET)
 
 
 @jit

@@ -17,6 +17,11 @@ from numpy.typing import NDArray
 KERNEL_VERSION: Final = "2"
 
 
+#: Cells that `rigid` computes side by side from rest, in lanes: two vectors of eight doubles, so that the
+#: latency of one hides behind the other.
+LANES: Final = 16
+
+
 class Cell(NamedTuple):
     """One point of parameter space."""
 

@@ -70,13 +70,14 @@ def check_window(
     in rad, exponents a number.
     """
     for name, value, minimum in (("settle", settle, 0), ("observe", observe, 1), ("keep", keep, 1)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
+        if not _is_whole(value) or value < minimum:
             raise KernelInputError(name, f"must be an integer >= {minimum}, got {value!r}")
-    if settle_until is not None and (isinstance(settle_until, bool) or settle_until < settle + observe):
+    if settle_until is not None and (not _is_whole(settle_until) or settle_until < settle + observe):
         raise KernelInputError(
-            "settle_until", f"must be at least settle + observe, {settle + observe}, got {settle_until!r}"
+            "settle_until",
+            f"must be None or an integer >= settle + observe, {settle + observe}, got {settle_until!r}",
         )
-    if isinstance(exponents, bool) or not 0 <= exponents <= MAX_EXPONENTS:
+    if not _is_whole(exponents) or not 0 <= exponents <= MAX_EXPONENTS:
         raise KernelInputError(
             "exponents", f"must be an integer from 0 to {MAX_EXPONENTS}, got {exponents!r}"
         )
@@ -87,6 +88,10 @@ def check_window(
         raise KernelInputError(
             "settle_tolerance", f"must be at most {MAX_SETTLE_TOLERANCE:g}, got {settle_tolerance!r}"
         )
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def checked_state(start: Start) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, overload
 
-from worker.cost import cell_seconds
+from worker.cost import cell_seconds, cells_at_once
 from worker.schema import bytes_per_cell
 from worker.spec import AXES, SweepSpec
 
@@ -166,7 +166,8 @@ def _cells_per_chunk(spec: SweepSpec) -> int:
     cost = cell_seconds(spec)
     share = math.prod(spec.shape) * cost / FEWEST_CHUNKS
     seconds = min(max(share, SMALLEST_SECONDS), TARGET_SECONDS)
-    return max(1, min(math.ceil(seconds / cost), MAX_CHUNK_BYTES // bytes_per_cell(spec)))
+    cells = min(math.ceil(seconds / cost), MAX_CHUNK_BYTES // bytes_per_cell(spec))
+    return max(cells, cells_at_once(spec))
 
 
 def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from kernel.line import run_line
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
-from worker.cost import cell_seconds
+from worker.cost import cell_seconds, cells_at_once
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 
-#: Estimated core-seconds between two checks of the cancel flag. Hard cells can take many times the estimate,
+#: Estimated core-seconds between two checks of the cancel flag, or the time of one cell if that is longer; of
+#: a full set of lanes where cells are computed side by side. Hard cells can take many times the estimate,
 #: so the interval is far below the time in which a user expects a job to stop.
 CANCEL_SECONDS: Final = 0.25
 
@@ -90,7 +91,8 @@ def _run_line(
     ChunkCancelled.
     """
     gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
-    step = max(1, int(CANCEL_SECONDS / cell_seconds(spec)))
+    at_once = cells_at_once(spec)
+    step = max(1, int(CANCEL_SECONDS / cell_seconds(spec) / at_once)) * at_once
     for low in range(0, len(gamma), step):
         if store.is_cancelled(store_url):
             raise ChunkCancelled(f"cancelled: {store_url}")

@@ -21,9 +21,7 @@ from kernel.numerics.first_root import EPS, NEAR, householder_step
 from kernel.numerics.intrinsics import fma
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator
-
-#: Lanes: two vectors of eight doubles, so that the latency of one hides behind the other.
-LANES: Final = 16
+from kernel.params import LANES
 
 #: Evaluations of one phase after which a lane falls back to the scalar functions. Almost
 #: every search ends long before; the cap keeps one that does not from holding up its lane.

@@ -7,7 +7,6 @@ they need the power series, are computed by the scalar functions of `rigid` at o
 depends on nothing but the cell.
 """
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -32,7 +31,6 @@ from kernel.models.lanes import (
     FALLBACK,
     K0,
     K1,
-    LANES,
     MOVE,
     ROWS,
     SEARCHING,
@@ -51,7 +49,8 @@ from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import HORIZON, ROOT, Phase, departure_step
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import decay_time, derivatives
-from kernel.params import STATE_FIELDS, Line
+from kernel.params import LANES, STATE_FIELDS, Line
+from kernel.portable_math import hypot
 
 #: Flights shorter than this (rad) are computed again by the scalar functions, whose power series keeps the
 #: digits. The closed form of the gap cancels to the order tau**3: here to 1e-4, which leaves 12 digits.
@@ -73,7 +72,7 @@ def _load_contact(
     h = run.q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
     h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - math.hypot(s.n_re, s.n_im))
+    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - hypot(s.n_re, s.n_im))
     if decayed == 0.0:
         return False
     load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))

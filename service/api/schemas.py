@@ -25,6 +25,7 @@ class ProgressView(BaseModel):
     chunks_total: int
     cells_done: int
     cells_total: int
+    cells_settling: int = Field(description="of the cells done: still settling at the end of their window")
     percent: float
     eta_seconds: float | None
 

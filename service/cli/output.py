@@ -32,6 +32,7 @@ def job_report(job: "Job") -> str:
         "state": job.state,
         "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
         f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
+        "settling": f"{progress.cells_settling:,} cells" if progress.cells_settling else "",
         **{member: job.view.get(member) for member in ("notice", "created", "started", "finished", "error")},
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
@@ -51,8 +52,13 @@ def estimate_line(estimate: "Estimate") -> str:
     basis = "from recent jobs" if estimate.basis == "measured" else "from the table of costs"
     return (
         f"{estimate.cells:,} cells in {estimate.chunks:,} chunks, {estimate.bytes / 1e6:,.3g} MB before "
-        f"compression, {estimate.core_seconds:,.3g} core-seconds ({basis})"
+        f"compression, {estimate.core_seconds:,.3g} core-seconds ({basis}{_at_most(estimate)})"
     )
+
+
+def _at_most(estimate: "Estimate") -> str:
+    longest = estimate.longest_core_seconds
+    return "" if longest is None else f"; {longest:,.3g} if every cell settled until settle_until"
 
 
 # Thresholds

@@ -55,12 +55,14 @@ class Progress:
     cells_total: int
     percent: float
     eta_seconds: float | None = None
+    cells_settling: int = 0  # of those done, still settling at the end of their window
 
     @classmethod
     def from_json(cls, view: Mapping[str, Any]) -> "Progress":
         """Read the `progress` member of a job."""
-        required = {name: view[name] for name in cls.__dataclass_fields__ if name != "eta_seconds"}
-        return cls(**required, eta_seconds=view.get("eta_seconds"))
+        optional = {"eta_seconds": view.get("eta_seconds"), "cells_settling": view.get("cells_settling", 0)}
+        required = {name: view[name] for name in cls.__dataclass_fields__ if name not in optional}
+        return cls(**required, **optional)
 
     @property
     def whole_percent(self) -> int:
@@ -75,6 +77,7 @@ class Estimate(NamedTuple):
     chunks: int
     bytes: int  # of the stored arrays, before compression
     core_seconds: float
+    longest_core_seconds: float | None  # if every cell settled until settle_until; None without it
     basis: str  # measured: from recent jobs with the same contact model; table: from the table of costs
 
 

@@ -27,7 +27,12 @@ def cost(spec: Any, plan: Plan, paces: Sequence[Pace], preparer: JobPreparer) ->
     ratio = _measured_to_table(_kind(spec), paces, preparer)
     if ratio is None:
         return by_table
-    return by_table.model_copy(update={"core_seconds": by_table.core_seconds * ratio, "basis": "measured"})
+    measured = {
+        name: seconds * ratio
+        for name in ("core_seconds", "longest_core_seconds")
+        if (seconds := getattr(by_table, name)) is not None
+    }
+    return by_table.model_copy(update={**measured, "basis": "measured"})
 
 
 def _kind(spec: Any) -> tuple[Study, str | None]:

@@ -63,4 +63,7 @@ MIGRATIONS: Final = (
     """
     ALTER TABLE jobs ADD COLUMN replaced_by TEXT REFERENCES jobs (id) ON DELETE SET NULL;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN cells_settling INTEGER NOT NULL DEFAULT 0;
+    """,
 )

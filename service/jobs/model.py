@@ -59,6 +59,7 @@ class Progress:
     cells_total: int
     run_seconds: float = 0.0
     run_cells: int = 0
+    cells_settling: int = 0  # of those done
 
     @property
     def percent(self) -> float:
@@ -101,6 +102,7 @@ class JobRecord(NewJob):
     run_cells: int  # cells done at that time
     chunks_done: int
     cells_done: int
+    cells_settling: int  # of those done: their outcome is `settling`
     choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
     replaced_by: str | None  # of an outdated job: id of the job that computes the same study anew
 
@@ -139,6 +141,7 @@ class JobRecord(NewJob):
             self.cells_total,
             run_seconds=now - (self.run_started or now) if running else 0.0,
             run_cells=self.cells_done - self.run_cells if running else 0,
+            cells_settling=self.cells_settling,
         )
 
 

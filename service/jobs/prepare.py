@@ -15,6 +15,7 @@ from typing import Any, Final
 from service.jobs.model import JobRecord
 from service.settings import Settings
 from worker.analysis.model_selection import ModelChoice, resolved
+from worker.cost import Cost
 from worker.schema import Layout
 from worker.studies import Chunk, Plan, Study, from_json, study_of
 
@@ -50,9 +51,17 @@ class PreparedJob:
 
     @cached_property
     def cell_seconds(self) -> float:
-        """Core-seconds that a cell takes, by the cost table."""
-        cost = self.study.estimate(self.spec, self.plan)
-        return cost.core_seconds / cost.cells
+        """Core-seconds that a cell takes on average, by the cost table."""
+        return self._cost.core_seconds / self._cost.cells
+
+    @cached_property
+    def longest_cell_seconds(self) -> float:
+        """Core-seconds that a cell takes that settles for as long as it may, by the cost table."""
+        return (self._cost.longest_core_seconds or self._cost.core_seconds) / self._cost.cells
+
+    @cached_property
+    def _cost(self) -> Cost:
+        return self.study.estimate(self.spec, self.plan)
 
     def describe(self, chunk: Chunk) -> str:
         """A chunk's number and cells: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""

@@ -70,9 +70,9 @@ class JobRun:
         del self.in_flight[chunk]
         self._cells_in_flight -= self.prepared.plan[chunk].cells
 
-    def estimated_seconds(self, chunk: Chunk) -> float:
-        """Core-seconds that a chunk takes, by the cost table."""
-        return chunk.cells * self._cell_seconds
+    def longest_seconds(self, chunk: Chunk) -> float:
+        """Core-seconds that a chunk takes if all cells settle for as long as they may, by the cost table."""
+        return chunk.cells * self.prepared.longest_cell_seconds
 
     @property
     def seconds_in_flight(self) -> float:

@@ -318,7 +318,7 @@ class Supervisor:
 
     def _time_limit(self, run: JobRun, chunk: Chunk) -> float:
         """Seconds that a chunk may take from when it starts, before its worker is replaced."""
-        return max(self._settings.chunk_seconds, self._settings.chunk_slack * run.estimated_seconds(chunk))
+        return max(self._settings.chunk_seconds, self._settings.chunk_slack * run.longest_seconds(chunk))
 
     def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
         self._inbox.put(ChunkFinished(job_id, chunk, future))

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Final, NamedTuple
 
-from kernel.params import KERNEL_VERSION
+from kernel.params import KERNEL_VERSION, Outcome
 from service.jobs.model import (
     UNFINISHED,
     Failure,
@@ -234,8 +234,14 @@ class WriteTransaction(ReadTransaction):
         """Mark stored chunks as done; one that is marked already stays as it is."""
         marked = [report for report in reports if self._insert_chunk(job, report)]
         self._sql.execute(
-            "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ? WHERE seq = ?",
-            (len(marked), sum(report.cells for report in marked), job.seq),
+            "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ?,"
+            " cells_settling = cells_settling + ? WHERE seq = ?",
+            (
+                len(marked),
+                sum(report.cells for report in marked),
+                sum(_settling(report.outcomes) for report in marked),
+                job.seq,
+            ),
         )
 
     def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
@@ -275,19 +281,30 @@ class WriteTransaction(ReadTransaction):
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
         """Chunks of these that were marked, unmarked now."""
-        unmarked = [(chunk, cells) for chunk in chunks for cells in self._delete_chunk(job, chunk)]
+        unmarked = [row for chunk in chunks for row in self._delete_chunk(job, chunk)]
         self._sql.execute(
-            "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ? WHERE seq = ?",
-            (len(unmarked), sum(cells for _, cells in unmarked), job.seq),
+            "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ?,"
+            " cells_settling = cells_settling - ? WHERE seq = ?",
+            (
+                len(unmarked),
+                sum(row["cells"] for row in unmarked),
+                sum(_settling(json.loads(row["outcomes"])) for row in unmarked),
+                job.seq,
+            ),
         )
-        return [chunk for chunk, _ in unmarked]
+        return [row["chunk"] for row in unmarked]
 
-    def _delete_chunk(self, job: JobRecord, chunk: int) -> list[int]:
-        """The chunk's number of cells, if it was marked."""
-        rows = self._sql.execute(
-            "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING cells", (job.seq, chunk)
-        )
-        return [row[0] for row in rows]
+    def _delete_chunk(self, job: JobRecord, chunk: int) -> list[sqlite3.Row]:
+        """The chunk, with its cells and their outcomes, if it was marked."""
+        return self._sql.execute(
+            "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes",
+            (job.seq, chunk),
+        ).fetchall()
+
+
+def _settling(outcomes: Sequence[int]) -> int:
+    """How many of the cells counted by outcome are settling; kernel version 1 knew no such outcome."""
+    return outcomes[Outcome.SETTLING] if len(outcomes) > Outcome.SETTLING else 0
 
 
 _COLUMNS: Final = frozenset(field.name for field in fields(JobRecord))

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 
-from kernel.models.lanes import LANES
 from kernel.numerics import elementary
-from kernel.params import Line, Outcome
+from kernel.params import LANES, Line, Outcome
 
 
 def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, one_by_one=False) -> Line:

@@ -10,7 +10,7 @@ from kernel_runs import Model, assert_same_bytes, run_line
 
 from kernel import line
 from kernel.models.rigid import RigidPlate
-from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Start
+from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Outcome, Start
 
 ONE = np.ones(3)
 
@@ -104,6 +104,9 @@ def test_arrays_of_another_kind_or_shape(name, bad, why):
         ("observe", 0), ("observe", -3), ("observe", 2.5), ("observe", math.nan),
         ("keep", 0), ("keep", -1), ("keep", 1e3), ("keep", False),
         ("micro_flight", -1e-9), ("micro_flight", math.nan), ("micro_flight", math.inf),
+        ("settle_tolerance", -1e-12), ("settle_tolerance", math.nan), ("settle_tolerance", 1.1e-9),
+        ("settle_until", 2), ("settle_until", 0), ("settle_until", 10.0), ("settle_until", True),
+        ("settle_until", "10"), ("exponents", -1), ("exponents", 5), ("exponents", 1.0), ("exponents", None),
     ],
 )  # fmt: skip
 def test_windows_that_cannot_be(name, bad):
@@ -179,7 +182,7 @@ def test_one_cell_is_a_line(model):
     cell = {"gamma": 1.5 * one, "omega": 0.5 * one, "xi": 0.26 * one}
     record = call(**cell, restitution=0.1 * one, penetration=1e-3 * one, model=model)
     assert record.flight_time.shape == (1, 4)
-    assert [field.dtype.str[1:] for field in record] == ["f8", "f8", "i4", "u1", "i2", "i2", "f8"]
+    assert [field.dtype.str[1:] for field in record] == ["f8", "f8", "i4", "u1", "i4", "i4", "f8", "f8"]
 
 
 def test_numpy_integers_are_integers():
@@ -203,4 +206,4 @@ def test_the_largest_and_smallest_numbers_end_with_an_outcome(model):
         restitution = np.array([0.5])
         record = call(gamma=gamma, omega=omega, xi=xi, penetration=penetration, restitution=restitution,
                       model=model, settle=0, observe=1)  # fmt: skip
-        assert 1 <= record.outcome[0] <= 5
+        assert Outcome.MISSING < record.outcome[0] <= Outcome.SETTLING

@@ -56,6 +56,7 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
             "chunks_total": view["progress"]["chunks_total"],
             "cells_done": 0,
             "cells_total": 111,
+            "cells_settling": 0,
             "percent": 0.0,
             "eta_seconds": None,
         }

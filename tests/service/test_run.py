@@ -31,7 +31,8 @@ def run(tmp_path: Path) -> JobRun:
         id="a" * 32, name="", spec=json.dumps(spec.as_submitted()), kernel_version=KERNEL_VERSION,
         chunk_shape=plan.chunk_shape, chunks_total=len(plan), cells_total=plan.cells, seq=1,
         state=JobState.RUNNING, cancel_requested=False, error=None, created=0.0, started=0.0, finished=None,
-        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, choice=None, replaced_by=None,
+        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0, choice=None,
+        replaced_by=None,
     )  # fmt: skip
     prepared = JobPreparer(Settings(data=tmp_path)).prepare(job)
     return JobRun(job, prepared, np.zeros(len(plan), np.bool_), POLICY)
@@ -45,7 +46,7 @@ def submit(run: JobRun) -> int:
 
 def finish(run: JobRun, chunk: int) -> None:
     run.remove_in_flight(chunk)
-    run.unsaved_reports.append(ChunkReport(chunk, 5, 0.1, 0.1, "sum", (5, 0, 0, 0, 0, 0)))
+    run.unsaved_reports.append(ChunkReport(chunk, 5, 0.1, 0.1, "sum", (5, 0, 0, 0, 0, 0, 0)))
     run.mark_saved()
 
 
@@ -72,7 +73,7 @@ def test_it_ends_when_every_chunk_is_done_and_saved(run: JobRun):
 def test_nothing_is_submitted_while_something_is_unsaved(run: JobRun):
     chunk = submit(run)
     run.remove_in_flight(chunk)
-    run.unsaved_reports.append(ChunkReport(chunk, 5, 0.1, 0.1, "sum", (5, 0, 0, 0, 0, 0)))
+    run.unsaved_reports.append(ChunkReport(chunk, 5, 0.1, 0.1, "sum", (5, 0, 0, 0, 0, 0, 0)))
     assert run.has_unsaved
     assert not run.may_submit
     run.mark_saved()

@@ -157,7 +157,7 @@ def _auto(spec: SweepSpec) -> Auto:
 
 
 def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: float) -> SweepSpec:
-    """The sweep with another model, its windows limited to those of the comparison."""
+    """The sweep with another model, its windows limited to those of the comparison, without exponents."""
     observe = min(spec.observe, MAX_OBSERVE)
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
     return spec.model_copy(
@@ -168,6 +168,8 @@ def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: fl
             "keep": min(8 * observe, MAX_FLIGHTS),
             "micro_flight": micro_flight,
             "settle_tolerance": settle_tolerance,
+            "settle_until": None,
+            "exponents": 0,
         }
     )
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from kernel.line import run_line
 from kernel.params import Line, Outcome
 from kernel.step_limits import Scheme, stable_steps_per_contact
-from worker.analysis.deviation import deviations, percentile
+from worker.analysis.deviation import FAILED, deviations, percentile
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.tasks import plate_of
@@ -162,7 +162,7 @@ def _on_line(setup: Setup, cells: _Cells) -> _Part:
     line, cost = _timed(setup, cells)
     same = (exact.outcome == line.outcome) & (exact.bounces == line.bounces) & (exact.periods == line.periods)
     errors = deviations(exact, line, MICRO_FLIGHT)[exact.outcome == Outcome.PERIODIC]
-    unresolved = np.count_nonzero(line.outcome >= Outcome.UNRESOLVED)
+    unresolved = np.count_nonzero(np.isin(line.outcome, FAILED))
     return _Part(errors, cost, int(np.count_nonzero(same)), int(unresolved), 0)
 
 

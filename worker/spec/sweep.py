@@ -89,13 +89,14 @@ class SweepSpec(Strict):
             raise BrokenRuleError("protocol.axis", rule)
         if self.settle_until is not None and self.settle_until < self.settle + self.observe:
             window = self.settle + self.observe
-            rule = f"must be at least settle + observe, {window}, or null; {window} would change nothing"
+            effect = window + self.observe
+            rule = f"must be at least settle + observe, {window}, or null; it has an effect from {effect} on"
             raise BrokenRuleError("settle_until", rule)
         self._check_exponents()
         self._check_depth()
         if isinstance(self.model, Stepped):
             axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-            check_steps(self.model, corners(*axes), self.settle + self.observe)
+            check_steps(self.model, corners(*axes), max(self.settle + self.observe, self.settle_until or 0))
         return self
 
     def _check_exponents(self) -> None:

@@ -1,0 +1,290 @@
+"""Cells that have not settled by the end of their window: how they are told, and how they go on."""
+
+import math
+
+import numpy as np
+import pytest
+from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
+
+from kernel.modes import CLOSE, FEWEST, find_cycle, is_settling, limit_cycle
+from kernel.params import Cell, Line, Outcome, Start
+from kernel.threshold import threshold
+from worker.spec import SweepSpec
+
+#: Random cells of `rigid` with e = 0 whose flights repeat after a multiple of their cycle in the default
+#: window: gamma, omega, xi, the mode by the repetition alone, and the mode after 20,000 periods.
+MULTIPLES = (
+    (4.194708394, 1.521327377, 1.0, (2, 2), (1, 1)),
+    (4.3184, 1.4041, 0.6123, (2, 2), (1, 1)),
+    (5.098, 0.6392, 0.8404, (2, 4), (1, 2)),
+    (2.2513, 0.9918, 0.0615, (4, 4), (2, 2)),
+    (5.154, 0.557, 0.6824, (4, 8), (2, 4)),
+    (2.546, 1.0594, 0.0254, (8, 8), (4, 4)),
+    (3.7385, 0.6512, 0.084, (6, 8), (3, 4)),
+    (2.2577, 0.7136, 0.0589, (6, 3), (2, 1)),
+)
+
+
+def flip(r: float, c: float, amplitude: float, flights: int) -> np.ndarray:
+    """(-1)^i a_i with a' = -r a + c a^3 from a_0: the normal form of the flip, solved in closed form."""
+    i = np.arange(flights, dtype=float)
+    w = c / r + (1.0 / amplitude**2 - c / r) * np.exp(2.0 * r * i)
+    return np.where(i % 2 == 0, 1.0, -1.0) / np.sqrt(w)
+
+
+def modes_of(times: np.ndarray) -> tuple[int, int]:
+    """Flights per cycle by repetition, and in the limit; take-offs at phase 0.3 of every period."""
+    phases, periods = np.full(len(times), 0.3), np.arange(len(times))
+    bounces, _ = find_cycle(times, phases, periods)
+    return bounces, limit_cycle(times, phases, bounces)
+
+
+@pytest.mark.parametrize("flights", [30, 100, 256])
+@pytest.mark.parametrize("decades", [3.0, 1.0, 0.3])
+@pytest.mark.parametrize("cubic", [0.0, -1.0])
+def test_an_alternating_approach_to_one_flight_is_no_cycle_of_two(decades, cubic, flights):
+    """The difference falls by so many decades over the window, or faster by the cubic term.
+
+    From the middle of the window on, flights two apart repeat within 1e-6 and those one apart do not.
+    """
+    r = decades * math.log(10.0) / flights
+    start = 0.3e-6 / r * 10.0 ** (0.5 * decades)
+    times = 4.0 + flip(r, cubic * r / start**2, start, flights)
+    assert modes_of(times) == (2, 1)
+
+
+@pytest.mark.parametrize("start", [1.00002, 0.99998, 1.0])
+@pytest.mark.parametrize("size", [1e-4, 1e-2, 0.5])
+def test_a_true_cycle_of_two_flights_stays_one(size, start):
+    """Flights near the limit of the flip's other side, approached from above, from below, and reached."""
+    r = -0.02
+    times = 4.0 + flip(r, r / size**2, start * size, 100)
+    assert modes_of(times) == (2, 2)
+
+
+@pytest.mark.parametrize("start", [1.01, 3.0])
+def test_a_small_true_cycle_that_is_approached_from_above(start):
+    """Flights two apart repeat within 1e-6 although the difference still falls by more than a hundredth."""
+    r, size = -0.005, 1e-5
+    times = 4.0 + flip(r, r / size**2, start * size, 100)
+    assert modes_of(times) == (2, 2)
+
+
+@pytest.mark.parametrize("parts", [3, 5])
+def test_an_approach_in_turns_by_another_root_of_unity(parts):
+    i = np.arange(100)
+    times = 4.0 + 1e-5 * np.exp(-0.02 * i) * np.cos(TWO_PI * i / parts)
+    assert modes_of(times) == (parts, 1)
+
+
+def test_flights_of_a_cycle_that_is_complete():
+    cycle = np.tile([5.0, 4.0, 1.0, 4.0, 5.0, 1.01], 20)
+    assert modes_of(cycle) == (6, 6)
+
+
+@pytest.mark.parametrize(("gamma", "omega", "xi", "repeating", "true"), MULTIPLES)
+def test_cells_that_were_given_a_multiple_of_their_mode(gamma, omega, xi, repeating, true):
+    line = run(gamma, omega, xi, settle=200, observe=100, keep=256)
+    times, phases = (array[0, : line.flights[0]] for array in (line.flight_time, line.takeoff_phase))
+    assert find_cycle(times, phases, np.arange(len(times)))[0] == repeating[0]
+    assert (line.bounces[0], line.periods[0]) == true
+    late = run(gamma, omega, xi, settle=20_000, observe=100)
+    assert (late.bounces[0], late.periods[0]) == true
+
+
+# --- flights without a cycle ----------------------------------------------------------------
+
+
+def spiral(rate: float, size: float, flights: int = 100, turn: float = 0.381966) -> np.ndarray:
+    """Times around 4 rad with an amplitude size * exp(-rate i), turning by `turn` of a circle each flight."""
+    i = np.arange(flights)
+    return 4.0 + size * np.exp(-rate * i) * np.cos(TWO_PI * turn * i)
+
+
+def settles(times: np.ndarray) -> bool:
+    return is_settling(times, np.where(times > 4.0, 1e-12, TWO_PI - 1e-12))  # both sides of the turn
+
+
+@pytest.mark.parametrize(("rate", "size"), [(0.05, 1.0), (0.01, 0.3), (0.002, 0.01), (-0.002, 0.004)])
+def test_spirals_settle(rate, size):
+    """Towards a cycle, quickly and slowly, and slowly away from one."""
+    assert settles(spiral(rate, size))
+
+
+@pytest.mark.parametrize("size", [1.0, 0.1, 0.9 * CLOSE])
+@pytest.mark.parametrize("turn", [0.381966, 0.27639, math.sqrt(2.0) - 1.0])
+def test_quasi_periodic_flights_do_not_settle(size, turn):
+    assert not settles(spiral(0.0, size, turn=turn))
+
+
+def test_chaotic_flights_do_not_settle():
+    """The logistic map at r = 4, from 200 starts: near returns that happen to come closer are rare."""
+    rng = np.random.default_rng(1)
+    x = rng.uniform(0.1, 0.9, 200)
+    orbits = np.empty((100, 200))
+    for i in range(100):
+        x = 4.0 * x * (1.0 - x)
+        orbits[i] = x
+    assert sum(settles(3.0 + 4.0 * orbit) for orbit in orbits.T) <= 4
+
+
+def test_too_few_flights_tell_nothing():
+    times = spiral(0.3, 0.1, FEWEST)
+    assert settles(times)
+    assert not settles(times[1:])
+    assert not settles(times[:0])
+
+
+# --- cells -----------------------------------------------------------------------------------
+
+#: gamma, omega, xi of `rigid` cells, e = 0, that settle at the end of the default window, and their mode in
+#: the end. The last one takes more than 1,000 periods.
+SLOW = np.array([
+    (3.667, 1.288, 0.352), (3.943, 0.808, 0.317), (1.501, 0.581, 0.037), (5.748, 1.167, 0.043),
+    (5.8851, 1.1539, 0.9968),
+])  # fmt: skip
+SETTLED = [(1, 1), (1, 2), (6, 5), (1, 1), (7, 12)]
+
+
+def slow(settle: int = 200, which: slice = slice(None), **others: object) -> Line:
+    return run(*SLOW[which].T, **({"settle": settle, "observe": 100, "keep": 256} | others))
+
+
+def last_cycles(line: Line) -> list[np.ndarray]:
+    flown = zip(line.flight_time, line.flights, line.bounces, strict=True)
+    return [np.sort(times[flights - bounces : flights]) for times, flights, bounces in flown]
+
+
+def test_cells_that_still_settle_say_so_and_go_on_until_they_have():
+    short, long, late = slow(), slow(settle_until=20_000), slow(settle=20_000)
+    assert list(short.outcome) == [Outcome.SETTLING] * len(SLOW)
+    assert not short.bounces.any()
+    assert not short.periods.any()
+    for line in (long, late):
+        assert list(line.outcome) == [Outcome.PERIODIC] * len(SLOW)
+        assert list(zip(line.bounces.tolist(), line.periods.tolist(), strict=True)) == SETTLED
+    for mine, its in zip(last_cycles(long), last_cycles(late), strict=True):
+        np.testing.assert_allclose(mine, its, atol=1e-3)
+
+
+def test_the_record_is_that_of_the_last_window():
+    """Doubled from 300 periods to 600 and cut off at 1,000: as with 900 periods of settling."""
+    long, late = (slow(which=slice(-1, None), **w) for w in ({"settle_until": 1_000}, {"settle": 900}))
+    assert long.outcome[0] == late.outcome[0] == Outcome.SETTLING
+    assert long.flights[0] == late.flights[0] == 57
+    np.testing.assert_allclose(long.flight_time[0, :57], late.flight_time[0, :57], atol=1e-9)
+    np.testing.assert_allclose(long.end_state, late.end_state, atol=1e-9)
+
+
+@pytest.mark.parametrize("settle_until", [300, 399])
+def test_less_than_a_window_more_changes_nothing(settle_until):
+    assert_same_bytes(slow(settle_until=settle_until), slow())
+
+
+def test_cells_that_have_settled_stay_as_they_are():
+    gamma = np.linspace(0.4, 6.0, 60)
+    window = {"settle": 200, "observe": 100}
+    short, long = run(gamma, 0.5, 0.26, **window), run(gamma, 0.5, 0.26, **window, settle_until=5_000)
+    settled = short.outcome != Outcome.SETTLING
+    assert 40 < settled.sum() < 60
+    for name, mine, its in zip(Line._fields, short, long, strict=True):
+        assert mine[settled].tobytes() == its[settled].tobytes(), name
+
+
+def test_a_cell_that_goes_on_depends_on_no_other():
+    """Lanes: all at once, beside cells that end early, and one by one."""
+    cells = np.concatenate([np.tile([1.5, 0.5, 0.26], (20, 1)), SLOW, SLOW])
+    window = {"settle": 200, "observe": 100, "settle_until": 3_000, "keep": 32}
+    together = run(*cells.T, **window)
+    for i, cell in enumerate(cells[20:], 20):
+        alone = run(*cell, **window)
+        assert_same_bytes(Line(*(array[i : i + 1] for array in together)), alone)
+
+
+def test_soft_contacts_go_on_too():
+    """The scalar loop: as `rigid`, whose flights these are within the contact's depth."""
+    contact = {"which": Model.SOFT, "restitution": 0.0, "penetration": 1e-6, "micro_flight": 0.05}
+    hard = {"settle": 200, "observe": 100, **contact}
+    short, long = run(*SLOW[0], **hard), run(*SLOW[0], **hard, settle_until=5_000)
+    assert short.outcome[0] == Outcome.SETTLING
+    assert (long.outcome[0], long.bounces[0], long.periods[0]) == (Outcome.PERIODIC, 1, 1)
+    assert last_cycles(long)[0] == pytest.approx(last_cycles(slow(settle=5_000))[0], abs=1e-4)
+
+
+@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT])
+def test_a_ramp_goes_on_from_where_its_cell_ended(model):
+    """In two pieces as in one, with cells that take more than their window."""
+    gamma, omega, xi = np.linspace(3.4, 3.8, 9), 1.288, 0.352
+    window = {"settle": 30, "observe": 40, "settle_until": 2_000, "carry": True, "which": model}
+    whole = run(gamma, omega, xi, **window)
+    first = run(gamma[:4], omega, xi, **window)
+    start = Start(first.end_state[-1], Cell(gamma[3], omega, xi))
+    second = run(gamma[4:], omega, xi, **window, start=start)
+    joined = Line(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+    assert_same_bytes(whole, joined)
+    short = run(gamma, omega, xi, **window | {"settle_until": None})
+    assert np.any(short.outcome == Outcome.SETTLING)
+    assert not np.any(whole.outcome == Outcome.SETTLING)
+
+
+def test_a_motion_that_comes_to_rest_settles():
+    """A ramp down to half the threshold: the flights of the first periods are followed by rest."""
+    gamma = [2.0, 0.05]
+    window = {"settle": 0, "observe": 60, "carry": True}
+    line = run(gamma, 0.5, 0.05, Model.RIGID, **window)
+    assert line.flights[1] > 0
+    assert line.outcome[1] == Outcome.SETTLING
+    long = run(gamma, 0.5, 0.05, Model.RIGID, **window, settle_until=300)
+    assert (long.outcome[1], long.flights[1]) == (Outcome.AT_REST, 0)
+
+
+# --- what is recorded, and what counts ------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", [Model.RIGID, Model.BALL])
+@pytest.mark.parametrize("carry", [False, True])
+def test_the_flight_that_begins_a_run_from_rest_is_recorded(model, carry):
+    """At Gamma = 2.5 the plate recedes faster than the mass can fall from the start."""
+    line = run([2.5], 0.5, 0.26, model, settle=0, observe=20, carry=carry)
+    later = run([2.5], 0.5, 0.26, model, settle=1, observe=19, carry=carry)
+    assert line.takeoff_phase[0, 0] == 0.0
+    flights = later.flights[0]
+    assert line.flights[0] > flights
+    np.testing.assert_array_equal(recorded(line)[-flights:], recorded(later))
+
+
+def test_a_flight_under_way_at_the_start_of_a_cell_is_not():
+    line = run([5.0] * 3, 0.5, 0.26, settle=0, observe=3, carry=True)
+    assert list(line.end_state[:2, 1]) == [0.0, 1.0]  # the third begins in flight
+    assert line.takeoff_phase[0, 0] == 0.0
+    assert np.all(line.takeoff_phase[1:, 0] > 0.0)
+
+
+@pytest.mark.parametrize(("gamma", "mode"), [(1.5, (1, 1)), (2.3, (2, 2)), (3.6, (1, 2))])
+def test_the_default_contact_has_the_modes_of_figure_2(gamma, mode):
+    """Soft, e = 0.01, d = 1e-3, Omega = 0.5, xi = 0.26: its hops after a landing do not count."""
+    window = {"settle": 200, "observe": 100, "restitution": 0.01}
+    micro_flight = SweepSpec.model_fields["micro_flight"].default
+    line = run(gamma, 0.5, 0.26, Model.SOFT, **window, micro_flight=micro_flight)
+    assert (line.bounces[0], line.periods[0]) == mode
+    rigid = run(gamma, 0.5, 0.26, settle=200, observe=100)
+    assert (rigid.bounces[0], rigid.periods[0]) == mode
+    every = run(gamma, 0.5, 0.26, Model.SOFT, **window, micro_flight=0.0)
+    assert every.bounces[0] > line.bounces[0]
+
+
+def test_micro_flights_count_where_no_flight_is_longer():
+    """Just above the threshold all flights are short."""
+    gamma = 1.0005 * float(threshold(0.5, 0.26))
+    window = {"settle": 2_000, "observe": 100}
+    every, none_longer = (run(gamma, 0.5, 0.26, **window, micro_flight=m) for m in (0.0, 6.0))
+    assert 0.0 < np.max(recorded(every)) < 6.0
+    assert_same_bytes(every, none_longer)
+    assert every.outcome[0] == Outcome.PERIODIC
+
+
+def test_modes_of_more_periods_than_16_bits_hold():
+    """An inelastic ball at Gamma = 3e5 flies for floor(Gamma/pi) periods at a time."""
+    line = run(3e5, 1.0, 1.0, Model.BALL, settle=300_000, observe=500_000)
+    assert (line.bounces[0], line.periods[0]) == (1, 95_493)
+    assert line.flight_time[0, 0] == pytest.approx(95_493 * TWO_PI, rel=1e-4)
