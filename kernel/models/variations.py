@@ -36,35 +36,46 @@ from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 
 
 @inlined
-def _fly(osc: Oscillator, vectors: Any, tau: float) -> None:
-    """A spring's flight: the centre of mass, at gap + q/2, moves freely and the elongation as `osc`."""
-    cosine, sine, sine1 = response(osc, tau)
-    for k in range(len(vectors)):
-        centre1 = vectors[k, 1] + 0.5 * vectors[k, 3]
-        centre = vectors[k, 0] + 0.5 * vectors[k, 2] + tau * centre1
-        q, q1 = (
-            cosine * vectors[k, 2] + sine * vectors[k, 3],
-            sine1 * vectors[k, 3] - osc.stiffness * sine * vectors[k, 2],
-        )
-        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
-            centre - 0.5 * q,
-            centre1 - 0.5 * q1,
-            q,
-            q1,
-        )
+def _get(vectors: Any, k: int) -> tuple[float, float, float, float]:
+    """Vector k: dg, dg', dq, dq'."""
+    return vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3]
 
 
 @inlined
-def _delay(gap: float, impact: float) -> float:
-    """dphi, by which the varied motion lands later. 0 at a graze, where no derivative exists."""
-    return -gap / impact if impact != 0.0 else 0.0
+def _put(vectors: Any, k: int, g: float, g1: float, q: float, q1: float) -> None:
+    """Overwrite vector k."""
+    vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = g, g1, q, q1
 
 
 @inlined
 def _forget(vectors: Any) -> None:
-    """Two motions that differ end in the same state."""
+    """Motions that differ end in the same state."""
     for k in range(len(vectors)):
-        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = 0.0, 0.0, 0.0, 0.0
+        _put(vectors, k, 0.0, 0.0, 0.0, 0.0)
+
+
+@inlined
+def _oscillate(osc: Oscillator, c: float, s: float, s1: float, x: float, x1: float) -> tuple[float, float]:
+    """x and x' of a free motion after a time at which `response` is c, s, s1."""
+    return x * c + x1 * s, x1 * s1 - osc.stiffness * s * x
+
+
+@inlined
+def _fly(osc: Oscillator, vectors: Any, tau: float) -> None:
+    """A spring's flight: its centre of mass, at gap + q/2, moves freely and its elongation as `osc`."""
+    c, s, s1 = response(osc, tau)
+    for k in range(len(vectors)):
+        g, g1, q, q1 = _get(vectors, k)
+        centre1 = g1 + 0.5 * q1
+        centre = g + 0.5 * q + tau * centre1
+        q, q1 = _oscillate(osc, c, s, s1, q, q1)
+        _put(vectors, k, centre - 0.5 * q, centre1 - 0.5 * q1, q, q1)
+
+
+@inlined
+def _delay(g: float, impact: float) -> float:
+    """dphi, by which the varied motion lands later. 0 at a graze, where no derivative exists."""
+    return -g / impact if impact != 0.0 else 0.0
 
 
 # --- rigid ----------------------------------------------------------------------------------------------
@@ -82,11 +93,9 @@ def _rigid_contact(s: Spring, vectors: Any, tau: float) -> None:
     """The gap stays zero; the elongation moves as the stuck oscillator."""
     cosine, sine, sine1 = response(s.stuck, tau)
     for k in range(len(vectors)):
-        q, q1 = (
-            cosine * vectors[k, 2] + sine * vectors[k, 3],
-            sine1 * vectors[k, 3] - s.stiffness * sine * vectors[k, 2],
-        )
-        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = 0.0, 0.0, q, q1
+        _, _, q, q1 = _get(vectors, k)
+        q, q1 = _oscillate(s.stuck, cosine, sine, sine1, q, q1)
+        _put(vectors, k, 0.0, 0.0, q, q1)
 
 
 @carry_in_flight.register(Spring)
@@ -101,7 +110,8 @@ def _rigid_flight(s: Spring, vectors: Any, tau: float) -> None:
 def _rigid_takeoff(s: Spring, vectors: Any, end: Phase) -> None:
     """n = 0 at take-off, so that the rates before and after it are the same, and gap = gap' = 0 still."""
     for k in range(len(vectors)):
-        vectors[k, 0], vectors[k, 1] = 0.0, 0.0
+        _, _, q, q1 = _get(vectors, k)
+        _put(vectors, k, 0.0, 0.0, q, q1)
 
 
 @carry_through_landing.register(Spring)
@@ -112,30 +122,23 @@ def _rigid_landing(
     """Sticking, which needs no dphi; a hop; or, with a hop of velocity zero, a new take-off at once."""
     if not end.in_flight:
         for k in range(len(vectors)):
-            vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
-                0.0,
-                0.0,
-                vectors[k, 2] + vectors[k, 0],
-                vectors[k, 3] + vectors[k, 1] - s.dashpot * vectors[k, 0],
-            )
+            g, g1, q, q1 = _get(vectors, k)
+            _put(vectors, k, 0.0, 0.0, q + g, q1 + g1 - s.dashpot * g)
         return
     if end.gap1 > 0.0:
         e, impact = s.restitution, -end.gap1 / s.restitution
     else:
-        _, impact, _, _ = flight.state_after(
-            flight.begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1), end.tau
-        )
-        e = 0.0
+        e, p = 0.0, flight.begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+        _, impact, _, _ = flight.state_after(p, end.tau)
     _, cos = sincos(phi + end.tau)
     after2 = cos - s.gravity + s.dashpot * end.q1 + s.stiffness * end.q  # gap''
     before2 = after2 - s.dashpot * (1.0 + e) * impact
     for k in range(len(vectors)):
-        dphi = _delay(vectors[k, 0], impact)
-        lost = vectors[k, 1] + before2 * dphi  # variation of the impact velocity
-        vectors[k, 1] = -e * lost - after2 * dphi
-        vectors[k, 2] += (1.0 + e) * vectors[k, 0]
-        vectors[k, 3] += (1.0 + e) * (lost - 2.0 * s.dashpot * vectors[k, 0])
-        vectors[k, 0] *= -e
+        g, g1, dq, dq1 = _get(vectors, k)
+        dphi = _delay(g, impact)
+        change = g1 + before2 * dphi  # variation of the impact velocity
+        dq1 += (1.0 + e) * (change - 2.0 * s.dashpot * g)
+        _put(vectors, k, -e * g, -e * change - after2 * dphi, dq + (1.0 + e) * g, dq1)
 
 
 # --- soft -----------------------------------------------------------------------------------------------
@@ -158,25 +161,20 @@ def _coupled(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[
 @jit
 def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
     """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
-    gap_cosine, gap_sine, gap_sine1 = response(s.gap_mode, tau)
-    q_cosine, q_sine, q_sine1 = response(s.elongation_mode, tau)
+    gap_c, gap_s, gap_s1 = response(s.gap_mode, tau)
+    q_c, q_s, q_s1 = response(s.elongation_mode, tau)
     m00, m01, m10, m11 = s.decoupling
     for k in range(len(vectors)):
-        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, vectors[k, 2], vectors[k, 3])
-        left, left1 = vectors[k, 0] - coupled, vectors[k, 1] - coupled1
+        g, g1, q, q1 = _get(vectors, k)
+        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, q, q1)
+        left, left1 = g - coupled, g1 - coupled1
         g, g1 = m00 * left + m01 * left1, m10 * left + m11 * left1
         coupled, coupled1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        h, h1 = vectors[k, 2] - coupled, vectors[k, 3] - coupled1
-        g, g1 = gap_cosine * g + gap_sine * g1, gap_sine1 * g1 - s.gap_mode.stiffness * gap_sine * g
-        h, h1 = q_cosine * h + q_sine * h1, q_sine1 * h1 - s.elongation_mode.stiffness * q_sine * h
-        coupled_gap, coupled_gap1 = _coupled(s.gap, s.elongation_mode, h, h1)
-        coupled_q, coupled_q1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = (
-            g + coupled_gap,
-            g1 + coupled_gap1,
-            h + coupled_q,
-            h1 + coupled_q1,
-        )
+        g, g1 = _oscillate(s.gap_mode, gap_c, gap_s, gap_s1, g, g1)
+        q, q1 = _oscillate(s.elongation_mode, q_c, q_s, q_s1, q - coupled, q1 - coupled1)
+        in_gap, in_gap1 = _coupled(s.gap, s.elongation_mode, q, q1)
+        in_q, in_q1 = _coupled(s.elongation, s.gap_mode, g, g1)
+        _put(vectors, k, g + in_gap, g1 + in_gap1, q + in_q, q1 + in_q1)
 
 
 @carry_in_flight.register(SoftSpring)
@@ -192,8 +190,8 @@ def _soft_takeoff(s: SoftSpring, vectors: Any, end: Phase) -> None:
     """Adhesive: the force falls from -beta W to 0. Nonadhesive: it is 0 before and after."""
     if s.adhesive:
         for k in range(len(vectors)):
-            vectors[k, 1] += s.beta * vectors[k, 0]
-            vectors[k, 3] -= s.beta * vectors[k, 0]
+            g, g1, q, q1 = _get(vectors, k)
+            _put(vectors, k, g, g1 + s.beta * g, q, q1 - s.beta * g)
 
 
 @carry_through_landing.register(SoftSpring)
@@ -205,8 +203,8 @@ def _soft_landing(
     if end.gap < 0.0:
         return
     for k in range(len(vectors)):
-        vectors[k, 1] -= s.beta * vectors[k, 0]
-        vectors[k, 3] += s.beta * vectors[k, 0]
+        g, g1, dq, dq1 = _get(vectors, k)
+        _put(vectors, k, g, g1 - s.beta * g, dq, dq1 + s.beta * g)
 
 
 # --- ball -----------------------------------------------------------------------------------------------
@@ -230,7 +228,8 @@ def _ball_contact(b: Ball, vectors: Any, tau: float) -> None:
 def _ball_flight(b: Ball, vectors: Any, tau: float) -> None:
     """Free fall. A ball has no elongation."""
     for k in range(len(vectors)):
-        vectors[k, 0], vectors[k, 2], vectors[k, 3] = vectors[k, 0] + tau * vectors[k, 1], 0.0, 0.0
+        g, g1, _, _ = _get(vectors, k)
+        _put(vectors, k, g + tau * g1, g1, 0.0, 0.0)
 
 
 @carry_through_takeoff.register(Ball)
@@ -252,12 +251,11 @@ def _ball_landing(
     if end.gap1 > 0.0:
         e, impact = b.restitution, -end.gap1 / b.restitution
     else:
-        drop = free_fall.drop(b.gravity, b.phi_lift, b.sin_lift, phi, gap, gap1)
-        _, impact, _, _ = free_fall.state_after(drop, end.tau)
-        e = 0.0
+        e, p = 0.0, free_fall.drop(b.gravity, b.phi_lift, b.sin_lift, phi, gap, gap1)
+        _, impact, _, _ = free_fall.state_after(p, end.tau)
     _, cos = sincos(phi + end.tau)
     gap2 = cos - b.gravity
     for k in range(len(vectors)):
-        dphi = _delay(vectors[k, 0], impact)
-        vectors[k, 1] = -e * (vectors[k, 1] + gap2 * dphi) - gap2 * dphi
-        vectors[k, 0] *= -e
+        g, g1, _, _ = _get(vectors, k)
+        dphi = _delay(g, impact)
+        _put(vectors, k, -e * g, -e * (g1 + gap2 * dphi) - gap2 * dphi, 0.0, 0.0)

@@ -1,0 +1,239 @@
+"""Lyapunov exponents against multipliers of closed-form orbits, volumes in closed form, and a known chaos."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
+from paths import GOLDEN
+
+from kernel import interface
+from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes, labels
+from kernel.models import rigid
+from kernel.models.contact_law import contact_constants, damping_ratio
+from kernel.numerics.oscillator import motion
+from kernel.params import Cell, KernelInputError, Line, Outcome, Start
+
+REFERENCE = json.loads((GOLDEN / "multipliers.json").read_text())
+ORBITS = REFERENCE["rigid"]
+CHAOS = REFERENCE["chaos"]
+
+
+def name_of(orbit: dict) -> str:
+    return f"{orbit['gamma']}-{orbit['omega']}-{orbit['xi']}-T{orbit.get('flight_time', 0.0):.2f}"
+
+
+def exponents_of(line: Line) -> np.ndarray:
+    return line.lyapunov[0]
+
+
+# --- periodic cells -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("orbit", [o for o in ORBITS if o["stable"]], ids=name_of)
+def test_in_a_cycle_they_are_the_logarithms_of_its_multipliers(orbit):
+    """From the closed-form orbit, over 3,000 periods: those of a complex pair differ by 1e-3 within a cycle."""
+    cell = Cell(orbit["gamma"], orbit["omega"], orbit["xi"])
+    takeoff = np.array(
+        [orbit["takeoff_phase"], 1.0, 0.0, 0.0, orbit["elongation"], orbit["elongation_velocity"]]
+    )
+    line = run(
+        *cell, restitution=0.0, carry=True, start=Start(takeoff, cell), settle=200, observe=3000, exponents=2
+    )
+    assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, *orbit["mode"])
+    assert exponents_of(line) == pytest.approx(orbit["lyapunov"], abs=1e-6)
+
+
+@pytest.mark.parametrize("orbit", ORBITS, ids=name_of)
+def test_the_map_over_a_cycle_is_that_of_the_closed_form(orbit):
+    """M_stuck(2 pi k - T) B(T) of docs/model.md, section 7: stable orbits and the unstable one."""
+    cell = interface.prepare(
+        rigid.plate(restitution=np.zeros(1)), 0, orbit["gamma"], orbit["omega"], orbit["xi"]
+    )
+    phi, q, q1 = orbit["takeoff_phase"], orbit["elongation"], orbit["elongation_velocity"]
+    vectors = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    p = interface.flight(cell, phi, 0.0, 0.0, q, q1, math.inf, 10_000)
+    interface.carry_in_flight(cell, vectors, p.tau)
+    interface.carry_through_landing(cell, vectors, phi, 0.0, 0.0, q, q1, p)
+    landed = vectors[:, 2:].T.copy()
+    interface.carry_in_contact(cell, vectors, orbit["mode"][1] * TWO_PI - p.tau)
+
+    b, t = cell.dashpot, p.tau
+    c, c1 = motion(cell.flight, 1.0, 0.0, t)
+    s, s1 = motion(cell.flight, 0.0, 1.0, t)
+    closed = 0.5 * np.array([[1.0 + c, t + s], [c1 + b * (c - 1.0), 1.0 + s1 - b * (t - s)]])
+    assert landed == pytest.approx(closed, abs=1e-12)
+    cycle = vectors[:, 2:].T
+    assert np.trace(cycle) == pytest.approx(orbit["trace"], abs=1e-8)
+    assert np.linalg.det(cycle) == pytest.approx(orbit["det"], abs=1e-8)
+    assert np.all(vectors[:, :2] == 0.0)
+
+
+@pytest.mark.parametrize("cell", REFERENCE["soft"], ids=name_of)
+def test_soft_cycles_have_the_multipliers_of_an_independent_program(cell):
+    line = run(
+        cell["gamma"], cell["omega"], cell["xi"], Model.SOFT, restitution=cell["restitution"],
+        penetration=cell["penetration"], adhesive=cell["adhesive"], settle=200, observe=3000, exponents=2,
+    )  # fmt: skip
+    expected = [math.log(math.hypot(*m)) / cell["periods"] for m in cell["multipliers"]]
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert exponents_of(line) == pytest.approx(expected, abs=1e-6)
+
+
+def test_at_rest_they_are_those_of_the_stuck_spring():
+    """Underdamped, both exponents are -2 pi xi/Omega; overdamped, 2 pi times the two roots."""
+    gamma, omega, xi = 0.1, np.array([0.5, 0.5]), np.array([0.26, 1.5])
+    line = run(gamma, omega, xi, settle=10, observe=1000, exponents=3)
+    assert np.all(line.outcome == Outcome.AT_REST)
+    assert line.lyapunov[0] == pytest.approx([-TWO_PI * 0.52, -TWO_PI * 0.52, -math.inf], abs=1e-6)
+    root = math.sqrt(1.5**2 - 1.0)
+    assert line.lyapunov[1, :2] == pytest.approx([TWO_PI * (-1.5 + root) / 0.5, TWO_PI * (-1.5 - root) / 0.5])
+
+
+# --- aperiodic cells ------------------------------------------------------------------------
+
+
+def test_the_chaos_of_fig_2():
+    line = run(
+        CHAOS["gamma"], CHAOS["omega"], CHAOS["xi"], settle=200, observe=30_000, exponents=1, restitution=0.0
+    )
+    assert line.outcome[0] == Outcome.APERIODIC
+    assert exponents_of(line)[0] == pytest.approx(CHAOS["lyapunov"], abs=CHAOS["deviation"])
+
+
+def test_a_torus_is_told_from_chaos():
+    """Omega = 1, xi = 0.05 (Fig. 7b): a torus from the Neimark-Sacker point of (1,2), chaos from near 4.1."""
+    torus, chaos = np.arange(3.64, 4.05, 0.02), np.arange(4.12, 4.21, 0.02)
+    for settle, observe in ((200, 100), (2000, 1000)):
+        line = run(np.concatenate([torus, chaos]), 1.0, 0.05, settle=settle, observe=observe, exponents=2)
+        codes = label_codes(line.outcome, line.lyapunov, observe)
+        assert np.all(codes[: len(torus)] == QUASI_PERIODIC)
+        assert np.all(codes[len(torus) :] == CHAOTIC)
+        # the second exponent tells a torus from two frequencies more
+        assert np.all(line.lyapunov[: len(torus), 1] < 0.0)
+
+
+def test_the_exponent_of_a_torus_converges_faster_than_a_plain_mean_would():
+    """A plain mean over N periods is off by about 1/N: 3e-4 here."""
+    line = run(np.array([3.7, 3.8, 3.9, 4.0]), 1.0, 0.05, settle=2000, observe=3000, exponents=1)
+    assert np.all(np.abs(line.lyapunov[:, 0]) < 1e-6)
+
+
+# --- volumes --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+def test_their_sum_is_the_mean_rate_of_volume_of_soft(adhesive):
+    """The divergence is -2b in flight and -(2b + beta) in contact, and events keep the volume."""
+    xi, e, d = 0.1, 0.5, 0.2
+    line = run(
+        2.0, 1.0, xi, Model.SOFT, restitution=e, penetration=d, adhesive=adhesive, settle=300, observe=1200,
+        keep=100, exponents=4,
+    )  # fmt: skip
+    assert line.outcome[0] == Outcome.PERIODIC
+    bounces, time = int(line.bounces[0]), TWO_PI * int(line.periods[0])
+    in_flight = recorded(line)[-bounces:].sum()
+    _, beta = contact_constants(d, damping_ratio(e, adhesive))
+    volume = -4.0 * xi * time - beta * (time - in_flight)
+    assert exponents_of(line).sum() * time / TWO_PI == pytest.approx(volume, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("model", "gamma", "restitution"),
+    [(Model.RIGID, 4.0, 0.9), (Model.RIGID, 5.2, 0.7), (Model.BALL, 1.4526, 0.7)],
+)
+def test_their_sum_is_the_mean_rate_of_volume_of_hops(model, gamma, restitution):
+    """e**2 at every landing, and exp(-2b) per rad of a spring's flight. The cycles never stick."""
+    xi, omega = 0.3, 1.0
+    line = run(gamma, omega, xi, model, restitution=restitution, settle=300, observe=1400, exponents=2)
+    most = run(
+        gamma, omega, xi, model, restitution=restitution, settle=300, observe=1400,
+        exponents=2 if model is Model.BALL else 4,
+    )  # fmt: skip
+    assert most.outcome[0] == Outcome.PERIODIC
+    landings = 2.0 * math.log(restitution) * most.bounces[0] / most.periods[0]
+    dashpot = 0.0 if model is Model.BALL else -2.0 * (2.0 * xi / omega) * TWO_PI
+    assert exponents_of(most).sum() == pytest.approx(landings + dashpot, abs=1e-6)
+    assert exponents_of(most)[:2] == pytest.approx(exponents_of(line), abs=1e-12)
+
+
+# --- what has none --------------------------------------------------------------------------
+
+
+def test_a_ball_that_rests_forgets_everything():
+    line = run(2.0, 1.0, 0.0, Model.BALL, restitution=0.0, settle=20, observe=20, exponents=2)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert np.all(line.lyapunov == -math.inf)
+
+
+def test_a_cycle_that_takes_off_at_once_keeps_three_dimensions():
+    """Without sticking an inelastic landing kills one direction; with it a landing kills two."""
+    line = run([2.0, 1.5], [0.67, 0.5], [0.05, 0.26], restitution=0.0, exponents=3, settle=500, observe=100)
+    assert list(line.bounces) == [2, 1]
+    assert list(np.isinf(line.lyapunov[0])) == [False, False, True]
+    assert list(np.isinf(line.lyapunov[1])) == [False, False, True]
+
+
+def test_failed_cells_have_none():
+    line = run(3.0, 1.0, 0.05, Model.RIGID, restitution=1.0, settle=0, observe=2, exponents=4)
+    assert line.outcome[0] == Outcome.UNRESOLVED
+    assert np.all(np.isnan(line.lyapunov))
+
+
+@pytest.mark.parametrize(
+    ("model", "restitution", "most"),
+    [
+        (Model.RIGID, 0.0, 3),
+        (Model.RIGID, 0.5, 4),
+        (Model.SOFT, 0.5, 4),
+        (Model.BALL, 0.5, 2),
+        (Model.STEPPED, 0.5, 0),
+    ],
+)
+def test_no_more_than_the_state_has_dimensions(model, restitution, most):
+    if most:
+        line = run(2.0, 1.0, 0.1, model, restitution=restitution, settle=5, observe=5, exponents=most)
+        assert line.lyapunov.shape == (1, most)
+    with pytest.raises(KernelInputError, match=f"exponents: must be .* {most}"):
+        run(2.0, 1.0, 0.1, model, restitution=restitution, settle=5, observe=5, exponents=most + 1)
+
+
+# --- the rest of the record -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", [Model.SOFT, Model.BALL, Model.RIGID])
+def test_the_record_beside_them_is_the_same(model):
+    gamma = np.linspace(1.2, 5.0, 12)
+    options = {"restitution": 0.3, "penetration": 1e-2, "settle": 30, "observe": 20, "carry": True}
+    plain = run(gamma, 0.5, 0.26, model, **options)
+    line = run(gamma, 0.5, 0.26, model, exponents=2, **options)
+    assert line.lyapunov.shape == (12, 2)
+    assert_same_bytes(plain, line._replace(lyapunov=plain.lyapunov))
+
+
+def test_on_a_ramp_every_cell_begins_with_its_own_variations():
+    gamma = np.linspace(1.2, 5.0, 8)
+    line = run(gamma, 0.5, 0.26, carry=True, exponents=2)
+    for i in (3, 7):
+        start = Start(line.end_state[i - 1], Cell(float(gamma[i - 1]), 0.5, 0.26))
+        again = run(gamma[i : i + 1], 0.5, 0.26, carry=True, exponents=2, start=start)
+        assert np.array_equal(again.lyapunov[0], line.lyapunov[i])
+
+
+# --- labels ---------------------------------------------------------------------------------
+
+
+def test_labels_refine_aperiodic_only():
+    assert exponent_resolution(100) == 0.01
+    outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 5])
+    largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan])
+    lyapunov = np.stack([largest, largest - 1.0], axis=-1)
+    expected = ["chaotic" if o is Outcome.APERIODIC else o.name.lower() for o in Outcome]
+    expected += ["quasi-periodic", "quasi-periodic", "chaotic", "aperiodic", "aperiodic"]
+    assert list(labels(outcome, lyapunov, 100)) == expected
+    assert LABELS[: len(Outcome)] == tuple(o.name.lower() for o in Outcome)
+    shape = (2, 3)
+    grid = labels(np.full(shape, Outcome.APERIODIC, np.uint8), np.zeros((*shape, 1)), 100)
+    assert grid.shape == shape
+    assert np.all(grid == "quasi-periodic")
