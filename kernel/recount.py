@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.modes import REPEATS, find_cycle
+from kernel.modes import find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.jit import jit
 from kernel.params import Outcome
@@ -65,34 +65,43 @@ def _recount(
     flight_time: Any, takeoff_phase: Any, before: Any, now: Any,
     outcome: Any, bounces: Any, periods: Any, new_outcome: Any, new_bounces: Any, new_periods: Any,
 ) -> None:  # fmt: skip
-    n, keep = flight_time.shape
-    time, phase, period = np.empty(keep), np.empty(keep), np.empty(keep, dtype=np.int64)
-    place = np.empty(keep, dtype=np.int64)  # among the stored flights
-    for cell in range(n):
+    for cell in range(len(outcome)):
         if outcome[cell] not in (PERIODIC, APERIODIC, SETTLING):
             continue
-        count, turns, landing = 0, 0, 0.0  # landing: rad since the plate period of the last take-off began
-        for i in range(keep):
-            if math.isnan(flight_time[cell, i]):
-                break
-            start = takeoff_phase[cell, i]
-            if i:  # a contact of no length ends where the flight before it does, up to rounding
-                turns += math.ceil((landing - start) / TWO_PI - 1e-9)
-            landing = start + flight_time[cell, i]
-            if now[cell, i]:
-                time[count], phase[count], period[count] = flight_time[cell, i], start, turns
-                place[count] = i
-                count += 1
-        b, p = find_cycle(time[:count], phase[:count], period[:count], REPEATS)
+        time, phase, period, place = _select(flight_time[cell], takeoff_phase[cell], now[cell])
+        b, p = find_mode(time, phase, period)
         if b == 0:
+            settling = is_settling(time, phase)
+            if outcome[cell] == SETTLING and not settling:
+                # By the flights that counted before, or because the cell comes to rest? The latter stays.
+                time, phase, _, _ = _select(flight_time[cell], takeoff_phase[cell], before[cell])
+                settling = not is_settling(time, phase)
+            new_outcome[cell] = SETTLING if settling else APERIODIC
             new_bounces[cell], new_periods[cell] = 0, 0
-            new_outcome[cell] = SETTLING if outcome[cell] == SETTLING else APERIODIC
             continue
         if outcome[cell] == PERIODIC:
-            p = _periods(
-                before[cell], place[count - 1 - b], place[count - 1], bounces[cell], periods[cell], p
-            )
+            p = _periods(before[cell], place[-1 - b], place[-1], bounces[cell], periods[cell], p)
         new_outcome[cell], new_bounces[cell], new_periods[cell] = PERIODIC, b, p
+
+
+@jit
+def _select(flight_time: Any, takeoff_phase: Any, counts: Any) -> tuple[Any, Any, Any, Any]:
+    """Times, take-off phases and periods of a cell's flights that count, and their places among all."""
+    keep = len(flight_time)
+    time, phase = np.empty(keep), np.empty(keep)
+    period, place = np.empty(keep, dtype=np.int64), np.empty(keep, dtype=np.int64)
+    count, turns, landing = 0, 0, 0.0  # landing: rad since the plate period of the last take-off began
+    for i in range(keep):
+        if math.isnan(flight_time[i]):
+            break
+        start = takeoff_phase[i]
+        if i:  # a contact of no length ends where the flight before it does, up to rounding
+            turns += math.ceil((landing - start) / TWO_PI - 1e-9)
+        landing = start + flight_time[i]
+        if counts[i]:
+            time[count], phase[count], period[count], place[count] = flight_time[i], start, turns, i
+            count += 1
+    return time[:count], phase[:count], period[:count], place[:count]
 
 
 @jit
