@@ -10,7 +10,7 @@ import numpy as np
 
 from kernel.exponents import Variations, begin_window, carry, forget, start_variations
 from kernel.interface import contact, flight, replay
-from kernel.modes import REPEATS, find_cycle, is_settling, limit_cycle
+from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import inlined, jit
@@ -245,11 +245,8 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
     if not run.flew:
         return AT_REST, 0, 0
     time, phase, period = _counted(flights, first, run.recorded, flights.size, window.micro_flight)
-    bounces, periods = find_cycle(time, phase, period, REPEATS)
+    bounces, periods = find_mode(time, phase, period)
     if bounces > 0:
-        limit = limit_cycle(time, phase, bounces)
-        if periods * limit % bounces == 0:
-            bounces, periods = limit, periods * limit // bounces
         return PERIODIC, bounces, periods
     settling = _comes_to_rest(run, flights, first, window) or is_settling(time, phase)
     return SETTLING if settling else APERIODIC, 0, 0

@@ -76,6 +76,20 @@ def find_cycle(
 
 
 @jit
+def find_mode(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
+    """The mode (bounces, plate periods) of the flights of a window, or (0, 0): the limit of their cycle.
+
+    Arrays (n,) as in `find_cycle`.
+    """
+    bounces, periods = find_cycle(flight_time, takeoff_phase, takeoff_period, REPEATS)
+    if bounces > 0:
+        limit = limit_cycle(flight_time, takeoff_phase, bounces)
+        if periods * limit % bounces == 0:
+            return limit, periods * limit // bounces
+    return bounces, periods
+
+
+@jit
 def limit_cycle(flight_time: Any, takeoff_phase: Any, bounces: int) -> int:
     """The number of flights in the cycle that the last flights converge to: `bounces` or a divisor of it.
 

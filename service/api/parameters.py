@@ -11,6 +11,12 @@ from service.results.trajectory import MAX_SAMPLES
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
 Pixels = Annotated[int, Field(ge=1, le=4096)]
+MinFlight = Annotated[
+    Number | None,
+    Field(
+        ge=0, description="rad; shorter flights do not count, unless all of a cell are; default: micro_flight"
+    ),
+]
 Direction = Annotated[
     str | None, Field(description="rest, up or down; default: the first direction of the sweep")
 ]
@@ -46,7 +52,7 @@ class LineQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: Direction = None
-    min_flight: Annotated[Number, Field(ge=0, description="rad; shorter flights are left out")] = 0.0
+    min_flight: MinFlight = None
 
 
 class DiagramQuery(LineQuery):
@@ -77,6 +83,7 @@ class PlaneQuery(Query):
 
     xi: Number | None = None
     direction: Direction = None
+    min_flight: MinFlight = None
 
 
 class ModesQuery(PlaneQuery):

@@ -82,6 +82,11 @@ class Modes(BaseModel):
     outcome: list[list[int]]
     bounces: list[list[int]]
     periods: list[list[int]]
+    label: list[list[int]] | None = Field(
+        None,
+        description="with exponents: outcome, where 7 is quasi-periodic and 8 chaotic instead of aperiodic",
+    )
+    min_flight: float = Field(description="rad; shorter flights do not count, unless all of a cell are")
     complete: bool
     every: int = Field(1, description="every n-th value of both axes; left out if 1")
 

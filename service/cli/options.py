@@ -32,6 +32,11 @@ class CommandGroup(click.Group):
 
 job_argument = click.argument("job_id", metavar="ID")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+min_flight_option = click.option(
+    "--min-flight",
+    type=float,
+    help="Flights shorter than this (rad) do not count, unless all of a cell are.  [default: micro_flight]",
+)
 workers_option = click.option(
     "--workers", type=int, help="Worker processes of the local service.  [default: 2]"
 )
@@ -73,7 +78,7 @@ def line_options(command: Command) -> Command:
         click.option("--xi", type=float, help="ξ; the nearest grid value is used."),
         click.option("--direction", type=click.Choice(["up", "down"]),
                      help="Direction, for a sweep ramped both ways."),
-        click.option("--min-flight", type=float, help="Leave out flights shorter than this, in rad."),
+        min_flight_option,
         click.option("--every", type=click.IntRange(min=1), help="Take only every n-th cell."),
     )  # fmt: skip
 

@@ -92,13 +92,17 @@ _NOTES: Final = {
     "below the grid": _Note("≤ {low}", "bounces already at the lowest Γ, {low}: start lower"),
     "above the grid": _Note("> {high}", "at rest up to the highest Γ, {high}: end higher"),
     "never bounces up": _Note("never", "at rest at every Γ of the sweep, and by Eq. 25 at every other"),
-    "never bounces down": _Note("never", "no cell of the ramp down bounces, so no bouncing ends: start it higher"),
+    "never bounces down": _Note(
+        "never", "no cell of the ramp down bounces, so no bouncing ends: start it higher"
+    ),
     "not ramped": _Note("-", "the sweep is not ramped {direction}"),
     "not refined": _Note("≤ {grid}*", "not refined; the lowest Γ of the grid that bounces"),
     "missing": _Note("?", "the cell that decides is not computed yet"),
     "unresolved": _Note("unresolved", "the cell that decides ran out of events before its window ended"),
     "diverged": _Note("diverged", "a number of the cell that decides is not finite"),
-    "settling": _Note("settling", "the cell that decides was still settling: give it more time, settle_until"),
+    "settling": _Note(
+        "settling", "the cell that decides was still settling: give it more time, settle_until"
+    ),
 }
 
 
@@ -158,24 +162,34 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
 # Tables of cells and samples
 
 
+_MODE: Final = ("outcome", "bounces", "periods", "label")
+
+
 def modes_csv(mode_map: "xarray.Dataset") -> bytes:
-    """One row per cell."""
-    outcomes = mode_map.outcome.attrs["flag_meanings"].split()
+    """One row per cell; outcomes and labels by name."""
     omega, gamma = mode_map.omega.values.tolist(), mode_map.gamma.values.tolist()
-    planes = [mode_map[name].values.tolist() for name in ("outcome", "bounces", "periods")]
+    planes = {name: mode_map[name].values.tolist() for name in _MODE if name in mode_map}
+    names = {
+        name: mode_map[name].attrs["flag_meanings"].split() for name in ("outcome", "label") if name in planes
+    }
     rows = (
-        (omega[i], gamma[k], outcomes[planes[0][i][k]], planes[1][i][k], planes[2][i][k])
+        (
+            omega[i],
+            gamma[k],
+            *(names[name][plane[i][k]] if name in names else plane[i][k] for name, plane in planes.items()),
+        )
         for i in range(len(omega))
         for k in range(len(gamma))
     )
-    return _csv(("omega", "gamma", "outcome", "bounces", "periods"), rows)
+    return _csv(("omega", "gamma", *planes), rows)
 
 
 def modes_json(mode_map: "xarray.Dataset") -> bytes:
     """The axes, and a nested list (omega, gamma) per variable."""
-    names = ("omega", "gamma", "outcome", "bounces", "periods")
+    names = ["omega", "gamma", *(name for name in _MODE if name in mode_map)]
     plain = {"xi": float(mode_map.xi), "direction": str(mode_map.direction.values)}
     plain |= {name: mode_map[name].values.tolist() for name in names}
+    plain["min_flight"] = mode_map.attrs["min_flight"]
     return json.dumps({**plain, "complete": bool(mode_map.attrs["complete"])}).encode()
 
 

@@ -10,6 +10,7 @@ from service.cli.options import (
     job_argument,
     json_option,
     line_options,
+    min_flight_option,
     open_client,
     output_format,
     output_option,
@@ -77,6 +78,7 @@ def threshold(
 @click.option(
     "--direction", type=click.Choice(["up", "down"]), help="Direction, for a sweep ramped both ways."
 )
+@min_flight_option
 @click.option("--every", type=click.IntRange(min=1), help="Take only every n-th value of both axes.")
 @format_option(*TABLES)
 @output_option
@@ -85,6 +87,7 @@ def modes(
     job_id: str,
     xi: float | None,
     direction: str | None,
+    min_flight: float | None,
     every: int | None,
     format: str | None,
     output: str,
@@ -97,7 +100,7 @@ def modes(
     format = output_format(output, TABLES, format)
     with open_client(url, token) as client:
         job = client.job(job_id)
-        mode_map = job.modes(xi, direction, every=every)
+        mode_map = job.modes(xi, direction, min_flight=min_flight, every=every)
     write_file(output, modes_json(mode_map) if format == "json" else modes_csv(mode_map))
     _warn(job, "cells are missing")
 

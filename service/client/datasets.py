@@ -11,15 +11,20 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
+from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.client.errors import UnexpectedAnswer
 
 Attributes: TypeAlias = Mapping[str, Any]
-Variable: TypeAlias = tuple[str | tuple[()], NDArray[Any], dict[str, Any]]
+Variable: TypeAlias = tuple[str | tuple[str, ...], NDArray[Any], dict[str, Any]]
 
 _OUTCOMES: Final = {
     "flag_values": np.array([outcome.value for outcome in Outcome], np.uint8),
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
+}
+_LABELS: Final = {
+    "flag_values": np.arange(len(LABELS), dtype=np.uint8),
+    "flag_meanings": " ".join(LABELS),
 }
 
 #: dtype and attributes of every variable and coordinate of the results of a job.
@@ -33,6 +38,15 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "outcome": (np.uint8, {"long_name": "outcome of the cell", **_OUTCOMES}),
     "bounces": (np.int32, {"long_name": "bounces of the mode, 0 if none was found", "units": "1"}),
     "periods": (np.int32, {"long_name": "plate periods of the mode, 0 if none was found", "units": "1"}),
+    "label": (np.uint8, {"long_name": "outcome, aperiodic cells told apart by lyapunov", **_LABELS}),
+    "lyapunov": (
+        np.float64,
+        {
+            "long_name": "Lyapunov exponents, the largest first",
+            "units": "1",
+            "comment": "per plate period, natural logarithm",
+        },
+    ),
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
     "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
     "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
@@ -72,20 +86,27 @@ def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray
         }
         counts = {
             field: _variable(field, along, answer[field])
-            for field in ("flights", "outcome", "bounces", "periods")
+            for field in ("flights", "outcome", "bounces", "periods", "label")
+            if field in answer
         }
+        if "lyapunov" in answer:
+            exponents = np.array([_with_nan(row) for row in answer["lyapunov"]])
+            counts["lyapunov"] = _variable("lyapunov", (along, "exponent"), exponents)
         coordinates = {along: _variable(along, along, answer["values"])}
         coordinates |= {field: _variable(field, None, value) for field, value in answer["fixed"].items()}
         coordinates["direction"] = _direction(answer)
-        return _dataset({**variables, **counts}, coordinates, answer, f"bifurcation diagram: {name}", job_id)
+        dataset = _dataset(
+            {**variables, **counts}, coordinates, answer, f"bifurcation diagram: {name}", job_id
+        )
+        dataset.attrs["min_flight"] = float(answer["min_flight"])
+        return dataset
 
 
 def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Thresholds: dim omega, NaN unless the status is `found`."""
     with _reading("a list of thresholds"):
         variables = {
-            field: _variable(field, "omega", _with_nan(answer[field]))
-            for field in ("analytic", "up", "down")
+            field: _variable(field, "omega", _with_nan(answer[field])) for field in ("analytic", "up", "down")
         }
         for field in ("up_status", "down_status"):
             variables[field] = _variable(field, "omega", answer[field])
@@ -102,13 +123,16 @@ def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     with _reading("a mode map"):
         plane = ("omega", "gamma")
         variables = {
-            field: (plane, *_variable(field, None, answer[field])[1:])
-            for field in ("outcome", "bounces", "periods")
+            field: _variable(field, plane, answer[field])
+            for field in ("outcome", "bounces", "periods", "label")
+            if answer.get(field) is not None
         }
         coordinates = {axis: _variable(axis, axis, answer[axis]) for axis in plane}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         coordinates["direction"] = _direction(answer)
-        return _dataset(variables, coordinates, answer, "mode map", job_id)
+        dataset = _dataset(variables, coordinates, answer, "mode map", job_id)
+        dataset.attrs["min_flight"] = float(answer["min_flight"])
+        return dataset
 
 
 def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
@@ -160,7 +184,7 @@ def _dataset(
     )
 
 
-def _variable(field: str, dim: str | None, values: object) -> Variable:
+def _variable(field: str, dim: str | tuple[str, ...] | None, values: object) -> Variable:
     dtype, _ = _RESULTS[field]
     return (() if dim is None else dim), np.asarray(values, dtype), _attributes(field)
 

@@ -34,12 +34,14 @@ class Results(JobStatus):
         """The bifurcation diagram along one axis; the other parameters take the nearest grid value.
 
         `direction` is up or down for a sweep ramped both ways (default: up). Flights shorter than
-        `min_flight` (rad) are left out. `every` takes every n-th cell.
+        `min_flight` (rad; default: the sweep's `micro_flight`) do not count and are left out, unless all of a
+        cell are so short. `every` takes every n-th cell.
 
         Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
-        there is no flight; and with dim `along`: `flights`, `outcome`, `bounces`, `periods`. The attribute
-        `complete` is 0 while cells are missing. Raises BadRequest naming the parameter, TooLarge naming the
-        smallest `every` that fits.
+        there is no flight; and with dim `along`: `flights`, `outcome`, `bounces`, `periods`; of a sweep with
+        exponents `lyapunov` (`along`, exponent) and `label`, in which aperiodic cells are told apart. The
+        attribute `complete` is 0 while cells are missing. Raises BadRequest naming the parameter, TooLarge
+        naming the smallest `every` that fits.
         """
         from service.client.datasets import diagram_dataset
 
@@ -80,9 +82,9 @@ class Results(JobStatus):
     ) -> "xarray.Dataset":
         """The bouncing threshold per Ω: `analytic` by Eq. 25, `up` and `down` as computed.
 
-        `up_status` and `down_status` tell what the sweep says: "found", or why `up` or `down` is NaN, as "below
-        the grid" where the lowest Γ bounces already ("found", "below the grid", "above the grid", "never
-        bounces", "not ramped", "not refined", "missing", "unresolved", "diverged", "settling").
+        `up_status` and `down_status` tell what the sweep says: "found", or why `up` or `down` is NaN: "below
+        the grid" (the lowest Γ bounces already), "above the grid", "never bounces", "not ramped", "not
+        refined", or the outcome of the cell that decides: "missing", "unresolved", "diverged", "settling".
 
         Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
         refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
@@ -97,17 +99,24 @@ class Results(JobStatus):
         return threshold_dataset(json_object(answer), self.id)
 
     def modes(
-        self, xi: float | None = None, direction: str | None = None, *, every: int | None = None
+        self,
+        xi: float | None = None,
+        direction: str | None = None,
+        *,
+        min_flight: float | None = None,
+        every: int | None = None,
     ) -> "xarray.Dataset":
         """The mode map at the grid's ξ nearest to `xi`: `outcome`, `bounces`, `periods`.
 
-        `every` takes every n-th value of both axes. Returns a Dataset with dims (omega, gamma); its attribute
-        `complete` is 0 while cells are missing. Raises BadRequest naming the parameter, TooLarge naming the
-        smallest `every` that fits.
+        `min_flight` (rad) as in `diagram`: for a value other than the sweep's `micro_flight` the modes are
+        found anew from the stored flights. `every` takes every n-th value of both axes. Returns a Dataset
+        with dims (omega, gamma), of a sweep with exponents also `label`; its attribute `complete` is 0 while
+        cells are missing. Raises BadRequest naming the parameter, TooLarge naming the smallest `every` that
+        fits.
         """
         from service.client.datasets import modes_dataset
 
-        query = {"xi": xi, "direction": direction, "every": every}
+        query = {"xi": xi, "direction": direction, "min_flight": min_flight, "every": every}
         return modes_dataset(json_object(self._transport.get(self._path("modes"), query)), self.id)
 
     def export(self, path: str | PathLike[str]) -> Path:

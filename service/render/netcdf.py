@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from service.render.blocks import EXPORTED, blocks
+from service.render.blocks import blocks, exported
 from service.results.selection import Sweep
 from worker.schema import Array, Layout
 from worker.studies import Plan, study_of
@@ -18,18 +18,19 @@ from worker.studies import Plan, study_of
 def write(sweep: Sweep, plan: Plan, path: Path) -> None:
     """Write the sweep's file. Raises OSError, a `store.StoreError`."""
     layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
+    arrays = exported(sweep.spec)
     with h5netcdf.File(path, "w") as file:
         file.dimensions = {
-            dim: size for array in EXPORTED for dim, size in zip(array.dims, layout.shape(array), strict=True)
+            dim: size for array in arrays for dim, size in zip(array.dims, layout.shape(array), strict=True)
         }
         for name, values in layout.coordinates.items():
             _write_coordinate(file, name, values)
             file.variables[name].attrs.update(layout.coordinate_attrs[name])
-        for array in EXPORTED:
+        for array in arrays:
             _create_variable(file, array, layout)
         for block in blocks(sweep, plan):
             where = (sweep.spec.directions.index(block.direction), *block.cells.values())
-            for array in EXPORTED:
+            for array in arrays:
                 file.variables[array.name][where] = block.arrays[array.name]
         attributes = {**layout.attributes, **sweep.attributes}
         file.attrs.update({name: _text(value) for name, value in attributes.items()})

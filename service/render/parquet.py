@@ -10,8 +10,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from kernel.params import Outcome
-from service.render.blocks import EXPORTED, Block, blocks
+from kernel.labels import LABELS
+from service.render.blocks import Block, blocks, exported
+from service.results.counting import LABEL
 from service.results.selection import Sweep
 from worker import schema
 from worker.spec import AXES, SweepSpec
@@ -23,22 +24,34 @@ def _column(array: schema.Array) -> tuple[str, pa.DataType]:
     return array.name, pa.list_(dtype) if array.extra_dims else dtype
 
 
-_OUTCOME: Final = schema.OUTCOME.name
-#: Where the cell is and its outcome by name, then the stored arrays: counts first, lists last.
-_SCHEMA: Final = pa.schema(
-    [
-        ("direction", pa.string()),
-        *((axis, pa.float64()) for axis in reversed(AXES)),
-        (_OUTCOME, pa.string()),
-        *map(_column, sorted(schema.RECORD, key=lambda array: len(array.extra_dims))),
-    ]
-)
+#: The columns of names instead of codes.
+_NAMED: Final = (schema.OUTCOME.name, LABEL.name)
+
+
+def _schema(spec: SweepSpec) -> pa.Schema:
+    """Where the cell is, its outcome and label by name, then the stored arrays: counts first, lists last."""
+    arrays = {array.name: array for array in exported(spec)}
+    named = [name for name in _NAMED if name in arrays]
+    return pa.schema(
+        [
+            ("direction", pa.string()),
+            *((axis, pa.float64()) for axis in reversed(AXES)),
+            *((name, pa.string()) for name in named),
+            *map(
+                _column,
+                sorted(
+                    (array for name, array in arrays.items() if name not in named),
+                    key=lambda array: len(array.extra_dims),
+                ),
+            ),
+        ]
+    )
 
 
 def write(sweep: Sweep, plan: Plan, path: Path) -> None:
     """Write the sweep's file. Raises OSError, a `store.StoreError`."""
     origin = {**sweep.attributes, "spec": json.dumps(sweep.spec.as_submitted())}
-    table = _SCHEMA.with_metadata(origin)
+    table = _schema(sweep.spec).with_metadata(origin)
     with parquet.ParquetWriter(path, table, compression="zstd") as file:
         for block in blocks(sweep, plan):
             file.write_batch(_rows(sweep.spec, block, table))
@@ -47,22 +60,24 @@ def write(sweep: Sweep, plan: Plan, path: Path) -> None:
 def _rows(spec: SweepSpec, block: Block, table: pa.Schema) -> pa.RecordBatch:
     values = [spec.axis_values(axis)[block.cells[axis]] for axis in AXES]
     grid = dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
-    outcomes = np.array([outcome.name.lower() for outcome in Outcome])
-    columns = {array.name: _values(array, block.arrays) for array in EXPORTED}
+    columns = {array.name: _values(array, block.arrays) for array in exported(spec)}
     columns |= {axis: grid[axis].ravel() for axis in AXES}
-    columns["direction"] = np.full(len(columns[_OUTCOME]), block.direction)
-    columns[_OUTCOME] = outcomes[columns[_OUTCOME]]
+    columns["direction"] = np.full(len(columns["flights"]), block.direction)
+    columns |= {name: np.array(LABELS)[columns[name]] for name in _NAMED if name in columns}
     return pa.record_batch([pa.array(columns[name]) for name in table.names], schema=table)
 
 
 def _values(array: schema.Array, arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """One value per cell; of an array with a value per flight, the list of those that are kept."""
+    """One value per cell; a list of the exponents; a list of the flights that are kept."""
     values = arrays[array.name]
-    return _lists(values, arrays["flights"].ravel()) if array.extra_dims else values.ravel()
+    if not array.extra_dims:
+        return values.ravel()
+    flights = arrays["flights"].ravel()
+    return _lists(values, flights if "flight" in array.dims else np.full_like(flights, values.shape[-1]))
 
 
 def _lists(values: NDArray[Any], flights: NDArray[np.int32]) -> pa.Array:
-    """(cells, keep) → for each cell the list of the flights that are kept."""
+    """(…, keep) → for each cell the list of the first of them, as many as `flights` (cells,) says."""
     keep = values.shape[-1]
     kept = np.minimum(flights, keep)
     offsets = np.concatenate([[0], np.cumsum(kept)]).astype(np.int32)

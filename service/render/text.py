@@ -9,19 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from kernel.labels import LABELS
 from kernel.numerics.elementary import TWO_PI
-from kernel.params import Outcome
-from service.results.diagram import DIAGRAM_ARRAYS, Diagram
+from service.results.counting import LABEL
+from service.results.diagram import Diagram
 from service.results.mode_map import Plane
 from service.results.trajectory import Motion
 from worker import schema
 from worker.spec import AXES
 
 #: Arrays of a diagram with a value per flight, and the counts per cell that a table repeats in each row.
-_PER_FLIGHT: Final = [array for array in DIAGRAM_ARRAYS if array.extra_dims]
+_PER_FLIGHT: Final = [array for array in schema.RECORD if array.extra_dims]
 _PER_CELL: Final = [array for array in schema.RECORD if not array.extra_dims and array.name != "flights"]
 
-#: The columns of a table, with units where there are any. One row is one flight.
+#: The columns of a table, with units where there are any. One row is one flight. Where there are exponents,
+#: `lyapunov_1` and so on and the label follow.
 COLUMNS: Final = (
     "direction",
     *reversed(AXES),
@@ -46,9 +48,10 @@ def diagram_json(diagram: Diagram) -> bytes:
         "direction": to_json(diagram.direction),
         "values": _list(diagram.values),
     }
-    for array in DIAGRAM_ARRAYS:
-        values = diagram.arrays[array.name]
-        members[array.name] = _lists(values, diagram.shown) if array.extra_dims else _list(values)
+    per_flight = {array.name for array in _PER_FLIGHT}
+    for name, values in diagram.arrays.items():
+        members[name] = _lists(values, diagram.shown) if name in per_flight else _list(values)
+    members["min_flight"] = to_json(diagram.min_flight)
     return _object(members, diagram.complete, diagram.every)
 
 
@@ -60,6 +63,7 @@ def mode_map_json(plane: Plane) -> bytes:
         "omega": _list(plane.omega),
         "gamma": _list(plane.gamma),
         **{name: _list(array) for name, array in plane.arrays.items()},
+        "min_flight": to_json(plane.min_flight),
     }
     return _object(members, plane.complete, plane.every)
 
@@ -95,7 +99,7 @@ def diagrams_csv(diagrams: Sequence[Diagram]) -> bytes:
     """A table with a header and one row per flight; cells without flights have none."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(COLUMNS)
+    table.writerow([*COLUMNS, *_exponent_columns(diagrams[0])])
     for diagram in diagrams:
         table.writerows(_rows(diagram))
     return text.getvalue().encode()
@@ -128,13 +132,22 @@ def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> bytes:
     return b"[" + b",".join(parts) + b"]"
 
 
+def _exponent_columns(diagram: Diagram) -> list[str]:
+    if LABEL.name not in diagram.arrays:
+        return []
+    count = diagram.arrays[schema.LYAPUNOV.name].shape[1]
+    return [*(f"{schema.LYAPUNOV.name}_{i + 1}" for i in range(count)), LABEL.name]
+
+
 def _rows(diagram: Diagram) -> Iterator[list[Any]]:
-    outcomes = {int(outcome): outcome.name.lower() for outcome in Outcome}
     for cell, value in enumerate(diagram.values.tolist()):
         position = {**diagram.fixed, diagram.along: value}
         before = [diagram.direction, *(position[axis] for axis in reversed(AXES))]
-        after: list[Any] = [outcomes[int(diagram.outcome[cell])]]
+        after: list[Any] = [LABELS[int(diagram.outcome[cell])]]
         after += [int(diagram.arrays[array.name][cell]) for array in _PER_CELL]
+        if LABEL.name in diagram.arrays:
+            after += diagram.arrays[schema.LYAPUNOV.name][cell].tolist()
+            after.append(LABELS[int(diagram.arrays[LABEL.name][cell])])
         flights = [diagram.arrays[array.name][cell].tolist() for array in _PER_FLIGHT]
         for flight in np.flatnonzero(diagram.shown[cell]).tolist():
             yield [*before, flight, *(values[flight] for values in flights), *after]

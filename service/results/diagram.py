@@ -3,12 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
+from kernel.recount import counted
+from service.results.counting import recounted, shortest
 from service.results.selection import (
     MAX_READ,
     Sweep,
@@ -19,9 +21,12 @@ from service.results.selection import (
     thinning,
 )
 from worker import schema
+from worker.spec import SweepSpec
 
-#: The stored arrays of a diagram: one value per flight, or one per cell.
-DIAGRAM_ARRAYS: Final = (*schema.RECORD, schema.OUTCOME)
+
+def diagram_arrays(spec: SweepSpec) -> tuple[schema.Array, ...]:
+    """The stored arrays of a diagram: one value per flight, per exponent, or per cell."""
+    return tuple(array for array in schema.arrays(spec) if array is not schema.END_STATE)
 
 
 @dataclass(frozen=True)
@@ -32,8 +37,10 @@ class Diagram:
     fixed: Mapping[str, float]
     direction: str
     values: NDArray[np.float64]  # (n,) of the axis `along`
-    arrays: Mapping[str, NDArray[Any]]  # DIAGRAM_ARRAYS by name: (n, keep) per flight, (n,) per cell
-    min_flight: float = 0.0  # rad; shorter flights are not in `shown`
+    #: By name: (n, keep) per flight, (n, exponents), (n,) per cell; outcome and mode by the flights that
+    #: count, and `counting.LABEL` where there are exponents.
+    arrays: Mapping[str, NDArray[Any]]
+    min_flight: float = 0.0  # rad; shorter flights do not count, unless all of a cell are
     every: int = 1  # the cells are every n-th of the axis
 
     @property
@@ -48,11 +55,8 @@ class Diagram:
 
     @cached_property
     def shown(self) -> NDArray[np.bool_]:
-        """(n, keep) whether an entry is a finite flight of at least `min_flight`."""
-        kept = np.arange(self.flight_time.shape[1]) < self.arrays["flights"][:, None]
-        finite = np.isfinite(self.flight_time) & np.isfinite(self.arrays["takeoff_phase"])
-        shown: NDArray[np.bool_] = kept & finite & (self.flight_time >= self.min_flight)
-        return shown
+        """(n, keep) whether an entry is a flight that counts: see `kernel.recount.counted`."""
+        return counted(self.flight_time, self.arrays["flights"], self.min_flight)
 
     @property
     def missing(self) -> int:
@@ -70,14 +74,15 @@ def diagram(
     along: str,
     values: Mapping[str, float | None],
     direction: str | None,
-    min_flight: float,
+    min_flight: float | None,
     max_points: int,
     every: int = 1,
 ) -> Diagram:
     """The cells along `along`, every n-th of them, at the grid values nearest to `values` of the other axes.
 
-    Reads only the chunks that hold these cells. `min_flight` is in rad. Raises InvalidRequest naming a
-    parameter that is missing, unknown or outside its axis, TooLarge for more than `max_points` flights.
+    Reads only the chunks that hold these cells. `min_flight` is in rad; None is the sweep's `micro_flight`.
+    Raises InvalidRequest naming a parameter that is missing, unknown or outside its axis, TooLarge for more
+    than `max_points` flights.
     """
     spec = sweep.spec
     fixed = fixed_axes(spec, along, values)
@@ -87,9 +92,10 @@ def diagram(
     what = f"{cells:,} values of {along} × keep {spec.keep:,}"
     check_points(cells * spec.keep, max_points, what, thinning((len(axis),), spec.keep, max_points))
     indices = {name: point.index for name, point in fixed.items()} | {along: slice(None, None, every)}
-    arrays = read(sweep, [array.name for array in DIAGRAM_ARRAYS], direction, indices)
+    arrays = read(sweep, [array.name for array in diagram_arrays(spec)], direction, indices)
+    arrays |= recounted(spec, arrays, min_flight)
     fixed_values = {name: point.value for name, point in fixed.items()}
-    return Diagram(along, fixed_values, direction, axis[::every], arrays, min_flight, every)
+    return Diagram(along, fixed_values, direction, axis[::every], arrays, shortest(spec, min_flight), every)
 
 
 def diagrams(
@@ -97,7 +103,7 @@ def diagrams(
     along: str,
     values: Mapping[str, float | None],
     direction: str | None,
-    min_flight: float,
+    min_flight: float | None,
     max_points: int,
     every: int = 1,
 ) -> list[Diagram]:
@@ -112,7 +118,7 @@ def diagrams_to_draw(
     along: str,
     values: Mapping[str, float | None],
     direction: str | None,
-    min_flight: float,
+    min_flight: float | None,
     every: int = 1,
 ) -> list[Diagram]:
     """`diagrams` for a picture: a line with more flights than MAX_READ is thinned instead of refused."""

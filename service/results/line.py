@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
+from kernel.recount import counted
 from service.errors import InvalidRequest
+from service.results.counting import arrays_of_modes, recounted, shortest
 from service.results.density import Window, density
-from service.results.mode_map import MODE_ARRAYS
 from service.results.selection import MAX_READ, Sweep, fixed_axes, read, resolve_direction, thinning
-
-#: The stored arrays that a line is made of.
-LINE_ARRAYS: Final = ("flight_time", "flights", *MODE_ARRAYS)
 
 #: Counts above this are sent as this: one byte per bin.
 MAX_COUNT: Final = 255
@@ -26,9 +24,12 @@ class FlightLine:
 
     fixed: dict[str, float]
     direction: str
-    cells: dict[str, NDArray[Any]]  # each (n,): values, shown, outcome, bounces, periods
+    cells: dict[
+        str, NDArray[Any]
+    ]  # each (n,): values, shown, outcome, bounces, periods, with exponents label
     flights: NDArray[np.float32]  # (sum of shown,) rad; single precision is finer than a screen
     every: int  # the cells are every n-th of the axis
+    min_flight: float  # rad; the flights are those that count
 
     @property
     def missing(self) -> int:
@@ -42,11 +43,15 @@ class FlightLine:
 
 
 def read_line(
-    sweep: Sweep, along: str, values: Mapping[str, float | None], direction: str | None, min_flight: float
+    sweep: Sweep,
+    along: str,
+    values: Mapping[str, float | None],
+    direction: str | None,
+    min_flight: float | None,
 ) -> FlightLine:
-    """The cells along `along` and their flights of at least `min_flight` (rad); a very long line is thinned.
+    """The cells along `along` and their flights that count; a very long line is thinned.
 
-    Raises InvalidRequest as `diagram.diagram`.
+    `min_flight` is in rad; None is the sweep's `micro_flight`. Raises InvalidRequest as `diagram.diagram`.
     """
     spec = sweep.spec
     fixed = fixed_axes(spec, along, values)
@@ -54,14 +59,16 @@ def read_line(
     axis = spec.axis_values(along)
     every = thinning((len(axis),), spec.keep, MAX_READ) or len(axis)
     indices = {name: point.index for name, point in fixed.items()} | {along: slice(None, None, every)}
-    arrays = read(sweep, LINE_ARRAYS, direction, indices)
+    names = {"flight_time", "flights", *arrays_of_modes(spec, min_flight)}
+    arrays = read(sweep, sorted(names), direction, indices)
     times = arrays["flight_time"]
-    shown = np.arange(spec.keep) < arrays["flights"][:, None]
-    shown &= times >= min_flight  # false for NaN
+    shown = counted(times, arrays["flights"], shortest(spec, min_flight))
     cells = {"values": axis[::every], "shown": np.count_nonzero(shown, axis=1).astype(np.int32)}
-    cells |= {name: arrays[name] for name in MODE_ARRAYS}
+    cells |= recounted(spec, arrays, min_flight)
     fixed_values = {name: point.value for name, point in fixed.items()}
-    return FlightLine(fixed_values, direction, cells, times[shown].astype(np.float32), every)
+    return FlightLine(
+        fixed_values, direction, cells, times[shown].astype(np.float32), every, shortest(spec, min_flight)
+    )
 
 
 def window_of(

@@ -2,17 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
-from service.results.selection import Sweep, check_points, nearest_index, read, resolve_direction, thinning
-from worker import schema
-
-#: The stored arrays that tell a cell's mode.
-MODE_ARRAYS: Final = (schema.OUTCOME.name, "bounces", "periods")
+from service.results.counting import arrays_of_modes, needs_flights, recounted, shortest
+from service.results.selection import (
+    MAX_READ,
+    Sweep,
+    check_points,
+    nearest_index,
+    read,
+    resolve_direction,
+    thinning,
+)
+from worker.spec import SweepSpec
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,7 @@ class Plane:
     gamma: NDArray[np.float64]
     arrays: Mapping[str, NDArray[Any]]  # each (n_omega, n_gamma)
     every: int = 1  # the cells are every n-th of both axes
+    min_flight: float = 0.0  # rad; shorter flights do not count for the mode, unless all of a cell are
 
     @property
     def complete(self) -> bool:
@@ -32,18 +39,27 @@ class Plane:
         return bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
 
 
-def modes(sweep: Sweep, xi: float | None, direction: str | None, max_points: int, every: int = 1) -> Plane:
+def modes(
+    sweep: Sweep,
+    xi: float | None,
+    direction: str | None,
+    max_points: int,
+    every: int = 1,
+    min_flight: float | None = None,
+) -> Plane:
     """The mode map at the grid's xi nearest to `xi`, every n-th cell of both axes.
 
-    Raises InvalidRequest as `selection.nearest_index`, TooLarge for more than `max_points` cells.
+    `min_flight` is in rad; None is the sweep's `micro_flight`, whose modes are stored, for another value the
+    flights are read. Raises InvalidRequest as `selection.nearest_index`, TooLarge for more than `max_points`
+    cells, or more than MAX_READ flights to read.
     """
     lengths = [len(sweep.spec.axis_values(axis)) for axis in ("omega", "gamma")]
     omegas, gammas = (-(-n // every) for n in lengths)
     what = f"{omegas:,} values of omega × {gammas:,} of gamma"
-    check_points(omegas * gammas, max_points, what, thinning(lengths, 1, max_points))
+    fitting = _cells(sweep.spec, min_flight, max_points)
+    check_points(omegas * gammas, fitting, what, thinning(lengths, 1, fitting))
     part = slice(None, None, every)
-    cells = plane(sweep, xi, resolve_direction(sweep.spec, direction), MODE_ARRAYS, part, part)
-    return replace(cells, every=every)
+    return replace(_recounted_plane(sweep, xi, direction, min_flight, part, part), every=every)
 
 
 def modes_between(
@@ -53,17 +69,18 @@ def modes_between(
     gamma: tuple[float | None, float | None],
     omega: tuple[float | None, float | None],
     max_points: int,
+    min_flight: float | None = None,
 ) -> Plane:
     """The mode map between two values of gamma and of omega; None is the end of the axis.
 
-    Thinned to at most `max_points` cells. Raises InvalidRequest as `selection.nearest_index`.
+    Thinned to what `modes` can hold, with `min_flight` as there. Raises InvalidRequest as
+    `selection.nearest_index`.
     """
     columns = _between(sweep.spec.axis_values("gamma"), *gamma)
     rows = _between(sweep.spec.axis_values("omega"), *omega)
-    every = thinning((len(rows), len(columns)), 1, max_points) or 1
+    every = thinning((len(rows), len(columns)), 1, _cells(sweep.spec, min_flight, max_points)) or 1
     part = (slice(rows.start, rows.stop, every), slice(columns.start, columns.stop, every))
-    cells = plane(sweep, xi, resolve_direction(sweep.spec, direction), MODE_ARRAYS, *part)
-    return replace(cells, every=every)
+    return replace(_recounted_plane(sweep, xi, direction, min_flight, *part), every=every)
 
 
 def plane(
@@ -83,6 +100,27 @@ def plane(
     arrays = read(sweep, names, direction, {"xi": point.index, "omega": omega, "gamma": gamma})
     omegas, gammas = spec.axis_values("omega")[omega], spec.axis_values("gamma")[gamma]
     return Plane(point.value, direction, omegas, gammas, arrays)
+
+
+def _cells(spec: SweepSpec, min_flight: float | None, max_points: int) -> int:
+    """The most cells of one answer: where their flights are read, as many as MAX_READ flights belong to."""
+    return min(max_points, max(1, MAX_READ // spec.keep)) if needs_flights(spec, min_flight) else max_points
+
+
+def _recounted_plane(
+    sweep: Sweep,
+    xi: float | None,
+    direction: str | None,
+    min_flight: float | None,
+    omega: slice,
+    gamma: slice,
+) -> Plane:
+    """Outcome and mode over a part of (omega, gamma) if flights longer than `min_flight` (rad) count."""
+    spec = sweep.spec
+    names = arrays_of_modes(spec, min_flight)
+    cells = plane(sweep, xi, resolve_direction(spec, direction), names, omega, gamma)
+    arrays = recounted(spec, cells.arrays, min_flight)
+    return replace(cells, arrays=arrays, min_flight=shortest(spec, min_flight))
 
 
 def _between(values: NDArray[np.float64], low: float | None, high: float | None) -> range:

@@ -108,7 +108,7 @@ def refined(
 
 
 def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.float64], list[Status], bool]:
-    """(n_omega,) the lowest Γ that bounces and its statuses, NaN unless found; and whether all is computed."""
+    """(n_omega,) the lowest Γ that bounces, NaN unless found; the statuses; whether all is computed."""
     gamma = sweep.spec.axis_values("gamma")
     endless = endless_rest(sweep.spec, sweep.spec.axis_values("omega"), xi)
     rows = max(1, MAX_READ // len(gamma))

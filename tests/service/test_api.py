@@ -231,9 +231,10 @@ def test_diagrams_contain_the_reference_flights(client: TestClient, name: str):
         assert sorted(flights) == pytest.approx(cell["flights"], abs=tolerance), point
 
 
-def test_short_flights_may_be_left_out(client: TestClient, figure_2: str):
+def test_short_flights_do_not_count_unless_all_are_short(client: TestClient, figure_2: str):
     everything, long = get(client, f"{figure_2}/diagram"), get(client, f"{figure_2}/diagram", min_flight=5.0)
-    assert long["flight_time"] == [[t for t in cell if t >= 5] for cell in everything["flight_time"]]
+    assert long["flight_time"] == [[t for t in cell if t > 5] or cell for cell in everything["flight_time"]]
+    assert (everything["min_flight"], long["min_flight"]) == (0.05, 5.0)
     assert [len(cell) for cell in long["takeoff_phase"]] == [len(cell) for cell in long["flight_time"]]
     assert long["flights"] == everything["flights"]
 

@@ -221,7 +221,13 @@ def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
 def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
     def dataset(up: float, **attributes: object) -> xarray.Dataset:
         status = "not refined" if np.isnan(up) else "found"
-        columns = {"analytic": np.inf, "up": up, "down": np.nan, "up_status": status, "down_status": "not ramped"}
+        columns = {
+            "analytic": np.inf,
+            "up": up,
+            "down": np.nan,
+            "up_status": status,
+            "down_status": "not ramped",
+        }
         variables = {name: ("omega", [value]) for name, value in columns.items()}
         return xarray.Dataset(variables, {"omega": [0.5], "xi": 0.26}, {"complete": 1, **attributes})
 

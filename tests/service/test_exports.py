@@ -19,7 +19,8 @@ from served import RAMP, computing, finished, get, occupied, service
 from kernel.params import Outcome
 from service import formats
 from service.api import schemas
-from service.results.mode_map import MODE_ARRAYS, modes
+from service.results.counting import MODE_ARRAYS
+from service.results.mode_map import modes
 from service.results.selection import Sweep
 from service.server import embedded
 from service.settings import Settings

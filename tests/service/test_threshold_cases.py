@@ -1,9 +1,9 @@
-"""Thresholds say what they know: 24 sweeps, and what is answered for each, by the worker's rule and over HTTP.
+"""Thresholds say what they know: 24 sweeps, and the answer for each, by the worker's rule and over HTTP.
 
 A row gives the outcomes of the cells along gamma, 1.0 at the first, in steps of 0.1: r at rest, p periodic,
-a aperiodic, s settling, u unresolved, d diverged, . missing. The outcomes are put into the store of a finished
-job, so that every case takes the way from the store to the answer. What the kernel itself gives is tested in
-tests/worker/test_thresholds.py.
+a aperiodic, s settling, u unresolved, d diverged, . missing. The outcomes are put into the store of a
+finished job, so that every case takes the way from the store to the answer. What the kernel itself gives is
+tested in tests/worker/test_thresholds.py.
 """
 
 from collections.abc import Iterator
@@ -150,4 +150,3 @@ def submitted(client: TestClient, case: Case) -> str:
         record["outcome"] = plane[cells["omega"], cells["gamma"]][None]
         store.write_chunk(url, chunk, record)
     return here
-

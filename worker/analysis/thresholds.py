@@ -32,8 +32,8 @@ MAX_CELLS: Final = 2_000
 #: Typical number of cells per threshold, to estimate the cost of a request.
 TYPICAL_CELLS: Final = 40
 
-#: A cell of a refinement that is still settling after its window goes on to this many times its length. Near a
-#: threshold settling is slow, and a cell that has not settled decides nothing.
+#: A cell of a refinement that is still settling after its window goes on to this many times its length.
+#: Near a threshold settling is slow, and a cell that has not settled decides nothing.
 PATIENCE: Final = 16
 
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
@@ -58,9 +58,13 @@ class Status(StrEnum):
 
 
 #: The status by the outcome of the lowest cell that is not at rest.
-_BY_OUTCOME: Final[dict[int, Status]] = dict.fromkeys(BOUNCING, Status.FOUND) | {
-    outcome: Status(outcome.name.lower())
-    for outcome in (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED, Outcome.SETTLING)
+_BY_OUTCOME: Final[dict[int, Status]] = {
+    Outcome.PERIODIC: Status.FOUND,
+    Outcome.APERIODIC: Status.FOUND,
+    Outcome.MISSING: Status.MISSING,
+    Outcome.UNRESOLVED: Status.UNRESOLVED,
+    Outcome.DIVERGED: Status.DIVERGED,
+    Outcome.SETTLING: Status.SETTLING,
 }
 
 
@@ -68,7 +72,7 @@ class OnGrid(NamedTuple):
     """What one line of cells along gamma says of its threshold."""
 
     status: Status
-    index: int | None  # of the lowest cell that bounces, where the threshold was found
+    lowest: int | None  # index of the lowest cell that bounces, where the threshold was found
 
 
 class Refined(NamedTuple):
@@ -132,9 +136,12 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
                 edge = _Edge(lowest, lowest - 1) if down else _Edge(lowest - 1, lowest)
                 result = _refine_line(fine, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
-    values = {name: tuple(value for value, _ in pairs) for name, pairs in results.items()}
-    statuses = {f"{name}_status": tuple(status for _, status in pairs) for name, pairs in results.items()}
-    return Refined(**values, **statuses)
+    return Refined(
+        tuple(value for value, _ in results["up"]),
+        tuple(value for value, _ in results["down"]),
+        tuple(status for _, status in results["up"]),
+        tuple(status for _, status in results["down"]),
+    )
 
 
 def _patient(spec: SweepSpec) -> SweepSpec:

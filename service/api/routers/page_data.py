@@ -51,6 +51,7 @@ def line(
         "fixed": flight_line.fixed,
         "direction": flight_line.direction,
         "every": flight_line.every,
+        "min_flight": flight_line.min_flight,
         "missing": flight_line.missing,
         "points": len(flight_line.flights),
         "highest": flight_line.longest,
@@ -72,7 +73,7 @@ def plane(
     """
     cells = mode_map.modes_between(
         dependencies.sweep(service, job), query.xi, query.direction,
-        (query.left, query.right), (query.bottom, query.top), service.settings.max_points,
+        (query.left, query.right), (query.bottom, query.top), service.settings.max_points, query.min_flight,
     )  # fmt: skip
     attributes = {
         "xi": cells.xi,
@@ -80,6 +81,7 @@ def plane(
         "complete": cells.complete,
         "every_gamma": cells.every,
         "every_omega": cells.every,
+        "min_flight": cells.min_flight,
     }
     return _packed(attributes, {"omega": cells.omega, "gamma": cells.gamma, **cells.arrays}, request)
 

@@ -88,7 +88,7 @@ def job_threshold(
 def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    plane = mode_map.modes(sweep, query.xi, query.direction, max_points, query.every)
+    plane = mode_map.modes(sweep, query.xi, query.direction, max_points, query.every, query.min_flight)
     headers = _complete(plane.complete)
     return Response(text.mode_map_json(plane), media_type=MEDIA_TYPES["json"], headers=headers)
 

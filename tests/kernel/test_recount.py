@@ -1,0 +1,75 @@
+"""Modes of stored flights with another shortest flight: the same as if the kernel had classified with it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kernel.line import run_line
+from kernel.models import rigid, soft
+from kernel.params import Line, Outcome
+from kernel.recount import Modes, counted, recount
+
+GAMMA = np.linspace(1.05, 6.0, 100)
+OMEGA, XI = np.full(100, 0.5), np.full(100, 0.26)
+PLATES = {
+    "soft": soft.plate(restitution=np.full(100, 0.01), penetration=np.full(100, 1e-3), adhesive=True),
+    "rigid, e = 0.3": rigid.plate(restitution=np.full(100, 0.3)),
+}
+
+
+def run(plate: Any, micro_flight: float) -> Line:
+    """From rest, with room for all flights that the kernel itself looks at."""
+    return run_line(
+        GAMMA,
+        OMEGA,
+        XI,
+        plate=plate,
+        carry=False,
+        settle=200,
+        observe=60,
+        keep=512,
+        micro_flight=micro_flight,
+    )
+
+
+def modes(line: Line) -> Modes:
+    return Modes(line.outcome, line.bounces, line.periods)
+
+
+@pytest.mark.parametrize("plate", PLATES.values(), ids=PLATES)
+@pytest.mark.parametrize(("before", "shortest"), [(0.0, 0.05), (0.05, 0.0), (0.0, 1.0), (1.0, 0.0)])
+def test_the_modes_are_those_the_kernel_finds(plate: Any, before: float, shortest: float):
+    stored, expected = run(plate, before), run(plate, shortest)
+    found = recount(stored.flight_time, stored.takeoff_phase, stored.flights, modes(stored), before, shortest)
+    np.testing.assert_array_equal(found.outcome, expected.outcome)
+    np.testing.assert_array_equal(found.bounces, expected.bounces)
+    np.testing.assert_array_equal(found.periods, expected.periods)
+    assert np.count_nonzero(found.bounces != stored.bounces) > 10  # the test is of something
+
+
+def test_flights_count_that_are_longer_or_all_of_a_cell_without_any():
+    times = np.array([[0.01, 3.0, 0.02], [0.01, 0.02, np.nan], [0.05, 0.06, np.nan]])
+    assert counted(times, np.array([9, 2, 2], np.int32), 0.05).tolist() == [
+        [False, True, False],
+        [True, True, False],
+        [False, True, False],
+    ]
+
+
+def test_cells_without_flights_keep_their_outcome():
+    outcome = np.array([Outcome.MISSING, Outcome.AT_REST, Outcome.UNRESOLVED, Outcome.DIVERGED], np.uint8)
+    empty, none = np.full((4, 8), np.nan), np.zeros(4, np.int32)
+    found = recount(empty, empty, none, Modes(outcome, none, none), 0.05, 0.0)
+    assert found.outcome.tolist() == outcome.tolist()
+
+
+def test_a_contact_longer_than_a_period_is_known_from_the_stored_mode():
+    """One flight of 3 rad every third period, and a hop of 0.1 rad one rad after it."""
+    times = np.tile([3.0, 0.1], 20)[None]
+    phases = np.tile([1.0, 5.0], 20)[None]
+    flights, stored = np.array([40], np.int32), Modes(
+        np.array([Outcome.PERIODIC], np.uint8), np.array([2], np.int32), np.array([3], np.int32)
+    )  # fmt: skip
+    found = recount(times, phases, flights, stored, 0.05, 1.0)
+    assert (found.bounces.tolist(), found.periods.tolist()) == ([1], [3])
