@@ -11,7 +11,7 @@ from kernel.params import Outcome
 from kernel.restitution import restitution_of
 from service.client import Job
 from service.figures.canvas import Drawing, flight_scales, new_drawing, panel_title, plot_flights, styled
-from service.figures.caption import Caption, Claim, mode
+from service.figures.caption import Caption, Claim, compared, left_open, mode
 from service.presets import MICRO_FLIGHT
 
 #: rad; smaller differences of flight times are invisible in the figure.
@@ -112,7 +112,7 @@ def _draw(caption: Caption, diagrams: Sequence[xarray.Dataset], titles: Sequence
 
 def _indistinguishable(comparison: Comparison) -> Claim:
     median, p95 = np.median(comparison.deviations), np.quantile(comparison.deviations, 0.95)
-    return Claim(
+    return compared(
         bool(comparison.same > 0.95 * comparison.periodic and p95 < VISIBLE),
         f"{comparison}, their flight times {median:.3f} rad apart (median; 95th percentile {p95:.3f})",
     )
@@ -121,24 +121,23 @@ def _indistinguishable(comparison: Comparison) -> Claim:
 def _ends(spring: xarray.Dataset, ending: tuple[int, int], printed: float) -> Claim:
     in_mode = (spring.bounces.values == ending[0]) & (spring.periods.values == ending[1])
     if not in_mode.any():
-        return Claim(False, f"no cell of the spring is in {mode(*ending)}")
+        return compared(False, f"no cell of the spring is in {mode(*ending)}")
     last = float(spring.gamma.values[in_mode].max())
-    return Claim(
+    return compared(
         abs(last - printed) < 0.06, f"{mode(*ending)} ends at Γ = {last:.2f} (the ball's: {printed})"
     )
 
 
 def _only_when_shallow(deep: Comparison) -> Claim:
-    return Claim(
-        False,  # the paper leaves it open
-        f"the contact's depth, which the paper leaves open, decides it: 10⁻³ A deep, it is softer than the "
-        f"spring's damper, the spring meets the plate as a whole and hops, and {deep}",
+    return left_open(
+        "the depth of the contact decides it: 10⁻³ A deep, it is softer than the spring's damper, the spring "
+        f"meets the plate as a whole and hops, and {deep}"
     )
 
 
 def _small_differences(comparison: Comparison) -> Claim:
     median = np.median(comparison.deviations)
-    return Claim(
+    return compared(
         bool(comparison.same > 0.6 * comparison.periodic and median < VISIBLE),
         f"{comparison}, their flight times {median:.4f} rad apart (median)",
     )
@@ -148,11 +147,11 @@ def _forbidden(first: xarray.Dataset, second: xarray.Dataset) -> Claim:
     """The paper: "forbidden zones exist in both diagrams"."""
     times = np.sort(np.concatenate([_times(diagram) for diagram in (first, second)]))
     if len(times) < 2:
-        return Claim(False, "nothing bounces where forbidden zones were searched for")
+        return compared(False, "nothing bounces where forbidden zones were searched for")
     gap = int(np.argmax(np.diff(times)))
     low, high = times[gap], times[gap + 1]
     gamma_range = "{} to {}".format(*GAP_RANGE)
-    return Claim(
+    return compared(
         high - low > 1.0,
         f"forbidden zones: for Γ = {gamma_range}, no flight in either lasts {low:.1f} to {high:.1f} rad",
     )
@@ -167,9 +166,8 @@ def _times(diagram: xarray.Dataset) -> NDArray[np.float64]:
 def _own_restitution(printed: Comparison, own: Comparison) -> Claim:
     printed_median, own_median = np.median(printed.deviations), np.median(own.deviations)
     f = float(restitution_of(np.array([0.5]))[0])
-    return Claim(
-        False,
-        "ε = f(ξ), which the paper leaves open, is half the restitution of a contact damped like the spring: "
+    return left_open(
+        "the restitution ε = f(ξ) of the spring's ball: half that of a contact damped like the spring gives "
         f"f(0.5) = {f:.4f}, {'' if own_median < printed_median else 'not '}closer than 0.15 "
         f"(median {own_median:.4f} rad instead of {printed_median:.4f})",
     )

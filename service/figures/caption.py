@@ -1,14 +1,33 @@
-"""Captions: what a figure shows, what agrees with the text of the paper, and what differs."""
+"""Captions: what a figure shows, and how what it shows compares with the text of the paper."""
 
 from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """How a result compares with the paper; the value is the label in a caption."""
+
+    AGREES = "Agrees"  # the paper says the same
+    CONTRADICTS = "Contradicts"  # the paper says otherwise
+    LEFT_OPEN = "Left open by the paper"  # it does not say, and the result depends on it or adds to it
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A statement on a result, and whether the paper says the same."""
+    """A statement on a result."""
 
-    holds: bool
+    verdict: Verdict
     text: str
+
+
+def compared(holds: bool, text: str) -> Claim:
+    """A claim on what the paper states; `holds`: whether the result is the same."""
+    return Claim(Verdict.AGREES if holds else Verdict.CONTRADICTS, text)
+
+
+def left_open(text: str) -> Claim:
+    """A claim on what the paper does not state."""
+    return Claim(Verdict.LEFT_OPEN, text)
 
 
 @dataclass(frozen=True)
@@ -19,28 +38,21 @@ class Caption:
     shows: str
     claims: tuple[Claim, ...]
 
-    @property
-    def agrees(self) -> str:
-        """The claims that agree with the paper."""
-        return self._joined(True)
-
-    @property
-    def differs(self) -> str:
-        """The claims that differ from the paper, or that it leaves open."""
-        return self._joined(False)
+    def claims_that(self, verdict: Verdict) -> str:
+        """The claims of one verdict, joined; empty if there are none."""
+        text = "; ".join(claim.text for claim in self.claims if claim.verdict is verdict)
+        return f"{text}." if text else ""
 
     @property
     def paragraphs(self) -> list[tuple[str, str]]:
         """Headings and texts; paragraphs without text are left out."""
-        parts = [(f"Fig. {self.number}.", self.shows), ("Agrees:", self.agrees), ("Differs:", self.differs)]
-        return [(heading, text) for heading, text in parts if text]
+        verdicts = [(f"{verdict}:", self.claims_that(verdict)) for verdict in Verdict]
+        return [
+            (heading, text) for heading, text in ((f"Fig. {self.number}.", self.shows), *verdicts) if text
+        ]
 
     def __str__(self) -> str:
         return "\n".join(f"{heading} {text}" for heading, text in self.paragraphs)
-
-    def _joined(self, holds: bool) -> str:
-        text = "; ".join(claim.text for claim in self.claims if bool(claim.holds) is holds)
-        return f"{text}." if text else ""
 
 
 def mode(bounces: int, periods: int) -> str:

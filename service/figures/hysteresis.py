@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, Drawing, minor_ticks, new_drawing, styled
-from service.figures.caption import Caption, Claim
+from service.figures.caption import Caption, Claim, compared, left_open
 from service.figures.thresholds import OMEGA_GRID, extremum, max_relative_difference
 from service.presets import XI
 
@@ -83,13 +83,13 @@ def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, periods: 
 
 def _on_eq_25(loop: xarray.Dataset) -> Claim:
     worst = max_relative_difference(loop)
-    return Claim(worst < 0.03, f"the gray curve is Eq. 25 (at most {100 * worst:.1f} % apart)")
+    return compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {100 * worst:.1f} % apart)")
 
 
 def _lower(loop: xarray.Dataset) -> Claim:
     gain = 1.0 - (loop.down / loop.up).values
     at = int(np.nanargmax(gain))
-    return Claim(
+    return compared(
         bool(gain[at] > 0.1),
         f"bouncing goes on below it, most at Ω = {float(loop.omega[at]):.2f}: down to "
         f"Γ = {float(loop.down[at]):.3f} instead of {float(loop.up[at]):.3f}",
@@ -99,7 +99,7 @@ def _lower(loop: xarray.Dataset) -> Claim:
 def _several(loop: xarray.Dataset) -> Claim:
     indices = minima(loop.down.values, MIN_DEPTH)
     omegas = ", ".join(f"{float(loop.omega[i]):.2f}" for i in indices)
-    return Claim(len(indices) > 1, f"decreased, it has {len(indices)} minima: Ω = {omegas}")
+    return compared(len(indices) > 1, f"decreased, it has {len(indices)} minima: Ω = {omegas}")
 
 
 def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
@@ -109,9 +109,8 @@ def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
     slow = lower.omega.values < SLOW
     of_slow = f"{moved[slow].sum()} of {slow.sum()}"
     of_fast = f"{moved[~slow].sum()} of {(~slow).sum()}"
-    return Claim(
-        False,  # the paper leaves it open
-        "the amplitude that the ramp down begins with is not stated; where modes coexist it may matter: from "
+    return left_open(
+        "the amplitude that the ramp down begins with, which may matter where modes coexist: from "
         f"Γ = 1.2 instead of 3, {of_slow} thresholds below Ω = 0.5 and {of_fast} "
         "from 0.5 to 0.8 are others",
     )

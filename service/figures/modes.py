@@ -21,12 +21,15 @@ from service.figures.canvas import (
     split,
     styled,
 )
-from service.figures.caption import Caption, Claim, mode
+from service.figures.caption import Caption, Claim, compared, mode
 from service.presets import INSETS, SOFT
 
 OMEGA: Final = 0.5
 XI: Final = 0.26
 PERIODS: Final = 6
+
+#: Of the flights on the ramp, behind those from rest.
+RAMPED: Final = "0.66"
 
 #: Rest length of the drawn spring, in plate amplitudes; the motion does not depend on it.
 LENGTH: Final = 1.6
@@ -34,15 +37,21 @@ LENGTH: Final = 1.6
 
 @styled
 def draw(client: Client, job: Job, ramped: Job) -> Drawing:
-    """The diagram from rest above the four insets; the ramped sweep is used in the caption only."""
+    """The diagram above the four insets: from rest in black, and ramped up in grey behind it."""
     diagram, up = job.diagram(), ramped.diagram()
     motions = {gamma: _motion(client, gamma) for gamma in INSETS}
     drawing, area = new_drawing(5.0, _caption(diagram, up))
     above, below = split(area, 2.7, 2.3)
     axes = above.subplots()
+    plot_flights(axes, up, colour=RAMPED, size=0.9)
     plot_flights(axes, diagram, size=0.7)
-    values = diagram.gamma.values
-    flight_scales(axes, float(values[0]), float(values[-1]), 1.06 * float(diagram.flight_time.max()))
+    values, longest = diagram.gamma.values, max(float(each.flight_time.max()) for each in (diagram, up))
+    flight_scales(axes, float(values[0]), float(values[-1]), 1.06 * longest)
+    for colour, label in (("black", "from rest"), (RAMPED, r"$\Gamma$ ramped up")):
+        axes.plot(
+            [], [], linestyle="none", marker=".", color=colour, markersize=5, markeredgewidth=0, label=label
+        )
+    axes.legend(loc="upper left", handletextpad=0.1)
     axes.set_xlabel(r"$\Gamma$", labelpad=1)
     panels = below.subplots(2, 2, sharex=True, sharey=True)
     for letter, gamma, panel in zip("abcd", INSETS, panels.flat, strict=True):
@@ -74,9 +83,9 @@ def _draw_motion(axes: Axes, motion: xarray.Dataset) -> None:
 
 def _caption(diagram: xarray.Dataset, up: xarray.Dataset) -> Caption:
     shows = (
-        "Flight times φ of the bouncing spring at Ω = 0.5, ξ = 0.26, from rest; below, its motion (gray) "
-        "above the plate (black) once settled, drawn with a rest length of 1.6 A. Contact: adhesive, e = 0, "
-        "10⁻³ A deep; faint lines: whole plate periods."
+        "Flight times φ of the bouncing spring at Ω = 0.5, ξ = 0.26, from rest (black) and with Γ ramped up "
+        "(gray); below, its motion from rest (gray) above the plate (black) once settled, drawn with a rest "
+        "length of 1.6 A. Contact: adhesive, e = 0, 10⁻³ A deep; faint lines: whole plate periods."
     )
     rest, ramp = _modes(diagram), _modes(up)
     claims = [_claim(gamma, rest[gamma], INSETS[gamma], "") for gamma in INSETS]
@@ -91,7 +100,7 @@ def _caption(diagram: xarray.Dataset, up: xarray.Dataset) -> Caption:
 def _claim(gamma: float, computed: str, printed: tuple[int, int] | None, condition: str) -> Claim:
     expected = mode(*printed) if printed else "aperiodic"
     holds = computed == expected
-    return Claim(holds, f"{computed} at Γ = {gamma}{condition}" + ("" if holds else f", not {expected}"))
+    return compared(holds, f"{computed} at Γ = {gamma}{condition}" + ("" if holds else f", not {expected}"))
 
 
 def _modes(diagram: xarray.Dataset) -> Mapping[float, str]:

@@ -5,18 +5,18 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from service.figures.canvas import BLUE, Drawing, new_drawing, styled
-from service.figures.caption import Caption, Claim
+from service.figures.caption import Caption, compared, left_open
 
 CAPTION = Caption(
     1,
     "The two models: a ball (left), and two masses joined by a spring and a damper (right), on a plate that "
     "oscillates as A cos ωt.",
     (
-        Claim(True, "the parts are those of Eqs. 1 to 8"),
-        Claim(
-            False,
-            "Eq. 4 lacks a sign, the ball leaves with v⁺ = −ε v⁻; the law and the depth of the spring's "
-            "contact are left open, and its rest length L drops out of the motion",
+        compared(True, "the parts are those of Eqs. 1 to 8"),
+        compared(False, "Eq. 4 lacks a sign: the ball leaves with v⁺ = −ε v⁻"),
+        left_open(
+            "whether the contact of the spring may pull, and how deep it is: 10⁻⁴ L, where L is not stated "
+            "and drops out of the motion otherwise"
         ),
     ),
 )

@@ -21,7 +21,7 @@ from service.figures.canvas import (
     plot_flights,
     styled,
 )
-from service.figures.caption import Caption, Claim, mode
+from service.figures.caption import Caption, Claim, compared, mode
 from service.presets import CONTACTS, ELASTIC, GAMMAS, LONG_SETTLE, OMEGAS, SHORT_SETTLE, XI
 
 #: Chaos begins where the cells over this range of Γ are aperiodic, except in small windows.
@@ -123,7 +123,7 @@ def _shorter(diagrams: Sequence[xarray.Dataset]) -> Claim:
     longest = [_longest(diagram, _near(diagram, 3.0, 0.1)) for diagram in diagrams]
     times = ", ".join(f"{time:.1f}" for time in longest)
     falling = longest[0] > longest[1] > longest[2]
-    return Claim(falling, f"flights shorten as Ω increases: around Γ = 3 the longest last {times} rad")
+    return compared(falling, f"flights shorten as Ω increases: around Γ = 3 the longest last {times} rad")
 
 
 def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
@@ -136,25 +136,27 @@ def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
         ),
         np.inf,
     )
-    return Claim(bool(2.5 <= begins <= 3.5), f"(a) is chaotic beyond Γ ≈ {begins:.1f}")
+    return compared(bool(2.5 <= begins <= 3.5), f"(a) is chaotic beyond Γ ≈ {begins:.1f}")
 
 
 def _chaos_at(diagram: xarray.Dataset, gamma: float) -> Claim:
     share = aperiodic(diagram, _near(diagram, gamma, 0.25))
-    return Claim(share > 0.5, f"(b) is chaotic around Γ = {gamma:g} ({share:.0%} of the cells within 0.25)")
+    return compared(
+        share > 0.5, f"(b) is chaotic around Γ = {gamma:g} ({share:.0%} of the cells within 0.25)"
+    )
 
 
 def _no_chaos(diagram: xarray.Dataset) -> Claim:
     share = aperiodic(diagram)
     percent = "none" if share == 0 else f"{share:.1%}"
-    return Claim(share < 0.05, f"(c) is not chaotic ({percent} of its bouncing cells are aperiodic)")
+    return compared(share < 0.05, f"(c) is not chaotic ({percent} of its bouncing cells are aperiodic)")
 
 
 def _one_period(diagram: xarray.Dataset) -> Claim:
     """The paper: "follows a (1, 1) mode in a large interval of Γ"; it may have a hop too short to see."""
     repeats = (diagram.periods.values == 1) & (diagram.bounces.values <= 2) & (diagram.gamma.values > 1.0)
     if not repeats.any():
-        return Claim(False, "(a) never repeats after one plate period")
+        return compared(False, "(a) never repeats after one plate period")
     values, cells = diagram.gamma.values[repeats], diagram.isel(gamma=repeats)
     double = cells.bounces.values == 2
     hop = _longest_of_shorter(cells.flight_time.values[double])
@@ -163,7 +165,7 @@ def _one_period(diagram: xarray.Dataset) -> Claim:
         text += (
             f", strictly (2, 1) up to {values[double].max():.2f}: a hop of at most {hop:.2f} rad follows it"
         )
-    return Claim(hop < HOP and values.max() - values.min() > 1.0, text)
+    return compared(hop < HOP and values.max() - values.min() > 1.0, text)
 
 
 def _longest_of_shorter(times: NDArray[np.float64]) -> float:
@@ -178,7 +180,7 @@ def _no_chaos_at_two(diagrams: Sequence[xarray.Dataset]) -> Claim:
     on_contacts = ", ".join(f"{share:.0%} ({name})" for name, share in zip(CONTACTS, soft, strict=True))
     with_rebound = ", ".join(f"{share:.0%} with e = {e}" for e, share in zip(ELASTIC, elastic, strict=True))
     gamma = diagrams[1].gamma.values
-    return Claim(
+    return compared(
         settled > 0.5,
         f"at Γ = {gamma[0]:g} to {gamma[-1]:g}, (b) is {'' if settled > 0.5 else 'not '}chaotic: "
         f"{settled:.0%} of the cells are aperiodic after {LONG_SETTLE} plate periods, {on_contacts}; "
@@ -198,7 +200,7 @@ def _commonest(diagram: xarray.Dataset) -> str:
 def _stops_at(diagram: xarray.Dataset) -> Claim:
     bounces = np.isin(diagram.outcome.values, (Outcome.PERIODIC, Outcome.APERIODIC))
     last = float(diagram.omega.values[bounces].max())
-    return Claim(
+    return compared(
         abs(last - np.sqrt(4 / 3)) < 0.01,
         f"in (a) bouncing ends at Ω = {last:.3f}, where Γ_th = 1 (√(4/3) = 1.155 for every ξ)",
     )
@@ -208,7 +210,7 @@ def _chaos_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
     share = aperiodic(diagram, diagram.omega.values < LOW)
     chaotic = share > 0.5
     verdict = "chaotic" if chaotic else "not chaotic"
-    return Claim(chaotic, f"at Γ = {gamma:g} low Ω is {verdict} ({share:.0%} of the cells below {LOW:g})")
+    return compared(chaotic, f"at Γ = {gamma:g} low Ω is {verdict} ({share:.0%} of the cells below {LOW:g})")
 
 
 def _longer_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
@@ -218,6 +220,6 @@ def _longer_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
     longest = ", ".join(f"{time:.1f}" for time in times)
     rising = times[0] > times[1] > times[2]
     trend = "longer" if rising else "not longer"
-    return Claim(
+    return compared(
         rising, f"at Γ = {gamma:g} flights are {trend} at low Ω (up to {longest} rad at 0.1, 0.5, 1)"
     )

@@ -20,11 +20,12 @@ from scripted import DEADLINE
 
 from kernel.params import Outcome
 from kernel.restitution import restitution_of
+from kernel.threshold import threshold
 from service import presets
 from service.cli.main import main
 from service.client import Client
 from service.figures import canvas, catalogue, hysteresis
-from service.figures.caption import Caption, Claim
+from service.figures.caption import Caption, Verdict, compared, left_open
 from service.figures.catalogue import Figure, Picture
 from service.server import embedded
 from service.settings import Settings
@@ -83,6 +84,18 @@ def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
     return client.submit(SMALL_FIGURES[number].sweeps[sweep]).diagram(**line)
 
 
+def agreeing(caption: Caption) -> str:
+    return caption.claims_that(Verdict.AGREES)
+
+
+def contradicting(caption: Caption) -> str:
+    return caption.claims_that(Verdict.CONTRADICTS)
+
+
+def leaving_open(caption: Caption) -> str:
+    return caption.claims_that(Verdict.LEFT_OPEN)
+
+
 def test_every_figure_is_listed_by_its_number_with_valid_sweeps():
     assert list(catalogue.FIGURES) == list(range(1, 10))
     for number, figure in catalogue.FIGURES.items():
@@ -125,8 +138,8 @@ def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: dict[int, Pic
     assert 0.01 < np.mean(grey < 128) < 0.4
     assert np.all(grey[:, -2:] == 255)  # nothing is cut off on the right
     assert caption.number == number
-    assert caption.agrees
-    assert caption.differs
+    assert agreeing(caption)
+    assert contradicting(caption) or leaving_open(caption)
 
 
 @pytest.mark.parametrize("number", [4, 9])
@@ -152,13 +165,13 @@ def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: dict[int
     # No small hops after a landing: what is short is the tail of a branch that ends at zero.
     assert np.mean(of_figure_2.flight_time.values < 0.1) < 1e-2
     expected = "(1, 1) at Γ = 1.5; (2, 2) at Γ = 2.3; (1, 2) at Γ = 3.6; aperiodic at Γ = 5.0"
-    assert pictures[2].caption.agrees.startswith(expected)
+    assert agreeing(pictures[2].caption).startswith(expected)
 
 
 def test_fig_2_on_the_ramp_is_not_in_the_mode_it_has_from_rest(client: Client, pictures: dict[int, Picture]):
     cell = diagram(client, 2, sweep=1).sel(gamma=3.6, method="nearest")
     assert (int(cell.bounces), int(cell.periods)) != (1, 2)
-    assert "at Γ = 3.6, when Γ is ramped up" in pictures[2].caption.differs
+    assert "at Γ = 3.6, when Γ is ramped up" in contradicting(pictures[2].caption)
 
 
 def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: dict[int, Picture]):
@@ -173,21 +186,21 @@ def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: 
 
 
 def test_fig_3_spring_and_ball_agree(pictures: dict[int, Picture]):
-    agrees, differs = pictures[3].caption.agrees, pictures[3].caption.differs
+    agrees, open_ = agreeing(pictures[3].caption), leaving_open(pictures[3].caption)
     same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", agrees)[0])
     assert same == periodic > 50
     assert float(re.findall(r"([\d.]+) rad apart", agrees)[0]) < 0.05
-    same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", differs)[0])
+    same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", open_)[0])
     assert same < 0.5 * periodic  # on a contact softer than the spring
 
 
 def test_fig_4_names_the_springs_own_restitution(pictures: dict[int, Picture]):
     assert float(restitution_of(np.array([0.5]))[0]) == pytest.approx(0.1492, abs=5e-5)
-    caption = pictures[4].caption
-    assert "f(0.5) = 0.1492" in caption.differs
-    own, printed = map(float, re.findall(r"median ([\d.]+) rad instead of ([\d.]+)", caption.differs)[0])
+    open_ = leaving_open(pictures[4].caption)
+    assert "f(0.5) = 0.1492" in open_
+    own, printed = map(float, re.findall(r"median ([\d.]+) rad instead of ([\d.]+)", open_)[0])
     assert own < printed < 0.05
-    assert "forbidden zones: for Γ = 4.7 to 5.3" in caption.agrees
+    assert "forbidden zones: for Γ = 4.7 to 5.3" in agreeing(pictures[4].caption)
 
 
 def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: dict[int, Picture]):
@@ -195,23 +208,35 @@ def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: dict
     for xi in presets.DAMPINGS:
         onset = job.threshold(xi=xi)
         np.testing.assert_allclose(onset.up, onset.analytic, rtol=0.01)
-    assert "at most 0." in pictures[5].caption.agrees
-    assert "0.935 at Ω = 0.632" in pictures[5].caption.differs
-    assert "1.599 at Ω = 4" in pictures[5].caption.differs
-    assert "7.14 at ξ = 0.05" in pictures[5].caption.differs  # √(1 + 1/8ξ²)
+    caption = pictures[5].caption
+    assert "at most 0." in agreeing(caption)
+    assert "0.935 at Ω = 0.632" in contradicting(caption)
+    assert "1.599 at Ω = 4" in contradicting(caption)
+
+
+def test_fig_5_has_the_maxima_of_eq_25_and_not_its_values_at_the_root_of_two(pictures: dict[int, Picture]):
+    # docs/model.md, section 5: the maximum is 7.29511 at 1.43529 for ξ = 0.05; √(1 + 1/8ξ²) is 7.14 there.
+    open_ = leaving_open(pictures[5].caption)
+    assert "a maximum, 7.295 at Ω = 1.4353 (ξ = 0.05) and 2.48 at Ω = 1.7601 (ξ = 0.2)" in open_
+    assert "7.14" not in str(pictures[5].caption)
+    grid = np.linspace(1.0, 4.0, 3_000_001)
+    for xi, gamma, omega in ((0.05, 7.295, 1.4353), (0.2, 2.48, 1.7601)):
+        at = int(np.argmax(threshold(grid, xi)))
+        assert threshold(grid[at], xi) == pytest.approx(gamma, abs=5e-3)
+        assert grid[at] == pytest.approx(omega, abs=1e-4)
 
 
 def test_fig_5_says_how_far_off_the_printed_equations_are(pictures: dict[int, Picture]):
-    assert "Eq. 22 as printed" in pictures[5].caption.differs
+    contradicts = contradicting(pictures[5].caption)
+    assert "Eq. 22 as printed" in contradicts
     # The denominator of Eq. 24 is below zero between its roots, about Ω = 1 and √2.
-    assert re.search(r"off by π from Ω = 1\.0\d to 1\.(39|4)", pictures[5].caption.differs)
+    assert re.search(r"off by π from Ω = 1\.0\d to 1\.(39|4)", contradicts)
 
 
 def test_fig_6_has_models_minimum(pictures: dict[int, Picture]):
-    assert "0.1941 at Ω = 0.9928" in pictures[6].caption.agrees
-    assert (
-        "beyond Ω = 1.44" in pictures[6].caption.differs
-    )  # the maximum is at 1.43529 (docs/model.md, section 5)
+    assert "0.1941 at Ω = 0.9928" in agreeing(pictures[6].caption)
+    # The maximum is at 1.43529 (docs/model.md, section 5).
+    assert "beyond Ω = 1.44" in leaving_open(pictures[6].caption)
 
 
 def test_fig_9_names_the_maximum_outside_its_frame(pictures: dict[int, Picture]):
@@ -220,12 +245,12 @@ def test_fig_9_names_the_maximum_outside_its_frame(pictures: dict[int, Picture])
 
 
 def test_fig_7_is_chaotic_at_four_and_not_at_two(client: Client, pictures: dict[int, Picture]):
-    agrees, differs = pictures[7].caption.agrees, pictures[7].caption.differs
+    agrees, contradicts = agreeing(pictures[7].caption), contradicting(pictures[7].caption)
     assert "(a) is chaotic beyond Γ ≈ 2." in agrees
     assert "(b) is chaotic around Γ = 4" in agrees
     assert "(c) is not chaotic" in agrees
-    assert "(b) is not chaotic" in differs
-    assert "they repeat as (4, 4), (3, 4), (2, 2)" in differs
+    assert "(b) is not chaotic" in contradicts
+    assert "they repeat as (4, 4), (3, 4), (2, 2)" in contradicts
     *_, hardly_elastic, elastic = range(len(SMALL_FIGURES[7].sweeps))
     for sweep in range(2, hardly_elastic):
         assert np.mean(diagram(client, 7, sweep).outcome == Outcome.APERIODIC) < 0.2
@@ -243,10 +268,10 @@ def test_fig_7_is_chaotic_at_four_and_not_at_two(client: Client, pictures: dict[
 
 
 def test_fig_8_is_chaotic_at_low_frequency_only_when_shaken_hard(pictures: dict[int, Picture]):
-    agrees, differs = pictures[8].caption.agrees, pictures[8].caption.differs
+    agrees, contradicts = agreeing(pictures[8].caption), contradicting(pictures[8].caption)
     assert "at Γ = 2 low Ω is chaotic" in agrees
     assert "at Γ = 3 low Ω is chaotic" in agrees
-    assert "at Γ = 1 low Ω is not chaotic" in differs
+    assert "at Γ = 1 low Ω is not chaotic" in contradicts
 
 
 def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int, Picture]):
@@ -254,7 +279,7 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int,
     for omega, gamma in DESCENDING.items():
         assert float(loop.down.sel(omega=omega)) == pytest.approx(gamma, abs=0.006)
     np.testing.assert_allclose(loop.up, loop.analytic, atol=0.006)
-    assert "Ω = 0.62: down to Γ = 0.5" in pictures[9].caption.agrees
+    assert "Ω = 0.62: down to Γ = 0.5" in agreeing(pictures[9].caption)
 
 
 @pytest.mark.parametrize(
@@ -271,8 +296,14 @@ def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]
 
 
 def test_caption_sorts_claims():
-    caption = Caption(5, "A line.", (Claim(True, "one"), Claim(np.bool_(False), "two"), Claim(True, "three")))
-    assert str(caption) == "Fig. 5. A line.\nAgrees: one; three.\nDiffers: two."
+    claims = (
+        compared(True, "one"),
+        compared(np.bool_(False), "two"),
+        left_open("three"),
+        compared(True, "four"),
+    )
+    sorted_ = ["Fig. 5. A line.", "Agrees: one; four.", "Contradicts: two.", "Left open by the paper: three."]
+    assert str(Caption(5, "A line.", claims)) == "\n".join(sorted_)
     assert str(Caption(5, "A line.", ())) == "Fig. 5. A line."
 
 
