@@ -33,7 +33,7 @@ def exponents_of(line: Line) -> np.ndarray:
 
 @pytest.mark.parametrize("orbit", [o for o in ORBITS if o["stable"]], ids=name_of)
 def test_in_a_cycle_they_are_the_logarithms_of_its_multipliers(orbit):
-    """From the closed-form orbit, over 3,000 periods: those of a complex pair differ by 1e-3 within a cycle."""
+    """On the closed-form orbit over 3,000 periods. Those of a complex pair differ by 1e-3 within a cycle."""
     cell = Cell(orbit["gamma"], orbit["omega"], orbit["xi"])
     takeoff = np.array(
         [orbit["takeoff_phase"], 1.0, 0.0, 0.0, orbit["elongation"], orbit["elongation_velocity"]]

@@ -132,7 +132,7 @@ def test_any_cell_ends_with_an_outcome_in_time(s):
 
 
 def test_contacts_and_flights_of_zero_length_do_not_alternate():
-    """Undamped at resonance, where n = n' = 0 to rounding: from some take-off on both ended at once for ever."""
+    """Undamped at resonance, where n = n' = 0 to rounding: from a take-off on both ended at once for ever."""
     s = Setting(4.278260869565218, 1.0, 0.0, True, 0.01, 1e-8, False)
     steps = list(phases(s, 40, 5000))
     assert steps[-1].ending == HORIZON
