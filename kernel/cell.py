@@ -145,7 +145,8 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
             recorded += 1
     ending = p.ending
     if ending == HORIZON or (ending == ROOT and period >= run.settle + window.observe):
-        phase, ending = 0.0, HORIZON
+        # rounding of phase + tau may leave `period` one short
+        phase, period, ending = 0.0, run.settle + window.observe, HORIZON
     return Progress(
         phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
         phase, period, recorded, flew, run.budget - p.used, ending, run.settle,

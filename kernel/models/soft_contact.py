@@ -314,18 +314,13 @@ def _decoupling(f: Modes) -> tuple[float, float, float, float]:
 
 
 @jit
-def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> ModalState:
-    """The free modes of a state at phase phi: subtracts the static and driven parts and separates the rest.
+def separate(s: SoftSpring, gap: float, gap1: float, q: float, q1: float) -> ModalState:
+    """The modes of a motion without static and driven parts.
 
-    The rest is gap = g + G h and q = h + E g, g and h being the leading coordinates and E and G the
-    couplings. Solved for g = (1 - G E)^-1 (gap - G q) and h = q - E g, so that the small gap of the
-    elongation mode is never a difference of large numbers.
+    It is gap = g + G h and q = h + E g, g and h being the leading coordinates and E and G the couplings.
+    Solved for g = (1 - G E)^-1 (gap - G q) and h = q - E g, so that the small gap of the elongation mode is
+    never a difference of large numbers.
     """
-    sin, cos = sincos(phi)
-    q -= s.static_elongation + s.q_re * cos - s.q_im * sin
-    q1 += s.q_re * sin + s.q_im * cos
-    gap -= s.static_gap + s.g_re * cos - s.g_im * sin
-    gap1 += s.g_re * sin + s.g_im * cos
     coupled, coupled1 = _following(s.gap, s.elongation_mode, q, q1)
     left, left1 = gap - coupled, gap1 - coupled1
     m00, m01, m10, m11 = s.decoupling
@@ -336,18 +331,40 @@ def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: f
     return ModalState(gap_a, gap_b, elongation_a, elongation_b)
 
 
+@inlined
+def free_motion(
+    s: SoftSpring, m: ModalState
+) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+    """gap, gap', q, q' of the modes: first the leading coordinates, then the coupled ones, to be added."""
+    gap, gap1 = position(s.gap_mode, m.gap_a, m.gap_b)
+    a, b = _coupled(s.elongation, s.gap_mode, m.gap_a, m.gap_b)
+    coupled_q, coupled_q1 = position(s.gap_mode, a, b)
+    q, q1 = position(s.elongation_mode, m.elongation_a, m.elongation_b)
+    a, b = _coupled(s.gap, s.elongation_mode, m.elongation_a, m.elongation_b)
+    coupled_gap, coupled_gap1 = position(s.elongation_mode, a, b)
+    return (gap, gap1, q, q1), (coupled_gap, coupled_gap1, coupled_q, coupled_q1)
+
+
+@jit
+def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> ModalState:
+    """The free modes of a state at phase phi: without the static and driven parts, separated."""
+    sin, cos = sincos(phi)
+    q -= s.static_elongation + s.q_re * cos - s.q_im * sin
+    q1 += s.q_re * sin + s.q_im * cos
+    gap -= s.static_gap + s.g_re * cos - s.g_im * sin
+    gap1 += s.g_re * sin + s.g_im * cos
+    return separate(s, gap, gap1, q, q1)
+
+
 @jit
 def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau rad, where the modes are `m` at phase phi and tau = 0."""
     sin, cos = sincos(phi + tau)
-    a, b = advance(s.gap_mode, m.gap_a, m.gap_b, tau)
-    gap, gap1 = position(s.gap_mode, a, b)
-    a, b = _coupled(s.elongation, s.gap_mode, a, b)
-    coupled_q, coupled_q1 = position(s.gap_mode, a, b)
-    a, b = advance(s.elongation_mode, m.elongation_a, m.elongation_b, tau)
-    q, q1 = position(s.elongation_mode, a, b)
-    a, b = _coupled(s.gap, s.elongation_mode, a, b)
-    coupled_gap, coupled_gap1 = position(s.elongation_mode, a, b)
+    gap_a, gap_b = advance(s.gap_mode, m.gap_a, m.gap_b, tau)
+    elongation_a, elongation_b = advance(s.elongation_mode, m.elongation_a, m.elongation_b, tau)
+    leading, coupled = free_motion(s, ModalState(gap_a, gap_b, elongation_a, elongation_b))
+    gap, gap1, q, q1 = leading
+    coupled_gap, coupled_gap1, coupled_q, coupled_q1 = coupled
     return (
         s.static_gap + s.g_re * cos - s.g_im * sin + coupled_gap + gap,
         -(s.g_re * sin + s.g_im * cos) + coupled_gap1 + gap1,

@@ -27,11 +27,11 @@ from kernel.models import flight, free_fall
 from kernel.models.ball import Ball, BallPlate
 from kernel.models.rigid import RigidPlate, Spring
 from kernel.models.soft import SoftPlate
-from kernel.models.soft_contact import Coupling, SoftSpring
-from kernel.numerics.elementary import sincos
+from kernel.models.soft_contact import ModalState, SoftSpring, free_motion, separate
+from kernel.numerics.elementary import exp, sincos
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import Oscillator, response
+from kernel.numerics.oscillator import Oscillator, apart, response
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 
 
@@ -151,30 +151,31 @@ def _soft_dimension(plate: SoftPlate) -> int:
 
 
 @inlined
-def _coupled(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
-    """The coupled coordinate and its velocity, where the leading one is x with velocity x1."""
-    x2 = -2.0 * osc.damping * x1 - osc.stiffness * x
-    return coupling.value * x + coupling.rate * x1, coupling.value * x1 + coupling.rate * x2
+def _propagator(osc: Oscillator, tau: float) -> tuple[float, float, float, float]:
+    """The matrix by rows that carries the coordinates of a mode over tau."""
+    if apart(osc):
+        return exp(osc.slow * tau), 0.0, 0.0, exp(osc.fast * tau)
+    cosine, sine, sine1 = response(osc, tau)
+    return cosine, sine, -osc.stiffness * sine, sine1
 
 
 @carry_in_contact.register(SoftSpring)
 @jit
 def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
-    """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
-    gap_c, gap_s, gap_s1 = response(s.gap_mode, tau)
-    q_c, q_s, q_s1 = response(s.elongation_mode, tau)
-    m00, m01, m10, m11 = s.decoupling
+    """The two free modes of `kernel.models.soft_contact`."""
+    g00, g01, g10, g11 = _propagator(s.gap_mode, tau)
+    h00, h01, h10, h11 = _propagator(s.elongation_mode, tau)
     for k in range(len(vectors)):
         g, g1, q, q1 = _get(vectors, k)
-        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, q, q1)
-        left, left1 = g - coupled, g1 - coupled1
-        g, g1 = m00 * left + m01 * left1, m10 * left + m11 * left1
-        coupled, coupled1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        g, g1 = _oscillate(s.gap_mode, gap_c, gap_s, gap_s1, g, g1)
-        q, q1 = _oscillate(s.elongation_mode, q_c, q_s, q_s1, q - coupled, q1 - coupled1)
-        in_gap, in_gap1 = _coupled(s.gap, s.elongation_mode, q, q1)
-        in_q, in_q1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        _put(vectors, k, g + in_gap, g1 + in_gap1, q + in_q, q1 + in_q1)
+        m = separate(s, g, g1, q, q1)
+        moved = ModalState(
+            g00 * m.gap_a + g01 * m.gap_b,
+            g10 * m.gap_a + g11 * m.gap_b,
+            h00 * m.elongation_a + h01 * m.elongation_b,
+            h10 * m.elongation_a + h11 * m.elongation_b,
+        )
+        a, b = free_motion(s, moved)
+        _put(vectors, k, a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
 
 
 @carry_in_flight.register(SoftSpring)

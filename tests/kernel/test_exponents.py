@@ -83,23 +83,27 @@ def test_soft_cycles_have_the_multipliers_of_an_independent_program(cell):
 
 def test_at_rest_they_are_those_of_the_stuck_spring():
     """Underdamped, both exponents are -2 pi xi/Omega; overdamped, 2 pi times the two roots."""
-    gamma, omega, xi = 0.1, np.array([0.5, 0.5]), np.array([0.26, 1.5])
+    gamma, omega, xi = 0.1, np.array([0.5, 0.5]), np.array([0.26, 1.1])
     line = run(gamma, omega, xi, settle=10, observe=1000, exponents=3)
     assert np.all(line.outcome == Outcome.AT_REST)
     assert line.lyapunov[0] == pytest.approx([-TWO_PI * 0.52, -TWO_PI * 0.52, -math.inf], abs=1e-6)
-    root = math.sqrt(1.5**2 - 1.0)
-    assert line.lyapunov[1, :2] == pytest.approx([TWO_PI * (-1.5 + root) / 0.5, TWO_PI * (-1.5 - root) / 0.5])
+    root = math.sqrt(1.1**2 - 1.0)
+    assert line.lyapunov[1, :2] == pytest.approx([TWO_PI * (-1.1 + root) / 0.5, TWO_PI * (-1.1 - root) / 0.5])
 
 
 # --- aperiodic cells ------------------------------------------------------------------------
 
 
 def test_the_chaos_of_fig_2():
+    """As the reference, the mean of 16 runs of 30,000 periods; one alone deviates by 0.004 to 0.005."""
+    starts = np.full(16, CHAOS["gamma"])
     line = run(
-        CHAOS["gamma"], CHAOS["omega"], CHAOS["xi"], settle=200, observe=30_000, exponents=1, restitution=0.0
-    )
-    assert line.outcome[0] == Outcome.APERIODIC
-    assert exponents_of(line)[0] == pytest.approx(CHAOS["lyapunov"], abs=CHAOS["deviation"])
+        starts, CHAOS["omega"], CHAOS["xi"], restitution=0.0, carry=True, settle=200, observe=30_000,
+        exponents=1,
+    )  # fmt: skip
+    assert np.all(line.outcome == Outcome.APERIODIC)
+    assert np.mean(line.lyapunov) == pytest.approx(CHAOS["lyapunov"], abs=CHAOS["deviation"])
+    assert np.std(line.lyapunov) < 2.0 * CHAOS["deviation"]
 
 
 def test_a_torus_is_told_from_chaos():
@@ -108,7 +112,10 @@ def test_a_torus_is_told_from_chaos():
     for settle, observe in ((200, 100), (2000, 1000)):
         line = run(np.concatenate([torus, chaos]), 1.0, 0.05, settle=settle, observe=observe, exponents=2)
         codes = label_codes(line.outcome, line.lyapunov, observe)
-        assert np.all(codes[: len(torus)] == QUASI_PERIODIC)
+        # near a resonance the flights of 100 periods drift slowly, as those of a cell that still settles
+        settling = codes[: len(torus)] == Outcome.SETTLING
+        assert np.count_nonzero(settling) <= (2 if observe == 100 else 0)
+        assert np.all(codes[: len(torus)][~settling] == QUASI_PERIODIC)
         assert np.all(codes[len(torus) :] == CHAOTIC)
         # the second exponent tells a torus from two frequencies more
         assert np.all(line.lyapunov[: len(torus), 1] < 0.0)
@@ -141,14 +148,14 @@ def test_their_sum_is_the_mean_rate_of_volume_of_soft(adhesive):
 
 @pytest.mark.parametrize(
     ("model", "gamma", "restitution"),
-    [(Model.RIGID, 4.0, 0.9), (Model.RIGID, 5.2, 0.7), (Model.BALL, 1.4526, 0.7)],
+    [(Model.RIGID, 4.0, 0.9), (Model.RIGID, 5.2, 0.7), (Model.BALL, 1.45, 0.7)],
 )
 def test_their_sum_is_the_mean_rate_of_volume_of_hops(model, gamma, restitution):
     """e**2 at every landing, and exp(-2b) per rad of a spring's flight. The cycles never stick."""
     xi, omega = 0.3, 1.0
-    line = run(gamma, omega, xi, model, restitution=restitution, settle=300, observe=1400, exponents=2)
+    line = run(gamma, omega, xi, model, restitution=restitution, settle=1000, observe=1400, exponents=2)
     most = run(
-        gamma, omega, xi, model, restitution=restitution, settle=300, observe=1400,
+        gamma, omega, xi, model, restitution=restitution, settle=1000, observe=1400,
         exponents=2 if model is Model.BALL else 4,
     )  # fmt: skip
     assert most.outcome[0] == Outcome.PERIODIC
@@ -168,15 +175,15 @@ def test_a_ball_that_rests_forgets_everything():
 
 
 def test_a_cycle_that_takes_off_at_once_keeps_three_dimensions():
-    """Without sticking an inelastic landing kills one direction; with it a landing kills two."""
-    line = run([2.0, 1.5], [0.67, 0.5], [0.05, 0.26], restitution=0.0, exponents=3, settle=500, observe=100)
-    assert list(line.bounces) == [2, 1]
-    assert list(np.isinf(line.lyapunov[0])) == [False, False, True]
+    """An inelastic landing that does not stick removes one direction, one that sticks two."""
+    line = run([7.5, 1.5], [2.0, 0.5], [0.05, 0.26], restitution=0.0, exponents=3, settle=200, observe=100)
+    assert list(line.bounces) == [1, 1]
+    assert list(np.isinf(line.lyapunov[0])) == [False, False, False]
     assert list(np.isinf(line.lyapunov[1])) == [False, False, True]
 
 
 def test_failed_cells_have_none():
-    line = run(3.0, 1.0, 0.05, Model.RIGID, restitution=1.0, settle=0, observe=2, exponents=4)
+    line = run(1.5, 0.8, 0.0, Model.SOFT, restitution=1.0, penetration=1e-8, settle=0, observe=3, exponents=4)
     assert line.outcome[0] == Outcome.UNRESOLVED
     assert np.all(np.isnan(line.lyapunov))
 
