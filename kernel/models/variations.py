@@ -27,11 +27,11 @@ from kernel.models import flight, free_fall
 from kernel.models.ball import Ball, BallPlate
 from kernel.models.rigid import RigidPlate, Spring
 from kernel.models.soft import SoftPlate
-from kernel.models.soft_contact import Coupling, SoftSpring
+from kernel.models.soft_contact import SoftSpring, combine, separate
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import Oscillator, response
+from kernel.numerics.oscillator import Oscillator, propagator, response
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 
 
@@ -150,31 +150,15 @@ def _soft_dimension(plate: SoftPlate) -> int:
     return SPRING_DIMENSION
 
 
-@inlined
-def _coupled(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
-    """The coupled coordinate and its velocity, where the leading one is x with velocity x1."""
-    x2 = -2.0 * osc.damping * x1 - osc.stiffness * x
-    return coupling.value * x + coupling.rate * x1, coupling.value * x1 + coupling.rate * x2
-
-
 @carry_in_contact.register(SoftSpring)
 @jit
 def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
     """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
-    gap_c, gap_s, gap_s1 = response(s.gap_mode, tau)
-    q_c, q_s, q_s1 = response(s.elongation_mode, tau)
-    m00, m01, m10, m11 = s.decoupling
+    gap_over, elongation_over = propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
     for k in range(len(vectors)):
-        g, g1, q, q1 = _get(vectors, k)
-        coupled, coupled1 = _coupled(s.gap, s.elongation_mode, q, q1)
-        left, left1 = g - coupled, g1 - coupled1
-        g, g1 = m00 * left + m01 * left1, m10 * left + m11 * left1
-        coupled, coupled1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        g, g1 = _oscillate(s.gap_mode, gap_c, gap_s, gap_s1, g, g1)
-        q, q1 = _oscillate(s.elongation_mode, q_c, q_s, q_s1, q - coupled, q1 - coupled1)
-        in_gap, in_gap1 = _coupled(s.gap, s.elongation_mode, q, q1)
-        in_q, in_q1 = _coupled(s.elongation, s.gap_mode, g, g1)
-        _put(vectors, k, g + in_gap, g1 + in_gap1, q + in_q, q1 + in_q1)
+        m = separate(s, vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3])
+        gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
+        _put(vectors, k, gap, gap1, q, q1)
 
 
 @carry_in_flight.register(SoftSpring)
