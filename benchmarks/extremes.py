@@ -102,7 +102,8 @@ def whole_range(kind: Kind, cells: int, rng: np.random.Generator) -> Sample:
 
 def hard_range(kind: Kind, cells: int, rng: np.random.Generator) -> Sample:
     sample = whole_range(kind, cells, rng)
-    restitution, penetration = 10.0 ** rng.uniform(-8, [[math.log10(0.99)], [0]], (2, cells))
+    restitution = 10.0 ** rng.uniform(-8.0, math.log10(0.99), cells)
+    penetration = 10.0 ** rng.uniform(-8.0, 0.0, cells)
     return sample._replace(restitution=restitution, penetration=penetration)
 
 

@@ -35,7 +35,9 @@ ALLOWED = {
 }
 
 #: What a specification is made of: light, so that clients can hold one.
-SPECIFICATION = {"worker.spec", "kernel.params", "kernel.restitution", "kernel.step_limits"}
+SPECIFICATION = {
+    "worker.spec", "kernel.params", "kernel.portable_math", "kernel.restitution", "kernel.step_limits",
+}  # fmt: skip
 
 #: Of the project's own modules, all that these may reach.
 REACHABLE = {

@@ -29,6 +29,8 @@ from kernel.numerics.oscillator import (
     coordinates,
     oscillator,
     position,
+    propagate,
+    propagator,
 )
 from kernel.numerics.quartic import paired, roots
 
@@ -315,11 +317,11 @@ def _decoupling(f: Modes) -> tuple[float, float, float, float]:
 
 @jit
 def separate(s: SoftSpring, gap: float, gap1: float, q: float, q1: float) -> ModalState:
-    """The modes of a motion without static and driven parts.
+    """The modes of a free motion, without static and driven part, or of a small difference of two motions.
 
-    It is gap = g + G h and q = h + E g, g and h being the leading coordinates and E and G the couplings.
-    Solved for g = (1 - G E)^-1 (gap - G q) and h = q - E g, so that the small gap of the elongation mode is
-    never a difference of large numbers.
+    gap = g + G h and q = h + E g, g and h being the leading coordinates and E and G the couplings. Solved
+    for g = (1 - G E)^-1 (gap - G q) and h = q - E g, so that the small gap of the elongation mode is never a
+    difference of large numbers.
     """
     coupled, coupled1 = _following(s.gap, s.elongation_mode, q, q1)
     left, left1 = gap - coupled, gap1 - coupled1
@@ -331,23 +333,28 @@ def separate(s: SoftSpring, gap: float, gap1: float, q: float, q1: float) -> Mod
     return ModalState(gap_a, gap_b, elongation_a, elongation_b)
 
 
-@inlined
-def free_motion(
-    s: SoftSpring, m: ModalState
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """gap, gap', q, q' of the modes: first the leading coordinates, then the coupled ones, to be added."""
-    gap, gap1 = position(s.gap_mode, m.gap_a, m.gap_b)
-    a, b = _coupled(s.elongation, s.gap_mode, m.gap_a, m.gap_b)
+@jit
+def combine(
+    s: SoftSpring,
+    m: ModalState,
+    gap_over: tuple[float, float, float],
+    elongation_over: tuple[float, float, float],
+) -> tuple[float, float, float, float]:
+    """gap, gap', q, q' of a free motion after the time of both modes' propagators."""
+    a, b = propagate(s.gap_mode, m.gap_a, m.gap_b, gap_over)
+    gap, gap1 = position(s.gap_mode, a, b)
+    a, b = _coupled(s.elongation, s.gap_mode, a, b)
     coupled_q, coupled_q1 = position(s.gap_mode, a, b)
-    q, q1 = position(s.elongation_mode, m.elongation_a, m.elongation_b)
-    a, b = _coupled(s.gap, s.elongation_mode, m.elongation_a, m.elongation_b)
+    a, b = propagate(s.elongation_mode, m.elongation_a, m.elongation_b, elongation_over)
+    q, q1 = position(s.elongation_mode, a, b)
+    a, b = _coupled(s.gap, s.elongation_mode, a, b)
     coupled_gap, coupled_gap1 = position(s.elongation_mode, a, b)
-    return (gap, gap1, q, q1), (coupled_gap, coupled_gap1, coupled_q, coupled_q1)
+    return gap + coupled_gap, gap1 + coupled_gap1, q + coupled_q, q1 + coupled_q1
 
 
 @jit
 def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> ModalState:
-    """The free modes of a state at phase phi: without the static and driven parts, separated."""
+    """The free modes of a state at phase phi: what is left without the static and driven parts."""
     sin, cos = sincos(phi)
     q -= s.static_elongation + s.q_re * cos - s.q_im * sin
     q1 += s.q_re * sin + s.q_im * cos
@@ -360,16 +367,12 @@ def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: f
 def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau rad, where the modes are `m` at phase phi and tau = 0."""
     sin, cos = sincos(phi + tau)
-    gap_a, gap_b = advance(s.gap_mode, m.gap_a, m.gap_b, tau)
-    elongation_a, elongation_b = advance(s.elongation_mode, m.elongation_a, m.elongation_b, tau)
-    leading, coupled = free_motion(s, ModalState(gap_a, gap_b, elongation_a, elongation_b))
-    gap, gap1, q, q1 = leading
-    coupled_gap, coupled_gap1, coupled_q, coupled_q1 = coupled
+    gap, gap1, q, q1 = combine(s, m, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau))
     return (
-        s.static_gap + s.g_re * cos - s.g_im * sin + coupled_gap + gap,
-        -(s.g_re * sin + s.g_im * cos) + coupled_gap1 + gap1,
-        s.static_elongation + s.q_re * cos - s.q_im * sin + q + coupled_q,
-        -(s.q_re * sin + s.q_im * cos) + q1 + coupled_q1,
+        s.static_gap + s.g_re * cos - s.g_im * sin + gap,
+        -(s.g_re * sin + s.g_im * cos) + gap1,
+        s.static_elongation + s.q_re * cos - s.q_im * sin + q,
+        -(s.q_re * sin + s.q_im * cos) + q1,
     )
 
 

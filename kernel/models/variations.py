@@ -27,11 +27,11 @@ from kernel.models import flight, free_fall
 from kernel.models.ball import Ball, BallPlate
 from kernel.models.rigid import RigidPlate, Spring
 from kernel.models.soft import SoftPlate
-from kernel.models.soft_contact import ModalState, SoftSpring, free_motion, separate
-from kernel.numerics.elementary import exp, sincos
+from kernel.models.soft_contact import SoftSpring, combine, separate
+from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import Oscillator, apart, response
+from kernel.numerics.oscillator import Oscillator, propagator, response
 from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
 
 
@@ -150,32 +150,15 @@ def _soft_dimension(plate: SoftPlate) -> int:
     return SPRING_DIMENSION
 
 
-@inlined
-def _propagator(osc: Oscillator, tau: float) -> tuple[float, float, float, float]:
-    """The matrix by rows that carries the coordinates of a mode over tau."""
-    if apart(osc):
-        return exp(osc.slow * tau), 0.0, 0.0, exp(osc.fast * tau)
-    cosine, sine, sine1 = response(osc, tau)
-    return cosine, sine, -osc.stiffness * sine, sine1
-
-
 @carry_in_contact.register(SoftSpring)
 @jit
 def _soft_contact(s: SoftSpring, vectors: Any, tau: float) -> None:
-    """The two free modes of `kernel.models.soft_contact`."""
-    g00, g01, g10, g11 = _propagator(s.gap_mode, tau)
-    h00, h01, h10, h11 = _propagator(s.elongation_mode, tau)
+    """The two free modes of `kernel.models.soft_contact`, without its static and driven parts."""
+    gap_over, elongation_over = propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau)
     for k in range(len(vectors)):
-        g, g1, q, q1 = _get(vectors, k)
-        m = separate(s, g, g1, q, q1)
-        moved = ModalState(
-            g00 * m.gap_a + g01 * m.gap_b,
-            g10 * m.gap_a + g11 * m.gap_b,
-            h00 * m.elongation_a + h01 * m.elongation_b,
-            h10 * m.elongation_a + h11 * m.elongation_b,
-        )
-        a, b = free_motion(s, moved)
-        _put(vectors, k, a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
+        m = separate(s, vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3])
+        gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
+        _put(vectors, k, gap, gap1, q, q1)
 
 
 @carry_in_flight.register(SoftSpring)

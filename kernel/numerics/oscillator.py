@@ -182,11 +182,26 @@ def derivative(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
 
 
 @jit
+def propagator(osc: Oscillator, tau: float) -> tuple[float, float, float]:
+    """What `propagate` needs for tau >= 0 rad: one serves all motions of an oscillator."""
+    if apart(osc):
+        return exp(osc.slow * tau), exp(osc.fast * tau), 0.0
+    return response(osc, tau)
+
+
+@inlined
+def propagate(osc: Oscillator, a: float, b: float, over: tuple[float, float, float]) -> tuple[float, float]:
+    """The coordinates after the time of the propagator `over`."""
+    if apart(osc):
+        return a * over[0], b * over[1]
+    cosine, sine, sine1 = over
+    return a * cosine + b * sine, b * sine1 - osc.stiffness * sine * a
+
+
+@jit
 def advance(osc: Oscillator, a: float, b: float, tau: float) -> tuple[float, float]:
     """The coordinates tau >= 0 rad later."""
-    if apart(osc):
-        return a * exp(osc.slow * tau), b * exp(osc.fast * tau)
-    return motion(osc, a, b, tau)
+    return propagate(osc, a, b, propagator(osc, tau))
 
 
 @jit
