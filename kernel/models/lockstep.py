@@ -72,11 +72,11 @@ def _load_contact(
     h = run.q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
     h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
     h2, h3, _ = derivatives(s.stuck, h, h1)
-    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - hypot(s.n_re, s.n_im))
+    decayed = decay_time(s.stuck, h2, h3, s.mean_force - hypot(s.n_re, s.n_im))
     if decayed == 0.0:
         return False
     load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))
-    coefficients(table, k, -s.stiffness, -s.dashpot, 2.0 * s.gravity, 0.0, 0.0, -s.n_re, s.n_im)
+    coefficients(table, k, -s.stiffness, -s.dashpot, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im)
     return True
 
 

@@ -46,24 +46,28 @@ class Spring(NamedTuple):
 
     gravity: float  # 1/Gamma
     dashpot: float  # 2 xi/Omega
-    stiffness: float  # 1/Omega**2, in contact: see NEAREST_RESONANCE
+    stiffness: float  # w = 1/Omega**2
     restitution: float
-    stuck: Oscillator  # the free elongation in contact
+    stuck: Oscillator  # the free elongation in contact, of stiffness w_s: w but for NEAREST_RESONANCE
     flight: Oscillator  # and in flight
     static_elongation: float  # -Omega**2/Gamma
     q_re: float  # the driven elongation is Re(Q e^{i phi})
     q_im: float
-    n_re: float  # the driven normal force is 2/Gamma - Re(N e^{i phi}), |N| = 2/Gamma_th
+    mean_force: float  # 2/Gamma
+    n_re: float  # the driven normal force is mean_force - Re(N e^{i phi}), |N| = 2/Gamma_th
     n_im: float
 
 
 class Stuck(NamedTuple):
-    """The normal force in contact: n(tau) = 2/Gamma - Re(N e^{i phi}) + h'', h being the free elongation."""
+    """The normal force in contact: n(tau) = mean_force - Re(N e^{i phi}) - b h' - w h, h the free elongation.
+
+    The terms in h are its free part: h'' but for NEAREST_RESONANCE.
+    """
 
     spring: Spring
     phi: float
-    ring: float  # h'' at tau = 0
-    ring1: float  # h'''
+    ring: float  # the free part at tau = 0
+    ring1: float  # its derivative
 
 
 @prepare.register(RigidPlate)
@@ -72,11 +76,10 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
     """The constants of cell i."""
     stiffness = 1.0 / (omega * omega)
     dashpot = 2.0 * xi / omega
-    free = oscillator(dashpot, 2.0 * stiffness)
-    if hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE:
-        stiffness = 1.0 + NEAREST_RESONANCE
-    # Q = 1/(w - 1 + i b) and N = 1 + (w + i b) Q
-    re, im = stiffness - 1.0, dashpot
+    near = hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE
+    driven = 1.0 + NEAREST_RESONANCE if near else stiffness
+    # Q = 1/(w_s - 1 + i b) and N = 1 + (w + i b) Q
+    re, im = driven - 1.0, dashpot
     size = hypot(re, im)
     q_re, q_im = re / size / size, -im / size / size
     return Spring(
@@ -84,11 +87,12 @@ def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -
         dashpot=dashpot,
         stiffness=stiffness,
         restitution=plate.restitution[i],
-        stuck=oscillator(0.5 * dashpot, stiffness),
-        flight=free,
-        static_elongation=-1.0 / (gamma * stiffness),
+        stuck=oscillator(0.5 * dashpot, driven),
+        flight=oscillator(dashpot, 2.0 * stiffness),
+        static_elongation=-1.0 / (gamma * driven),
         q_re=q_re,
         q_im=q_im,
+        mean_force=(1.0 + stiffness / driven) / gamma,
         n_re=1.0 + stiffness * q_re - dashpot * q_im,
         n_im=stiffness * q_im + dashpot * q_re,
     )
@@ -133,7 +137,7 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
     ring2, ring3, ring4 = derivatives(s.stuck, ring, ring1)
     bound = abs(s.n_re) + abs(s.n_im)
     return Terms(
-        smooth=2.0 * s.gravity - wave,
+        smooth=s.mean_force - wave,
         smooth1=wave1,
         smooth2=wave,
         smooth3=-wave1,
@@ -144,7 +148,7 @@ def _stuck_terms(p: Stuck, tau: float) -> Terms:
         ring3=ring3,
         ring4=ring4,
         amplitude=envelope(s.stuck, ring, ring1),
-        noise=4.0 * EPS * (2.0 * s.gravity + bound + abs(p.ring)),
+        noise=4.0 * EPS * (s.mean_force + bound + abs(p.ring)),
     )
 
 
@@ -160,10 +164,10 @@ def _contact(
     sin, cos = sincos(phi)
     h = q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
     h1 = q1 + (s.q_re * sin + s.q_im * cos)
-    h2 = -s.dashpot * h1 - s.stiffness * h
-    h3 = -s.dashpot * h2 - s.stiffness * h1
-    decayed = decay_time(s.stuck, h2, h3, 2.0 * s.gravity - hypot(s.n_re, s.n_im))
-    tau, ending, used = first_root(Stuck(s, phi, h2, h3), 0.0, min(horizon, decayed), budget)
+    h2, _, _ = derivatives(s.stuck, h, h1)
+    ring, ring1 = -s.dashpot * h1 - s.stiffness * h, -s.dashpot * h2 - s.stiffness * h1
+    decayed = decay_time(s.stuck, ring, ring1, s.mean_force - hypot(s.n_re, s.n_im))
+    tau, ending, used = first_root(Stuck(s, phi, ring, ring1), 0.0, min(horizon, decayed), budget)
     if ending == HORIZON:
         tau = horizon
     h, h1 = motion(s.stuck, h, h1, tau)

@@ -84,13 +84,15 @@ def _line(row: Row) -> str:
 
 
 def _setting(row: Row) -> str:
-    """A model and its parameters: `stepped 20 verlet, d = 0.001`."""
+    """A model and its parameters: `stepped 20 verlet, d = 0.001`, with the law where it is nonadhesive."""
     words = [row["model"]]
     if row["steps_per_contact"]:
         words.append(f"{row['steps_per_contact']} {row['scheme']}")
     text = " ".join(words)
     if row["penetration"]:
         text += f", d = {row['penetration']:g}"
+    if row["adhesive"] is False:
+        text += ", nonadhesive"
     if row["model"] == "ball":
         text += ", e = f(xi)" + (", locked dashpot" if row["locked_only"] else "")
     return text

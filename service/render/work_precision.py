@@ -32,10 +32,11 @@ SERIES: Final = {
     "ball": Series(r"ball, $\varepsilon = f(\xi)$", "#009e73", "*", "#00704f"),
 }
 TITLES: Final = {
-    "contact": "studies of this contact: $d = 10^{-3}$, $e = 0.01$",
+    "adhesive": "studies of this contact, adhesive: $d = 10^{-3}$, $e = 0.01$",
+    "nonadhesive": "the same, nonadhesive",
     "plate": "studies of a hard plate: $d, e \\to 0$",
 }
-SIZE: Final = (9.2, 4.4)  # inches
+SIZE: Final = (13.2, 4.4)  # inches
 MOST_STEPS: Final = 100  # the point of a Verlet series that is labelled with its depth
 #: Limits of the axes: rad, core-µs per cell per plate period.
 ERRORS: Final = (3e-8, 30.0)
@@ -43,10 +44,10 @@ COSTS: Final = (0.02, 2e3)
 
 
 def draw(rows: Sequence[Measurement], format: PictureFormat) -> bytes:
-    """The bytes of a png or svg: one panel for each purpose."""
+    """The bytes of a png or svg: one panel for each purpose, hollow markers for the nonadhesive law."""
 
     def panels(figure: Figure) -> None:
-        axes = figure.subplots(1, 2, sharey=True)
+        axes = figure.subplots(1, len(TITLES), sharey=True)
         for panel, purpose in zip(axes, TITLES, strict=True):
             _panel(panel, purpose, [row for row in rows if row.purpose == purpose])
         axes[0].set_ylabel("core-µs per cell per plate period", fontsize=11, **TEXT)
@@ -60,9 +61,12 @@ def _panel(axes: Axes, purpose: str, rows: list[Measurement]) -> None:
     axes.grid(color="0.92", linewidth=0.6)
     axes.set_axisbelow(True)
     for name, series in SERIES.items():
-        drawn = [row for row in rows if (row.scheme or row.model) == name]
-        for depth in {row.penetration for row in drawn} if name in ("verlet", "euler") else {None}:
-            _line(axes, series, [row for row in drawn if depth in (None, row.penetration)])
+        lines: dict[object, list[Measurement]] = {}
+        for row in (row for row in rows if (row.scheme or row.model) == name):
+            # a line joins the numbers of steps in one contact, or the depths under one law
+            lines.setdefault((row.adhesive, row.penetration if row.scheme else None), []).append(row)
+        for line in lines.values():
+            _line(axes, series, line)
     axes.set_title(TITLES[purpose], loc="left", fontsize=11, **TEXT)
     axes.set_xlabel("error of flight times (rad): median, and to the 95th percentile", fontsize=10, **TEXT)
     axes.text(0.985, 0.975, "better: down and to the left", transform=axes.transAxes, fontsize=9,
@@ -92,8 +96,10 @@ def _reference(axes: Axes, series: Series, cost: float) -> None:
 def _point(axes: Axes, series: Series, row: Measurement, error: float, cost: float) -> None:
     percentile = row.error_95 if row.error_95 is not None else ERRORS[1]
     axes.plot([error, percentile], [cost, cost], color=series.colour, linewidth=0.8, alpha=0.45)
+    hollow = row.adhesive is False
     axes.plot([error], [cost], color=series.colour, marker=series.marker, linestyle="none",
-              markersize=10 if series.marker == "*" else 5.5, markeredgewidth=0)  # fmt: skip
+              markersize=10 if series.marker == "*" else 5.5, markeredgewidth=1.2 if hollow else 0,
+              markerfacecolor="white" if hollow else series.colour)  # fmt: skip
     text, offset = _label(row)
     axes.annotate(text, (error, cost), offset, textcoords="offset points", fontsize=9,
                   color=series.text_colour, ha="right" if offset[0] < 0 else "center", **TEXT)  # fmt: skip
@@ -105,7 +111,7 @@ def _label(row: Measurement) -> tuple[str, tuple[int, int]]:
         return "where the dashpot locks" if row.locked_only else "everywhere", (0, 8)
     depth = f"$d = 10^{{{math.log10(row.penetration or 1.0):.0f}}}$"
     if row.model == "soft":
-        return depth, (0, -13)
+        return depth, (0, 7) if row.adhesive is False else (0, -13)
     if row.scheme == "verlet":
         prefix = f"{depth}, " if row.steps_per_contact == MOST_STEPS else ""
         return f"{prefix}{row.steps_per_contact}", (-6, -3)
@@ -122,5 +128,6 @@ def _legend(axes: Axes) -> None:
     ]  # fmt: skip
     steps = Line2D([], [], linestyle="none", label="(numbers: steps per contact)")
     handles.insert(list(SERIES).index("euler") + 1, steps)
+    handles.append(Line2D([], [], linestyle="none", label="(hollow markers: nonadhesive)"))
     font = FontProperties(family=FONT, size=9, math_fontfamily="stix")
     axes.legend(handles=handles, loc="lower left", prop=font, frameon=True, framealpha=0.9, edgecolor="0.8")

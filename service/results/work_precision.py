@@ -12,8 +12,9 @@ from worker.executors.base import Executor
 
 #: What each purpose's errors are measured from.
 REFERENCES: Final = {
-    "contact": "exact soft contact, d = 1e-3, e = 0.01: for studies of this contact",
-    "plate": "exact soft contact, d = 1e-7, e = 0: for studies of a hard plate without rebound",
+    "adhesive": "exact soft contact, adhesive, d = 1e-3, e = 0.01: for studies of this contact",
+    "nonadhesive": "exact soft contact, nonadhesive, d = 1e-3, e = 0.01: for studies of this contact",
+    "plate": "exact soft contact, nonadhesive, d = 1e-7, e = 1e-6: for studies of a hard plate",
 }
 
 
@@ -47,10 +48,10 @@ def table(rows: list[Measurement]) -> Tradeoff:
 
 def advice(rows: Sequence[Measurement]) -> str:
     """Which model to take for which purpose, with the costs and errors just measured."""
-    soft = _row(rows, "contact", model="soft")
-    rigid, hard = _row(rows, "contact", model="rigid"), _row(rows, "plate", model="rigid")
-    stepped = _row(rows, "contact", model="stepped", scheme="verlet", steps_per_contact=20)
-    ball = _row(rows, "contact", model="ball", locked_only=True)
+    soft = _row(rows, "adhesive", model="soft")
+    rigid, hard = _row(rows, "adhesive", model="rigid"), _row(rows, "plate", model="rigid")
+    stepped = _row(rows, "adhesive", model="stepped", scheme="verlet", steps_per_contact=20)
+    ball = _row(rows, "adhesive", model="ball", locked_only=True)
     return (
         f"Take rigid for a hard plate ({hard.cost:.1g} µs per plate period, {rigid.error:.0e} rad from a "
         "contact 1e-3 deep); soft where the contact itself matters, its depth, its rebound, its small "
