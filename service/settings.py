@@ -126,7 +126,9 @@ class Settings(BaseSettings):
     )
     # One cell may cost 150 times what the table of costs says.
     chunk_slack: Positive = Field(
-        300.0, description="Times its estimate that a chunk may take, if that is longer than `chunk_seconds`."
+        300.0,
+        description="Times its estimate, with all cells settling until `settle_until`, that a chunk may "
+        "take, if that is longer than `chunk_seconds`.",
     )
     failed_chunks: Count = Field(8, description="Chunks given up after which a job submits no further ones.")
     heartbeat_seconds: Positive = Field(

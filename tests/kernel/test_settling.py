@@ -204,7 +204,7 @@ def test_a_cell_that_goes_on_depends_on_no_other():
 def test_soft_contacts_go_on_too():
     """The scalar loop: as `rigid`, whose flights these are within the contact's depth."""
     contact = {"which": Model.SOFT, "restitution": 0.0, "penetration": 1e-6, "micro_flight": 0.05}
-    hard = {"settle": 200, "observe": 100, **contact}
+    hard = {"settle": 200, "observe": 100, "keep": 256, **contact}
     short, long = run(*SLOW[0], **hard), run(*SLOW[0], **hard, settle_until=5_000)
     assert short.outcome[0] == Outcome.SETTLING
     assert (long.outcome[0], long.bounces[0], long.periods[0]) == (Outcome.PERIODIC, 1, 1)

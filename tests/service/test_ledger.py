@@ -71,6 +71,21 @@ def test_a_job_comes_back_as_it_was_accepted(ledger: Ledger):
     assert (job.chunks_done, job.chunks_total, job.cells_done, job.cells_total) == (0, 4, 0, 40)
 
 
+def test_cells_that_settle_are_counted_and_uncounted(ledger: Ledger):
+    job = run(ledger, accept(ledger))
+    settling = [
+        ChunkReport(0, 10, 0.5, 0.4, "sum 0", (0, 7, 0, 0, 0, 0, 3)),
+        ChunkReport(1, 10, 0.5, 0.4, "sum 1", (0, 8, 0, 0, 0, 0, 2)),
+    ]
+    with ledger.writing() as writing:
+        writing.mark_done(job, [*settling, *reports(2)])
+        writing.mark_done(job, settling)  # again, as after a lost connection
+    assert current(ledger).cells_settling == current(ledger).progress(210.0).cells_settling == 5
+    with ledger.writing() as writing:
+        assert writing.unmark(current(ledger), [0, 2, 3]) == [0, 2]
+    assert (current(ledger).cells_settling, current(ledger).cells_done) == (2, 10)
+
+
 def test_an_unknown_job_is_none(ledger: Ledger):
     assert ledger.find("b" * 32) is None
     assert ledger.find("' OR 1=1 --") is None

@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.cost import Cost, cell_seconds, check_size, estimate
+from kernel.params import LANES
+from worker.cost import (
+    SETTLING_SHARE,
+    STILL_SETTLING_SHARE,
+    Cost,
+    cell_seconds,
+    check_size,
+    estimate,
+    longest_cell_seconds,
+)
 from worker.plan import (
     FEWEST_CHUNKS,
     TARGET_SECONDS,
@@ -173,6 +182,13 @@ def test_dear_cells_make_small_chunks():
     assert make_plan(spec)[0].cells == 1
 
 
+@pytest.mark.parametrize("settle", [100_000, 1_000_000])
+def test_chunks_of_cells_side_by_side_fill_the_lanes(settle):
+    spec = sweep(gamma=1_000, settle=settle)
+    assert make_plan(spec)[0].cells >= LANES
+    assert all(chunk.cells == LANES for chunk in make_plan(sweep(gamma=64 * LANES, settle=10**6)))
+
+
 def test_chunks_fit_into_memory_however_many_flights_are_kept():
     spec = sweep(gamma=10_000, omega=10, keep=10_000, settle=0, observe=1)
     assert make_plan(spec)[0].cells * 10_000 * 16 <= 64 * 2**20
@@ -241,7 +257,7 @@ def test_estimate_counts_what_the_store_holds():
     assert found.cells == 2 * 2 * 3 * 1000
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
-    assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 2 + 2 + 6 * 8 + 1)
+    assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
     assert found.core_seconds == pytest.approx(found.cells * 300 * RIGID_RAMP_US * 1e-6)
 
 
@@ -249,6 +265,19 @@ def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
     assert cell_seconds(sweep()) == pytest.approx(300 * CONTACT_MODELS["rigid"].cost_us * 1e-6)
     elastic = sweep(model={"kind": "rigid", "restitution": 0.5})
     assert cell_seconds(elastic) == pytest.approx(300 * RIGID_ELASTIC_US * 1e-6)
+
+
+def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
+    """From 300 periods to 600, 1,200 and 1,500: the last does not double."""
+    spec, without = sweep(gamma=1000, settle_until=1_500), sweep(gamma=1000)
+    extra = SETTLING_SHARE * (300 + STILL_SETTLING_SHARE * (600 + STILL_SETTLING_SHARE * 300))
+    assert cell_seconds(spec) / cell_seconds(without) == pytest.approx(1.0 + extra / 300)
+    assert longest_cell_seconds(spec) / cell_seconds(without) == pytest.approx(1_500 / 300)
+    assert cost_of(spec).longest_core_seconds == pytest.approx(1000 * longest_cell_seconds(spec))
+    assert cost_of(without).longest_core_seconds is None
+    assert longest_cell_seconds(without) == cell_seconds(without)
+    short = sweep(gamma=1000, settle_until=399)  # less than a window more
+    assert cell_seconds(short) == longest_cell_seconds(short) == cell_seconds(without)
 
 
 def test_time_steps_are_counted():
@@ -284,10 +313,10 @@ def test_too_many_cells_are_refused_with_the_limit():
 def test_too_many_bytes_are_refused_with_the_limit():
     spec = sweep(gamma=1000, keep=64)
     with pytest.raises(
-        SpecTooLarge, match=r"^keep: asks for 1033000 bytes, 1033 per cell; at most 1032999 are"
+        SpecTooLarge, match=r"^keep: asks for 1037000 bytes, 1037 per cell; at most 1036999 are"
     ):
-        check_size(cost_of(spec), max_bytes=1_032_999)
-    check_size(cost_of(spec), max_bytes=1_033_000)
+        check_size(cost_of(spec), max_bytes=1_036_999)
+    check_size(cost_of(spec), max_bytes=1_037_000)
 
 
 def test_absurd_sweep_is_refused_by_default():
