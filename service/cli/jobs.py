@@ -137,6 +137,8 @@ COMMANDS: Final = (submit, status, wait, follow, cancel, resume, delete, list_jo
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:
+    from service.client.display import settling_note
+
     submitted = job.id
     try:
         job.wait(timeout=timeout)
@@ -144,6 +146,8 @@ def _wait(job: "Job", timeout: float | None = None) -> None:
             click.echo(
                 f"job {submitted} was replaced by job {job.id}, of this service's kernel version", err=True
             )
+        if note := settling_note(job):
+            click.echo(note, err=True)
     except KeyboardInterrupt:
         click.echo(f"stopped waiting; the job continues (cancel it with: bounce cancel {job.id})", err=True)
         sys.exit(130)

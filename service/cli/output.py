@@ -7,7 +7,7 @@ from io import StringIO
 from math import ceil, isfinite, isnan, log10
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from service.client.display import time_left
+from service.client.display import settling_note, time_left
 
 if TYPE_CHECKING:
     import xarray
@@ -32,7 +32,7 @@ def job_report(job: "Job") -> str:
         "state": job.state,
         "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
         f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
-        "settling": f"{progress.cells_settling:,} cells" if progress.cells_settling else "",
+        "settling": settling_note(job),
         **{member: job.view.get(member) for member in ("notice", "created", "started", "finished", "error")},
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)

@@ -87,6 +87,17 @@ def summary(job: JobStatus) -> str:
     return f"{title}: {job.state}, {progress.whole_percent}% ({cells}){time_left(job)}"
 
 
+def settling_note(job: JobStatus) -> str:
+    """How many cells were still settling, and what to do; an empty string if none was."""
+    settling = job.progress.cells_settling
+    if not settling:
+        return ""
+    return (
+        f"{settling:,} of {job.progress.cells_done:,} cells were still settling: "
+        "give them more time with settle_until (plate periods)"
+    )
+
+
 def time_left(job: JobStatus) -> str:
     """`, 2 min 5 s left`, or an empty string for a finished job or one without an estimate."""
     seconds = job.progress.eta_seconds
@@ -114,6 +125,8 @@ def job_html(job: JobStatus) -> str:
     }
     if job.notice:
         rows["notice"] = escape(job.notice)
+    if note := settling_note(job):
+        rows["settling"] = escape(note)
     if job.error:
         rows["error"] = f"<pre style='margin:0'>{escape(job.error)}</pre>"
     body = "".join(

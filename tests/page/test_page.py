@@ -15,9 +15,11 @@ from fastapi.testclient import TestClient
 from scripted import Held
 from served import computing, finished, get, service
 
+from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.api.routers import page
 from service.figures.catalogue import FIGURES
+from worker.analysis.thresholds import Status
 from worker.spec import SweepSpec
 
 SCRIPTS = page.FILES / "js"
@@ -138,16 +140,48 @@ def test_the_scripts_do_not_import_each_other_in_cycles():
     graph.prepare()  # raises CycleError
 
 
-def test_the_scripts_know_the_kernel_s_outcome_codes():
-    text = (SCRIPTS / "lib" / "physics.js").read_text()
-    listed = re.search(r"OUTCOME = \{ (.*?) \}", text)
+def codes_of(constant: str) -> dict[str, int]:
+    """The codes of a constant of physics.js by name, in lower case with hyphens."""
+    listed = re.search(rf"{constant} = \{{ (.*?) \}}", (SCRIPTS / "lib" / "physics.js").read_text())
     assert listed
-    codes = dict(pair.split(": ") for pair in listed[1].split(", "))
-    names = {
-        re.sub("[A-Z]", lambda letter: f"_{letter[0]}", name).upper(): int(code)
-        for name, code in codes.items()
+    pairs = (pair.split(": ") for pair in listed[1].split(", "))
+    return {re.sub("[A-Z]", lambda letter: f"-{letter[0].lower()}", name): int(code) for name, code in pairs}
+
+
+def test_the_scripts_know_the_kernel_s_outcome_codes():
+    assert codes_of("OUTCOME") == {
+        outcome.name.lower().replace("_", "-"): outcome.value for outcome in Outcome
     }
-    assert names == {outcome.name: outcome.value for outcome in Outcome}
+
+
+def test_the_scripts_know_the_kernel_s_labels():
+    further = {label: code for code, label in enumerate(LABELS) if code not in set(Outcome)}
+    assert codes_of("LABEL") == further
+
+
+def test_the_page_explains_every_status_of_a_threshold():
+    text = (SCRIPTS / "views" / "thresholds.js").read_text()
+    listed = re.search(r"const REASONS = \{\n(.*?)\n\};", text, re.DOTALL)
+    assert listed
+    reasons = {name.strip('"') for name in re.findall(r'^  ("[^"]+"|\w+): ', listed[1], re.MULTILINE)}
+    assert reasons == {str(status) for status in Status} - {"found", "not ramped"}
+
+
+@pytest.mark.parametrize("min_flight", [None, 0.0, 3.0])
+def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
+    query = {} if min_flight is None else {"min_flight": min_flight}
+    diagram, modes = get(client, f"{line}/diagram", omega=0.5, **query), get(client, f"{line}/modes", **query)
+    header, plane = unpacked(client, f"{line}/plane", **query)
+    assert (
+        diagram["min_flight"]
+        == modes["min_flight"]
+        == header["min_flight"]
+        == (query or {"": 0.05}).popitem()[1]
+    )
+    for name in ("outcome", "bounces", "periods"):
+        assert diagram[name] == modes[name][0] == plane[name][: len(diagram[name])].tolist()
+    stored = get(client, f"{line}/diagram", omega=0.5)
+    assert (diagram["bounces"] != stored["bounces"]) == (min_flight == 3.0)
 
 
 def test_the_presets_are_the_sweeps_of_the_command_line_figures(client: TestClient):

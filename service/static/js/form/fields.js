@@ -19,7 +19,7 @@ export function numberField(name, label, about, defaultValue) {
   return {
     element: h("label", { className: "plain" }, h("span", {}, label), input, h("small", {}, about)),
     read: () => parseNumber(input.value),
-    write: (value) => { input.value = value === undefined ? "" : String(value); },
+    write: (value) => { input.value = value === undefined || value === null ? "" : String(value); },
   };
 }
 
@@ -33,7 +33,7 @@ export function nameField() {
 }
 
 const AXIS_KINDS = { single: "one value", list: "a list of values", range: "a range" };
-const AXIS_DEFAULTS = { gamma: { start: 1, stop: 6, num: 501 }, omega: 0.5, xi: 0.26 }; // of the form: a specification has none
+const AXIS_DEFAULTS = { gamma: { start: 0.5, stop: 6, num: 551 }, omega: 0.5, xi: 0.26 }; // of the form: a specification has none
 
 /** One axis: a single value, a list of values, or a range. */
 export function axisField(axis) {

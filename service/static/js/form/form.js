@@ -58,7 +58,9 @@ export class SweepForm {
       settle: numberField("settle", "settle", "plate periods, not recorded", defaults.settle),
       observe: numberField("observe", "observe", "plate periods, recorded", defaults.observe),
       keep: numberField("keep", "keep", "flights stored per cell, the last ones", defaults.keep),
-      micro_flight: numberField("micro_flight", "micro-flight", "rad; shorter flights do not count in the mode", defaults.micro_flight),
+      micro_flight: numberField("micro_flight", "micro-flight", "rad; shorter flights do not count, unless all are", defaults.micro_flight),
+      settle_until: numberField("settle_until", "settle until", "plate periods in all that a cell still settling may take", "off"),
+      exponents: numberField("exponents", "Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells", defaults.exponents),
       settle_tolerance: numberField("settle_tolerance", "settle tolerance", "rad; settling ends once flights repeat within it; 0: never", defaults.settle_tolerance),
     };
     this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });

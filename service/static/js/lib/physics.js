@@ -17,7 +17,10 @@ export const axisLabel = (axis) => `${NAME[axis]} ${SYMBOL[axis]}`;
 export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 
 /** Codes of kernel.params.Outcome. */
-export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5 };
+export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5, settling: 6 };
+
+/** Codes of kernel.labels beyond those of outcomes: aperiodic cells told apart by their Lyapunov exponents. */
+export const LABEL = { quasiPeriodic: 7, chaotic: 8 };
 
 /** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
 export function threshold(omega, xi) {
@@ -72,7 +75,10 @@ export function directionsOf({ protocol }) {
   return protocol.direction === "both" ? ["up", "down"] : [protocol.direction];
 }
 
-/** A cell's outcome as text. */
+/** The outcomes of cells, or their labels where the service sends them. */
+export const labelsOf = ({ outcome, label }) => label ?? outcome;
+
+/** A cell's outcome or label as text. */
 export function outcomeText(outcome, bounces, periods) {
   switch (outcome) {
     case OUTCOME.periodic:
@@ -85,6 +91,12 @@ export function outcomeText(outcome, bounces, periods) {
       return "unresolved";
     case OUTCOME.diverged:
       return "diverged";
+    case OUTCOME.settling:
+      return "still settling";
+    case LABEL.quasiPeriodic:
+      return "quasi-periodic";
+    case LABEL.chaotic:
+      return "chaotic";
     default:
       return "not computed yet";
   }

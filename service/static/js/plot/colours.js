@@ -1,6 +1,6 @@
 // Colours: the theme of the style sheet, the directions of a sweep, and the modes of a map.
 
-import { OUTCOME, outcomeText } from "../lib/physics.js";
+import { LABEL, OUTCOME, labelsOf, outcomeText } from "../lib/physics.js";
 
 const DARK = "(prefers-color-scheme: dark)";
 const PROPERTIES = ["surface", "text", "muted", "border", "up", "down", "single", "threshold", "cursor", "lower-mass"];
@@ -51,32 +51,36 @@ const OUTCOME_COLOURS = { // [light scheme, dark scheme]
   [OUTCOME.atRest]: ["#ece8e0", "#4a5058"],
   [OUTCOME.unresolved]: ["#d55e00", "#d55e00"],
   [OUTCOME.diverged]: ["#d55e00", "#d55e00"],
+  [OUTCOME.settling]: ["#b7aed0", "#716794"],
+  [LABEL.quasiPeriodic]: ["#5e3c99", "#9a7fd1"],
+  [LABEL.chaotic]: ["#7a1f2b", "#5c1520"],
   [OUTCOME.missing]: ["#ffffff", "#16181b"],
 };
 
 const SHADES = 3;
-const FIRST = 6; // the class of the first shade of the first hue; outcome codes are below
+const FIRST = 9; // the class of the first shade of the first hue; codes of outcomes and labels are below
 const LONG = FIRST + SHADES * HUES.length;
 const CLASSES = LONG + 1;
-/** Order of the legend: at rest, modes by period, aperiodic, the rest. */
+/** Order of the legend: at rest, modes by period, the cells without a mode, the rest. */
 const ORDER = [OUTCOME.atRest, ...Array.from({ length: CLASSES - FIRST }, (_, i) => FIRST + i),
-  OUTCOME.aperiodic, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
+  LABEL.quasiPeriodic, LABEL.chaotic, OUTCOME.aperiodic, OUTCOME.settling, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
 
-function classOf(outcome, bounces, periods) {
-  if (outcome !== OUTCOME.periodic) return outcome;
+function classOf(label, bounces, periods) {
+  if (label !== OUTCOME.periodic) return label;
   return periods > HUES.length ? LONG : FIRST + SHADES * (periods - 1) + 1 + Math.sign(bounces - periods);
 }
 
 /**
  * Classes of cells by colour: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order.
  */
-export function modeClasses({ outcome, bounces, periods }) {
-  const ofCell = new Uint8Array(outcome.length);
+export function modeClasses({ bounces, periods, ...cellsOf }) {
+  const labels = labelsOf(cellsOf);
+  const ofCell = new Uint8Array(labels.length);
   const cells = new Uint32Array(CLASSES);
   const minBounces = new Int32Array(CLASSES).fill(2 ** 30);
   const maxBounces = new Int32Array(CLASSES);
   for (let i = 0; i < ofCell.length; i++) {
-    const id = classOf(outcome[i], bounces[i], periods[i]);
+    const id = classOf(labels[i], bounces[i], periods[i]);
     ofCell[i] = id;
     cells[id]++;
     if (bounces[i] < minBounces[id]) minBounces[id] = bounces[i];

@@ -60,10 +60,18 @@ function directionBoxes({ directions, shownDirections }, onChange) {
     directions.map((direction, i) => h("label", { className: `direction ${direction}` }, boxes[i], ` ${direction}`)));
 }
 
-function minFlightInput(minFlight, onChange) {
-  return h("label", { className: "option" }, "Hide flights below ",
+/** The shortest flight of a view: of its address, or the micro-flight the sweep was classified with. */
+export function minFlightOf({ min }, { spec }) {
+  const value = (min ?? "") === "" ? NaN : Number(min);
+  return value >= 0 && Number.isFinite(value) ? value : spec.micro_flight;
+}
+
+/** Which flights count, for points and modes alike. */
+export function minFlightInput(minFlight, onChange) {
+  const title = "Shorter flights do not count for the mode and are not drawn, unless all flights of a cell are shorter";
+  return h("label", { className: "option", title }, "Count flights above ",
     h("input", {
-      type: "number", min: 0, step: "any", value: minFlight || "", placeholder: "0",
-      onchange: (event) => onChange(Math.max(0, Number(event.target.value) || 0)),
+      type: "number", min: 0, step: "any", value: minFlight, required: true,
+      onchange: (event) => { if (event.target.value !== "" && event.target.valueAsNumber >= 0) onChange(event.target.valueAsNumber); },
     }), " rad");
 }

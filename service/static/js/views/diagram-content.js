@@ -2,7 +2,7 @@
 
 import { csv } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
-import { OUTCOME, SYMBOL, outcomeText, threshold } from "../lib/physics.js";
+import { OUTCOME, SYMBOL, labelsOf, outcomeText, threshold } from "../lib/physics.js";
 import { circle, disc, polygon, verticalLine } from "../plot/drawing.js";
 import { flightsOf } from "./line-data.js";
 
@@ -62,7 +62,7 @@ export function describeCell({ line, cell }, along, withDirection) {
   const { values, outcome, bounces, periods, shown } = line.arrays;
   const parts = [`${SYMBOL[along]} = ${number(values[cell])}`];
   if (withDirection) parts.push(`ramp ${line.direction}`);
-  parts.push(outcomeText(outcome[cell], bounces[cell], periods[cell]));
+  parts.push(outcomeText(labelsOf(line.arrays)[cell], bounces[cell], periods[cell]));
   if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
   const times = flightsOf(line, cell);
   if (times?.length && times.length <= MAX_LISTED) parts.push(`flight times ${times.map((time) => number(time, 4)).join(", ")} rad`);
@@ -78,9 +78,9 @@ export function flightTable(lines, along, { x0, x1, y0, y1 }) {
       if (value < x0 || value > x1) return;
       const { gamma, omega, xi } = { ...fixed, [along]: value };
       for (const time of arrays.flight_time.subarray(starts[i], starts[i + 1])) {
-        if (time >= y0 && time <= y1) rows.push([direction, gamma, omega, xi, time, arrays.bounces[i], arrays.periods[i]]);
+        if (time >= y0 && time <= y1) rows.push([direction, gamma, omega, xi, time, labelsOf(arrays)[i], arrays.bounces[i], arrays.periods[i]]);
       }
     });
   }
-  return csv(["direction", "gamma", "omega", "xi", "flight_time_rad", "bounces", "periods"], rows);
+  return csv(["direction", "gamma", "omega", "xi", "flight_time_rad", lines[0]?.arrays.label ? "label" : "outcome", "bounces", "periods"], rows);
 }

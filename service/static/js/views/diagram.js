@@ -8,7 +8,7 @@ import { directionColour } from "../plot/colours.js";
 import { pixelRatio } from "../plot/drawing.js";
 import { drawFlights } from "../plot/flights.js";
 import { extent } from "../plot/scale.js";
-import { diagramControls } from "./controls.js";
+import { diagramControls, minFlightOf } from "./controls.js";
 import { describeCell, drawCurrent, drawSelected, drawThreshold, emptyMessage, flightTable, headings } from "./diagram-content.js";
 import { flightsOf, requestLine } from "./line-data.js";
 import { PlotView } from "./plot-view.js";
@@ -28,7 +28,7 @@ export class Diagram extends PlotView {
     this.axes = AXES.filter((axis) => grid[axis].length > 1);
     this.along = this.axes.includes(initial.along) ? initial.along : longestAxis(grid);
     this.fixed = Object.fromEntries(AXES.map((axis) => [axis, initialValue(grid[axis], initial[axis])]));
-    this.minFlight = Number(initial.min) || 0;
+    this.minFlight = minFlightOf(initial, this.job);
     this.shownDirections = directions.filter((direction) => !initial.show || initial.show.split(",").includes(direction));
     this.prefetch = debounced(40, () => this.#prefetch());
     this.controls = h("div", {});
@@ -70,7 +70,7 @@ export class Diagram extends PlotView {
       },
       minFlight: (minFlight) => {
         this.minFlight = minFlight;
-        setQuery({ min: minFlight || null });
+        setQuery({ min: minFlight === this.job.spec.micro_flight ? null : minFlight });
         this.load();
       },
     }));
@@ -79,7 +79,7 @@ export class Diagram extends PlotView {
   /** The query of a line except for its direction. */
   #parameters(fixed = this.fixed) {
     const others = Object.fromEntries(Object.entries(fixed).filter(([axis]) => axis !== this.along));
-    return { along: this.along, ...others, min_flight: this.minFlight || null };
+    return { along: this.along, ...others, min_flight: this.minFlight };
   }
 
   /** The lines of all shown directions at `fixed`; if they come as density, counted over `window`. */

@@ -8,11 +8,11 @@ import { TrajectoryPanel } from "../motion/panel.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
-import { ProgressBar, UNFINISHED, notice, showActions, summary, titleOf } from "./progress.js";
+import { ProgressBar, UNFINISHED, notice, settling, showActions, summary, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
-const SHARED = [...AXES, "cell"]; // query parameters that all tabs understand
+const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
 const POLL_MS = 600;
 const SLOW_POLL_MS = 3000; // for sweeps that take minutes, and after errors
 const LONG_SECONDS = 300;
@@ -24,6 +24,7 @@ export class JobView {
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.about = h("p", { className: "summary" });
     this.notice = h("p", { className: "notice", hidden: true });
+    this.settling = h("p", { className: "notice", hidden: true });
     this.bar = new ProgressBar();
     this.actions = h("div", { className: "actions" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
@@ -32,7 +33,7 @@ export class JobView {
     this.aside = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
     root.replaceChildren(
       h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions, this.notice),
+      h("header", { className: "job" }, this.heading, this.about, this.bar.element, this.actions, this.notice, this.settling),
       this.problem, this.tabs, h("div", { className: "columns" }, this.panel, this.aside));
     this.trajectory = new TrajectoryPanel(this.aside, { onClose: () => this.#closeTrajectory() });
     this.#poll(true);
@@ -110,6 +111,9 @@ export class JobView {
     this.about.replaceChildren(...summary(job));
     this.notice.hidden = !job.notice;
     this.notice.replaceChildren(...notice(job));
+    const unsettled = settling(job);
+    this.settling.hidden = !unsettled.length;
+    this.settling.replaceChildren(...unsettled);
     this.bar.show(job);
     this.#showError(this.#failure());
     showActions(this.actions, job, {

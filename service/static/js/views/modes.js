@@ -5,11 +5,11 @@ import { query, requestArrays } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
-import { OUTCOME, SYMBOL, axisLabel, clampIndex, initialValue, isClose, isLog, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { OUTCOME, SYMBOL, axisLabel, clampIndex, initialValue, isClose, isLog, labelsOf, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
 import { bitmap, circle, polyline, rgba32 } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
-import { sliders } from "./controls.js";
+import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
@@ -24,6 +24,7 @@ export class Modes extends PlotView {
     super(view);
     this.xi = initialValue(this.grid.xi, this.initial.xi);
     this.direction = this.directions.includes(this.initial.dir) ? this.initial.dir : this.directions[0];
+    this.minFlight = minFlightOf(this.initial, this.job);
     this.legend = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)" });
     this.thinning = h("p", { className: "note", hidden: true });
     this.build(root, {
@@ -44,15 +45,21 @@ export class Modes extends PlotView {
       setQuery({ dir: this.direction });
       this.load();
     };
+    const onMinFlight = (minFlight) => {
+      this.minFlight = minFlight;
+      setQuery({ min: minFlight === this.job.spec.micro_flight ? null : minFlight });
+      this.load();
+    };
     const options = this.directions.map((direction) => h("option", { value: direction, selected: direction === this.direction }, direction));
     return h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove),
-      this.directions.length > 1 && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)));
+      this.directions.length > 1 && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)),
+      minFlightInput(this.minFlight, onMinFlight));
   }
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
   async request(signal) {
     const { x0: left, x1: right, y0: bottom, y1: top } = (this.isThinned && this.window) || {};
-    const parameters = query({ xi: this.xi, direction: this.direction, left, right, bottom, top });
+    const parameters = query({ xi: this.xi, direction: this.direction, min_flight: this.minFlight, left, right, bottom, top });
     this.plane = await requestArrays(`/v1/jobs/${this.job.id}/plane?${parameters}`, { signal });
     this.axes = this.plane.arrays; // gamma and omega: of the cells that were sent
     this.classes = modeClasses(this.plane.arrays);
@@ -156,15 +163,15 @@ export class Modes extends PlotView {
   describe({ column, row }) {
     const { gamma, omega, outcome, bounces, periods } = this.plane.arrays;
     const cell = row * gamma.length + column;
-    const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(outcome[cell], bounces[cell], periods[cell])];
+    const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(labelsOf(this.plane.arrays)[cell], bounces[cell], periods[cell])];
     if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
     return parts.join(" · ");
   }
 
   table() {
-    const { gamma, omega, outcome, bounces, periods } = this.plane.arrays;
-    const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], bounces[i], periods[i]];
-    return csv(["gamma", "omega", "xi", "outcome", "bounces", "periods"], Array.from(outcome, row));
+    const { gamma, omega, outcome, label, bounces, periods } = this.plane.arrays;
+    const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], ...(label ? [label[i]] : []), bounces[i], periods[i]];
+    return csv(["gamma", "omega", "xi", "outcome", ...(label ? ["label"] : []), "bounces", "periods"], Array.from(outcome, row));
   }
 }
 

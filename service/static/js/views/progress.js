@@ -53,6 +53,15 @@ export function notice({ notice: text, replaced_by: successor }) {
   return successor ? [sentence, h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : [sentence];
 }
 
+/** How many cells of a sweep were still settling, and what to do; nothing where none was. */
+export function settling({ id, progress, spec }) {
+  const { cells_settling: cells } = progress;
+  if (!cells || !spec) return [];
+  const taken = spec.settle_until ?? spec.settle + spec.observe;
+  return [`${count(cells)} of ${plural(progress.cells_done, "cell")} were still settling after ${count(taken)} plate periods. `,
+    h("a", { href: link(["new"], { from: id }) }, "New sweep with more time"), ": set “settle until”."];
+}
+
 function axisText(axis) {
   const values = axisValues(axis);
   if (values.length <= MAX_LISTED) return values.map((value) => number(value)).join(", ");

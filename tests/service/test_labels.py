@@ -1,0 +1,121 @@
+"""Labels and exponents in every answer, and how many cells were still settling."""
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from pyarrow import parquet
+from served import computing, finished, get
+
+from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
+from service.cli.output import job_report, modes_csv
+from service.client.datasets import diagram_dataset, modes_dataset
+from service.client.display import settling_note
+from service.client.models import JobStatus
+
+#: At Omega = 1, xi = 0.05: a cell at rest, a (1, 2) mode, a torus, chaos (docs/model.md).
+SWEEP: Final[dict[str, Any]] = {
+    "gamma": [0.1, 3.0, 3.8, 4.6],
+    "omega": [0.9, 1.0],
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 300,
+    "observe": 300,
+    "keep": 16,
+    "exponents": 2,
+}
+EXPECTED: Final = ["at_rest", "periodic", "quasi-periodic", "chaotic"]
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def job(client: TestClient) -> str:
+    return finished(client, SWEEP)
+
+
+def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, job: str):
+    answer = get(client, f"{job}/diagram", omega=1.0)
+    assert [LABELS[code] for code in answer["label"]] == EXPECTED
+    assert [len(row) for row in answer["lyapunov"]] == [2] * 4
+    assert answer["lyapunov"][0] == [None, None]  # no flight, no exponent
+    assert abs(answer["lyapunov"][2][0]) < 0.01 < answer["lyapunov"][3][0]
+    dataset = diagram_dataset(answer, "0" * 32, "")
+    assert dataset.lyapunov.dims == ("gamma", "exponent")
+    assert dataset.label.attrs["flag_meanings"].split() == list(LABELS)
+
+
+def test_a_mode_map_and_its_table_have_labels(client: TestClient, job: str):
+    answer = get(client, f"{job}/modes")
+    assert [LABELS[code] for code in answer["label"][1]] == EXPECTED
+    table = list(csv.DictReader(io.StringIO(modes_csv(modes_dataset(answer, "0" * 32)).decode())))
+    assert [row["label"] for row in table if row["omega"] == "1.0"] == EXPECTED
+    assert {row["outcome"] for row in table if row["label"] in EXPECTED[2:]} == {"aperiodic"}
+
+
+def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):
+    header, *rows = csv.reader(
+        io.StringIO(client.get(f"{job}/diagram", params={"omega": 1.0, "format": "csv"}).text)
+    )
+    assert header[-3:] == ["lyapunov_1", "lyapunov_2", "label"]
+    assert {row[-1] for row in rows} == set(EXPECTED[1:])
+    netcdf = tmp_path / "sweep.nc"
+    netcdf.write_bytes(client.get(f"{job}/export?format=nc").content)
+    with xarray.open_dataset(netcdf, engine="h5netcdf") as dataset:
+        assert dataset.label.sel(omega=1.0).values.ravel()[2:].tolist() == [QUASI_PERIODIC, CHAOTIC]
+        assert dataset.lyapunov.dims[-1] == "exponent"
+        assert "settling" in dataset.outcome.attrs["flag_meanings"].split()
+    table = parquet.read_table(io.BytesIO(client.get(f"{job}/export?format=parquet").content)).to_pylist()
+    cells = [row for row in table if row["omega"] == 1.0]
+    assert [row["label"] for row in cells] == EXPECTED
+    assert [len(row["lyapunov"]) for row in cells] == [2] * 4
+
+
+def test_a_sweep_without_exponents_has_no_labels(client: TestClient):
+    here = finished(client, SWEEP | {"exponents": 0})
+    assert not {"label", "lyapunov"} & set(get(client, f"{here}/diagram", omega=1.0))
+    assert "label" not in get(client, f"{here}/modes")
+
+
+#: Slow settling next to the resonance, and a window too short for it.
+SHORT: Final[dict[str, Any]] = {
+    "gamma": {"start": 0.6, "stop": 1.5, "num": 46},
+    "omega": 1.0,
+    "xi": 0.01,
+    "model": {"kind": "rigid"},
+    "settle": 20,
+    "observe": 60,
+    "keep": 4,
+}
+
+
+def test_a_job_says_how_many_cells_were_settling(client: TestClient):
+    view = get(client, finished(client, SHORT))
+    outcomes = get(client, f"{view['links']['self']}/modes")["outcome"][0]
+    settling = outcomes.count(LABELS.index("settling"))
+    assert settling > 0
+    assert view["progress"]["cells_settling"] == settling
+    job = JobStatus()
+    job._update(view)
+    note = (
+        f"{settling} of 46 cells were still settling: give them more time with settle_until (plate periods)"
+    )
+    assert settling_note(job) == note
+    assert note in job_report(job)  # type: ignore[arg-type]
+
+
+def test_cells_given_more_time_settle(client: TestClient):
+    short, patient = (
+        get(client, finished(client, sweep))["progress"]["cells_settling"]
+        for sweep in (SHORT, SHORT | {"settle_until": 20_000})
+    )
+    assert patient < 0.2 * short
