@@ -66,9 +66,9 @@ def minima(values: NDArray[np.float64], depth: float) -> list[int]:
 
 
 def _rise(values: NDArray[np.float64]) -> float:
-    """How far the values rise above the first one before they fall below it."""
+    """How far the values rise above the first one before they fall below it; NaN among them is no value."""
     below = np.flatnonzero(values < values[0])
-    return float(np.max(values[: below[0]] if len(below) else values) - values[0])
+    return float(np.nanmax(values[: below[0]] if len(below) else values) - values[0])
 
 
 def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, periods: int) -> Caption:
@@ -106,9 +106,10 @@ def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
     """Not in the paper: whether the threshold depends on the "large amplitude" at the start."""
     same = loop.down.sel(omega=lower.omega, method="nearest").values
     moved = np.abs(lower.down.values - same) > STEPS_APART * step
-    slow = lower.omega.values < SLOW
+    known = np.isfinite(lower.down.values) & np.isfinite(same)
+    slow, fast = (known & side for side in (lower.omega.values < SLOW, lower.omega.values >= SLOW))
     of_slow = f"{moved[slow].sum()} of {slow.sum()}"
-    of_fast = f"{moved[~slow].sum()} of {(~slow).sum()}"
+    of_fast = f"{moved[fast].sum()} of {fast.sum()}"
     return left_open(
         "the amplitude that the ramp down begins with, which may matter where modes coexist: from "
         f"Γ = 1.2 instead of 3, {of_slow} thresholds below Ω = 0.5 and {of_fast} "

@@ -5,6 +5,7 @@ of a job. `JobPreparer` makes them once and keeps them; a submission hands it th
 plan that it has made already.
 """
 
+import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -17,11 +18,14 @@ from service.settings import Settings
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.cost import Cost
 from worker.schema import Layout
-from worker.studies import Chunk, Plan, Study, from_json, study_of
+from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
 #: Prepared jobs kept, those used last; and characters of their specifications, which may hold long axes.
 MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
+
+#: Fields of a sweep with stricter rules today than under kernel version 1; no reader of results uses them.
+BOUNDED_SINCE: Final = ("settle_tolerance",)
 
 #: What a prepared job depends on. `seq` tells a job from a deleted one of the same id; the chunk shape and
 #: the choice change when the model of an `auto` sweep is chosen.
@@ -126,7 +130,13 @@ def _key(job: JobRecord) -> _Key:
 
 
 def _parse(job: JobRecord) -> Any:
-    return from_json(job.spec)
+    """The specification; of an outdated job by the rules of its time: its results are to be read."""
+    if not job.outdated:
+        return from_json(job.spec)
+    fields = json.loads(job.spec)
+    kept = {name: fields.pop(name) for name in BOUNDED_SINCE if name in fields}
+    spec = parse(fields)
+    return spec.model_copy(update=kept) if kept else spec
 
 
 def _plan(job: JobRecord, spec: Any) -> Plan:

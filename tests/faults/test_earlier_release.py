@@ -3,6 +3,7 @@
 The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
 """
 
+import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -198,6 +199,18 @@ def test_resuming_what_this_release_refuses_names_the_field(folder: Path):
         answer = client.post(f"{INTERRUPTED}/resume")
         assert answer.status_code == 422
         assert answer.json()["errors"][0]["field"] == "colour"
+
+
+def test_results_are_read_though_their_specification_is_refused_today(folder: Path, tmp_path: Path):
+    """Release 0.1.0 had no upper bound of `settle_tolerance`."""
+    change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.settle_tolerance', 1e-3)")
+    with service(folder, Held()) as client:
+        assert client.post("/v1/jobs", json=get(client, DONE)["spec"]).status_code == 422
+        assert get(client, f"{DONE}/diagram", omega=0.5)["complete"]
+        (tmp_path / "sweep.nc").write_bytes(client.get(f"{DONE}/export", params={"format": "nc"}).content)
+        assert "it cannot start anew: settle_tolerance" in get(client, INTERRUPTED)["error"]
+    with xarray.open_dataset(tmp_path / "sweep.nc") as sweep:
+        assert json.loads(sweep.attrs["spec"])["settle_tolerance"] == 1e-3
 
 
 def test_a_done_job_is_not_resumed_and_its_sweep_submitted_again_is_another_job(folder: Path):

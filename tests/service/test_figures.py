@@ -289,6 +289,7 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int,
         ([3, 1, 1.01, 0, 3], [3]),  # too shallow on one side
         ([1, 2, 3], []),
         ([3, 1, 1, 2], [2]),
+        ([3, 1, 2, np.nan], [1]),  # the grid does not hold the last threshold
     ],
 )
 def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]):
