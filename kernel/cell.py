@@ -260,7 +260,8 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) 
         return False
     last = first + (run.recorded - 1) % flights.size
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
-    return run.settle + window.observe - landing > max(0.5 * window.observe, QUIET)
+    still: float = run.settle + window.observe - landing
+    return still > max(0.5 * window.observe, QUIET)
 
 
 @jit
