@@ -363,21 +363,25 @@ def test_bounds_on_an_oscillation_hold(ratio, rate, x, v, tau):
 def test_a_motion_in_coordinates_is_the_same_motion(ratio, rate, x, v, tau):
     osc, tau = oscillator.oscillator(ratio * rate, rate * rate), tau / rate
     a, b = oscillator.coordinates(osc, x, v)
-    assert oscillator.position(osc, a, b) == pytest.approx((x, v), rel=1e-14, abs=1e-14 * abs(x) * rate)
-    assert oscillator.all_derivatives(osc, a, b).x1 == pytest.approx(v, rel=1e-14, abs=1e-14 * abs(x) * rate)
+    now = oscillator.all_derivatives(osc, a, b)
+    there, speed = oscillator.position(osc, a, b)
+    assert there == now.x == pytest.approx(x, rel=1e-14, abs=1e-14 * now.size)
+    assert speed == now.x1 == pytest.approx(v, rel=1e-14, abs=1e-14 * now.size * osc.rate)
     later = oscillator.advance(osc, a, b, tau)
     cosine, sine, sine1 = response(ratio * rate, rate * rate, tau)
     expected = float(x * cosine + v * sine), float(v * sine1 - rate * rate * sine * x)
     turns = 1.0 + rate * tau * (rate * tau if abs(ratio - 1.0) < 0.1 else 1.0)
     scale = abs(x) * float(abs(cosine) + rate * abs(sine)) + abs(v) * float(abs(sine) + abs(cosine) / rate)
-    got = oscillator.position(osc, *later)
+    got, then = oscillator.position(osc, *later), oscillator.all_derivatives(osc, *later)
+    scale += then.size
     assert abs(got[0] - expected[0]) <= 1e-14 * turns * scale + 1e-300
     assert abs(got[1] - expected[1]) <= 1e-14 * turns * scale * max(osc.rate, rate) + 1e-300
-    rate_of_it = oscillator.position(osc, *oscillator.derivative(osc, *later))
-    assert rate_of_it[0] == pytest.approx(got[1], rel=1e-12, abs=1e-300)
-    now, then = oscillator.all_derivatives(osc, a, b), oscillator.all_derivatives(osc, *later)
     assert abs(got[0]) <= now.size * (1.0 + 1e-12)
-    fourth = -2.0 * osc.damping * then.x3 - osc.stiffness * then.x2
+    rates = [later]
+    for _ in range(4):
+        rates.append(oscillator.derivative(osc, *rates[-1]))
+    first, fourth = oscillator.position(osc, *rates[1])[0], oscillator.position(osc, *rates[4])[0]
+    assert first == pytest.approx(got[1], rel=1e-12, abs=1e-300)
     assert abs(fourth) <= now.x4 * (1.0 + 1e-9) + 1e-300
     quiet = oscillator.quiet_time(osc, a, b, 0.1 * now.size)
     if quiet < math.inf:
