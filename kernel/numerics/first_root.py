@@ -258,6 +258,8 @@ def first_root(phase: Any, start: float, horizon: float, budget: int) -> tuple[f
             return (horizon if beyond else tau), (HORIZON if beyond else ending), used + more
         if guess == 0.0:  # about the time over which F changes its shape: where f2 or f3 balances f4
             guess = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / max(f4, EPS)
+        if guess == 0.0:  # F'' = F''' = 0: where F itself balances f4
+            guess = math.sqrt(math.sqrt(f0 / max(f4, EPS)))
         step = safe_step(f0, f1, f2, f3, f4, guess)
         if t.ring4 > t.smooth4 and t.smooth > t.amplitude:
             step = max(

@@ -19,6 +19,7 @@ from kernel.numerics.first_root import (
     NON_FINITE,
     ROOT,
     Terms,
+    first_root,
     polish,
     safe_step,
     terms,
@@ -259,6 +260,29 @@ def test_a_safe_step_is_safe_and_a_step(f0, f1, f2, f3, f4, guess):
     bound = f0 + s * (f1 + s * (f2 / 2.0 + s * (f3 / 6.0 - s * f4 / 24.0)))
     size = f0 + s * (abs(f1) + s * (abs(f2) / 2.0 + s * (abs(f3) / 6.0 + s * f4 / 24.0)))
     assert np.all(bound >= -1e-12 * size)
+
+
+class Flat(NamedTuple):
+    """1 - tau^4, whose first three derivatives vanish at the start."""
+
+    steepness: float  # of tau^4
+
+
+@terms.register(Flat)
+@jit
+def _flat_terms(p: Flat, tau: float) -> Terms:
+    k, square = p.steepness, tau * tau
+    return Terms(
+        1.0 - k * square * square, -4.0 * k * square * tau, -12.0 * k * square, -24.0 * k * tau, 24.0 * k,
+        0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("steepness", [1e-6, 1.0, 1e9])
+def test_a_flat_start_is_left(steepness):
+    tau, ending, _ = first_root(Flat(steepness), 0.0, 1e3, 1000)
+    assert ending == ROOT
+    assert tau == pytest.approx(steepness**-0.25, rel=1e-14)
 
 
 # --- the polisher ---------------------------------------------------------------------------

@@ -115,17 +115,15 @@ def trajectory(s: Setting, periods: float) -> list[Flown]:
     """Every flight from rest that takes off and lands within some plate periods, by DOP853."""
     phi, end = 0.0, 2.0 * math.pi * periods
     state, flying = s.at_rest(), not s.soft and s.gamma > 2.0
-    took_off = False  # a flight that the spring begins in has not taken off
     flown = []
     while True:
         phi_before, was_flying = phi, flying
         phi, state, ended = _integrate(s, phi, state, flying, end)
         if not ended:
             return flown
-        if was_flying and took_off and phi - phi_before > SHORTEST_FLIGHT:
+        if was_flying and phi - phi_before > SHORTEST_FLIGHT:
             flown.append(Flown(phi_before, phi - phi_before))
         state, flying = _after(s, phi, state, was_flying)
-        took_off = True
 
 
 def _after(s: Setting, phi: float, state: State, was_flying: bool) -> tuple[State, bool]:
