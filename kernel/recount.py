@@ -48,7 +48,8 @@ def recount(
 
     flight_time, takeoff_phase: (n, keep) in rad, flights: (n,), as in `params.Line`; modes: as classified
     with `micro_flight` (rad). A cycle must be seen three times in the stored flights, of which there may be
-    fewer than those of the first classification. Cells without flights keep their outcome.
+    fewer than those of the first classification. Cells keep their outcome and mode where no other flights
+    count than before.
 
     Plate periods of take-offs are not stored: a contact between two flights is taken to be shorter than a
     plate period, except where the first classification tells how many periods a cycle has.
@@ -66,7 +67,7 @@ def _recount(
     outcome: Any, bounces: Any, periods: Any, new_outcome: Any, new_bounces: Any, new_periods: Any,
 ) -> None:  # fmt: skip
     for cell in range(len(outcome)):
-        if outcome[cell] not in (PERIODIC, APERIODIC, SETTLING):
+        if outcome[cell] not in (PERIODIC, APERIODIC, SETTLING) or np.all(now[cell] == before[cell]):
             continue
         time, phase, period, place = _select(flight_time[cell], takeoff_phase[cell], now[cell])
         b, p = find_mode(time, phase, period)

@@ -9,10 +9,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 from numpy.typing import NDArray
 
+from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.formats import PictureFormat
 from service.render.style import BLUE, DPI, FONT, GREY, RED, SYMBOLS, TEXT, encode
+from service.results.counting import LABEL
 from service.results.density import Window, density
 from service.results.diagram import Diagram
 from worker.spec import SweepSpec
@@ -192,12 +194,21 @@ def _describe(axes: Axes, diagram: Diagram, spec: SweepSpec) -> None:
 def _subtitle(diagram: Diagram, spec: SweepSpec) -> str:
     """How the cells were computed and which of them are shown."""
     start = "from rest" if spec.ramp_axis is None else f"ramped along {SYMBOLS[spec.ramp_axis]}"
-    flights = f", flights of at least {diagram.min_flight:g} rad" if diagram.min_flight else ""
+    flights = f", flights above {diagram.min_flight:g} rad" if diagram.min_flight else ""
     thinned = f", 1 cell in {diagram.every:,}" if diagram.every > 1 else ""
     lost = int(np.count_nonzero(np.isin(diagram.outcome, (Outcome.UNRESOLVED, Outcome.DIVERGED))))
     unresolved = f", {lost:,} of {len(diagram.values):,} cells unresolved" if lost else ""
     contact = CONTACT_MODELS[spec.model.kind].label
-    return f"{contact}, {start}{flights}{thinned}{unresolved}"
+    return f"{contact}, {start}{flights}{thinned}{unresolved}{_told_apart(diagram)}"
+
+
+def _told_apart(diagram: Diagram) -> str:
+    """How many cells settle, and with exponents how many are quasi-periodic and chaotic."""
+    codes = diagram.arrays.get(LABEL.name, diagram.outcome)
+    counts = {
+        code: int(np.count_nonzero(codes == code)) for code in (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC)
+    }
+    return "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
 
 
 def _legend(axes: Axes) -> None:

@@ -64,6 +64,16 @@ def test_cells_without_flights_keep_their_outcome():
     assert found.outcome.tolist() == outcome.tolist()
 
 
+def test_cells_of_which_the_same_flights_count_keep_their_mode():
+    """A cycle of four flights, of which only six are stored: too few to be found again."""
+    times, phases = np.array([[1.0, 2.0, 3.0, 4.0, 1.0, 2.0]]), np.zeros((1, 6))
+    stored = Modes(np.array([1], np.uint8), np.array([4], np.int32), np.array([5], np.int32))
+    found = recount(times, phases, np.array([90], np.int32), stored, 0.05, 0.5)
+    assert (found.outcome.tolist(), found.bounces.tolist(), found.periods.tolist()) == ([1], [4], [5])
+    found = recount(times, phases, np.array([90], np.int32), stored, 0.05, 1.5)
+    assert (found.outcome.tolist(), found.bounces.tolist()) == ([Outcome.APERIODIC], [0])
+
+
 def test_a_contact_longer_than_a_period_is_known_from_the_stored_mode():
     """One flight of 3 rad every third period, and a hop of 0.1 rad one rad after it."""
     times = np.tile([3.0, 0.1], 20)[None]

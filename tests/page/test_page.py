@@ -277,7 +277,7 @@ def test_an_invalid_line_query_is_refused(client: TestClient, line: str, query: 
 def test_a_plane_is_the_mode_map(client: TestClient, line: str):
     header, arrays = unpacked(client, f"{line}/plane", xi=0.26)
     modes = get(client, f"{line}/modes", xi=0.26)
-    whole = {"every_gamma": 1, "every_omega": 1}
+    whole = {"every_gamma": 1, "every_omega": 1, "min_flight": 0.05}
     assert header == {"xi": 0.26, "direction": "rest", "complete": True} | whole
     for name in ("gamma", "omega"):
         assert arrays[name].tolist() == modes[name]

@@ -214,7 +214,7 @@ def test_a_picture_says_how_it_was_made():
     picture = words(draw([up, down], ramp, "svg"))
     for text in (
         "rigid contact, ramped along",
-        "flights of at least 0.5 rad",
+        "flights above 0.5 rad",
         "<!-- up -->",
         "<!-- down -->",
     ):
