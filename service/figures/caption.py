@@ -58,3 +58,8 @@ class Caption:
 def mode(bounces: int, periods: int) -> str:
     """A mode in the notation of the paper."""
     return f"({bounces}, {periods})"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as a quantity with its unit: `86 %`."""
+    return f"{100 * share:.{digits}f} %"

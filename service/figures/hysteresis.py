@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, Drawing, minor_ticks, new_drawing, styled
-from service.figures.caption import Caption, Claim, compared, left_open
+from service.figures.caption import Caption, Claim, compared, left_open, percent
 from service.figures.thresholds import OMEGA_GRID, extremum, max_relative_difference
 from service.presets import XI
 
@@ -83,7 +83,7 @@ def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, periods: 
 
 def _on_eq_25(loop: xarray.Dataset) -> Claim:
     worst = max_relative_difference(loop)
-    return compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {100 * worst:.1f} % apart)")
+    return compared(worst < 0.03, f"the gray curve is Eq. 25 (at most {percent(worst, 1)} apart)")
 
 
 def _lower(loop: xarray.Dataset) -> Claim:

@@ -51,7 +51,9 @@ def draw(client: Client, job: Job, ramped: Job) -> Drawing:
         axes.plot(
             [], [], linestyle="none", marker=".", color=colour, markersize=5, markeredgewidth=0, label=label
         )
-    axes.legend(loc="upper left", handletextpad=0.1)
+    # Between the marks of (b) and (c), above all flights.
+    axes.legend(loc="upper left", bbox_to_anchor=(2.32, 1.0), handletextpad=0.1,
+                bbox_transform=axes.get_xaxis_transform())  # fmt: skip
     axes.set_xlabel(r"$\Gamma$", labelpad=1)
     panels = below.subplots(2, 2, sharex=True, sharey=True)
     for letter, gamma, panel in zip("abcd", INSETS, panels.flat, strict=True):

@@ -21,7 +21,7 @@ from service.figures.canvas import (
     plot_flights,
     styled,
 )
-from service.figures.caption import Caption, Claim, compared, mode
+from service.figures.caption import Caption, Claim, compared, mode, percent
 from service.presets import CONTACTS, ELASTIC, GAMMAS, LONG_SETTLE, OMEGAS, SHORT_SETTLE, XI
 
 #: Outcomes of cells that bounce throughout the window.
@@ -84,7 +84,7 @@ def draw_along_omega(job: Job) -> Drawing:
     return drawing
 
 
-def share(diagram: xarray.Dataset, outcome: Outcome, where: NDArray[np.bool_] | None = None) -> float:
+def share_of(diagram: xarray.Dataset, outcome: Outcome, where: NDArray[np.bool_] | None = None) -> float:
     """The share of the bouncing cells that has this outcome; `where` selects cells."""
     outcomes = diagram.outcome.values if where is None else diagram.outcome.values[where]
     return float(np.sum(outcomes == outcome) / max(int(np.isin(outcomes, BOUNCING).sum()), 1))
@@ -92,7 +92,7 @@ def share(diagram: xarray.Dataset, outcome: Outcome, where: NDArray[np.bool_] | 
 
 def aperiodic(diagram: xarray.Dataset, where: NDArray[np.bool_] | None = None) -> float:
     """The share of the bouncing cells that is aperiodic; `where` selects cells."""
-    return share(diagram, Outcome.APERIODIC, where)
+    return share_of(diagram, Outcome.APERIODIC, where)
 
 
 def _stack(
@@ -149,14 +149,14 @@ def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
 def _chaos_at(diagram: xarray.Dataset, gamma: float) -> Claim:
     share = aperiodic(diagram, _near(diagram, gamma, 0.25))
     return compared(
-        share > 0.5, f"(b) is chaotic around Γ = {gamma:g} ({share:.0%} of the cells within 0.25)"
+        share > 0.5, f"(b) is chaotic around Γ = {gamma:g} ({percent(share)} of the cells within 0.25)"
     )
 
 
 def _no_chaos(diagram: xarray.Dataset) -> Claim:
     share = aperiodic(diagram)
-    percent = "none" if share == 0 else f"{share:.1%}"
-    return compared(share < 0.05, f"(c) is not chaotic ({percent} of its bouncing cells are aperiodic)")
+    cells = "none" if share == 0 else percent(share, 1)
+    return compared(share < 0.05, f"(c) is not chaotic ({cells} of its bouncing cells are aperiodic)")
 
 
 def _one_period(diagram: xarray.Dataset) -> Claim:
@@ -182,18 +182,20 @@ def _longest_of_shorter(times: NDArray[np.float64]) -> float:
 
 def _no_chaos_at_two(diagrams: Sequence[xarray.Dataset]) -> Claim:
     """The paper: "chaotic behaviors for Γ ≃ 2"; the order of the diagrams is that of the preset."""
-    hardly_settled = 1.0 - share(diagrams[0], Outcome.PERIODIC)
+    hardly_settled = 1.0 - share_of(diagrams[0], Outcome.PERIODIC)
     _, settled, *others = map(aperiodic, diagrams)
     soft, elastic = others[: len(CONTACTS)], others[len(CONTACTS) :]
-    on_contacts = ", ".join(f"{share:.0%} ({name})" for name, share in zip(CONTACTS, soft, strict=True))
-    with_rebound = ", ".join(f"{share:.0%} with e = {e}" for e, share in zip(ELASTIC, elastic, strict=True))
+    on_contacts = ", ".join(f"{percent(share)} ({name})" for name, share in zip(CONTACTS, soft, strict=True))
+    with_rebound = ", ".join(
+        f"{percent(share)} with e = {e}" for e, share in zip(ELASTIC, elastic, strict=True)
+    )
     gamma = diagrams[1].gamma.values
     return compared(
         settled > 0.5,
         f"at Γ = {gamma[0]:g} to {gamma[-1]:g}, (b) is {'' if settled > 0.5 else 'not '}chaotic: "
-        f"{settled:.0%} of the cells are aperiodic after {LONG_SETTLE} plate periods, {on_contacts}; "
+        f"{percent(settled)} of the cells are aperiodic after {LONG_SETTLE} plate periods, {on_contacts}; "
         f"they repeat as {_commonest(diagrams[1])}. Not periodic are springs that still settle "
-        f"({hardly_settled:.0%} after {SHORT_SETTLE} periods), or rebound ({with_rebound})",
+        f"({percent(hardly_settled)} after {SHORT_SETTLE} periods), or rebound ({with_rebound})",
     )
 
 
@@ -218,7 +220,9 @@ def _chaos_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
     share = aperiodic(diagram, diagram.omega.values < LOW)
     chaotic = share > 0.5
     verdict = "chaotic" if chaotic else "not chaotic"
-    return compared(chaotic, f"at Γ = {gamma:g} low Ω is {verdict} ({share:.0%} of the cells below {LOW:g})")
+    return compared(
+        chaotic, f"at Γ = {gamma:g} low Ω is {verdict} ({percent(share)} of the cells below {LOW:g})"
+    )
 
 
 def _longer_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:

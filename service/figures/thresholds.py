@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, GREEN, ORANGE, RED, Drawing, minor_ticks, new_drawing, styled
-from service.figures.caption import Caption, Claim, compared, left_open
+from service.figures.caption import Caption, Claim, compared, left_open, percent
 from service.presets import DAMPINGS, GAMMAS, OMEGAS, XI
 
 #: Colour, line style and marker of each damping.
@@ -32,7 +32,8 @@ def draw_dampings(job: Job) -> Drawing:
     axes = area.subplots()
     for (xi, onset), (colour, line, mark) in zip(onsets.items(), LINE_STYLES, strict=True):
         axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, xi), color=colour, linestyle=line)
-        axes.plot(onset.omega, onset.up, linestyle="none", marker=mark, markersize=3.6,
+        inside = onset.sel(omega=onset.up <= MAX_GAMMA)  # whole marks at the frame, none outside it
+        axes.plot(inside.omega, inside.up, linestyle="none", marker=mark, markersize=3.6, clip_on=False,
                   markerfacecolor="white", markeredgecolor=colour, markeredgewidth=0.9, zorder=3)  # fmt: skip
         axes.plot([], [], color=colour, linestyle=line, marker=mark, markersize=3.6,
                   markerfacecolor="white", label=rf"$\xi = {xi:g}$")  # fmt: skip
@@ -50,7 +51,7 @@ def draw_sections(job: Job) -> Drawing:
     axes.plot(threshold(OMEGA_GRID, XI), OMEGA_GRID, color="black")
     for letter, omega in zip("abc", OMEGAS, strict=True):
         axes.axhline(omega, color=RED, linestyle=(0, (5, 2)), linewidth=1)
-        _annotate(axes, f"7{letter}", (0, omega), (3, 2), RED, xycoords=("axes fraction", "data"))
+        _annotate(axes, f"7{letter}", (0, omega), (9, 2), RED, xycoords=("axes fraction", "data"))
     for letter, gamma in zip("abc", GAMMAS, strict=True):
         axes.axvline(gamma, color=GREEN, linestyle=(0, (1, 1.2)), linewidth=1.4)
         _annotate(axes, f"8{letter}", (gamma, 0), (3, 3), GREEN, xycoords=("data", "axes fraction"))
@@ -105,7 +106,7 @@ def _dampings_caption(onsets: dict[float, xarray.Dataset]) -> Caption:
     lows = {xi: extremum(xi) for xi in (0.2, 0.05, 0.01)}
     near = ", ".join(f"{gamma:.3f} at Ω = {omega:.3f} (ξ = {xi:g})" for xi, (omega, gamma) in lows.items())
     claims = (
-        compared(worst < 0.02, f"onsets and Eq. 25 are at most {100 * worst:.1f} % apart"),
+        compared(worst < 0.02, f"onsets and Eq. 25 are at most {percent(worst, 1)} apart"),
         compared(lows[0.01][0] > lows[0.2][0], f"the minimum moves to Ω = 1 as ξ decreases: {near}"),
         _not_constant(),
         _unmentioned_maximum(),
@@ -169,7 +170,7 @@ def _sections_caption(onset: xarray.Dataset) -> Caption:
     )
     (low, gamma), worst = extremum(XI), max_relative_difference(onset)
     claims = (
-        compared(worst < 0.02, f"bouncing begins at Γ = {computed}, at most {100 * worst:.1f} % from Eq. 25"),
+        compared(worst < 0.02, f"bouncing begins at Γ = {computed}, at most {percent(worst, 1)} from Eq. 25"),
         compared(
             bool(np.all(threshold(OMEGA_GRID, XI) > gamma - 1e-6) and abs(low - 1) < 0.05),
             f"a minimum due to resonance, Γ_th = {gamma:.4f} at Ω = {low:.4f}",
