@@ -131,31 +131,40 @@ class Force:
                 n, slope = n + part, slope + rate * part
             return n.real, slope.real
 
-    def instants(self) -> list[mpf]:
+    def instants(self) -> np.ndarray:
         """Fifty in each decade from 0.01 of the fastest rate's time on, then forty a radian or more."""
         begin = float(mpf("0.01") / max(abs(rate) for rate in self.rates))
         ringing = max(abs(float(rate.imag)) for rate in self.rates)
         even = np.arange(0.0, HORIZON, 0.025 / max(1.0, ringing))
         spread = np.geomspace(begin, HORIZON, int(50 * math.log10(HORIZON / begin)))
-        return [mpf(tau) for tau in np.unique(np.concatenate([spread, even[even > begin]]))]
+        return np.unique(np.concatenate([[0.0], spread, even[even > begin]]))
+
+    def sampled(self, taus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """n and n' in double precision, but for n in many digits where the sum cancels."""
+        weights, rates = (np.array([complex(x) for x in values]) for values in (self.weights, self.rates))
+        with np.errstate(under="ignore"):
+            parts = weights * np.exp(np.outer(taus, rates))
+        n = parts.sum(axis=1).real
+        for i in np.flatnonzero(np.abs(n) < 1e-10 * np.abs(parts).sum(axis=1)):
+            n[i] = float(self(mpf(taus[i]))[0])
+        return n, (parts * rates).sum(axis=1).real
 
     def first_zero(self) -> mpf | None:
         """The first zero at which n falls, before the horizon; also between instants, at a minimum."""
-        before = mpf(0)
-        n, slope = self(before)
-        for tau in self.instants():
-            n1, slope1 = self(tau)
-            if n1 < 0 < n:
-                return self._zero(before, tau)
-            if slope < 0 < slope1 and n > 0:
-                least = mp.findroot(lambda t: self(t)[1], (before, tau), solver="illinois", verify=False)
-                if self(least)[0] < 0:
-                    return self._zero(before, least)
-            before, n, slope = tau, n1, slope1
+        taus = self.instants()
+        n, slope = self.sampled(taus)
+        falls = (n[:-1] > 0) & (n[1:] < 0)
+        turns = (n[:-1] > 0) & (n[1:] > 0) & (slope[:-1] < 0) & (slope[1:] > 0)
+        for i in np.flatnonzero(falls | turns):
+            low, high = mpf(taus[i]), mpf(taus[i + 1])
+            if turns[i]:
+                high = mp.findroot(lambda t: self(t)[1], (low, high), solver="illinois", verify=False)
+            if self(high)[0] < 0:
+                return self._zero(low, high)
         return None
 
     def _zero(self, low: mpf, high: mpf) -> mpf:
-        for _ in range(200):
+        for _ in range(120):
             middle = (low + high) / 2
             low, high = (middle, high) if self(middle)[0] > 0 else (low, middle)
         return (low + high) / 2
