@@ -1,6 +1,7 @@
 """Outcomes and costs of random cells over the whole range of parameters, for each model.
 
-    python -m benchmarks.extremes [whole] [hard] [default] [--cells N] [--periods N] [--seed 1] [--worst 3]
+    python -m benchmarks.extremes [lines] [whole] [hard] [default] [--cells N] [--periods N] [--seed 1]
+                                  [--worst 3]
 
 Three log-uniform ranges. Whole: Omega and xi from 1e-3 to 1e3, Gamma from 1e-3 to 1e2, penetration from 1e-8
 to 1e-1, restitution below 1 or as the row says; a fifth of the cells at Gamma = 2, Omega = 1 or sqrt(2),
@@ -9,6 +10,9 @@ penetration from 1e-8 to 1, 10,000 cells for 200 plate periods. Default: Gamma a
 to 10, the default contact. Hops at restitutions 0.999 and 1 end late or never and spend the budget of
 evaluations; they are counted in the rows of their own. Half of the periods are settling. Lists the worst
 cells: unresolved, then slow ones.
+
+Lines: 501 cells with Gamma from 1 to 6 on hard contacts without adhesion, 200 periods of settling and 100 of
+observation, median of five runs.
 """
 
 import argparse
@@ -62,6 +66,18 @@ DEFAULT = (
     Kind("soft nonadhesive, e = 0.01", Model.SOFT, False, 0.01),
     Kind("stepped, e = 0.01", Model.STEPPED, True, 0.01),
     Kind("ball, e = 0", Model.BALL, True, 0.0),
+)
+
+
+#: (e, d, Omega, xi) of the lines.
+LINES = (
+    (1e-6, 1e-8, 1.0, 0.05),
+    (1e-6, 1e-7, 1.0, 0.05),
+    (1e-5, 1e-7, 1.0, 0.05),
+    (1e-4, 1e-6, 0.5, 0.26),
+    (1e-8, 1e-8, 1.0, 0.05),
+    (1e-8, 1e-2, 1.0, 0.05),
+    (1e-12, 1e-8, 1.0, 0.05),
 )
 
 
@@ -150,11 +166,29 @@ def report(kind: Kind, sample: Sample, periods: int, worst: int) -> None:
         print(f"    {Outcome(outcome[i]).name.lower()}, {cost[i]:.0f} us: {numbers}")
 
 
+def lines() -> None:
+    """Print unresolved cells and cost of each of LINES."""
+    gamma = np.linspace(1.0, 6.0, 501)
+    print("\nlines without adhesion: unresolved cells, and CPU us per plate period")
+    for e, d, omega, xi in LINES:
+        cost = []
+        for _ in range(5):
+            began = time.thread_time()
+            line = run_line(
+                gamma, np.full_like(gamma, omega), np.full_like(gamma, xi), model=Model.SOFT,
+                restitution=np.full_like(gamma, e), penetration=np.full_like(gamma, d), adhesive=False,
+                carry=False, settle=200, observe=100, keep=64,
+            )  # fmt: skip
+            cost.append((time.thread_time() - began) / (300 * len(gamma)) * 1e6)
+        unresolved = np.sum(line.outcome == Outcome.UNRESOLVED)
+        print(f"e {e:g}, d {d:g}, Omega {omega}, xi {xi}: {unresolved:8d}{np.median(cost):10.2f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("ranges", nargs="*", help=f"of {', '.join(RANGES)}; all")
+    parser.add_argument("ranges", nargs="*", help=f"of lines, {', '.join(RANGES)}; all")
     parser.add_argument("--cells", type=int)
     parser.add_argument("--periods", type=int)
     parser.add_argument("--seed", type=int, default=1)
@@ -162,7 +196,12 @@ def main() -> None:
     arguments = parser.parse_args()
     print(describe())
     names = [kind.name.lower().replace("_", " ") for kind in list(Outcome)[1:]]
-    for title in arguments.ranges or RANGES:
+    titles = arguments.ranges or ["lines", *RANGES]
+    if "lines" in titles:
+        lines()
+    for title in titles:
+        if title == "lines":
+            continue
         draw, kinds, cells, periods = RANGES[title]
         cells, periods = arguments.cells or cells, arguments.periods or periods
         print(f"\n{title} range, {cells} cells, {periods} periods: cells, and CPU us per plate period")

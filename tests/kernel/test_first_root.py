@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import Model, Step, examples, one_phase, run
+from kernel_runs import Step, examples, one_phase
 from mpmath import mp, mpf
 from naive import Setting, State
 from naive_exact import Exact, exact, instants, lowest, response
@@ -25,7 +25,6 @@ from kernel.numerics.first_root import (
     terms,
 )
 from kernel.numerics.jit import jit
-from kernel.params import Outcome
 
 HORIZON_RAD = 4.0 * math.pi
 BUDGET = 20_000
@@ -333,13 +332,6 @@ def test_polishing_halves_where_a_step_leaves_the_bracket(guess):
 def test_polishing_gives_up_where_its_budget_or_its_numbers_end():
     assert polish(Rough(1e-5), 0.0, 2.0, 0.3, 3)[1:] == (BUDGET_EXHAUSTED, 3)
     assert polish(Rough(math.nan), 0.0, 2.0, 0.3, 100)[1:] == (NON_FINITE, 1)
-
-
-def test_contacts_with_much_rounding_end():
-    """Nonadhesive, e = 1e-6: the error of n is far above its stated noise."""
-    line = run(4.21, 1.0, 0.05, Model.SOFT, restitution=1e-6, penetration=1e-7, adhesive=False, settle=200,
-               observe=100)  # fmt: skip
-    assert line.outcome[0] in (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
 # --- the oscillator -------------------------------------------------------------------------
