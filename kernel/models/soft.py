@@ -110,6 +110,8 @@ def _contact(
     tau, ending, used = first_root(p, sure_contact_time(p, terms(p, 0.0)), end, budget)
     if tau == 0.0 and ending == ROOT:
         if _lifts(s, begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)):
+            if s.adhesive:
+                gap, gap1 = 0.0, max(gap1, 0.0)
             return Phase(0.0, ROOT, True, gap, gap1, q, q1, used)
         tau, ending, more = first_root(p, 1.0 / s.gap_mode.rate, end, budget - used)
         used += more
