@@ -138,8 +138,8 @@ def _of_contact(purpose: Purpose, *, adhesive: bool) -> tuple[Setup, ...]:
 
 
 #: Everything that is measured, in the order of the table. `stepped` has fewer settings under the nonadhesive
-#: law, and for a hard plate more rebound: such a contact is six times shorter than an adhesive one at e = 0.01,
-#: and as e goes to 0 its steps would cost a hundred times as much.
+#: law, and for a hard plate more rebound: such a contact is six times shorter than an adhesive one at
+#: e = 0.01, and as e goes to 0 its steps would cost a hundred times as much.
 SETUPS: Final = (
     *_of_contact("adhesive", adhesive=True),
     *_of_contact("nonadhesive", adhesive=False),
