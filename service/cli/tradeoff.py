@@ -33,7 +33,7 @@ def tradeoff(
 ) -> None:
     """Measure the cost and the accuracy of each contact model.
 
-    Computes a fixed set of cells, extreme ones included, which takes about a minute, and prints which model
+    Computes a fixed set of cells, extreme ones included, which takes a minute or two, and prints which model
     suits which purpose.
     """
     from service.cli import output as text
@@ -42,7 +42,7 @@ def tradeoff(
     format = output_format(output, PICTURES) if output else None
     service = temporary_service(workers) if url is None else nullcontext(url)
     with service as address, open_client(address, token) as client:
-        click.echo("measuring, unless the service has done so already (about half a minute)", err=True)
+        click.echo("measuring, unless the service has done so already (a minute or two)", err=True)
         measurements = client.tradeoff()
         if output and format:
             write_file(output, client.tradeoff_picture(format))

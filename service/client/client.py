@@ -116,7 +116,7 @@ class Client:
     def tradeoff(self, *, timeout: float = 900.0, progress: bool | PartsCallback = True) -> dict[str, Any]:
         """The cost and the accuracy of every contact model: `rows`, and `advice` as text.
 
-        The service's workers measure them at the first request, which takes about a minute; this waits up to
+        The service's workers measure them at the first request, which takes a minute or two; this waits up to
         `timeout` seconds. `progress`: True writes lines to standard error; a function is called with the
         numbers of parts computed and of all parts. Raises NotComputedYet, Busy.
         """

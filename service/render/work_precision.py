@@ -39,8 +39,8 @@ TITLES: Final = {
 SIZE: Final = (13.2, 4.4)  # inches
 MOST_STEPS: Final = 100  # the point of a Verlet series that is labelled with its depth
 #: Limits of the axes: rad, core-µs per cell per plate period.
-ERRORS: Final = (3e-8, 30.0)
-COSTS: Final = (0.02, 2e3)
+ERRORS: Final = (1e-14, 100.0)
+COSTS: Final = (0.02, 1e4)
 
 
 def draw(rows: Sequence[Measurement], format: PictureFormat) -> bytes:

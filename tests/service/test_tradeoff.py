@@ -28,8 +28,8 @@ from worker.executors.inline import Inline
 ADVISED = tuple(
     setup
     for setup in SETUPS
-    if setup.model == "rigid" or (setup.purpose == "contact" and setup.model in ("soft", "ball"))
-    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("contact", "verlet", 20)
+    if setup.model == "rigid" or (setup.purpose == "adhesive" and setup.model in ("soft", "ball"))
+    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("adhesive", "verlet", 20)
 )  # fmt: skip
 
 
@@ -44,8 +44,8 @@ def measured() -> list[Measurement]:
 def test_the_table_and_the_advice(measured: list[Measurement]):
     rows = [row.model_dump() for row in measured]
     lines = table_lines(rows, REFERENCES)
-    assert len(lines) == len(ADVISED) + 6
-    assert lines[0] == f"Errors relative to the {REFERENCES['contact']}"
+    assert len(lines) == len(ADVISED) + 9
+    assert lines[0] == f"Errors relative to the {REFERENCES['adhesive']}"
     assert lines[2].split()[:3] == ["soft,", "d", "="]
     assert lines[2].split()[-3:] == ["exact", "exact", "100%"]
     text = advice(measured)
@@ -78,7 +78,7 @@ def test_workers_measure_once_for_all_requests(address: str):
         assert first == second
         assert [row["model"] for row in first["rows"]] == [setup.model for setup in ADVISED]
         assert first["cells"] == 80
-        assert set(first["references"]) == {"contact", "plate"}
+        assert set(first["references"]) == {"adhesive", "nonadhesive", "plate"}
         assert client.tradeoff_picture("svg").startswith(b"<?xml")
 
 

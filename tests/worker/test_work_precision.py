@@ -12,7 +12,7 @@ CHEAP = tuple(
     setup
     for setup in SETUPS
     if setup.model != "stepped"
-    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("contact", "verlet", 20)
+    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("adhesive", "verlet", 20)
 )
 
 
@@ -34,29 +34,35 @@ def test_every_cell_is_compared_and_has_an_answer(measured: list[Measurement]):
 
 
 def test_the_reference_has_no_error(measured: list[Measurement]):
-    exact = row_of(measured, "contact", "soft")
+    exact = row_of(measured, "adhesive", "soft")
     assert (exact.error, exact.error_95, exact.agree) == (0.0, 0.0, 1.0)
 
 
 def test_a_soft_contact_becomes_a_hard_plate_in_proportion_to_its_depth(measured: list[Measurement]):
     for d in (1e-2, 1e-3, 1e-4, 1e-5):
-        assert row_of(measured, "plate", "soft", penetration=d).error == pytest.approx(2 * d, rel=0.1)
+        adhesive = row_of(measured, "plate", "soft", penetration=d, adhesive=True)
+        assert adhesive.error == pytest.approx(2 * d, rel=0.1)
 
 
-def test_a_rigid_plate_is_the_hard_one_to_the_reference_s_own_depth(measured: list[Measurement]):
+def test_a_contact_that_never_pulls_becomes_it_faster(measured: list[Measurement]):
+    for d in (1e-2, 1e-3, 1e-4, 1e-5):
+        assert row_of(measured, "plate", "soft", penetration=d, adhesive=False).error < 10 * d * d
+
+
+def test_a_rigid_plate_is_the_hard_one(measured: list[Measurement]):
     rigid = row_of(measured, "plate", "rigid")
-    assert rigid.error == pytest.approx(2e-7, rel=0.1)
-    assert rigid.agree == 1.0
+    assert rigid.error < 1e-11
+    assert rigid.agree > 0.95  # a cell next to where a mode ends may take another
 
 
 def test_a_ball_is_a_spring_only_where_the_dashpot_locks(measured: list[Measurement]):
-    for purpose in ("contact", "plate"):
+    for purpose in ("adhesive", "nonadhesive", "plate"):
         assert row_of(measured, purpose, "ball", locked_only=False).error > 1.0
         assert row_of(measured, purpose, "ball", locked_only=True).error < 0.03
 
 
 def test_models_in_the_order_of_their_cost(measured: list[Measurement]):
-    costs = [row_of(measured, "contact", model, **settings).cost for model, settings in (
+    costs = [row_of(measured, "adhesive", model, **settings).cost for model, settings in (
         ("ball", {"locked_only": False}), ("rigid", {}), ("soft", {}), ("stepped", {}))]  # fmt: skip
     assert costs == sorted(costs)
     assert costs[-1] > 10 * costs[-2]
@@ -64,7 +70,7 @@ def test_models_in_the_order_of_their_cost(measured: list[Measurement]):
 
 def test_the_cost_table_agrees_with_the_measurements(measured: list[Measurement]):
     """Up to a factor for the speed of this machine."""
-    models = {"ball": {"locked_only": False}, "rigid": {}, "soft": {"penetration": 1e-3}}
+    models = {"ball": {"locked_only": False}, "rigid": {}, "soft": {"penetration": 1e-3, "adhesive": True}}
     factors = {
         model: row_of(measured, "plate", model, **settings).cost / CONTACT_MODELS[model].cost_us
         for model, settings in models.items()
@@ -72,11 +78,12 @@ def test_the_cost_table_agrees_with_the_measurements(measured: list[Measurement]
     assert max(factors.values()) < 12 * min(factors.values()), factors
 
 
-def test_more_steps_reduce_the_error_at_the_scheme_s_order():
+@pytest.mark.parametrize("law", ["adhesive", "nonadhesive"])
+def test_more_steps_reduce_the_error_at_the_scheme_s_order(law: Any):
     """Second order: 2.5 times the steps, an error some 6 times smaller."""
     twenty, fifty = (
-        measure(Setup(purpose="contact", model="stepped", restitution=0.01, penetration=1e-3,
-                     steps_per_contact=steps, scheme="verlet", locked_only=True))
+        measure(Setup(purpose=law, model="stepped", restitution=0.01, penetration=1e-3,
+                     adhesive=law == "adhesive", steps_per_contact=steps, scheme="verlet", locked_only=True))
         for steps in (20, 50)
     )  # fmt: skip
     assert 3.0 < twenty.error / fifty.error < 15.0
@@ -84,7 +91,7 @@ def test_more_steps_reduce_the_error_at_the_scheme_s_order():
 
 def test_steps_that_a_specification_would_refuse_are_counted_not_computed():
     """Euler with 20 steps in a contact of d = 0.1: too long for the dashpot that locks, and for it alone."""
-    deep = Setup(purpose="contact", model="stepped", restitution=0.01, penetration=0.1, scheme="euler")
+    deep = Setup(purpose="adhesive", model="stepped", restitution=0.01, penetration=0.1, scheme="euler")
     some = measure(deep.model_copy(update={"steps_per_contact": 20}))
     assert some.refused == CELLS_PER_LINE / (len(LINES) * CELLS_PER_LINE)
     none = measure(deep.model_copy(update={"steps_per_contact": 1}))

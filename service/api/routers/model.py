@@ -66,7 +66,7 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
 def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 
-    Measured once in the service's lifetime, which takes about a minute; until then 202 with the progress.
+    Measured once in the service's lifetime, which takes a minute or two; until then 202 with the progress.
     """
     rows = service.on_demand.get("tradeoff", work_precision.submit)
     if query.format == "json":
