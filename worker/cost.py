@@ -23,6 +23,14 @@ DEFAULT_MAX_BYTES: Final = 32 * 2**30
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
 
+#: Core-microseconds per plate period that a cell in lanes costs more if it is computed alone, because every
+#: step is taken for all lanes: measured 1.5 in place of 0.14 at restitution 0, 2.2 of 1.1 at 0.3.
+IDLE_LANES_US: Final = 1.3
+
+#: Cost of a cell with Lyapunov exponents relative to one without, both computed one by one, at most
+#: (`python -m benchmarks.exponents`).
+WITH_EXPONENTS: Final = 1.5
+
 
 class Cost(Strict):
     """What a sweep will take."""
@@ -39,12 +47,15 @@ class Cost(Strict):
     )
 
 
-def cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds per cell of a sweep, from the table of contact models; on average with settle_until."""
+def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
+    """Core-seconds per cell of a sweep, from the table of contact models; on average with settle_until.
+
+    alone: as in `period_seconds`.
+    """
     periods, share = float(spec.settle + spec.observe), SETTLING_SHARE
     for added in _extensions(spec):
         periods, share = periods + share * added, share * STILL_SETTLING_SHARE
-    return period_seconds(spec) * periods
+    return period_seconds(spec, alone=alone) * periods
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
@@ -52,17 +63,26 @@ def longest_cell_seconds(spec: SweepSpec) -> float:
     return period_seconds(spec) * (spec.settle + spec.observe + sum(_extensions(spec)))
 
 
-def period_seconds(spec: SweepSpec) -> float:
-    """Core-seconds per cell of a sweep and plate period, from the table of contact models."""
+def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
+    """Core-seconds per cell of a sweep and plate period, from the table of contact models.
+
+    alone: of a cell that is computed by itself, as those of a refinement: its lanes but one are idle.
+    """
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     base = CONTACT_MODELS[spec.model.kind].cost_us
-    period_us = spec.model.cost_us(base, gamma, omega, ramp=spec.ramp_axis is not None)
+    at_once = cells_at_once(spec)
+    period_us = spec.model.cost_us(base, gamma, omega, ramp=at_once == 1)
+    if alone and at_once > 1:
+        period_us += IDLE_LANES_US
+    if spec.exponents:
+        period_us *= WITH_EXPONENTS
     return period_us * 1e-6
 
 
 def cells_at_once(spec: SweepSpec) -> int:
     """Cells of a sweep that the kernel computes side by side: fewer at a time leave lanes idle."""
-    return LANES if isinstance(spec.model, Rigid) and spec.ramp_axis is None else 1
+    in_lanes = isinstance(spec.model, Rigid) and spec.ramp_axis is None and not spec.exponents
+    return LANES if in_lanes else 1
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:

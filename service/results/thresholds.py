@@ -125,7 +125,7 @@ def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.f
 
 
 def _check_cost(sweep: Sweep, omegas: int) -> None:
-    seconds = TYPICAL_CELLS * cell_seconds(sweep.spec) * len(sweep.spec.directions)  # per omega
+    seconds = TYPICAL_CELLS * cell_seconds(sweep.spec, alone=True) * len(sweep.spec.directions)  # per omega
     if omegas * seconds > MAX_SECONDS:
         raise TooLarge(
             f"tolerance: refining {omegas:,} values of omega takes about {omegas * seconds:.3g} "

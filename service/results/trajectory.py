@@ -13,7 +13,7 @@ from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.results.selection import Sweep, nearest_index, read, resolve_direction
 from worker import schema
-from worker.cost import cell_seconds
+from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Contact, Soft, model_fields, penetration_of
@@ -90,7 +90,7 @@ def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
             f"{max((MAX_SAMPLES - 1) // spec.periods, 1):,} per period"
         )
     periods = spec.settle + spec.periods
-    seconds = cell_seconds(sweep) / (sweep.settle + sweep.observe) * periods
+    seconds = period_seconds(sweep, alone=True) * periods
     if seconds > max_seconds:
         fitting = int(periods * max_seconds / seconds)
         raise TooLarge(

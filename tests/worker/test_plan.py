@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from kernel.params import LANES
 from worker.cost import (
+    IDLE_LANES_US,
     SETTLING_SHARE,
     STILL_SETTLING_SHARE,
+    WITH_EXPONENTS,
     Cost,
     cell_seconds,
     check_size,
@@ -278,6 +280,18 @@ def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
     assert longest_cell_seconds(without) == cell_seconds(without)
     short = sweep(gamma=1000, settle_until=399)  # less than a window more
     assert cell_seconds(short) == longest_cell_seconds(short) == cell_seconds(without)
+
+
+def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
+    alone, among = (cell_seconds(sweep(), alone=alone) for alone in (True, False))
+    assert alone - among == pytest.approx(300 * IDLE_LANES_US * 1e-6)
+    for one_by_one in (sweep(ramp=("gamma", "up")), sweep(model={"kind": "soft"}), sweep(exponents=1)):
+        assert cell_seconds(one_by_one, alone=True) == cell_seconds(one_by_one)
+
+
+def test_cells_with_exponents_are_computed_one_by_one():
+    with_them, ramp = sweep(exponents=1), sweep(ramp=("gamma", "up"))
+    assert cell_seconds(with_them) == pytest.approx(WITH_EXPONENTS * cell_seconds(ramp))
 
 
 def test_time_steps_are_counted():
