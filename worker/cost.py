@@ -23,6 +23,9 @@ DEFAULT_MAX_BYTES: Final = 32 * 2**30
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
 
+#: Cost of a sweep with exponents over the same in the scalar loop without (`python -m benchmarks.exponents`).
+EXPONENTS_COST: Final = 1.5
+
 
 class Cost(Strict):
     """What a sweep will take."""
@@ -56,13 +59,14 @@ def period_seconds(spec: SweepSpec) -> float:
     """Core-seconds per cell of a sweep and plate period, from the table of contact models."""
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     base = CONTACT_MODELS[spec.model.kind].cost_us
-    period_us = spec.model.cost_us(base, gamma, omega, ramp=spec.ramp_axis is not None)
-    return period_us * 1e-6
+    scalar = spec.ramp_axis is not None or spec.exponents > 0
+    period_us = spec.model.cost_us(base, gamma, omega, ramp=scalar)
+    return period_us * 1e-6 * (EXPONENTS_COST if spec.exponents else 1.0)
 
 
 def cells_at_once(spec: SweepSpec) -> int:
     """Cells of a sweep that the kernel computes side by side: fewer at a time leave lanes idle."""
-    return LANES if isinstance(spec.model, Rigid) and spec.ramp_axis is None else 1
+    return LANES if isinstance(spec.model, Rigid) and spec.ramp_axis is None and not spec.exponents else 1
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:

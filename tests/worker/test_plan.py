@@ -9,10 +9,12 @@ from hypothesis import strategies as st
 
 from kernel.params import LANES
 from worker.cost import (
+    EXPONENTS_COST,
     SETTLING_SHARE,
     STILL_SETTLING_SHARE,
     Cost,
     cell_seconds,
+    cells_at_once,
     check_size,
     estimate,
     longest_cell_seconds,
@@ -265,6 +267,14 @@ def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
     assert cell_seconds(sweep()) == pytest.approx(300 * CONTACT_MODELS["rigid"].cost_us * 1e-6)
     elastic = sweep(model={"kind": "rigid", "restitution": 0.5})
     assert cell_seconds(elastic) == pytest.approx(300 * RIGID_ELASTIC_US * 1e-6)
+
+
+def test_cost_of_exponents_is_that_of_the_scalar_loop_and_more():
+    for kind in ("rigid", "soft", "ball"):
+        plain = sweep(gamma=2, model={"kind": kind}, ramp=("gamma", "up"))
+        spec = sweep(gamma=2, model={"kind": kind}, exponents=2)
+        assert cell_seconds(spec) == pytest.approx(EXPONENTS_COST * cell_seconds(plain))
+    assert cells_at_once(sweep()) > 1 == cells_at_once(sweep(exponents=2))
 
 
 def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():

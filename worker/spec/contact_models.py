@@ -52,7 +52,8 @@ class ContactFields(Strict):
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
         """Core-microseconds per cell per plate period of a sweep with these axis values.
 
-        base: `ContactModel.cost_us`, which holds for cells from rest. ramp: whether the protocol is a ramp.
+        base: `ContactModel.cost_us`, which holds for cells from rest. ramp: whether cells go through the
+        scalar loop, as on a ramp and with exponents.
         """
         return base
 
