@@ -134,7 +134,11 @@ END_STATE: Final = _array(
 )  # fmt: skip
 LYAPUNOV: Final = _array(
     "lyapunov", "<f8", "Lyapunov exponents, the largest first",
-    {"units": "1", "comment": "per plate period, natural logarithm"}, "exponent",
+    {
+        "units": "1",
+        "comment": "per plate period, natural logarithm; -inf: a lost direction, NaN: a failed run",
+    },
+    "exponent",
 )  # fmt: skip
 #: Written last: a cell that has an outcome has every other value too.
 OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | _OUTCOMES)

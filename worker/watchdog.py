@@ -17,8 +17,9 @@ from typing import Any, Final
 from distributed import get_worker
 
 from worker import store
+from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
-from worker.tasks import ChunkCancelled, ChunkReport
+from worker.tasks import ChunkCancelled, ChunkReport, compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
 #: watchdog terminates the worker over it.
@@ -55,6 +56,8 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
         time.sleep(REPORT_SECONDS)
         os._exit(1)
 
+    if isinstance(spec, SweepSpec):
+        compile_for(spec)  # not on the chunk's time
     with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):
         try:
             return run_task(spec, chunk, store_url)

@@ -238,6 +238,24 @@ RULES = [
     ({"settle_until": 0}, "settle_until: must be at least 1, not 0"),
     ({"settle_until": 10**8}, "settle_until: must be at most 1e+07, not 100000000"),
     ({"settle_until": 1000.5}, "settle_until: must be a whole number, not 1000.5; 1000 or 1001 would do"),
+    ({"exponents": 5}, "exponents: must be at most 4, not 5"),
+    ({"exponents": -1}, "exponents: must be at least 0, not -1"),
+    (
+        {"exponents": 4, "model": {"kind": "rigid"}},
+        "exponents: must be at most 3 where model.kind is 'rigid' with restitution 0; 3 works",
+    ),
+    (
+        {"exponents": 3, "model": {"kind": "ball"}},
+        "exponents: must be at most 2 where model.kind is 'ball'; 2 works",
+    ),
+    (
+        {"exponents": 1, "model": {"kind": "stepped"}},
+        "exponents: must be 0 where model.kind is 'stepped'; 'soft', 'rigid' or 'ball' has exponents",
+    ),
+    (
+        {"exponents": 1, "model": {"kind": "auto"}},
+        "exponents: must be 0 where model.kind is 'auto'; 'soft', 'rigid' or 'ball' has exponents",
+    ),
     ({"settle_tolerance": float("nan")}, "settle_tolerance: must be finite, not nan"),
     ({"settle": -1}, "settle: must be at least 0, not -1"),
     ({"settle": 1.5}, "settle: must be a whole number, not 1.5; 1 or 2 would do"),
