@@ -117,10 +117,10 @@ def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.f
         part = plane(sweep, xi, direction, ("outcome",), slice(low, low + rows))
         complete = complete and part.complete
         for i, row in enumerate(part.arrays["outcome"], low):
-            status, index = thresholds.on_grid(row, direction == "down", bool(endless[i]))
-            statuses.append(status)
-            if index is not None:
-                lowest[i] = gamma[index]
+            found = thresholds.on_grid(row, direction == "down", bool(endless[i]))
+            statuses.append(found.status)
+            if found.status is Status.FOUND:
+                lowest[i] = gamma[found.bouncing]
     return lowest, statuses, complete
 
 
