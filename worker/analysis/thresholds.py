@@ -135,8 +135,9 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
             row = store.read_slice(url, ("outcome",), direction=direction, xi=xi, omega=omega)["outcome"]
             found = on_grid(row, down, bool(endless[i]))
             result = math.nan, found.status
-            if found.resting is not None:
-                result = _refine_line(fine, url, (direction, xi, omega), found, tolerance, down)
+            if found.resting is not None and found.bouncing is not None:
+                edge = (found.bouncing, found.resting) if down else (found.resting, found.bouncing)
+                result = _refine_line(fine, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
     return Refined(
         tuple(value for value, _ in results["up"]),
@@ -154,13 +155,13 @@ def _patient(spec: SweepSpec) -> SweepSpec:
 
 
 def _refine_line(
-    spec: SweepSpec, url: str, line: tuple[int, int, int], found: OnGrid, tolerance: float, down: bool
+    spec: SweepSpec, url: str, line: tuple[int, int, int], edge: tuple[int, int], tolerance: float, down: bool
 ) -> tuple[float, Status]:
     """The threshold on the line at indices (direction, xi, omega), and its status; NaN unless found.
 
-    `found`: the cells that bracket it.
+    edge: indices along gamma of the cells before and after the change.
     """
-    before, after = (found.bouncing, found.resting) if down else (found.resting, found.bouncing)
+    before, after = edge
     direction, xi, omega = line
     gamma = spec.axis_values("gamma")
     values = spec.axis_values("omega")[omega], spec.axis_values("xi")[xi]
@@ -192,7 +193,7 @@ def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> t
 def _ramp_on(
     spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool
 ) -> tuple[float, Status]:
-    """On a ramp: the threshold beyond `start`, less than one signed `step` of the grid away.
+    """On a ramp: the threshold beyond `start`, less than the signed `step` away.
 
     Not refined after MAX_CELLS cells, or below the lowest gamma of specifications.
     """
