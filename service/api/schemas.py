@@ -8,9 +8,13 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from kernel.params import Outcome
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
 from worker.analysis.model_selection import ModelChoice
+
+#: The codes of outcomes in answers.
+OUTCOMES: Final = ", ".join(f"{outcome.value} {outcome.name.lower()}" for outcome in Outcome)
 
 #: Lists leave out a specification longer than this, in characters of JSON.
 LONG_SPEC: Final = 10_000
@@ -79,12 +83,12 @@ class Modes(BaseModel):
     direction: str
     omega: list[float]
     gamma: list[float]
-    outcome: list[list[int]]
+    outcome: list[list[int]] = Field(description=OUTCOMES)
     bounces: list[list[int]]
     periods: list[list[int]]
     label: list[list[int]] | None = Field(
         None,
-        description="with exponents: outcome, where 7 is quasi-periodic and 8 chaotic instead of aperiodic",
+        description="of a sweep with exponents: as outcome, 7 quasi-periodic and 8 chaotic for aperiodic",
     )
     min_flight: float = Field(description="rad; shorter flights do not count, unless all of a cell are")
     complete: bool

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
+from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
@@ -82,8 +83,15 @@ def refined(
 ) -> Thresholds:
     """`coarse`, refined by the workers to `tolerance` in gamma from the states that the sweep stored.
 
-    Raises TooLarge for more computing than one answer may take, and as `OnDemandCache.get`.
+    Raises InvalidRequest for a sweep of another kernel version, whose states this one does not continue,
+    TooLarge for more computing than one answer may take, and as `OnDemandCache.get`.
     """
+    if sweep.kernel_version != KERNEL_VERSION:
+        rule = (
+            f"needs the kernel that computed the sweep, version {sweep.kernel_version}; "
+            f"this release has version {KERNEL_VERSION}: submit the sweep again"
+        )
+        raise InvalidRequest.of("tolerance", rule)
     omegas = len(coarse.omega)
     if not job.chunks_done:
         unknown = {"up": np.full(omegas, np.nan), "down": np.full(omegas, np.nan)}
@@ -117,10 +125,10 @@ def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.f
         part = plane(sweep, xi, direction, ("outcome",), slice(low, low + rows))
         complete = complete and part.complete
         for i, row in enumerate(part.arrays["outcome"], low):
-            status, index = thresholds.on_grid(row, direction == "down", bool(endless[i]))
-            statuses.append(status)
-            if index is not None:
-                lowest[i] = gamma[index]
+            found = thresholds.on_grid(row, direction == "down", bool(endless[i]))
+            statuses.append(found.status)
+            if found.status is Status.FOUND:
+                lowest[i] = gamma[found.bouncing]
     return lowest, statuses, complete
 
 

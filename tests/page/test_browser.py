@@ -186,7 +186,7 @@ def test_the_form_shows_the_contact_models_and_defaults_of_the_specification(bro
     defaults = SweepSpec(gamma=2.0, omega=0.5, xi=0.1)
     with opened(browser, f"{address}/#/new") as page:
         page.locator(".cost", has_text="cells in").wait_for()
-        names = ("settle", "observe", "keep", "micro_flight", "settle_tolerance")
+        names = ("settle", "observe", "keep", "micro_flight", "settle_tolerance", "exponents")
         assert {name: float(text) for name, text in _placeholders(page).items() if name in names} == {
             name: getattr(defaults, name) for name in names
         }
@@ -545,18 +545,20 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         expected = httpx2.get(f"{address}/v1/jobs/{loop}/threshold?xi=0.05", timeout=DEADLINE).json()
         text = page.locator("#status").inner_text()
         assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: Γ = {expected['analytic'][4]:.4g}")
-        assert f"down: {expected['down'][4]:.4g}" in text
+        assert expected["up_status"][4] == "found"
+        assert f"ramp up: {expected['up'][4]:.4g}" in text
         screenshot(page, "thresholds")
 
 
-def test_a_threshold_at_the_lowest_gamma_is_an_upper_bound(browser: Any, address: str):
+def test_a_threshold_below_the_grid_says_to_start_lower(browser: Any, address: str):
     spec = {**LOOP, "name": "Γ–φ", "gamma": [2.3, 2.4], "omega": [0.5, 0.525], "xi": 0.26, "settle": 20}
     job = done(address, submitted(address, spec))
     with opened(browser, view(address, job, "thresholds")) as page:
         wait_shown(page, xi=0.26)
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
-        assert "up: 2.3 or less (lowest Γ of the sweep)" in page.locator(".panel .readout").inner_text()
+        readout = page.locator(".panel .readout").inner_text()
+        assert "ramp up: bounces already at the lowest Γ, 2.3: start lower" in readout
         page.get_by_role("link", name="Mode map").click()
         wait_shown(page, direction="up")
         with page.expect_download() as download:
@@ -567,6 +569,32 @@ def test_a_threshold_at_the_lowest_gamma_is_an_upper_bound(browser: Any, address
     assert len(ticks) > 3
     # The axis label takes 24 px at the left edge; ticks are 13 px high.
     assert all(float(x) - 0.55 * 13 * len(text) >= 24 for x, text in ticks)
+
+
+def test_diagram_and_mode_map_share_the_flights_that_count(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, along="gamma")
+        before = picture(page)
+        field = page.get_by_label("Count flights above")
+        assert field.input_value() == "0.05"
+        field.fill("3")
+        field.press("Enter")
+        page.wait_for_url(re.compile("min=3"))
+        wait_for(lambda: picture(page) != before)
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        assert page.get_by_label("Count flights above").input_value() == "3"
+
+
+def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
+    short = {"name": "Short", "gamma": {"start": 0.6, "stop": 1.5, "num": 46}, "omega": 1.0, "xi": 0.01}
+    window = {"model": {"kind": "rigid"}, "settle": 20, "observe": 60, "keep": 4}
+    job = done(address, submitted(address, short | window))
+    with opened(browser, view(address, job, "modes")) as page:
+        page.locator(".notice", has_text="of 46 cells were still settling after 80 plate periods").wait_for()
+        page.locator(".legend", has_text="still settling").wait_for()
+        page.get_by_role("link", name="New sweep with more time").click()
+        page.locator("[data-field='settle_until']").wait_for()
 
 
 def test_an_empty_view_offers_no_download(browser: Any, address: str):

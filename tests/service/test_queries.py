@@ -1,7 +1,9 @@
 """From the store to arrays: the right cells, no other chunks, and errors that name the parameter."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -292,6 +294,17 @@ def test_thresholds_are_found_in_planes_of_any_size(tmp_path: Path, monkeypatch:
     np.testing.assert_array_equal(thresholds.on_grid(fine, None, 3).up, whole.up)
     with pytest.raises(TooLarge, match="3 values of omega"):
         thresholds.on_grid(fine, None, 2)
+
+
+def test_thresholds_of_another_kernel_version_are_not_refined(tmp_path: Path):
+    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
+    coarse = thresholds.on_grid(fine, None, 1000)
+    earlier: Any = replace(fine, kernel_version="1")
+    nobody: Any = None  # asked before anything else is
+    with pytest.raises(
+        InvalidRequest, match=r"tolerance: needs the kernel that computed the sweep, version 1"
+    ):
+        thresholds.refined(nobody, nobody, earlier, coarse, 1e-3)
 
 
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):

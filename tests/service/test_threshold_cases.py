@@ -114,8 +114,27 @@ def test_the_worker_reads_the_grid(case: Case):
     for direction, rows in outcomes_of(case).items():
         down = direction == "down"
         for row, never, expected in zip(rows, endless, case.down if down else case.up, strict=True):
-            status, index = on_grid(row, down, bool(never))
-            assert (None if index is None else gamma[index], status) == expected
+            found = on_grid(row, down, bool(never))
+            value = gamma[found.bouncing] if found.status is Status.FOUND else None
+            assert (value, found.status) == expected
+
+
+@pytest.mark.parametrize(
+    ("row", "between"),
+    [
+        ("rrpp", (1, 2)),
+        ("rrsp", (1, 3)),
+        ("rsudpp", (0, 4)),
+        ("rrsrp", (None, None)),
+        ("rr.p", (None, None)),
+        ("rrss", (None, None)),
+        ("srrp", (None, None)),
+    ],
+)
+def test_cells_that_do_not_tell_are_left_to_refinement(row: str, between: tuple[int | None, int | None]):
+    for down in (False, True):
+        found = on_grid(np.array([OUTCOMES[letter] for letter in row], np.uint8), down, endless=False)
+        assert (found.resting, found.bouncing) == between
 
 
 @pytest.fixture(scope="module")

@@ -69,10 +69,16 @@ _BY_OUTCOME: Final[dict[int, Status]] = {
 
 
 class OnGrid(NamedTuple):
-    """What one line of cells along gamma says of its threshold."""
+    """What one line of cells along gamma says of its threshold.
+
+    The threshold is between the cells `resting` and `bouncing`, indices along gamma; None where no two cells
+    bracket it. They are neighbours if it was found; otherwise the cells between them do not tell whether they
+    bounce, and refinement may.
+    """
 
     status: Status
-    lowest: int | None  # index of the lowest cell that bounces, where the threshold was found
+    resting: int | None = None
+    bouncing: int | None = None
 
 
 class Refined(NamedTuple):
@@ -84,13 +90,6 @@ class Refined(NamedTuple):
     down_status: tuple[Status, ...]
 
 
-class _Edge(NamedTuple):
-    """Indices along gamma of the last cell before a change, and of the first after it."""
-
-    before: int
-    after: int
-
-
 def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
     """The threshold of one line of cells.
 
@@ -99,12 +98,16 @@ def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
     """
     moving = np.flatnonzero(outcome != Outcome.AT_REST)
     if not len(moving):
-        return OnGrid(Status.NEVER if down or endless else Status.ABOVE, None)
+        return OnGrid(Status.NEVER if down or endless else Status.ABOVE)
     lowest = int(moving[0])
     status = _BY_OUTCOME[int(outcome[lowest])]
-    if status is not Status.FOUND:
-        return OnGrid(status, None)
-    return OnGrid(Status.BELOW, None) if lowest == 0 else OnGrid(status, lowest)
+    if lowest == 0:
+        return OnGrid(Status.BELOW if status is Status.FOUND else status)
+    telling = np.flatnonzero(np.isin(outcome[lowest:], (*BOUNCING, Outcome.AT_REST, Outcome.MISSING)))
+    next_telling = lowest + int(telling[0]) if len(telling) else None
+    if next_telling is None or outcome[next_telling] not in BOUNCING:
+        return OnGrid(status)
+    return OnGrid(status, lowest - 1, next_telling)
 
 
 def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDArray[np.bool_]:
@@ -130,10 +133,10 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
         down = name == "down"
         for i, omega in enumerate(omegas):
             row = store.read_slice(url, ("outcome",), direction=direction, xi=xi, omega=omega)["outcome"]
-            status, lowest = on_grid(row, down, bool(endless[i]))
-            result = math.nan, status
-            if lowest is not None:
-                edge = _Edge(lowest, lowest - 1) if down else _Edge(lowest - 1, lowest)
+            found = on_grid(row, down, bool(endless[i]))
+            result = math.nan, found.status
+            if found.resting is not None and found.bouncing is not None:
+                edge = (found.bouncing, found.resting) if down else (found.resting, found.bouncing)
                 result = _refine_line(fine, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
     return Refined(
@@ -152,17 +155,21 @@ def _patient(spec: SweepSpec) -> SweepSpec:
 
 
 def _refine_line(
-    spec: SweepSpec, url: str, line: tuple[int, int, int], edge: _Edge, tolerance: float, down: bool
+    spec: SweepSpec, url: str, line: tuple[int, int, int], edge: tuple[int, int], tolerance: float, down: bool
 ) -> tuple[float, Status]:
-    """The threshold on the line at indices (direction, xi, omega), and its status; NaN unless found."""
+    """The threshold on the line at indices (direction, xi, omega), and its status; NaN unless found.
+
+    edge: indices along gamma of the cells before and after the change.
+    """
+    before, after = edge
     direction, xi, omega = line
     gamma = spec.axis_values("gamma")
     values = spec.axis_values("omega")[omega], spec.axis_values("xi")[xi]
-    cell = Cell(float(gamma[edge.before]), *map(float, values))
-    beyond = float(gamma[edge.after])
+    cell = Cell(float(gamma[before]), *map(float, values))
+    beyond = float(gamma[after])
     if spec.ramp_axis is None:
         return _bisect(spec, cell, beyond, tolerance)
-    state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=edge.before)
+    state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=before)
     return _ramp_on(spec, Start(state["end_state"], cell), beyond - cell.gamma, tolerance, down)
 
 
@@ -186,7 +193,7 @@ def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> t
 def _ramp_on(
     spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool
 ) -> tuple[float, Status]:
-    """On a ramp: the threshold beyond `start`, less than one signed `step` of the grid away.
+    """On a ramp: the threshold beyond `start`, less than the signed `step` away.
 
     Not refined after MAX_CELLS cells, or below the lowest gamma of specifications.
     """

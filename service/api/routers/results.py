@@ -39,8 +39,10 @@ def diagram(
 ) -> Response:
     """The bifurcation diagram along one axis; `complete` tells whether all its cells are computed.
 
-    Pictures show lines of any length, dense ones as density. JSON and CSV are limited in flights: thin them
-    with `every`, which the JSON repeats.
+    Flights up to `min_flight` (default: the sweep's `micro_flight`) do not count, neither in the lists nor
+    for `outcome`, `bounces` and `periods`, unless all of a cell are so short. A sweep with exponents has
+    `lyapunov` and `label` as well. Pictures show lines of any length, dense ones as density. JSON and CSV
+    are limited in flights: thin them with `every`, which the JSON repeats.
     """
     sweep = dependencies.sweep(service, job)
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}

@@ -15,6 +15,7 @@ import { PlotView } from "./plot-view.js";
 const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, click to show a trajectory, drag to zoom, double-click to reset the zoom.";
 const ARROW = 15; // px
+const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
 
 /** What the readout says of a threshold that is not a number, by its status; `grid` are the values of Γ. */
 const REASONS = {
@@ -102,7 +103,7 @@ export class Thresholds extends PlotView {
     for (const { key, direction } of this.#series()) {
       const colour = directionColour(direction, box.theme);
       drawSeries(ctx, box, omega, this.thresholds[key], colour, key);
-      drawOpen(ctx, box, omega, this.thresholds[`${key}_status`], this.grid.gamma, colour);
+      drawOpen(ctx, box, omega, this.thresholds[`${key}_status`], this.grid.gamma, colour, key);
     }
   }
 
@@ -121,7 +122,7 @@ export class Thresholds extends PlotView {
         line(ctx, x, y, colour, 1.2);
         drawMarker(ctx, [x + 12, y], 3.4, colour, key, theme.surface);
       }]),
-      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawArrow(ctx, x + 12, y - ARROW / 2, 1, theme.muted, theme.surface)]] : []),
+      ...(this.#edges().length ? [["beyond the grid", (ctx, x, y, theme) => drawArrow(ctx, x + 12, y - ARROW / 2, 1, theme.muted, theme.surface, "up")]] : []),
       ...(this.#has(UNDECIDED) ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
   }
@@ -197,19 +198,23 @@ function drawMarker(ctx, [x, y], size, colour, key, background) {
 }
 
 /** Where a threshold lies beyond the grid, an open marker with an arrow at its edge; a cross where a cell left it open. */
-function drawOpen(ctx, box, omega, statuses, gamma, colour) {
+function drawOpen(ctx, box, omega, statuses, gamma, colour, key) {
   statuses.forEach((status, i) => {
-    const x = box.x.pixel(omega[i]);
+    const x = box.x.pixel(omega[i]) + (key === "up" ? -BESIDE : BESIDE);
     if (UNDECIDED.has(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
-    else if (BEYOND[status]) drawArrow(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour, box.theme.surface);
+    else if (BEYOND[status]) drawArrow(ctx, x, box.y.pixel(BEYOND[status] > 0 ? gamma[0] : gamma.at(-1)), BEYOND[status], colour, box.theme.surface, key);
   });
 }
 
-/** An open circle and an arrow from it, down where `sign` is 1. */
-function drawArrow(ctx, x, y, sign, colour, background) {
+/** An open circle on the way up, an open square on the way down, and an arrow from it, down where `sign` is 1. */
+function drawArrow(ctx, x, y, sign, colour, background, key) {
   const tip = y + sign * ARROW;
   polyline(ctx, colour, 1.4, [[x, y], [x, tip]]);
   polyline(ctx, colour, 1.4, [[x - 3, tip - sign * 4], [x, tip], [x + 3, tip - sign * 4]]);
+  if (key === "down") {
+    drawMarker(ctx, [x, y], 3, colour, key, background);
+    return;
+  }
   disc(ctx, background, x, y, 3.4);
   circle(ctx, colour, 1.4, x, y, 3.4);
 }
