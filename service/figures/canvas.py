@@ -146,7 +146,8 @@ def _unbreakable(text: str) -> list[str]:
 
 def _indent(heading: str) -> float:
     """Width of a heading and the space after it, in inches."""
-    return _inches(heading, "bold") + 1.5 * WORD_SPACE if heading else 0.0
+    words = heading.split()
+    return sum(_inches(word, "bold") + WORD_SPACE for word in words) + 0.5 * WORD_SPACE if words else 0.0
 
 
 def _with_mathtext(word: str) -> str:
