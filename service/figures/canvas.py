@@ -147,7 +147,7 @@ def _unbreakable(text: str) -> list[str]:
 def _indent(heading: str) -> float:
     """Width of a heading and the space after it, in inches."""
     words = heading.split()
-    return sum(_inches(word, "bold") + WORD_SPACE for word in words) + 0.5 * WORD_SPACE if words else 0.0
+    return sum(_inches(word, "bold") + WORD_SPACE for word in words) + 0.9 * WORD_SPACE if words else 0.0
 
 
 def _with_mathtext(word: str) -> str:

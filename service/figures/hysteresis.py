@@ -74,7 +74,7 @@ def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, spec: Map
     at, highest = extremum(XI, upper=True)
     shows = (
         "Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
-        f"that bounces) in steps of {step:.2g} of {spec['settle'] + spec['observe']} plate periods each, up "
+        f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
         f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
         f"maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
     )
