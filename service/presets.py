@@ -9,6 +9,8 @@ plate.
 "Every diagrams presented before are acquired for increased value of Γ or Ω", the paper says of Figs. 2 to 8.
 The presets ramp up too, except in Fig. 2: at Γ = 3.6 only a start from rest reaches its (1, 2) mode.
 
+Where the paper says what is chaotic, in Figs. 2, 7 and 8, the largest Lyapunov exponent is computed too.
+
 Light to import: the service lists `FIGURES` for the page, `service.figures` draws them.
 """
 
@@ -75,7 +77,10 @@ def _axis(start: float, stop: float, num: int, spacing: str = "linear") -> Sweep
 
 def _figure_2() -> tuple[Sweep, ...]:
     """From rest, as the insets need it; then the same ramped up."""
-    sweep = {"name": "figure 2", "gamma": _axis(1.0, 6.0, 1001), "omega": 0.5, "xi": 0.26, "model": SOFT}
+    sweep = {
+        "name": "figure 2", "gamma": _axis(1.0, 6.0, 1001), "omega": 0.5, "xi": 0.26, "model": SOFT,
+        "exponents": 1,
+    }  # fmt: skip
     return (
         {**sweep, "protocol": {"kind": "rest"}},
         {**sweep, "name": "figure 2, ramped up", "protocol": _ramp("gamma")},
@@ -133,7 +138,7 @@ def _figure_7() -> tuple[Sweep, ...]:
     """The three diagrams; then Γ around 2 at Ω = 1: short settling, long settling, other contacts."""
     sections = {
         "name": "figure 7", "gamma": _axis(0.01, 6.0, 600), "omega": list(OMEGAS), "xi": XI,
-        "protocol": _ramp("gamma"), "model": SOFT, "settle": 300, "observe": 100,
+        "protocol": _ramp("gamma"), "model": SOFT, "settle": 300, "observe": 100, "exponents": 1,
     }  # fmt: skip
     near_two = {
         **sections,
@@ -155,7 +160,7 @@ def _figure_8() -> tuple[Sweep, ...]:
     return (
         {
             "name": "figure 8", "gamma": list(GAMMAS), "omega": _axis(0.05, 2.0, 781), "xi": XI,
-            "protocol": _ramp("omega"), "model": SOFT, "settle": 300, "observe": 100,
+            "protocol": _ramp("omega"), "model": SOFT, "settle": 300, "observe": 100, "exponents": 1,
         },
     )  # fmt: skip
 
