@@ -40,8 +40,8 @@ def figure(
     """Make figure N of the paper, or all of them, from start to end.
 
     Starts a local service with two worker processes, submits the sweeps of the figures, draws the results and
-    prints what agrees with the paper. A second run finds the finished jobs in the data folder and only draws.
-    If another service uses ./bounce-data, that service is used.
+    prints how they compare with the paper. A second run finds the finished jobs in the data folder and only
+    draws. If another service uses ./bounce-data, that service is used.
     """
     from service.cli.local_service import persistent_service
     from service.client import Client

@@ -59,7 +59,9 @@ STYLE: Final[Any] = {
 }
 
 _SUPERSCRIPTS: Final = re.compile("[⁺⁻³⁴⁶]+")
-_UNBREAKABLE: Final = re.compile(r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%])|(?<=[⁻³⁶]) (?=A)|(?<=\d) (?=rad)")
+_UNBREAKABLE: Final = re.compile(
+    r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%])|(?<=[⁻³⁶]) (?=A)|(?<=\d) (?=rad)|(?<=\(\d,) (?=\d)"
+)
 _PLAIN: Final = str.maketrans("⁺⁻³⁴⁶", "+-346")
 
 P = ParamSpec("P")
@@ -137,7 +139,7 @@ def _lines(heading: str, text: str) -> list[tuple[str, str]]:
 
 
 def _unbreakable(text: str) -> list[str]:
-    """Words; formulas and quantities such as `Γ = 2` or `10⁻³ A` count as one word."""
+    """Words; formulas, quantities and modes such as `Γ = 2`, `10⁻³ A` and `(1, 2)` count as one word."""
     return [
         unit.replace("\N{NO-BREAK SPACE}", " ")
         for unit in _UNBREAKABLE.sub("\N{NO-BREAK SPACE}", text).split(" ")
@@ -146,7 +148,8 @@ def _unbreakable(text: str) -> list[str]:
 
 def _indent(heading: str) -> float:
     """Width of a heading and the space after it, in inches."""
-    return _inches(heading, "bold") + 1.5 * WORD_SPACE if heading else 0.0
+    words = heading.split()
+    return sum(_inches(word, "bold") + WORD_SPACE for word in words) + 0.9 * WORD_SPACE if words else 0.0
 
 
 def _with_mathtext(word: str) -> str:

@@ -1,6 +1,7 @@
 """Fig. 9: the threshold with Γ increased, and with Γ decreased."""
 
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 import xarray
@@ -29,9 +30,7 @@ def draw(job: Job, lower: Job) -> Drawing:
     loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)
     gamma = job.spec["gamma"]
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
-    drawing, area = new_drawing(
-        3.1, _caption(loop, from_lower, step, job.spec["settle"] + job.spec["observe"])
-    )
+    drawing, area = new_drawing(3.1, _caption(loop, from_lower, step, job.spec))
     axes = area.subplots()
     omega = loop.omega.values
     axes.plot(omega, loop.up.values, color="0.7", linewidth=3, label=r"$\Gamma$ increased")
@@ -71,12 +70,13 @@ def _rise(values: NDArray[np.float64]) -> float:
     return float(np.nanmax(values[: below[0]] if len(below) else values) - values[0])
 
 
-def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, periods: int) -> Caption:
+def _caption(loop: xarray.Dataset, lower: xarray.Dataset, step: float, spec: Mapping[str, Any]) -> Caption:
     at, highest = extremum(XI, upper=True)
     shows = (
-        f"Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
-        f"that bounces) in steps of {step:.2g}, {periods} plate periods each, on an ideal plate; dashed, "
-        f"Eq. 25. Its maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
+        "Threshold at ξ = 0.05 with Γ increased (gray: lowest Γ that bounces) and decreased (black: last Γ "
+        f"that bounces) in steps of {step:.2g}, {spec['settle'] + spec['observe']} plate periods each and up "
+        f"to {spec['settle_until']:,} while flights still settle, on an ideal plate; dashed, Eq. 25. Its "
+        f"maximum, {highest:.1f} at Ω = {at:.3f}, lies outside the frame."
     )
     return Caption(9, shows, (_on_eq_25(loop), _lower(loop), _several(loop), _coexist(loop, lower, step)))
 
