@@ -78,8 +78,7 @@ def compiled():
 
 
 def check_line(line: Line, periods: int) -> None:
-    assert Outcome.PERIODIC <= line.outcome[0] <= Outcome.DIVERGED
-    assert line.outcome[0] != Outcome.DIVERGED
+    assert line.outcome[0] in (*range(Outcome.PERIODIC, Outcome.UNRESOLVED + 1), Outcome.SETTLING)
     assert np.all(np.isfinite(line.end_state[0]))
     times, takeoffs = recorded(line), line.takeoff_phase[0, : len(recorded(line))]
     assert np.all(times > 0.0)

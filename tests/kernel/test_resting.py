@@ -64,7 +64,7 @@ def test_at_the_threshold_to_the_last_digit_there_is_an_answer(which, carry):
     for gamma in (np.nextafter(at, 0.0), at, np.nextafter(at, np.inf)):
         for i in range(len(gamma)):
             line = run(gamma[i], omega[i], xi[i], which, settle=40, observe=20, carry=carry)
-            assert line.outcome[0] in (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+            assert line.outcome[0] not in (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 
 @pytest.mark.parametrize(("omega", "xi"), RINGING)
