@@ -285,12 +285,16 @@ def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
 def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
     alone, among = (cell_seconds(sweep(), alone=alone) for alone in (True, False))
     assert alone - among == pytest.approx(300 * IDLE_LANES_US * 1e-6)
-    for one_by_one in (sweep(ramp=("gamma", "up")), sweep(model={"kind": "soft"}), sweep(exponents=1)):
+    for one_by_one in (
+        sweep(gamma=2, ramp=("gamma", "up")),
+        sweep(model={"kind": "soft"}),
+        sweep(exponents=1),
+    ):
         assert cell_seconds(one_by_one, alone=True) == cell_seconds(one_by_one)
 
 
 def test_cells_with_exponents_are_computed_one_by_one():
-    with_them, ramp = sweep(exponents=1), sweep(ramp=("gamma", "up"))
+    with_them, ramp = sweep(exponents=1), sweep(gamma=2, ramp=("gamma", "up"))
     assert cell_seconds(with_them) == pytest.approx(WITH_EXPONENTS * cell_seconds(ramp))
 
 
