@@ -46,11 +46,25 @@ def naive_line(spec: SweepSpec, gamma, omega, xi, carry: bool):
         observe=spec.observe,
         keep=spec.keep,
         micro_flight=spec.micro_flight,
+        exponents=spec.exponents,
     )
 
 
 def ramp(axis, direction):
     return {"kind": "ramp", "axis": axis, "direction": direction}
+
+
+def test_exponents_are_the_kernels(tmp_path, small_spec):
+    spec = small_spec(model={"kind": "rigid"}, gamma=[0.5, 1.5, 2.3, 3.6], exponents=2)
+    plan, url = stored(tmp_path, spec, (1, 2, 3))
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    found = store.read_slice(url, ("lyapunov",), direction=0)["lyapunov"]
+    assert found.shape == (*spec.shape[1:], 2)
+    for place in np.ndindex(spec.shape[1:]):
+        values = [np.array([spec.axis_values(axis)[i]]) for axis, i in zip(AXES, place, strict=True)]
+        expected = naive_line(spec, *reversed(values), carry=False).lyapunov[0]
+        assert found[place].tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize(
