@@ -224,7 +224,7 @@ def test_the_command_line_writes_as_many_digits_as_hold(address: str, job: Job):
     assert bounce("--xi", "0.05", "--tolerance", "1e-5").splitlines()[:3] == [
         "xi = 0.05, to 1e-05 in gamma",
         "        OMEGA       EQ. 25           UP         DOWN",
-        "    0.6000000    0.7818201    0.7818213    0.5525000",
+        "    0.6000000    0.7818201    0.7818213    0.5529688",
     ]
     assert bounce("--xi", "0.05").startswith("xi = 0.05, on the grid of gamma\n")
     assert '"tolerance": 0.001' in bounce("--xi", "0.05", "--tolerance", "1e-3", "--json")
