@@ -83,6 +83,7 @@ def test_json_is_the_contract_to_the_letter():
         "outcome": [3, 1, 2, 0],
         "bounces": [0, 1, 0, 0],
         "periods": [0, 1, 0, 0],
+        "min_flight": 0.0,
         "complete": False,
     }
 
@@ -137,6 +138,7 @@ def test_a_table_has_a_row_per_flight():
         ("rest", "1.5", "0"),
         ("rest", "2.5", "0"),
         ("rest", "2.5", "1"),
+        ("down", "1.5", "0"),  # the cell has no longer flight
         ("down", "2.5", "1"),
     ]
 
