@@ -9,7 +9,7 @@ plate.
 "Every diagrams presented before are acquired for increased value of Γ or Ω", the paper says of Figs. 2 to 8.
 The presets ramp up too, except in Fig. 2: at Γ = 3.6 only a start from rest reaches its (1, 2) mode.
 
-Where the paper says what is chaotic, in Figs. 2, 7 and 8, the largest Lyapunov exponent is computed too.
+Where the paper says what is chaotic, in Figs. 7 and 8, the largest Lyapunov exponent is computed too.
 
 Light to import: the service lists `FIGURES` for the page, `service.figures` draws them.
 """
@@ -77,10 +77,7 @@ def _axis(start: float, stop: float, num: int, spacing: str = "linear") -> Sweep
 
 def _figure_2() -> tuple[Sweep, ...]:
     """From rest, as the insets need it; then the same ramped up."""
-    sweep = {
-        "name": "figure 2", "gamma": _axis(1.0, 6.0, 1001), "omega": 0.5, "xi": 0.26, "model": SOFT,
-        "exponents": 1,
-    }  # fmt: skip
+    sweep = {"name": "figure 2", "gamma": _axis(1.0, 6.0, 1001), "omega": 0.5, "xi": 0.26, "model": SOFT}
     return (
         {**sweep, "protocol": {"kind": "rest"}},
         {**sweep, "name": "figure 2, ramped up", "protocol": _ramp("gamma")},

@@ -9,7 +9,7 @@ from fastapi import Depends, Request
 from service.api.capacity import ConcurrencyLimit
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.errors import InvalidRequest, OutdatedJob, UnknownJob, WrongMediaType
+from service.errors import InvalidRequest, UnknownJob, WrongMediaType
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
@@ -61,12 +61,6 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
         kind = prepared.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
     return Sweep(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.kernel_version)
-
-
-def check_kernel(job: JobRecord) -> None:
-    """Raise OutdatedJob for a job whose stored states this release would continue with another kernel."""
-    if job.outdated:
-        raise OutdatedJob(f"the job is {job.notice}: submit the sweep again, or read what is stored")
 
 
 async def reject_repeated_parameters(request: Request) -> None:

@@ -6,7 +6,6 @@ from typing import Final
 import xarray
 from matplotlib.axes import Axes
 
-from kernel.labels import CHAOTIC, LABELS
 from kernel.params import Outcome
 from service.client import Client, Job
 from service.figures.canvas import (
@@ -100,13 +99,13 @@ def _caption(diagram: xarray.Dataset, up: xarray.Dataset) -> Caption:
 
 
 def _claim(gamma: float, computed: str, printed: tuple[int, int] | None, condition: str) -> Claim:
-    expected = mode(*printed) if printed else LABELS[CHAOTIC]
+    expected = mode(*printed) if printed else "aperiodic"
     holds = computed == expected
     return compared(holds, f"{computed} at Γ = {gamma}{condition}" + ("" if holds else f", not {expected}"))
 
 
 def _modes(diagram: xarray.Dataset) -> Mapping[float, str]:
-    """The mode, or the label, at the Γ of each inset."""
+    """The mode, or the outcome, at the Γ of each inset."""
     cells = {gamma: diagram.sel(gamma=gamma, method="nearest") for gamma in INSETS}
     return {gamma: _mode(cell) for gamma, cell in cells.items()}
 
@@ -114,4 +113,4 @@ def _modes(diagram: xarray.Dataset) -> Mapping[float, str]:
 def _mode(cell: xarray.Dataset) -> str:
     if int(cell.outcome) == Outcome.PERIODIC:
         return mode(int(cell.bounces), int(cell.periods))
-    return LABELS[int(cell.label)].replace("_", " ")
+    return Outcome(int(cell.outcome)).name.lower().replace("_", " ")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import KERNEL_VERSION
-from service.errors import InvalidRequest, TooLarge
+from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from worker import schema, store
 from worker.spec import AXES, SweepSpec
 from worker.spec.errors import one_of
@@ -48,6 +48,15 @@ class Sweep:
                 f"the release that wrote this file computes version {KERNEL_VERSION}"
             )
         return attributes
+
+
+def check_kernel(sweep: Sweep) -> None:
+    """Raise OutdatedJob for a sweep whose cells this release would continue or repeat with another kernel."""
+    if sweep.kernel_version != KERNEL_VERSION:
+        raise OutdatedJob(
+            f"the sweep was computed by kernel version {sweep.kernel_version}; this release computes version "
+            f"{KERNEL_VERSION}: submit the sweep again, or read what is stored"
+        )
 
 
 @dataclass(frozen=True, slots=True)

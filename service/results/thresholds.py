@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
-from kernel.params import KERNEL_VERSION
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import OnDemandCache
 from service.results.mode_map import plane
-from service.results.selection import MAX_READ, Sweep, check_points, nearest_index
+from service.results.selection import MAX_READ, Sweep, check_kernel, check_points, nearest_index
 from worker.analysis import thresholds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
@@ -83,15 +82,10 @@ def refined(
 ) -> Thresholds:
     """`coarse`, refined by the workers to `tolerance` in gamma from the states that the sweep stored.
 
-    Raises InvalidRequest for a sweep of another kernel version, whose states this one does not continue,
+    Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue,
     TooLarge for more computing than one answer may take, and as `OnDemandCache.get`.
     """
-    if sweep.kernel_version != KERNEL_VERSION:
-        rule = (
-            f"needs the kernel that computed the sweep, version {sweep.kernel_version}; "
-            f"this release has version {KERNEL_VERSION}: submit the sweep again"
-        )
-        raise InvalidRequest.of("tolerance", rule)
+    check_kernel(sweep)
     omegas = len(coarse.omega)
     if not job.chunks_done:
         unknown = {"up": np.full(omegas, np.nan), "down": np.full(omegas, np.nan)}

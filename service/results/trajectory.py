@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from kernel.params import Cell, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
-from service.results.selection import Sweep, nearest_index, read, resolve_direction
+from service.results.selection import Sweep, check_kernel, nearest_index, read, resolve_direction
 from worker import schema
 from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
@@ -129,8 +129,10 @@ def of_cell(
 
     None for a sweep from rest, whose cells settle as they did in the sweep. Raises InvalidRequest as
     `diagram.diagram`, and for a cell of a ramp that is not computed yet, or that is unresolved or diverged:
-    its stored state is where the computation stopped, not the end of its window.
+    its stored state is where the computation stopped, not the end of its window. Raises OutdatedJob for a
+    sweep of another kernel version.
     """
+    check_kernel(sweep)
     spec = sweep.spec
     cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
     direction = resolve_direction(spec, direction)

@@ -245,7 +245,7 @@ def test_no_number_of_this_kernel_is_added_to_an_earlier_job(folder: Path):
         ):
             answer = client.get(path, params=query)
             assert answer.status_code == 409
-            assert answer.json()["detail"].startswith(f"the job is {NOTICE}: submit the sweep again")
+            assert answer.json()["detail"].startswith(f"the sweep was {NOTICE}: submit the sweep again")
 
 
 def test_exports_say_which_kernel_computed_them(folder: Path, tmp_path: Path):

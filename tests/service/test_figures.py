@@ -164,7 +164,7 @@ def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: dict[int
     assert int(of_figure_2.outcome.sel(gamma=5.0, method="nearest")) == Outcome.APERIODIC
     # No small hops after a landing: what is short is the tail of a branch that ends at zero.
     assert np.mean(of_figure_2.flight_time.values < 0.1) < 1e-2
-    expected = "(1, 1) at Γ = 1.5; (2, 2) at Γ = 2.3; (1, 2) at Γ = 3.6; chaotic at Γ = 5.0"
+    expected = "(1, 1) at Γ = 1.5; (2, 2) at Γ = 2.3; (1, 2) at Γ = 3.6; aperiodic at Γ = 5.0"
     assert agreeing(pictures[2].caption).startswith(expected)
 
 

@@ -11,7 +11,7 @@ from scripted import small as spec
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.errors import InvalidRequest, TooLarge
+from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from service.results import diagram as diagrams
 from service.results import mode_map, selection, thresholds
 from service.results.counting import MODE_ARRAYS
@@ -301,9 +301,7 @@ def test_thresholds_of_another_kernel_version_are_not_refined(tmp_path: Path):
     coarse = thresholds.on_grid(fine, None, 1000)
     earlier: Any = replace(fine, kernel_version="1")
     nobody: Any = None  # asked before anything else is
-    with pytest.raises(
-        InvalidRequest, match=r"tolerance: needs the kernel that computed the sweep, version 1"
-    ):
+    with pytest.raises(OutdatedJob, match="the sweep was computed by kernel version 1; this release"):
         thresholds.refined(nobody, nobody, earlier, coarse, 1e-3)
 
 

@@ -95,7 +95,6 @@ def plane(
 def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
     """One cell of the sweep in motion: as it settles from rest, or from where the ramp left it."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    dependencies.check_kernel(job)
     sweep = dependencies.sweep(service, job)
     spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)

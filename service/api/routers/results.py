@@ -76,7 +76,6 @@ def job_threshold(
     sweep = dependencies.sweep(service, job)
     result = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
-        dependencies.check_kernel(job)
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
