@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kernel.portable_math import asinh, atan2, exp, log
+from kernel.portable_math import asinh, atan2, exp, log, log1p
 
 #: The smallest restitution an impact is computed for. A nonadhesive contact reaches e = 0 only at
 #: infinite damping, and an adhesive one lasts for ever there; below this the contact is that of this e,
@@ -33,6 +33,9 @@ _CRITICAL: Final = 1e-4
 
 #: Relative size of Newton's step after which the next one, its square, is below rounding.
 _CONVERGED: Final = 1e-9
+
+#: -ln e above which (zeta > 3.4) zeta is computed from e by `strong_damping_ratio`.
+_STRONG: Final = 4.0
 
 #: Cap on Newton's steps; at most 7 are taken.
 _NEWTON_STEPS: Final = 20
@@ -74,7 +77,18 @@ def scalar_damping_ratio(e: float, adhesive: bool) -> float:
         zeta += step
         if abs(step) <= _CONVERGED * zeta:
             break
-    return zeta
+    return zeta if loss < _STRONG else strong_damping_ratio(e, zeta)
+
+
+def strong_damping_ratio(e: float, zeta: float) -> float:
+    """zeta > 1 without the rounding of ln e, which is several times that of e; from zeta next to it.
+
+    e = exp(-r)/(2 zeta)**2, where r = zeta * duration - 2 ln(2 zeta) is small, written so that nothing
+    cancels.
+    """
+    s = math.sqrt((zeta - 1.0) * (zeta + 1.0))
+    r = 2.0 * asinh(s) / (s * (s + zeta)) + 2.0 * log1p(-0.5 / (zeta * (s + zeta)))
+    return 0.5 * exp(-0.5 * r) / math.sqrt(e)
 
 
 def _duration(zeta: float, adhesive: bool) -> float:

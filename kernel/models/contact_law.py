@@ -8,10 +8,11 @@ An adhesive contact lasts while gap < 0 and may pull; a nonadhesive one while al
 """
 
 from kernel.numerics.jit import compilable, inlined, jit
-from kernel.restitution import nonadhesive_duration, scalar_damping_ratio
+from kernel.restitution import nonadhesive_duration, scalar_damping_ratio, strong_damping_ratio
 
 compilable(nonadhesive_duration)
 compilable(scalar_damping_ratio)
+compilable(strong_damping_ratio)
 
 
 @jit

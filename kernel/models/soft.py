@@ -18,12 +18,19 @@ from numpy.typing import NDArray
 from kernel.interface import contact, contact_force, flies, flight, prepare, rest
 from kernel.models.contact_law import lifted_off, plate_force
 from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
-from kernel.models.soft_contact import SoftSpring, from_modes, liftoff_function, soft_spring, to_modes
+from kernel.models.soft_contact import (
+    LiftoffFunction,
+    SoftSpring,
+    from_modes,
+    liftoff_function,
+    soft_spring,
+    to_modes,
+)
 from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.elementary import hypot, sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
 from kernel.numerics.jit import jit
-from kernel.numerics.oscillator import all_derivatives, derivatives, motion, quiet_time
+from kernel.numerics.oscillator import all_derivatives, apart, derivatives, motion, quiet_time
 from kernel.validation import check_arrays
 
 
@@ -97,6 +104,8 @@ def _contact(
     """
     m = to_modes(s, phi, gap, gap1, q, q1)
     p = liftoff_function(s, m, phi)
+    if gap < 0.0 and not s.adhesive and apart(p.fast_osc):
+        p = _beginning_with(p, plate_force(s.kappa, s.beta, gap, gap1))
     margin = p.static - hypot(p.wave_re, p.wave_im)
     slow = all_derivatives(p.slow_osc, p.slow_a, p.slow_b)
     fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
@@ -121,6 +130,20 @@ def _contact(
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
+
+
+@jit
+def _beginning_with(p: LiftoffFunction, force: float) -> LiftoffFunction:
+    """`p` with the force of the state at tau = 0, where n is a small difference of kappa gap and beta gap'.
+
+    The modes' sum has a few times its rounding error. The difference is given to the fast exponential,
+    which is where it came from.
+    """
+    t = terms(p, 0.0)
+    fast_b = p.fast_b + (force - (t.smooth + t.ring))
+    return LiftoffFunction(
+        p.slow_osc, p.fast_osc, p.phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
+    )
 
 
 @jit
