@@ -118,7 +118,10 @@ def test_waiting_writes_plain_lines_where_there_is_no_terminal(url: str, tmp_pat
     path.write_text(json.dumps(SPEC | {"settle": 21, "name": "plain"}))
     result = bounce("submit", path, "--wait", url=url)
     assert result.exit_code == 0
-    lines = result.stderr.splitlines()
+    *lines, note = result.stderr.splitlines()
+    assert re.fullmatch(
+        r"\d+ of 92 cells were still settling: give them more time with settle_until .*", note
+    )
     assert lines[-1] == f"{result.stdout[:8]} plain: done, 100% (92 of 92 cells)"
     assert all(re.match(r"[0-9a-f]{8} plain: (queued|running|done), \d+% ", line) for line in lines)
     assert "\x1b" not in result.stderr
@@ -202,7 +205,7 @@ def test_a_threshold_outside_the_grid_is_printed_as_a_bound(
     url: str, gamma: list[float], row: list[str], notes: list[str], tolerance: tuple[str, ...]
 ):
     with Client(url) as client:
-        job = client.submit({**RAMPED, "gamma": gamma}).wait(progress=False)
+        job = client.submit({**RAMPED, "gamma": gamma, "settle": 300, "observe": 60}).wait(progress=False)
         eq_25 = client.threshold(0.5, 0.26)
     result = bounce("threshold", job.id, *tolerance, url=url)
     _, heading, line, *rest = result.stdout.splitlines()
