@@ -60,9 +60,9 @@ class Progress:
     @classmethod
     def from_json(cls, view: Mapping[str, Any]) -> "Progress":
         """Read the `progress` member of a job."""
-        optional = {"eta_seconds": view.get("eta_seconds"), "cells_settling": view.get("cells_settling", 0)}
-        required = {name: view[name] for name in cls.__dataclass_fields__ if name not in optional}
-        return cls(**required, **optional)
+        later = ("eta_seconds", "cells_settling")
+        required = {name: view[name] for name in cls.__dataclass_fields__ if name not in later}
+        return cls(**required, **{name: view[name] for name in later if name in view})
 
     @property
     def whole_percent(self) -> int:

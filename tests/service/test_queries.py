@@ -276,7 +276,7 @@ def test_a_plane_is_the_stores_own(sweep: Sweep):
 
 
 def test_the_threshold_from_rest_is_the_first_gamma_above_eq_25(tmp_path: Path):
-    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05))
+    fine = computed(tmp_path, spec(gamma={"start": 0.1, "stop": 1.2, "num": 23}, xi=0.05, settle_until=2_000))
     result = thresholds.on_grid(fine, None, 1000)
     gamma = fine.spec.axis_values("gamma")
     expected = [gamma[gamma > onset][0] for onset in threshold([0.5, 0.7, 1.0], 0.05)]
