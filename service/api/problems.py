@@ -199,7 +199,7 @@ def _http(request: Request, error: Exception) -> Response:
         return ProblemResponse(HTTPStatus.NOT_FOUND, f"no endpoint {path}; /docs lists the endpoints")
     if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
-        detail = f"{path} does not support {request.method}"
+        detail = f"{path} does not support {request.method[:16]}"
         return ProblemResponse(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": ", ".join(allowed)})
     return ProblemResponse(refusal.status_code, refusal.detail, headers=refusal.headers)
 
