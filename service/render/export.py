@@ -13,7 +13,7 @@ from typing import IO, Final
 
 import numpy as np
 
-from service.errors import NoSpace, TooLarge
+from service.errors import ExportFailed, NoSpace, TooLarge
 from service.formats import ExportFormat
 from service.render import netcdf, parquet
 from service.render.blocks import Block, blocks
@@ -27,6 +27,9 @@ from worker.studies import Plan, study_of
 PIECE: Final = 256 * 1024
 #: Bytes of the disk that an export leaves to jobs and to the ledger.
 SPARE: Final = 16 * 2**20
+
+#: A disk with fewer bytes free counts as full when a file could not be written.
+FULL: Final = 2**20
 
 _WRITERS: Final[Mapping[ExportFormat, Callable[[Sweep, Layout, Iterable[Block], Path], None]]] = {
     "nc": netcdf.write,
@@ -59,6 +62,10 @@ def make(sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[byt
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise NoSpace(f"no space left for the export file: {error.strerror}") from error
+        raise
+    except ExportFailed as error:  # libhdf5 does not always say why
+        if shutil.disk_usage(folder).free < FULL:
+            raise NoSpace("no space left for the export file") from error
         raise
     finally:
         Path(name).unlink()

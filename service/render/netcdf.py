@@ -65,7 +65,7 @@ def _send(objects: Iterable[Any], pipe: IO[bytes]) -> None:
 def _parts(spec: SweepSpec, blocks: Iterable[Block]) -> Iterator[Part]:
     names = [array.name for array in exported(spec)]
     for block in blocks:
-        where = (spec.directions.index(block.direction), *block.cells.values())
+        where: tuple[int | slice, ...] = (spec.directions.index(block.direction), *block.cells.values())
         yield Part(where, {name: block.arrays[name] for name in names})
 
 
