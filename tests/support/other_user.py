@@ -23,7 +23,7 @@ PATIENCE = 10.0
 #: What Dask's servers call "run this function".
 OPERATIONS = ("run", "run_function")
 #: Pages of Dask's HTTP servers.
-PAGES = ("/health", "/metrics", "/status", "/info/main/workers.html", "/json/counts.json", "/sitemap.json")
+PAGES = ("/health", "/metrics", "/status", "/info/main/workers.html", "/json/counts.json")
 
 
 class Code:
