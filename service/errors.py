@@ -17,6 +17,7 @@
     ├── Busy                   too many concurrent expensive requests
     ├── NotComputed            no worker could compute the response
     ├── NoSpace                no disk space for an export
+    ├── ExportFailed           the process that writes an export has died
     ├── LedgerUnavailable      the ledger cannot be read or written at the moment
     └── NotStarted             the service cannot start; the text says why
         ├── DataFolderBusy     another service uses the data folder
@@ -110,6 +111,10 @@ class NotComputed(ServiceError):
 
 class NoSpace(ServiceError):
     """No disk space for an export."""
+
+
+class ExportFailed(ServiceError):
+    """The process that writes an export has died, or could not write it."""
 
 
 class LedgerUnavailable(ServiceError):

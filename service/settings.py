@@ -3,6 +3,7 @@
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import (
     Field,
@@ -30,7 +31,9 @@ MIN_TOKEN_LENGTH: Final = 16
 class Settings(BaseSettings):
     """Where the service listens, keeps data and computes, and how much one request may ask for."""
 
-    model_config = SettingsConfigDict(env_prefix="BOUNCE_", frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(
+        env_prefix="BOUNCE_", frozen=True, extra="forbid", hide_input_in_errors=True
+    )
 
     # The web server
 
@@ -149,6 +152,11 @@ class Settings(BaseSettings):
     @classmethod
     def _check_stores(cls, value: str | None) -> str | None:
         if value is not None:
+            if "@" in urlsplit(value).netloc:
+                raise ValueError(
+                    "must not contain credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, "
+                    "for the workers too"
+                )
             try:
                 store.check_address(value)
             except store.StoreError as error:

@@ -61,17 +61,26 @@ def check_unshared(root: Path) -> None:
         mode = above.stat().st_mode
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             raise NotOurs(f"{above} can be written by every user of this machine, who could replace {root}")
-    reachable = _OTHERS_WRITE if status.st_mode & _OTHERS else 0
-    for folder, folders, files in os.walk(root):
-        for name in (*folders, *files):
-            path = Path(folder, name)
-            try:
-                status = path.lstat()
-            except FileNotFoundError:  # a draft of another process, renamed meanwhile
-                continue
-            if stat.S_ISLNK(status.st_mode):
-                raise NotOurs(f"{path} is a link: what it points to may be another user's")
-            _check(path, status, reachable)
+    _check_inside(root, _reachable(status))
+
+
+def _check_inside(folder: Path, forbidden: int) -> None:
+    try:
+        entries = [(path, path.lstat()) for path in folder.iterdir()] if folder.is_dir() else []
+    except FileNotFoundError:  # another process has just put a file in its place, or moved the folder
+        _check_inside(folder, forbidden)
+        return
+    for path, status in entries:
+        if stat.S_ISLNK(status.st_mode):
+            raise NotOurs(f"{path} is a link: what it points to may be another user's")
+        _check(path, status, forbidden)
+        if stat.S_ISDIR(status.st_mode):
+            _check_inside(path, forbidden & _reachable(status))
+
+
+def _reachable(status: os.stat_result) -> int:
+    """The permissions that must not be set inside a folder: none if others cannot enter it."""
+    return _OTHERS_WRITE if status.st_mode & _OTHERS else 0
 
 
 def _check(path: Path, status: os.stat_result, forbidden: int) -> None:

@@ -21,6 +21,7 @@ from service.errors import (
     BodyTimeout,
     Busy,
     CrossOriginRefused,
+    ExportFailed,
     HostNotAllowed,
     IllegalTransition,
     InvalidRequest,
@@ -64,6 +65,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     Busy: HTTPStatus.TOO_MANY_REQUESTS,
     NotComputed: HTTPStatus.SERVICE_UNAVAILABLE,
     NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
+    ExportFailed: HTTPStatus.SERVICE_UNAVAILABLE,
     StoreError: HTTPStatus.INTERNAL_SERVER_ERROR,
     **dict.fromkeys(store.UNREACHABLE, HTTPStatus.SERVICE_UNAVAILABLE),
     LedgerUnavailable: HTTPStatus.SERVICE_UNAVAILABLE,
@@ -197,7 +199,7 @@ def _http(request: Request, error: Exception) -> Response:
         return ProblemResponse(HTTPStatus.NOT_FOUND, f"no endpoint {path}; /docs lists the endpoints")
     if refusal.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
         allowed = _allowed(request, (refusal.headers or {}).get("Allow", "GET"))
-        detail = f"{path} does not support {request.method}"
+        detail = f"{path} does not support {request.method[:16]}"
         return ProblemResponse(HTTPStatus.METHOD_NOT_ALLOWED, detail, headers={"Allow": ", ".join(allowed)})
     return ProblemResponse(refusal.status_code, refusal.detail, headers=refusal.headers)
 

@@ -4,11 +4,13 @@ import json
 import re
 import tempfile
 import time
+from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Final, TypeAlias
+from urllib.parse import unquote
 
 import httpx2
 
@@ -50,7 +52,7 @@ class Transport:
     """
 
     def __init__(self, url: str, *, token: str | None, timeout: float, http: httpx2.Client | None) -> None:
-        self.url = _valid_url(url)
+        self.url, credentials = _split_credentials(_valid_url(url))
         self._owns_http = http is None
         self._http = http or httpx2.Client(
             timeout=httpx2.Timeout(timeout, connect=min(timeout, CONNECT_SECONDS)),
@@ -59,6 +61,8 @@ class Transport:
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token:  # as in the service, an empty variable means no token
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
+        elif credentials:
+            self._headers["Authorization"] = f"Basic {b64encode(credentials.encode()).decode()}"
 
     def close(self) -> None:
         """Close the connections, unless they belong to the caller."""
@@ -257,10 +261,20 @@ def _valid_url(url: str) -> str:
     try:
         parsed = httpx2.URL(url)
     except httpx2.InvalidURL as error:
-        raise ServiceUnreachable(url, f"not an address: {error}") from error
+        raise ServiceUnreachable(_hide_credentials(url), f"not an address: {error}") from None
     if parsed.scheme not in ("http", "https") or not parsed.host:
-        raise ServiceUnreachable(url, "expected an address like http://HOST:PORT")
+        raise ServiceUnreachable(_hide_credentials(url), "expected an address like http://HOST:PORT")
     return url.rstrip("/")
+
+
+def _split_credentials(url: str) -> tuple[str, str]:
+    """The address without user and password, which then appear in no message, and `user:password` or ""."""
+    userinfo = httpx2.URL(url).userinfo.decode()
+    return _hide_credentials(url), unquote(userinfo)
+
+
+def _hide_credentials(url: str) -> str:
+    return re.sub(r"(?<=//)[^/?#]*@", "", url, count=1)
 
 
 def _is_loopback(url: str) -> bool:

@@ -1,21 +1,31 @@
 """Reads a job's zarr store over HTTP, through the connection and with the token of the client."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
-from typing import Final, NoReturn
+import json
+from collections.abc import AsyncIterator, Iterable, Iterator
+from typing import Any, Final, NoReturn
 
 import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
 
-from service.client.errors import NotFound, StoreUnreachable
+from service.client.errors import NotFound, StoreUnreachable, UnexpectedAnswer
 from service.client.transport import Transport
+
+#: The codecs of the stores that the service writes. Others can do more than decode: one of them unpickles.
+CODECS: Final = frozenset({"bytes", "vlen-utf8", "zstd"})
+#: The documents that describe groups and arrays; of zarr's version 2 there is none in our stores.
+_METADATA: Final = "zarr.json"
+_VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
 _READ_ONLY: Final = "a job's store is read only"
 
 
 def open_store(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
-    """The store at `path` as a lazy Dataset: values are read where they are used. Raises StoreUnreachable."""
+    """The store at `path` as a lazy Dataset: values are read where they are used. Raises StoreUnreachable.
+
+    Raises UnexpectedAnswer for a store that the service cannot have written.
+    """
     try:
         dataset: xarray.Dataset = xarray.open_zarr(HTTPStore(transport, path), consolidated=True, chunks=None)
     except (FileNotFoundError, ValueError) as error:
@@ -60,10 +70,27 @@ class HTTPStore(Store):
         return await asyncio.to_thread(self._read, key) is not None
 
     def _read(self, key: str) -> bytes | None:
+        if key.endswith(_VERSION_2):
+            return None
         try:
-            return self._transport.get(f"{self._path}/{key}").content
+            content = self._transport.get(f"{self._path}/{key}").content
         except NotFound:
             return None
+        if key.endswith(_METADATA):
+            self._check(key, content)
+        return content
+
+    def _check(self, key: str, content: bytes) -> None:
+        """Raise UnexpectedAnswer unless all arrays in a metadata document use codecs of ours only."""
+        try:
+            unknown = {
+                codec["name"] for array in _arrays(json.loads(content)) for codec in array["codecs"]
+            } - CODECS
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise UnexpectedAnswer(f"{self}/{key} is not the metadata of a bounce store") from error
+        if unknown:
+            names = ", ".join(sorted(map(repr, unknown)))
+            raise UnexpectedAnswer(f"{self}/{key} names codecs that no bounce store has: {names[:200]}")
 
     @property
     def supports_writes(self) -> bool:
@@ -91,6 +118,18 @@ class HTTPStore(Store):
 
     def list_dir(self, prefix: str) -> AsyncIterator[str]:
         raise NotImplementedError
+
+
+def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The metadata of the arrays in a document: its own, or those that a group keeps together."""
+    if document["zarr_format"] != 3:
+        raise ValueError("not of zarr's version 3")
+    if document["node_type"] == "array":
+        if document.get("storage_transformers"):
+            raise ValueError("storage transformers")
+        yield document
+    for inner in ((document.get("consolidated_metadata") or {}).get("metadata") or {}).values():
+        yield from _arrays(inner)
 
 
 def _slice(content: bytes, byte_range: ByteRequest | None) -> bytes:

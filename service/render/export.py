@@ -7,24 +7,31 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Final
 
 import numpy as np
 
-from service.errors import NoSpace, TooLarge
+from service.errors import ExportFailed, NoSpace, TooLarge
 from service.formats import ExportFormat
 from service.render import netcdf, parquet
+from service.render.blocks import Block, blocks
 from service.results.selection import Sweep
 from worker import schema
+from worker.schema import Layout
 from worker.spec import SweepSpec
-from worker.studies import Plan
+from worker.studies import Plan, study_of
 
 #: Bytes sent at a time.
 PIECE: Final = 256 * 1024
+#: Bytes of the disk that an export leaves to jobs and to the ledger.
+SPARE: Final = 16 * 2**20
 
-_WRITERS: Final[Mapping[ExportFormat, Callable[[Sweep, Plan, Path], None]]] = {
+#: A disk with fewer bytes free counts as full when a file could not be written.
+FULL: Final = 2**20
+
+_WRITERS: Final[Mapping[ExportFormat, Callable[[Sweep, Layout, Iterable[Block], Path], None]]] = {
     "nc": netcdf.write,
     "parquet": parquet.write,
 }
@@ -43,20 +50,34 @@ def check_size(spec: SweepSpec, max_bytes: int) -> None:
 def make(sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[bytes]:
     """The sweep's file, open for reading and already unlinked.
 
-    Raises NoSpace, another OSError, a `store.StoreError`.
+    Raises NoSpace, another OSError, ExportFailed, a `store.StoreError`.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(suffix=f".{format}", dir=folder)
     os.close(handle)
     try:
-        _WRITERS[format](sweep, plan, Path(name))
+        layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
+        _WRITERS[format](sweep, layout, _while_there_is_room(blocks(sweep, plan), folder), Path(name))
         return Path(name).open("rb")
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise NoSpace(f"no space left for the export file: {error.strerror}") from error
         raise
+    except ExportFailed as error:  # libhdf5 does not always say why
+        if shutil.disk_usage(folder).free < FULL:
+            raise NoSpace("no space left for the export file") from error
+        raise
     finally:
         Path(name).unlink()
+
+
+def _while_there_is_room(blocks: Iterable[Block], folder: Path) -> Iterator[Block]:
+    """The blocks, each if the disk has room for it before compression. Raises NoSpace."""
+    for block in blocks:
+        size = sum(array.nbytes for array in block.arrays.values())
+        if shutil.disk_usage(folder).free < size + SPARE:
+            raise NoSpace(f"no space left for the export file: less than {SPARE:,} bytes would stay free")
+        yield block
 
 
 def remove_unfinished(folder: Path) -> None:

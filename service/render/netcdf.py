@@ -1,57 +1,106 @@
-"""A sweep as NetCDF 4: the dimensions, coordinates, arrays and attributes of its store, chunk by chunk."""
+"""A sweep as NetCDF 4: the dimensions, coordinates, arrays and attributes of its store, chunk by chunk.
+
+The file is written by another process, see `netcdf_writer`.
+"""
 
 import json
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Final
 
-import h5netcdf
-import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from service.render.blocks import blocks, exported
+from service.errors import ExportFailed
+from service.render import netcdf_writer
+from service.render.blocks import Block, exported
+from service.render.netcdf_writer import Head, Part, Variable
 from service.results.selection import Sweep
 from worker.schema import Array, Layout
-from worker.studies import Plan, study_of
+from worker.spec import SweepSpec
+
+#: -P: no module is imported from the current folder.
+_WRITER: Final = (sys.executable, "-P", "-m", netcdf_writer.__name__)
 
 
-def write(sweep: Sweep, plan: Plan, path: Path) -> None:
-    """Write the sweep's file. Raises OSError, a `store.StoreError`."""
-    layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
-    arrays = exported(sweep.spec)
-    with h5netcdf.File(path, "w") as file:
-        file.dimensions = {
+def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> None:
+    """Write the sweep's file. Raises OSError, ExportFailed, and what `blocks` raises."""
+    with subprocess.Popen(
+        [*_WRITER, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={name: value for name, value in os.environ.items() if not name.startswith("BOUNCE_")},
+        start_new_session=True,  # Ctrl-C is for the service, which waits for the file when it stops
+    ) as process:
+        assert process.stdin
+        assert process.stdout
+        try:
+            _send(chain([_head(sweep, layout)], _parts(sweep.spec, blocks), [None]), process.stdin)
+        except BaseException:
+            process.kill()
+            raise
+        answer = process.stdout.read()
+    _check(answer, process.returncode)
+
+
+def _send(objects: Iterable[Any], pipe: IO[bytes]) -> None:
+    """Send all that the writer takes: one that has met an error takes no more."""
+    try:
+        for one in objects:
+            try:
+                pickle.dump(one, pipe, pickle.HIGHEST_PROTOCOL)
+            except BrokenPipeError:
+                return
+    finally:
+        with suppress(BrokenPipeError):
+            pipe.close()
+
+
+def _parts(spec: SweepSpec, blocks: Iterable[Block]) -> Iterator[Part]:
+    names = [array.name for array in exported(spec)]
+    for block in blocks:
+        where: tuple[int | slice, ...] = (spec.directions.index(block.direction), *block.cells.values())
+        yield Part(where, {name: block.arrays[name] for name in names})
+
+
+def _check(answer: bytes, returncode: int) -> None:
+    """Raise the error that the writer reports, or ExportFailed if it has died."""
+    if not answer:
+        raise ExportFailed(f"the process that writes the file has died ({returncode})")
+    report = json.loads(answer)
+    if report is None:
+        return
+    if report["errno"] is not None:
+        raise OSError(report["errno"], os.strerror(report["errno"]))
+    raise ExportFailed(report["text"])
+
+
+def _head(sweep: Sweep, layout: Layout) -> Head:
+    arrays, attributes = exported(sweep.spec), {**layout.attributes, **sweep.attributes}
+    return Head(
+        sizes={
             dim: size for array in arrays for dim, size in zip(array.dims, layout.shape(array), strict=True)
-        }
-        for name, values in layout.coordinates.items():
-            _write_coordinate(file, name, values)
-            file.variables[name].attrs.update(layout.coordinate_attrs[name])
-        for array in arrays:
-            _create_variable(file, array, layout)
-        for block in blocks(sweep, plan):
-            where = (sweep.spec.directions.index(block.direction), *block.cells.values())
-            for array in arrays:
-                file.variables[array.name][where] = block.arrays[array.name]
-        attributes = {**layout.attributes, **sweep.attributes}
-        file.attrs.update({name: _text(value) for name, value in attributes.items()})
+        },
+        coordinates={
+            name: (values.tolist() if values.dtype.kind == "T" else values, layout.coordinate_attrs[name])
+            for name, values in layout.coordinates.items()
+        },
+        variables={array.name: _variable(array, layout) for array in arrays},
+        attrs={name: _text(value) for name, value in attributes.items()},
+    )
 
 
-def _write_coordinate(file: Any, name: str, values: NDArray[Any]) -> None:
-    if values.dtype.kind == "T":  # text of any length, which HDF5 has as a type of its own
-        variable = file.create_variable(name, (name,), h5py.string_dtype())
-        variable[...] = values.astype(object)
-    else:
-        file.create_variable(name, (name,), data=values)
-
-
-def _create_variable(file: Any, array: Array, layout: Layout) -> None:
+def _variable(array: Array, layout: Layout) -> Variable:
     # Counts have no fill value: CF readers would turn them into floating point.
     fill = array.fill if np.dtype(array.dtype).kind == "f" else None
-    variable = file.create_variable(
-        array.name, array.dims, np.dtype(array.dtype), fillvalue=fill,
-        chunks=layout.chunk_shape(array), compression="gzip", compression_opts=1, shuffle=True,
-    )  # fmt: skip
-    variable.attrs.update({name: _flags(value, array.dtype) for name, value in array.attrs.items()})
+    attrs = {name: _flags(value, array.dtype) for name, value in array.attrs.items()}
+    return Variable(array.dims, array.dtype, layout.chunk_shape(array), fill, attrs)
 
 
 def _flags(value: object, dtype: str) -> object:
@@ -59,6 +108,6 @@ def _flags(value: object, dtype: str) -> object:
     return np.array(value, dtype) if isinstance(value, list) else value
 
 
-def _text(value: object) -> str:
+def _text(value: Any) -> str:
     """An attribute of the file: NetCDF has no nested values, so they are JSON."""
     return value if isinstance(value, str) else json.dumps(value)

@@ -1,7 +1,7 @@
 """A sweep as Parquet: one row per cell, its flights as lists, chunk by chunk."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from kernel.labels import LABELS
-from service.render.blocks import Block, blocks, exported
+from service.render.blocks import Block, exported
 from service.results.counting import LABEL
 from service.results.selection import Sweep
 from worker import schema
+from worker.schema import Layout
 from worker.spec import AXES, SweepSpec
-from worker.studies import Plan
 
 
 def _column(array: schema.Array) -> tuple[str, pa.DataType]:
@@ -48,12 +48,12 @@ def _schema(spec: SweepSpec) -> pa.Schema:
     )
 
 
-def write(sweep: Sweep, plan: Plan, path: Path) -> None:
-    """Write the sweep's file. Raises OSError, a `store.StoreError`."""
+def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> None:
+    """Write the sweep's file. Raises OSError, and what `blocks` raises."""
     origin = {**sweep.attributes, "spec": json.dumps(sweep.spec.as_submitted())}
     table = _schema(sweep.spec).with_metadata(origin)
     with parquet.ParquetWriter(path, table, compression="zstd") as file:
-        for block in blocks(sweep, plan):
+        for block in blocks:
             file.write_batch(_rows(sweep.spec, block, table))
 
 

@@ -4,6 +4,7 @@ import importlib
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -39,12 +40,12 @@ def _created(name: str | None) -> Iterator[Any]:
         yield None
         return
     module, _, function = name.partition(":")
-    if "" not in sys.path:
-        sys.path.insert(0, "")  # as `python -m` does: the module may be in the current folder
     try:
         # Counts for a scheduler in this process; a remote one must be started with these settings.
         dask.config.set(SCHEDULER_SETTINGS)
-        cluster = getattr(importlib.import_module(module), function)()
+        with _current_folder_last():
+            imported = importlib.import_module(module)
+        cluster = getattr(imported, function)()
     except Exception as error:
         raise ClusterLost(f"no cluster from {name}: {type(error).__name__}: {error}") from error
     try:
@@ -52,6 +53,20 @@ def _created(name: str | None) -> Iterator[Any]:
     finally:
         if hasattr(cluster, "close"):
             cluster.close()
+
+
+@contextmanager
+def _current_folder_last() -> Iterator[None]:
+    """Look for modules in the current folder too, after all other places, and only during the block.
+
+    Whoever can write to that folder could otherwise name a file like a library that is imported later.
+    """
+    here = str(Path.cwd())
+    sys.path.append(here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)
 
 
 def _tls(settings: Settings) -> Any:

@@ -22,7 +22,7 @@ from service.errors import LedgerUnavailable, NotStarted
 from service.jobs.ledger import Ledger
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr
-from service.server.web_server import WebServer
+from service.server.web_server import WebServer, raise_file_limit
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
@@ -77,6 +77,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     def announce_url(url: str) -> None:
         announce(f"bounce listens on {url} ({_summary(settings)})")
 
+    raise_file_limit()
     with (
         log_to_stderr(settings.log_level),
         _umask(settings),

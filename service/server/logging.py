@@ -2,7 +2,9 @@
 
 import json
 import logging
+import math
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -13,6 +15,9 @@ _OWN: Final = ("service", "worker")
 
 #: Libraries that configure their own handlers; their warnings go through the root logger instead.
 _LIBRARIES: Final = ("distributed", "tornado", "bokeh", "uvicorn", "asyncio")
+
+#: Different messages of libraries that are remembered.
+_MESSAGES: Final = 1_000
 
 
 class JsonLines(logging.Formatter):
@@ -32,11 +37,41 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
+class OncePerSecond(logging.Filter):
+    """Passes each message of a library at most once a second, with the number of those left out before it.
+
+    Whoever reaches a port can cause them, as often as he likes: by connections, or bytes that are no TLS.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last: dict[tuple[str, str], float] = {}
+        self._left_out: dict[tuple[str, str], int] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Called by logging."""
+        if record.name.partition(".")[0] not in _LIBRARIES:
+            return True
+        message = (record.name, str(record.msg).partition("\n")[0])  # before its arguments are filled in
+        now = time.monotonic()
+        if now - self._last.get(message, -math.inf) < 1.0:
+            self._left_out[message] = self._left_out.get(message, 0) + 1
+            return False
+        if len(self._last) > _MESSAGES:
+            self._last.clear()
+            self._left_out.clear()
+        self._last[message] = now
+        if left_out := self._left_out.pop(message, 0):
+            record.fields = {"left_out": left_out}
+        return True
+
+
 @contextmanager
 def log_to_stderr(level: str) -> Iterator[None]:
     """Write the log to standard error during the block; `level` is that of the project's loggers."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
+    handler.addFilter(OncePerSecond())
     root = logging.getLogger()
     root.addHandler(handler)
     for name in _OWN:

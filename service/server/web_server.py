@@ -1,8 +1,9 @@
-"""uvicorn, extended by startup errors as exceptions, a request-header timeout, and prompt shutdown."""
+"""uvicorn, extended by startup errors as exceptions, limits on heads and connections, and prompt shutdown."""
 
 import asyncio
 import logging
 import math
+import resource
 import socket
 import threading
 from collections.abc import Callable
@@ -19,6 +20,14 @@ from service.settings import Settings
 #: uvicorn's log: silent during startup, because a startup error is raised instead.
 _LOG: Final = logging.getLogger("uvicorn.error")
 
+#: Of the files that a process may have open, those kept for ledger, stores and workers.
+OTHER_FILES: Final = 256
+#: More files at a time are not asked for, although some systems allow a thousand million.
+MOST_FILES: Final = 65_536
+
+_FULL_RESPONSE: Final = (
+    b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 2\r\nConnection: close\r\n\r\n"
+)
 _TIMEOUT_RESPONSE: Final = b"HTTP/1.1 408 Request Timeout\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
@@ -37,7 +46,7 @@ class WebServer(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 self._app,
-                http=with_head_timeout(settings.body_seconds),
+                http=limited(settings.body_seconds, connections_allowed()),
                 lifespan="on",
                 log_config=None,
                 log_level=logging.CRITICAL,
@@ -102,20 +111,26 @@ class _Application:
             service.progress_stream.close()
 
 
-class HeadTimeout(H11Protocol):
-    """Request-header timeout, which uvicorn lacks.
+class Limited(H11Protocol):
+    """Request-header timeout and limit of connections, which uvicorn lacks.
 
     Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
-    or from the opening of the connection. `api.middleware.body_limit` limits the body.
+    or from the opening of the connection. `api.middleware.body_limit` limits the body. A connection above
+    `most` is answered with 503: without a limit, connections could take all files that the process may open.
     """
 
     timeout = 10.0
+    most = OTHER_FILES
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
         """Called by the event loop."""
         super().connection_made(transport)
-        self._start_timer()
+        if len(self.connections) > self.most:
+            transport.write(_FULL_RESPONSE)
+            transport.close()
+        else:
+            self._start_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Called by the event loop."""
@@ -149,6 +164,21 @@ class HeadTimeout(H11Protocol):
             self.transport.close()
 
 
-def with_head_timeout(seconds: float) -> type[H11Protocol]:
-    """The protocol class for uvicorn's `http` option, with this timeout."""
-    return type("HeadTimeout", (HeadTimeout,), {"timeout": seconds})
+def limited(seconds: float, most: int) -> type[H11Protocol]:
+    """The protocol class for uvicorn's `http` option, with this timeout and this many connections."""
+    return type("Limited", (Limited,), {"timeout": seconds, "most": most})
+
+
+def raise_file_limit() -> None:
+    """Let this process open as many files as the system allows, up to MOST_FILES."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    allowed = MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_FILES)
+    if soft != resource.RLIM_INFINITY and soft < allowed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+
+
+def connections_allowed() -> int:
+    """How many connections leave enough of the process's files for all else."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    files = MOST_FILES if soft == resource.RLIM_INFINITY else min(soft, MOST_FILES)
+    return max(files - OTHER_FILES, files // 2)

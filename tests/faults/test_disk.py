@@ -1,16 +1,20 @@
-"""A full disk: the job fails with the reason, the service goes on, and resuming finishes the job."""
+"""A full disk: jobs and exports fail with the reason, the service goes on, and resuming finishes the job."""
 
+import os
 import resource
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from running import running
 from scripted import Held, sweep, wait_for
+from served import FIGURE_2, service
 
 from kernel.params import Outcome
 from service.jobs.model import JobState
+from service.render import export, netcdf
 from worker.executors.dask import Dask
 
 
@@ -92,3 +96,50 @@ def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask)
         assert "File too large" in (job.error or "")
         job = service.until(service.submit(spec), JobState.DONE)
         assert (service.outcomes(job) != Outcome.MISSING).all()
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet"])
+def test_an_export_leaves_room_for_jobs_and_ledger(small_disk: Path, format: str):
+    with service(small_disk / "data", Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+        answer = client.get(f"{here}/export?format={format}")
+        assert (answer.status_code, "would stay free" in answer.json()["detail"]) == (507, True)
+        assert list((small_disk / "data" / "exports").iterdir()) == []
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
+def test_an_export_that_fills_the_disk_ends_nothing_but_itself(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch, share: float
+):
+    """As if others filled the disk after the look at it. The service here is the test's own process.
+
+    The job waits for its first chunks: what is exported are missing cells.
+    """
+    monkeypatch.setattr(export, "SPARE", -(2**40))
+    ballast, held = small_disk / "ballast", Held()
+    with service(small_disk / "data", held) as client:
+        here = f"{client.post('/v1/jobs', json=FIGURE_2).headers['Location']}/export?format=nc"
+        wait_for(held.held)
+        whole = client.get(here)
+        assert whole.status_code == 200
+        fill(ballast)
+        os.truncate(ballast, ballast.stat().st_size - int(share * len(whole.content)))
+        answer = client.get(here)
+        assert answer.status_code == 507
+        assert answer.json()["detail"].startswith("no space left for the export file")
+        ballast.unlink()
+        assert len(client.get(here).content) == len(whole.content)
+        assert list((small_disk / "data" / "exports").iterdir()) == []
+
+
+def test_the_process_that_writes_a_netcdf_file_can_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = f"{client.post('/v1/jobs', json=FIGURE_2).headers['Location']}/export?format=nc"
+        with monkeypatch.context() as crashing:
+            crash = "import os; os.kill(os.getpid(), 11)"
+            crashing.setattr(netcdf, "_WRITER", (sys.executable, "-c", crash))
+            answer = client.get(here)
+        assert answer.status_code == 503
+        assert "has died (-11)" in answer.json()["detail"]
+        assert client.get(here).status_code == 200
+        assert list((tmp_path / "exports").iterdir()) == []

@@ -214,6 +214,16 @@ def test_a_page_of_another_origin_changes_nothing(
     assert local.get(job).json()["state"] in ("queued", "running")
 
 
+@pytest.mark.parametrize("name", ["Origin", "Sec-Fetch-Site"])
+def test_of_several_headers_every_one_counts(local: TestClient, name: str):
+    own = {"Origin": "http://localhost:8000", "Sec-Fetch-Site": "same-origin"}[name]
+    foreign = {"Origin": "https://evil.example", "Sec-Fetch-Site": "cross-site"}[name]
+    for values in ((own, foreign), (foreign, own)):
+        headers = [(name, value) for value in values]
+        assert local.post("/v1/jobs", json=SWEEP, headers=headers).status_code == 403
+    assert local.post("/v1/jobs", json=SWEEP, headers=[(name, own), (name, own)]).status_code == 202
+
+
 def test_its_own_page_may_submit(local: TestClient):
     own = {"Origin": "http://localhost:8000", "Sec-Fetch-Site": "same-origin"}
     assert local.post("/v1/jobs", json=SWEEP, headers=own).status_code == 202

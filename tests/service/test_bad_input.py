@@ -22,7 +22,7 @@ from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
 from service.api.problems import STATUS
 from service.errors import NotStarted, ServiceError
-from service.server.web_server import with_head_timeout
+from service.server.web_server import limited
 from service.settings import Settings
 from worker.executors.inline import Inline
 
@@ -290,7 +290,7 @@ def test_a_ramp_along_omega_has_no_thresholds(client: TestClient):
 def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor = Inline()
     settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
-    app, http = create_app(settings, executor), with_head_timeout(settings.body_seconds)
+    app, http = create_app(settings, executor), limited(settings.body_seconds, most=1000)
     server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
     thread = threading.Thread(target=server.run)
     thread.start()

@@ -21,6 +21,10 @@ def two_processes():
     return made[-1]
 
 
+def looks_for_a_neighbour():
+    import neighbour_of_mine  # in the current folder: not found, for the search there has ended
+
+
 def no_cluster():
     raise RuntimeError("the queue is closed")
 """
@@ -39,6 +43,7 @@ SPEC = {
 def maker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A user's module in the current folder."""
     (tmp_path / "queue_of_mine.py").write_text(MAKER)
+    (tmp_path / "neighbour_of_mine.py").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "queue_of_mine", raising=False)
     return "queue_of_mine"
@@ -59,12 +64,28 @@ def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker:
 
 @pytest.mark.parametrize(
     ("function", "why"),
-    [("no_cluster", "RuntimeError: the queue is closed"), ("missing", "no attribute 'missing'")],
+    [
+        ("no_cluster", "RuntimeError: the queue is closed"),
+        ("missing", "no attribute 'missing'"),
+        ("looks_for_a_neighbour", "No module named 'neighbour_of_mine'"),
+    ],
 )
 def test_a_function_that_fails_gives_the_reason(tmp_path: Path, maker: str, function: str, why: str):
     settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
     with pytest.raises(NotStarted, match=why), embedded.running(settings):
         pass
+
+
+def test_the_current_folder_comes_after_the_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A file there with the name of a library that is not imported yet is not imported."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "this", raising=False)
+    (tmp_path / "this.py").write_text("raise RuntimeError('planted')")
+    before = list(sys.path)
+    settings = embedded.settings(host="127.0.0.1", port=0, data=tmp_path / "data", cluster="this:missing")
+    with pytest.raises(NotStarted, match="no attribute 'missing'"), embedded.running(settings):
+        pass
+    assert sys.path == before
 
 
 def test_two_clusters_are_refused(tmp_path: Path):

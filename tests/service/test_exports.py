@@ -203,6 +203,23 @@ def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
 # The store over HTTP
 
 
+def test_a_link_in_a_store_is_not_followed(tmp_path: Path):
+    with computing(tmp_path / "data") as client:
+        here = finished(client, RAMP)
+        (store_,) = tmp_path.rglob("*.zarr")
+        (tmp_path / "secret").mkdir()
+        (tmp_path / "secret" / "0").write_bytes(b"secret")
+        key = "outcome/c/0/0/0/0"
+        assert client.get(f"{here}/zarr/{key}").status_code == 200
+        for part, target in (((store_ / key), "secret/0"), ((store_ / key).parent, "secret")):
+            part.rename(part.with_name("aside"))
+            part.symlink_to(tmp_path / target)
+            answer = client.get(f"{here}/zarr/{key}")
+            assert (answer.status_code, b"secret" in answer.content) == (404, False)
+            part.unlink()
+            part.with_name("aside").rename(part)
+
+
 def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
     executor = Inline()
     with (

@@ -34,3 +34,17 @@ def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: s
 def test_host_names_come_as_a_text_from_the_environment(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("BOUNCE_ALLOWED_HOSTS", "One.example, two.example,")
     assert Settings().allowed_hosts == {"one.example", "two.example"}
+
+
+@pytest.mark.parametrize("given", [{"token": "s3cret"}, {"host": "0.0.0.0", "token": ["s3cret"]}])
+def test_an_error_does_not_show_a_secret(given: dict[str, Any]):
+    with pytest.raises(ValidationError) as refused:
+        Settings(**given)
+    assert "token" in str(refused.value)
+    assert "s3cret" not in str(refused.value)
+
+
+def test_credentials_in_the_address_of_the_stores_are_refused():
+    with pytest.raises(ValidationError, match="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY") as refused:
+        Settings(stores="s3://name:s3cret@bucket/prefix")
+    assert "s3cret" not in str(refused.value)

@@ -5,6 +5,7 @@ import json
 import socket
 import threading
 import time
+from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -23,6 +24,7 @@ from service.client import (
     Refused,
     ServiceError,
     ServiceUnreachable,
+    StoreUnreachable,
     TooLarge,
     Unauthorized,
     UnexpectedAnswer,
@@ -171,6 +173,25 @@ def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
     assert word not in str(caught.value)
     with Client("http://127.0.0.1:1") as client, pytest.raises(BounceError, match="an idempotency key must"):
         client.submit({"gamma": 1.5, "omega": 0.5, "xi": 0.26}, key=word)
+
+
+@pytest.mark.parametrize(
+    "url", ["http://me:s3cr@t@127.0.0.1:1", "ftp://me:s3cr@t@host", "http://me:s3cr@t@h:x"]
+)
+def test_a_password_in_an_address_appears_nowhere(url: str):
+    with pytest.raises(ServiceUnreachable) as refused:
+        Client(url).threshold(omega=0.5, xi=0.26)
+    assert "s3cr" not in str(refused.value) + refused.value.url
+    with Client("http://me:s3cr@t@127.0.0.1:1") as client:
+        assert "s3cr" not in repr(client) + client.url
+
+
+def test_a_password_in_an_address_is_sent():
+    with scripted(Answer(body=view())) as (server, client):
+        with Client(client.url.replace("//", "//me:s3cr%40t@")) as known:
+            known.job(ID)
+            assert known.url == client.url
+        assert server.requests[0][2]["Authorization"] == "Basic " + b64encode(b"me:s3cr@t").decode()
 
 
 def test_an_empty_token_is_none():
@@ -412,3 +433,60 @@ def test_durations_read_well(seconds: float, text: str):
     from service.client.display import duration
 
     assert duration(seconds) == text
+
+
+# Stores
+
+
+def array(*codecs: str, **changes: Any) -> dict[str, Any]:
+    """The metadata of an array, as in `zarr.json`."""
+    return {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": [1],
+        "data_type": "float64",
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1]}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": 0.0,
+        "codecs": [{"name": name, "configuration": {}} for name in codecs],
+        "attributes": {},
+        "storage_transformers": [],
+        "dimension_names": ["gamma"],
+    } | changes
+
+
+def group(**arrays: dict[str, Any]) -> dict[str, Any]:
+    kept = {"kind": "inline", "must_understand": False, "metadata": arrays}
+    return {"zarr_format": 3, "node_type": "group", "attributes": {}, "consolidated_metadata": kept}
+
+
+@pytest.mark.parametrize(
+    ("document", "why"),
+    [
+        (
+            group(gamma=array("bytes"), evil=array("bytes", "numcodecs.pickle")),
+            "codecs that no bounce .*pickle",
+        ),
+        (array("blosc"), "codecs that no bounce store has: 'blosc'"),
+        (group(evil=array("bytes", zarr_format=2)), "not the metadata of a bounce store"),
+        (
+            group(evil=array("bytes", storage_transformers=[{"name": "x"}])),
+            "not the metadata of a bounce store",
+        ),
+        (group(evil=array(codecs=["bytes"])), "not the metadata of a bounce store"),
+        ([], "not the metadata of a bounce store"),
+        (b"{", "not the metadata of a bounce store"),
+    ],
+)
+def test_a_store_that_the_service_cannot_have_written_is_refused(document: Any, why: str):
+    with scripted(Answer(body=view()), Answer(body=document)) as (server, client):
+        with pytest.raises(UnexpectedAnswer, match=why):
+            client.job(ID).open()
+        assert [path.rpartition("/zarr/")[2] for _, path, _ in server.requests[1:]] == ["zarr.json"]
+
+
+def test_a_store_of_zarrs_version_2_is_not_looked_for():
+    """Its compressors and filters can unpickle."""
+    answers = (Answer(body=view()), Answer(404, {"detail": "nothing"}))
+    with scripted(*answers) as (_, client), pytest.raises(StoreUnreachable):
+        client.job(ID).open()

@@ -120,6 +120,83 @@ def test_a_cache_claimed_before_there_was_one_to_copy_is_filled_when_warmed(tmp_
     assert {path.relative_to(slot): path.stat().st_mtime_ns for path in slot.rglob("*.nbc")} == made
 
 
+@pytest.fixture
+def cache(claim, tmp_path: Path) -> Path:
+    """A cache that this user's processes have made, and one of its kernels."""
+    slot = claim(tmp_path / "cache").slot
+    (slot / "kernel").mkdir()
+    (slot / "kernel" / "code.nbc").write_bytes(b"code")
+    return tmp_path / "cache"
+
+
+def refusal(cache: Path) -> str:
+    with pytest.raises(
+        kernel_cache.CacheRefused, match="so others could run code here; remove it"
+    ) as refused:
+        kernel_cache._check(cache)
+    return str(refused.value)
+
+
+def test_a_cache_is_made_for_this_user_alone(claim, tmp_path):
+    umask = os.umask(0)
+    try:
+        slot = claim(tmp_path / "deep" / "cache").slot
+    finally:
+        os.umask(umask)
+    for folder in (slot, slot.parent, slot.parents[1]):
+        assert folder.stat().st_mode & 0o777 == 0o700
+    kernel_cache._check(tmp_path / "deep" / "cache")
+
+
+@pytest.mark.parametrize("inner", ["", "*", "*/*", "*/*/kernel", "*/*/kernel/code.nbc"])
+def test_a_cache_that_others_can_write_to_is_refused(cache, inner):
+    for folder in (cache, *cache.rglob("*")):
+        folder.chmod(0o755)
+    kernel_cache._check(cache)
+    [opened] = cache.glob(inner) if inner else [cache]
+    opened.chmod(0o775)
+    assert f"{opened} can be written by other users (mode 0775)" in refusal(cache)
+
+
+def test_behind_a_closed_folder_permissions_do_not_matter(cache):
+    """As numba makes its folders with umask 0."""
+    for folder in cache.rglob("*"):
+        folder.chmod(0o777)
+    kernel_cache._check(cache)
+
+
+def test_a_cache_in_a_folder_where_others_could_replace_it_is_refused(cache):
+    above = cache.parent
+    above.chmod(0o777)
+    try:
+        assert f"{above} can be written by every user" in refusal(cache)
+        above.chmod(0o1777)
+        kernel_cache._check(cache)
+    finally:
+        above.chmod(0o700)
+
+
+def test_a_link_in_a_cache_is_refused(cache, tmp_path):
+    (cache / "digest").symlink_to(tmp_path)
+    assert f"{cache / 'digest'} is a link" in refusal(cache)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
+@pytest.mark.parametrize("inner", ["", "*", "*/*/kernel/code.nbc"])
+def test_a_cache_of_another_user_is_refused(cache, inner):
+    [given] = cache.glob(inner) if inner else [cache]
+    os.chown(given, 65534, 65534)
+    assert f"{given} belongs to another user" in refusal(cache)
+
+
+def test_a_process_does_not_use_a_cache_that_is_refused(cache):
+    cache.chmod(0o777)
+    code = f"from worker.kernel_cache import claim_cache; claim_cache({str(cache)!r})"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "CacheRefused" in done.stderr
+
+
 def test_this_process_keeps_its_claim():
     assert str(kernel_cache.claim_cache()) == os.environ["NUMBA_CACHE_DIR"]
 

@@ -2,7 +2,7 @@
 
 Scheduler, nannies and workers run whatever code they are sent, and every user of the machine reaches their
 ports. So they speak TLS with a certificate made for this cluster, which is known to its processes only; their
-HTTP servers answer nothing; and the workers' files are in a folder of this user alone.
+HTTP servers have no pages; and the workers' files are in a folder of this user alone.
 """
 
 import asyncio
@@ -33,7 +33,7 @@ LOOPBACK: Final = "127.0.0.1"
 #: distributed drops a worker for good if it is not back so long after a death. A worker may take longer on a
 #: busy machine, so this is switched off.
 _LOST_WORKER_SETTINGS: Final = {"distributed.deploy.lost-worker-timeout": "1000 days"}
-#: Schedulers and workers always listen for HTTP; without routes they answer nothing.
+#: Schedulers and workers always listen for HTTP; without routes they have nothing but an empty sitemap.
 _NO_HTTP: Final[dict[str, list[str]]] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],

@@ -60,11 +60,17 @@ def open_store(url: str, *, read_only: bool) -> Store:
 
 
 def read_key(url: str, key: str) -> bytes | None:
-    """The bytes under a key of a store; None if there are none. Raises one of UNREACHABLE for a bucket."""
+    """The bytes under a key of a store; None if there are none. Raises one of UNREACHABLE for a bucket.
+
+    Links inside a store are not followed.
+    """
     try:
         if in_bucket(url):
             return bytes(_bucket(url).get(key).bytes())
-        return (Path(url) / key).read_bytes()
+        path = Path(url, key)
+        if any(part.is_symlink() for part in (path, *path.parents[: key.count("/")])):
+            return None  # what it points to is no part of the store
+        return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return None
 

@@ -48,8 +48,11 @@ class AccessControl:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        headers = Headers(scope=scope)
+        if "content-length" in headers and "transfer-encoding" in headers:
+            send = _closing(send)
         try:
-            self._check(scope["method"], scope["path"], Headers(scope=scope))
+            self._check(scope["method"], scope["path"], headers)
         except ServiceError as error:
             await problem_response(error)(scope, receive, _with_headers(send))
         else:
@@ -82,10 +85,18 @@ class AccessControl:
 
 def _check_origin(headers: Headers) -> None:
     """Refuse pages of another origin; browsers send these headers, other clients do not and pass."""
-    origin, site = headers.get("origin"), headers.get("sec-fetch-site", "none")
-    same_origin = origin is None or urlsplit(origin).netloc == headers.get("host")
-    if not same_origin or site not in ("none", "same-origin"):
+    same_origin = all(_authority(origin) == headers.get("host") for origin in headers.getlist("origin"))
+    same_site = all(site in ("none", "same-origin") for site in headers.getlist("sec-fetch-site"))
+    if not same_origin or not same_site:
         raise CrossOriginRefused("Origin: web pages of another origin must not change anything")
+
+
+def _authority(origin: str) -> str:
+    """Host and port of an Origin header; empty if it is malformed."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _host_name(host: str) -> str:
@@ -95,6 +106,21 @@ def _host_name(host: str) -> str:
     except ValueError:
         return ""
     return name.rstrip(".") if "@" not in host else ""
+
+
+def _closing(send: Send) -> Send:
+    """`send`, closing the connection after the response.
+
+    A request with both headers ends where another server in between may not think it does (RFC 9112, 6.1):
+    nothing that follows it may count as a request.
+    """
+
+    async def send_and_close(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message["headers"], (b"connection", b"close")]
+        await send(message)
+
+    return send_and_close
 
 
 def _with_headers(send: Send) -> Send:

@@ -1,0 +1,118 @@
+"""The web server at the limits of the process, and the log of what others cause."""
+
+import io
+import json
+import logging
+import resource
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx2
+import pytest
+import uvicorn
+from scripted import DEADLINE, Held, wait_for
+
+from service.api.app import create_app
+from service.server.logging import JsonLines, OncePerSecond
+from service.server.web_server import MOST_FILES, OTHER_FILES, connections_allowed, limited, raise_file_limit
+from service.settings import Settings
+
+MOST = 4
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[tuple[str, int]]:
+    """A service that takes MOST connections at a time."""
+    app = create_app(Settings(data=tmp_path), Held())
+    http = limited(DEADLINE, MOST)
+    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    while not server.started:
+        time.sleep(0.01)
+    yield server.servers[0].sockets[0].getsockname()
+    server.should_exit = True
+    thread.join()
+
+
+def received(connection: socket.socket) -> bytes:
+    """Everything until the service closes the connection."""
+    return b"".join(iter(lambda: connection.recv(65536), b""))
+
+
+def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str, int]):
+    def healthy() -> bool:
+        try:
+            return httpx2.get(f"http://127.0.0.1:{address[1]}/healthz").status_code == 200
+        except httpx2.TransportError:
+            return False
+
+    with ExitStack() as held:
+        for _ in range(MOST):
+            held.enter_context(socket.create_connection(address, timeout=DEADLINE))
+        with socket.create_connection(address, timeout=DEADLINE) as next_:
+            answer = received(next_)
+        assert answer.startswith(b"HTTP/1.1 503 ")
+        assert b"Retry-After: 2" in answer
+        assert not healthy()
+    wait_for(healthy)
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/v1/nothing"])
+def test_a_request_with_two_ends_is_the_last_of_its_connection(address: tuple[str, int], path: str):
+    """RFC 9112, section 6.1: what follows it may be part of it for a server in between."""
+    first = (
+        f"GET {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n"
+    )
+    smuggled = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    with socket.create_connection(address, timeout=DEADLINE) as connection:
+        connection.sendall(f"{first}0\r\n\r\n{smuggled}".encode())
+        answer = received(connection)
+    assert answer.count(b"HTTP/1.1 ") == 1
+    assert b"connection: close" in answer.lower()
+
+
+def test_the_process_may_open_as_many_files_as_the_system_allows():
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    allowed = MOST_FILES if before[1] == resource.RLIM_INFINITY else min(before[1], MOST_FILES)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed // 2, before[1]))
+        raise_file_limit()
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == (allowed, before[1])
+        for files, connections in ((400, 200), (OTHER_FILES * 4, OTHER_FILES * 3)):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (files, before[1]))
+            assert connections_allowed() == connections
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_a_message_of_a_library_is_logged_once_a_second(monkeypatch: pytest.MonkeyPatch):
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    stream = io.StringIO()
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(JsonLines())
+    handler.addFilter(OncePerSecond())
+
+    def log(name: str, message: str, *given: object) -> None:
+        handler.handle(logging.LogRecord(name, logging.ERROR, "", 0, message, given, None))
+
+    for port in range(1000):
+        log("distributed.comm.tcp", "handshake failed with %r", port)
+        log("asyncio", f"socket.accept() out of system resource\nsocket: {port}")
+    log("service", "always")
+    log("service", "always")
+    now += 1.0
+    log("asyncio", "socket.accept() out of system resource\nsocket: 1000")
+    lines = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [(line["logger"], line.get("left_out")) for line in lines] == [
+        ("distributed.comm.tcp", None),
+        ("asyncio", None),
+        ("service", None),
+        ("service", None),
+        ("asyncio", 999),
+    ]
