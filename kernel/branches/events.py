@@ -1,5 +1,6 @@
 """Branches with one flight in k plate periods and where they turn, lose stability, or end."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Final, NamedTuple
 
@@ -50,7 +51,7 @@ _ROUNDS: Final = 12
 _STEPS: Final = 12
 
 #: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
-_GRAZES: Final = 1e-9
+GRAZES: Final = 1e-9
 
 #: Above this Gamma an orbit is a pole of the closed form.
 _POLE: Final = 1e8
@@ -116,6 +117,9 @@ _KINDS: Final = (
 )
 _OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
 
+#: Kinds at which an orbit stops being admissible.
+EDGES: Final = _KINDS[_OF_THE_TIMES:]
+
 
 def check_spring(omega: float, xi: float, periods: int) -> None:
     """Raise KernelInputError for a spring or cycle that has no branch here."""
@@ -157,13 +161,17 @@ def flight_times(omega: float, xi: float, periods: int, points: int = POINTS) ->
     return np.concatenate([ends, inner, whole - ends[::-1]])
 
 
-def branch(omega: float, xi: float, periods: int, flight_time: Floats) -> Branch:
-    """The cycles of one flight in `periods` plate periods whose flights take flight_time (n,) rad."""
+def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance: float = 0.0) -> Branch:
+    """The cycles of one flight in `periods` plate periods whose flights take flight_time (n,) rad.
+
+    tolerance: by how much an admissible orbit may break a condition, in plate amplitudes or m A omega**2;
+    `GRAZES` for orbits that graze. Raises KernelInputError.
+    """
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
     at = _sampled(k, omega, xi, periods)
-    return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at))
+    return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at, tolerance))
 
 
 def branch_and_events(omega: float, xi: float, periods: int, points: int = POINTS) -> tuple[Branch, Events]:
@@ -185,6 +193,15 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         which = np.concatenate([zeros.which, grazes.which])
         events = _events(k, periods, which, np.concatenate([zeros.x, grazes.x]), at)
         return _branch(k, periods, t, x, found), events
+
+
+def join_events(parts: Sequence[Events]) -> Events:
+    """The events of all parts, in order."""
+    empty = Events(
+        np.empty(0, np.str_), np.empty(0), np.empty(0), np.empty(0, np.int32), np.empty(0, np.int32),
+        np.empty(0), np.empty(0), np.empty((0, 2), np.complex128), np.empty(0, np.uint8),
+    )  # fmt: skip
+    return Events(*(np.concatenate(fields) for fields in zip(empty, *parts, strict=True)))
 
 
 def _sampled(k: Spring, omega: float, xi: float, periods: int) -> Samples:
@@ -221,7 +238,7 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Eve
     keep = keep[np.lexsort((t[keep], which[keep]))]
     which, t, x, gamma = which[keep], t[keep], Orbit(*(a[keep] for a in x)), gamma[keep]
     f = floquet(k, periods, t)
-    tolerance = np.where(which < _OF_THE_TIMES, 0.0, _GRAZES)
+    tolerance = np.where(which < _OF_THE_TIMES, 0.0, GRAZES)
     found = check(k, periods, t, x, at, tolerance) if len(t) else None
     m = len(t)
     return Events(
