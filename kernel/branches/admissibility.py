@@ -148,6 +148,11 @@ def check(
     return Check(reason.astype(np.uint8), gap, force, ~(above & falls), ~(presses & falls))
 
 
+def _combined(weights: Floats, terms: Floats) -> Floats:
+    """(n, m), of (4, n) and (4, m): too small a product to wake the threads of a BLAS library for."""
+    return np.asarray(np.einsum("in,im->nm", weights, terms))
+
+
 def _deepest(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, nodes: Floats,
     at_nodes: tuple[Floats, Floats], tolerance: NDArray[np.float64] | float,
@@ -156,8 +161,8 @@ def _deepest(
     m = int(np.searchsorted(nodes, end.max())) + 1
     nodes = nodes[:m]
     inside = nodes < end[:, None] - _END
-    value = np.where(inside, weights.T @ at_nodes[0][:, :m] + offset[:, None], 0.0)
-    slope = np.where(inside, weights.T @ at_nodes[1][:, :m], end_slope[:, None])
+    value = np.where(inside, _combined(weights, at_nodes[0][:, :m]) + offset[:, None], 0.0)
+    slope = np.where(inside, _combined(weights, at_nodes[1][:, :m]), end_slope[:, None])
     negative = value.min(axis=1) < -tolerance - _ROUNDING
     down = slope < 0.0
     row, at = np.nonzero(down[:, :-1] & (slope[:, 1:] > 0.0) & inside[:, :-1])

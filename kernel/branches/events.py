@@ -48,7 +48,7 @@ _GRADING: Final = 0.1
 
 #: Rounds of halving for grazes at which Newton's method fails, and its steps in each.
 _ROUNDS: Final = 12
-_STEPS: Final = 12
+_STEPS: Final = 8
 
 #: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
 GRAZES: Final = 1e-9
@@ -195,6 +195,25 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         return _branch(k, periods, t, x, found), events
 
 
+def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
+    """The folds of the branch (1, periods) below a Gamma; the rest of the branch is not looked at."""
+    t = flight_times(omega, xi, periods)
+    k = spring(omega, xi)
+
+    def folds(which: Ints, at: Floats) -> tuple[Floats, Floats]:
+        f = floquet(k, periods, at)
+        return 1.0 - f.trace + f.det, f.det1 - f.trace1
+
+    with np.errstate(all="ignore"):
+        value, slope = folds(np.empty(0, np.intp), t)
+        at = roots(folds, t, value[None], slope[None]).x
+        x = orbit(k, periods, at)
+        at = at[np.hypot(x.c, x.s) < below]
+        if not len(at):
+            return join_events([])
+        return _events(k, periods, np.zeros(len(at), np.intp), at, _sampled(k, omega, xi, periods))
+
+
 def join_events(parts: Sequence[Events]) -> Events:
     """The events of all parts, in order."""
     empty = Events(
@@ -327,6 +346,8 @@ def _touch(
         step, move = (f * f2 - f1 * f1) / det, (by_t * f1 - f1_by_t * f) / det
         t, time = t - step, time - move
         t = np.clip(t, 1e-9, TWO_PI * periods - 1e-9)
+        if (np.abs(step) < 1e-14 * t).all():
+            break
     end = TWO_PI * periods - t if contact else t
     ok = (np.abs(step) < 1e-12 * t) & (np.abs(move) < 1e-9) & (f2 > 0.0) & (time > 1e-6) & (time < end - 1e-6)
     return t, ok
