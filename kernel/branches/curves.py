@@ -47,6 +47,9 @@ _POINTS: Final = 4000
 _CORRECTOR: Final = 8
 _NEWTON: Final = 40
 
+#: Curves end this near to T = 0 and T = 2 pi k, in sides: within the grid on which events are looked for.
+_ENDS: Final = 1e-4
+
 #: A corrector's last move, in sides of the plane.
 _CONVERGED: Final = 1e-13
 
@@ -219,7 +222,7 @@ def _corrected(
     sides = plane.sides()
     gradient = np.full(2, np.nan)
     for _ in range(_CORRECTOR):
-        if not (0.0 < v[0] < 1.0 and v[1] > 0.0):
+        if not (_ENDS < v[0] < 1.0 - _ENDS and v[1] > 0.0):
             break
         f, gradient = _zero(plane, kind, float(v[0] * sides[0]), float(v[1] * sides[1]))
         gradient = gradient * sides
