@@ -2,10 +2,10 @@
 
     python -m benchmarks.branches [--repeat 9]
 
-"branches" is (1,1) and (1,2) on 400 points with every event, "threshold" is Gamma_down with its cause; each at
-20 springs spread over Omega and xi. "line" simulates 400 cells of one such spring for 100 plate periods each,
-as a sweep does. Medians over the springs of the least of the repetitions, in milliseconds of CPU time, and as
-ratios to "line".
+"branches" is (1,1) and (1,2) on 400 points with every event, "threshold" is Gamma_down with its cause; each
+at 20 springs spread over Omega and xi. "line" simulates 400 cells of one such spring for 100 plate periods
+each, as a sweep does. Medians over the springs of the least of the repetitions, in milliseconds of CPU time,
+and as ratios to "line".
 """
 
 import argparse

@@ -3,8 +3,9 @@
 A word has a letter for each flight: "s", it lands and sticks, or "z", it lands where n < 0 and takes off
 again at once. The last letter is "s". Unknowns are the state after the last landing, (q, v, c, s) with
 c + i s = Gamma e^{i phi} and lengths in units of g/omega**2, and all times: the contact that follows, the
-first flight, the contact after it if its letter is "s", and so on. Equations: n = 0 at the end of each contact, gap = 0 at
-the end of each flight, q and v come back, and the times add up to 2 pi periods: one fewer than unknowns.
+first flight, the contact after it if its letter is "s", and so on. Equations: n = 0 at the end of each
+contact, gap = 0 at the end of each flight, q and v come back, and the times add up to 2 pi periods: one
+fewer than unknowns.
 
 Branches are followed by pseudo-arclength. Times, not velocities, are unknowns: nothing is singular where a
 landing grazes. Derivatives are by the complex step, exact to rounding.
@@ -39,8 +40,11 @@ _ASIDE: Final = 1e-3
 _SAMPLES: Final = 257
 _ROUNDING: Final = 1e-9
 
+#: Newton's method keeps c + i s on a line; so often turned to the new phase, that keeps Gamma.
+_SAME_GAMMA: Final = 4
+
 #: A contact shorter than this, rad, is an immediate take-off.
-_STICKS: Final = 1e-9
+_STICKS: Final = 1e-6
 
 #: What changes sign along a branch, in the order of `_tests`.
 _TESTS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
@@ -146,9 +150,14 @@ def _equations(k: Spring, word: str, periods: int, u: Floats) -> tuple[Floats, F
     return value[:, 0].real, value.imag / STEP
 
 
-def _newton(k: Spring, word: str, periods: int, u: Floats, direction: Floats) -> tuple[Floats, Floats, bool]:
-    """The orbit at which direction . u is as given, the derivatives there, and whether it was found."""
-    goal = float(direction @ u)
+def _newton(
+    k: Spring, word: str, periods: int, u: Floats, direction: Floats, goal: float | None = None
+) -> tuple[Floats, Floats, bool]:
+    """The orbit at which direction . u is `goal`, the derivatives there, and whether it was found.
+
+    goal: None: what it is at the guess u.
+    """
+    goal = float(direction @ u) if goal is None else goal
     for _ in range(_NEWTON):
         with np.errstate(all="ignore"):
             value, slope = _equations(k, word, periods, u)
@@ -281,10 +290,13 @@ def follow(
         u, slope, found = _newton(k, word, periods, unknowns + _ASIDE * direction, direction)
         ways = [direction]
     else:
-        size = np.hypot(unknowns[2], unknowns[3])
-        same = np.zeros(len(unknowns))
-        same[2:4] = unknowns[2:4] / size
-        u, slope, found = _newton(k, word, periods, unknowns, same)
+        size, u = float(np.hypot(unknowns[2], unknowns[3])), unknowns
+        for _ in range(_SAME_GAMMA):
+            same = np.zeros(len(u))
+            same[2:4] = u[2:4] / np.hypot(u[2], u[3])
+            u, slope, found = _newton(k, word, periods, u, same, size)
+            if not found:
+                break
         ways = [_tangent(slope), -_tangent(slope)] if found else []
     if not found:
         raise KernelInputError("unknowns", f"no orbit of the word {word} near them")
