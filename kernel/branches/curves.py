@@ -1,0 +1,342 @@
+"""Curves of events in two parameters, and the points at which they meet.
+
+A fold, flip or Neimark-Sacker point of a (1,k) branch is a zero of one function of the flight time T and the
+parameter, Omega at fixed xi or xi at fixed Omega; so is an orbit with n = 0 at landing. The curves are
+followed by pseudo-arclength in (T, parameter), around cusps, in both directions from the events on a few
+lines of the parameter.
+"""
+
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.branches.admissibility import force_at_landing
+from kernel.branches.closed_form import TWO_PI, floquet, orbit
+from kernel.branches.events import (
+    EDGES,
+    GRAZES,
+    Events,
+    Kind,
+    branch,
+    branch_and_events,
+    check_spring,
+    join_events,
+)
+from kernel.branches.spring import STEP, Spring, spring
+from kernel.params import KernelInputError
+
+#: Kinds that are followed.
+CURVES: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, Kind.IMMEDIATE_TAKEOFF)
+
+#: Lines of the parameter on which events are looked for.
+LINES: Final = 25
+
+#: Steps along a curve: the first and the largest, as parts of the plane's sides; the smallest.
+_FIRST, _LARGEST, _SMALLEST = 2e-3, 1e-2, 1e-6
+
+#: The tangent turns by at most this between points, rad.
+_TURN: Final = 0.15
+
+#: Points of one curve at most.
+_POINTS: Final = 4000
+
+#: Newton steps of a corrector, and of a search for a codimension-2 point.
+_CORRECTOR: Final = 8
+_NEWTON: Final = 40
+
+#: Curves end this near to T = 0 and T = 2 pi k, in sides: within the grid on which events are looked for.
+_ENDS: Final = 1e-4
+
+#: A corrector's last move, in sides of the plane.
+_CONVERGED: Final = 1e-13
+
+#: Codimension-2 points nearer than this in T and in the parameter are one, found twice.
+_SAME: Final = 1e-8
+
+
+class Parameter(StrEnum):
+    """Which of a spring's parameters varies along curves."""
+
+    OMEGA = "omega"
+    XI = "xi"
+
+
+class Curve(NamedTuple):
+    """m points of one curve, in order; units as in `events.Branch`."""
+
+    kind: Kind
+    bounces: int
+    periods: int
+    omega: NDArray[np.float64]  # (m,)
+    xi: NDArray[np.float64]  # (m,)
+    flight_time: NDArray[np.float64]  # (m,) rad
+    gamma: NDArray[np.float64]  # (m,)
+    multiplier: NDArray[np.complex128]  # (m, 2)
+    admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason
+
+
+class Curves(NamedTuple):
+    """Curves, and the codimension-2 points on them."""
+
+    curves: tuple[Curve, ...]
+    points: Events
+
+
+class _Plane(NamedTuple):
+    """The plane (T, parameter) of a (1, periods) branch."""
+
+    parameter: Parameter
+    fixed: float
+    low: float
+    high: float
+    periods: int
+
+    def spring(self, p: float | complex) -> Spring:
+        """The spring of a parameter, which may be complex."""
+        return spring(p, self.fixed) if self.parameter is Parameter.OMEGA else spring(self.fixed, p)
+
+    def sides(self) -> NDArray[np.float64]:
+        """What steps are measured in."""
+        return np.array([TWO_PI * self.periods, self.high - self.low])
+
+
+def _times_only(plane: _Plane, t: complex, p: complex) -> tuple[complex, complex, complex, complex]:
+    """Trace and determinant and their derivatives by T."""
+    f = floquet(plane.spring(p), plane.periods, np.array([t]))
+    return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
+
+
+def _zero(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, NDArray[np.float64]]:
+    """The function that is zero on a curve, and its gradient by (T, parameter)."""
+    if kind is Kind.IMMEDIATE_TAKEOFF:
+        k, z = plane.spring(p), np.array([t + 1j * STEP])
+        by_t = force_at_landing(k, orbit(k, plane.periods, z), z)[0]
+        k, z = plane.spring(p + 1j * STEP), np.array([t + 0j])
+        x = orbit(k, plane.periods, z)
+        by_p = force_at_landing(k, x, z)[0]
+        size = 1.0 / abs(np.hypot(x.c[0].real, x.s[0].real))
+        return by_t.real * size, np.array([by_t.imag, by_p.imag]) / STEP * size
+    trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+    if kind is Kind.NEIMARK_SACKER:
+        return det.real - 1.0, np.array([det1.real, det.imag / STEP])
+    sign = -1.0 if kind is Kind.FOLD else 1.0
+    f, f1 = 1.0 + sign * trace + det, sign * trace1 + det1
+    return f.real, np.array([f1.real, f.imag / STEP])
+
+
+def curves(
+    parameter: Parameter, fixed: float, low: float, high: float, periods: int,
+    kinds: tuple[Kind, ...] = CURVES, lines: int = LINES,
+) -> Curves:  # fmt: skip
+    """Curves of the (1, periods) branch over `parameter` in [low, high], the other one being `fixed`.
+
+    Finds every curve that crosses one of `lines` evenly spaced values of the parameter. Neimark-Sacker curves
+    end where their multipliers become real. Points where |Gamma| has a pole are left out. Raises
+    KernelInputError.
+    """
+    if not low < high:
+        raise KernelInputError("high", f"must be > low, got {high} and {low}")
+    for kind in kinds:
+        if kind not in CURVES:
+            raise KernelInputError("kinds", f"must be among {', '.join(CURVES)}, got {kind}")
+    plane = _Plane(parameter, fixed, low, high, periods)
+    for p in (low, high):
+        check_spring(*((p, fixed) if parameter is Parameter.OMEGA else (fixed, p)), periods)
+    found: list[tuple[Kind, NDArray[np.float64]]] = []
+    for p in np.linspace(low, high, lines):
+        k = plane.spring(float(p))
+        _, events = branch_and_events(float(np.real(k.omega)), float(np.real(k.xi)), periods)
+        for kind, t in zip(events.kind, events.flight_time, strict=True):
+            if kind not in kinds or _known(plane, found, Kind(kind), float(t), float(p)):
+                continue
+            found.append((Kind(kind), _whole(plane, Kind(kind), float(t), float(p))))
+    points = [point for kind, line in found for point in _codimension_2(plane, kind, line)]
+    return Curves(
+        tuple(c for kind, line in found for c in _pieces(plane, kind, line)), _unique(plane, points)
+    )
+
+
+def _known(
+    plane: _Plane, found: list[tuple[Kind, NDArray[np.float64]]], kind: Kind, t: float, p: float
+) -> bool:
+    """Whether a curve found already passes through (t, p)."""
+    sides = plane.sides()
+    for other, line in found:
+        if other is not kind:
+            continue
+        a, b = line[:-1] / sides, line[1:] / sides
+        along, here = b - a, np.array([t, p]) / sides - a
+        part = np.clip((here * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-300), 0.0, 1.0)
+        # a chord's distance from an arc of this turn is an eighth of its length times the turn
+        distance = np.hypot(*(here - part[:, None] * along).T)
+        if (distance < 0.2 * _TURN * np.hypot(*along.T) + 1e-9).any():
+            return True
+    return False
+
+
+def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> NDArray[np.float64]:
+    """The curve (m, 2) through (t, p), both ways."""
+    forward, closed = _walk(plane, kind, t, p, 1.0)
+    if closed:
+        return np.array([[t, p], *forward])
+    backward, _ = _walk(plane, kind, t, p, -1.0)
+    return np.array([*backward[::-1], [t, p], *forward])
+
+
+def _walk(
+    plane: _Plane, kind: Kind, t: float, p: float, direction: float
+) -> tuple[list[NDArray[np.float64]], bool]:
+    """Points of the curve from (t, p) on, and whether it came back."""
+    sides = plane.sides()
+    start = np.array([t, p]) / sides
+    line: list[NDArray[np.float64]] = []
+    u, step = start, _FIRST
+    tangent = direction * _tangent(_zero(plane, kind, t, p)[1] * sides)
+    low, high = plane.low / sides[1], plane.high / sides[1]
+    while len(line) < _POINTS and step > _SMALLEST:
+        v, gradient = _corrected(plane, kind, u + step * tangent)
+        turned = _tangent(gradient)
+        turned = turned if turned @ tangent > 0.0 else -turned
+        angle = float(np.arccos(min(1.0, float(turned @ tangent)))) if np.isfinite(v).all() else np.inf
+        if not angle < _TURN:
+            step *= 0.5
+            continue
+        if not low <= v[1] <= high:
+            line.append(_on_edge(plane, kind, u, v) * sides)
+            return line, False
+        if len(line) > 5 and np.hypot(*(v - start)) < step:
+            return [*line, v * sides, start * sides], True
+        u, tangent = v, turned
+        line.append(u * sides)
+        step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
+    return line, False
+
+
+def _corrected(
+    plane: _Plane, kind: Kind, v: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The curve's point next to v, and its gradient, in sides of the plane; NaN if there is none."""
+    sides = plane.sides()
+    gradient = np.full(2, np.nan)
+    for _ in range(_CORRECTOR):
+        if not (_ENDS < v[0] < 1.0 - _ENDS and v[1] > 0.0):
+            break
+        f, gradient = _zero(plane, kind, float(v[0] * sides[0]), float(v[1] * sides[1]))
+        gradient = gradient * sides
+        move = f / float(gradient @ gradient) * gradient
+        v = v - move
+        if float(np.hypot(*move)) < _CONVERGED:
+            return v, gradient
+    return np.full(2, np.nan), gradient
+
+
+def _on_edge(
+    plane: _Plane, kind: Kind, u: NDArray[np.float64], v: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The curve's point on the edge of the parameter between u inside and v outside, in sides."""
+    sides = plane.sides()
+    p = plane.low if v[1] * sides[1] < plane.low else plane.high
+    t = (u[0] + (v[0] - u[0]) * (p / sides[1] - u[1]) / (v[1] - u[1])) * sides[0]
+    for _ in range(_CORRECTOR):
+        f, gradient = _zero(plane, kind, t, p)
+        t -= f / gradient[0]
+    return np.array([t, p]) / sides
+
+
+def _tangent(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The unit vector along a curve with this gradient."""
+    return np.array([-gradient[1], gradient[0]]) / float(np.hypot(gradient[0], gradient[1]))
+
+
+def _codimension_2(
+    plane: _Plane, kind: Kind, line: NDArray[np.float64]
+) -> Iterator[tuple[Kind, float, float]]:
+    """The codimension-2 points on a curve: kind, T, parameter."""
+    if kind is Kind.IMMEDIATE_TAKEOFF:
+        return
+    values = []
+    for t, p in line:
+        trace, det, trace1, det1 = (float(np.real(x)) for x in _times_only(plane, t, p))
+        values.append((det1 - trace1, det - 1.0, det + 1.0, trace - 2.0))
+    fold1, one, minus_one, two = np.array(values).T
+    tests = {
+        Kind.FOLD: ((Kind.CUSP, fold1), (Kind.BOGDANOV_TAKENS, one), (Kind.FOLD_FLIP, minus_one)),
+        Kind.FLIP: ((Kind.FOLD_FLIP, minus_one),),
+        Kind.NEIMARK_SACKER: ((Kind.BOGDANOV_TAKENS, two),),
+    }[kind]
+    for point, test in tests:
+        for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
+            part = test[i] / (test[i] - test[i + 1])
+            t, p = line[i] + part * (line[i + 1] - line[i])
+            t, p, converged = codimension_2(plane, point, float(t), float(p))
+            if converged and plane.low <= p <= plane.high:
+                yield point, t, p
+
+
+def codimension_2(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float, bool]:
+    """Newton's method in (T, parameter), and whether it converged.
+
+    Cusp: 1 - tr + det and its derivative by T are zero. Bogdanov-Takens: tr = 2, det = 1. Fold-flip: tr = 0,
+    det = -1.
+    """
+    for _ in range(_NEWTON):
+        trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+        if kind is Kind.CUSP:
+            f, f1 = 1.0 - trace + det, det1 - trace1
+            _, _, trace_t, det_t = _times_only(plane, t + 1j * STEP, p)
+            value = np.array([f.real, f1.real])
+            slope = np.array([[f1.real, f.imag / STEP], [(det_t - trace_t).imag / STEP, f1.imag / STEP]])
+        else:
+            goal = (2.0, 1.0) if kind is Kind.BOGDANOV_TAKENS else (0.0, -1.0)
+            value = np.array([trace.real - goal[0], det.real - goal[1]])
+            slope = np.array([[trace1.real, trace.imag / STEP], [det1.real, det.imag / STEP]])
+        move = np.linalg.solve(slope, value)
+        t, p = t - move[0], p - move[1]
+        if not (0.0 < t < TWO_PI * plane.periods and p > 0.0):
+            return t, p, False
+        if abs(move[0]) < 1e-12 * t and abs(move[1]) < 1e-12 * p:
+            return t, p, True
+    return t, p, False
+
+
+def _pieces(plane: _Plane, kind: Kind, line: NDArray[np.float64]) -> Iterator[Curve]:
+    """The record of a curve, without the parts on which it is not of its kind."""
+    rows = [events_at(plane, kind, t, p) for t, p in line]
+    keep = np.array([_is_of(kind, row.multiplier[0]) for row in rows])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]])))
+    for first, last in edges.reshape(-1, 2):
+        piece = join_events(rows[first:last])
+        if len(piece.gamma) > 1:
+            yield Curve(
+                kind, 1, plane.periods, piece.omega, piece.xi, piece.flight_time, piece.gamma,
+                piece.multiplier, piece.admissible,
+            )  # fmt: skip
+
+
+def _is_of(kind: Kind, multiplier: NDArray[np.complex128]) -> bool:
+    """Whether multipliers with product one are a pair on the unit circle, where the kind asks for it."""
+    return kind is not Kind.NEIMARK_SACKER or abs(multiplier[0].imag) > 0.0
+
+
+def events_at(plane: _Plane, kind: Kind, t: float, p: float) -> Events:
+    """One event as a record."""
+    k = plane.spring(p)
+    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
+    b = branch(omega, xi, plane.periods, np.array([t]), tolerance=GRAZES if kind in EDGES else 0.0)
+    one = np.ones(1)
+    return Events(
+        np.array([kind], np.str_), omega * one, xi * one, np.ones(1, np.int32),
+        np.full(1, plane.periods, np.int32), b.flight_time, b.gamma, b.multiplier, b.admissible,
+    )  # fmt: skip
+
+
+def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
+    """The points, each once, by kind and parameter."""
+    once: list[tuple[Kind, float, float]] = []
+    for kind, t, p in sorted(points, key=lambda x: (list(Kind).index(x[0]), x[2], x[1])):
+        if not any(k is kind and abs(t - a) < _SAME and abs(p - b) < _SAME for k, a, b in once):
+            once.append((kind, t, p))
+    return join_events([events_at(plane, kind, t, p) for kind, t, p in once])

@@ -1,0 +1,353 @@
+"""Branches with one flight in k plate periods and where they turn, lose stability, or end."""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.branches.admissibility import (
+    Check,
+    Samples,
+    check,
+    force_at_landing,
+    force_slope,
+    force_terms,
+    force_weights,
+    gap_terms,
+    gap_weights,
+    samples,
+)
+from kernel.branches.closed_form import (
+    TWO_PI,
+    Orbit,
+    floquet,
+    multipliers,
+    orbit,
+    stable,
+)
+from kernel.branches.roots import Floats, Ints, Roots, roots
+from kernel.branches.spring import STEP, Spring, spring
+from kernel.params import KernelInputError
+
+#: Points of a branch unless more are needed.
+POINTS: Final = 400
+
+#: Samples of a flight or contact unless more are needed.
+SAMPLES: Final = 64
+
+#: Points of a branch at most: enough for (1,1) down to Omega = 0.004.
+MAX_POINTS: Final = 20_000
+
+#: rate * spacing of the grid. A cubic between neighbours is then good to 0.2**4/384 = 4e-6.
+_RESOLUTION: Final = 0.2
+
+#: Spacing over distance from the ends, where a stiff dashpot's motion decays within a small part of the grid.
+_GRADING: Final = 0.1
+
+#: Rounds of halving for grazes at which Newton's method fails, and its steps in each.
+_ROUNDS: Final = 12
+_STEPS: Final = 8
+
+#: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
+GRAZES: Final = 1e-9
+
+#: Above this Gamma an orbit is a pole of the closed form.
+_POLE: Final = 1e8
+
+
+class Kind(StrEnum):
+    """What happens to a branch at an event."""
+
+    FOLD = "fold"  # a multiplier is 1: the branch turns back
+    FLIP = "flip"  # a multiplier is -1: the period doubles
+    NEIMARK_SACKER = "neimark-sacker"  # a pair leaves the unit circle: a torus
+    IMMEDIATE_TAKEOFF = "immediate-takeoff"  # n = 0 at landing: beyond, it takes off at once
+    GRAZE_FLIGHT = "graze-flight"  # the gap touches zero within the flight, or at landing
+    GRAZE_CONTACT = "graze-contact"  # n touches zero within the contact, or at take-off
+    CUSP = "cusp"  # two folds meet
+    BOGDANOV_TAKENS = "bogdanov-takens"  # both multipliers are 1
+    FOLD_FLIP = "fold-flip"  # multipliers 1 and -1
+
+
+class Branch(NamedTuple):
+    """n cycles of one flight in `periods` plate periods, by flight time.
+
+    Lengths in plate amplitudes, velocities in plate amplitudes per rad.
+    """
+
+    omega: float
+    xi: float
+    bounces: int
+    periods: int
+    flight_time: NDArray[np.float64]  # (n,) rad
+    gamma: NDArray[np.float64]  # (n,)
+    takeoff_phase: NDArray[np.float64]  # (n,) rad, in [0, 2 pi)
+    elongation: NDArray[np.float64]  # (n,) at take-off
+    elongation_velocity: NDArray[np.float64]  # (n,) at take-off
+    impact_velocity: NDArray[np.float64]  # (n,) gap' before landing, < 0
+    multiplier: NDArray[np.complex128]  # (n, 2) of one cycle, the larger in modulus first
+    stable: NDArray[np.bool_]  # (n,) both inside the unit circle
+    admissible: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason
+
+
+class Events(NamedTuple):
+    """m events, by kind and flight time; of the cycles at which they happen."""
+
+    kind: NDArray[np.str_]  # (m,) a Kind
+    omega: NDArray[np.float64]  # (m,)
+    xi: NDArray[np.float64]  # (m,)
+    bounces: NDArray[np.int32]  # (m,)
+    periods: NDArray[np.int32]  # (m,)
+    flight_time: NDArray[np.float64]  # (m,) rad
+    gamma: NDArray[np.float64]  # (m,)
+    multiplier: NDArray[np.complex128]  # (m, 2)
+    admissible: NDArray[np.uint8]  # (m,) 0, or the bits of a Reason; an orbit that grazes is admissible
+
+
+#: The functions whose roots are events, in the order of `_tests`.
+_KINDS: Final = (
+    Kind.FOLD,
+    Kind.FLIP,
+    Kind.NEIMARK_SACKER,
+    Kind.IMMEDIATE_TAKEOFF,
+    Kind.GRAZE_FLIGHT,
+    Kind.GRAZE_CONTACT,
+)
+_OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
+
+#: Kinds at which an orbit stops being admissible.
+EDGES: Final = _KINDS[_OF_THE_TIMES:]
+
+
+def check_spring(omega: float, xi: float, periods: int) -> None:
+    """Raise KernelInputError for a spring or cycle that has no branch here."""
+    if not (np.isfinite(omega) and omega > 0.0):
+        raise KernelInputError("omega", f"must be > 0 and finite, got {omega}")
+    if not (np.isfinite(xi) and xi >= 0.0):
+        raise KernelInputError("xi", f"must be >= 0 and finite, got {xi}")
+    if periods < 1:
+        raise KernelInputError("periods", f"must be >= 1, got {periods}")
+    if omega == 1.0 and xi == 0.0:
+        raise KernelInputError("xi", "must be > 0 at omega = 1: the driven amplitude is infinite")
+
+
+def flight_times(omega: float, xi: float, periods: int, points: int = POINTS) -> Floats:
+    """A grid (n,) of flight times in (0, 2 pi periods), rad, with n >= points, that resolves the branch.
+
+    Even spacing below 2 pi periods/points and below 0.2 over the sum of the frequencies of the plate, of the
+    flight and of the contact; finer towards both ends where the dashpot relaxes faster than that. Raises
+    KernelInputError if this takes more than MAX_POINTS.
+    """
+    check_spring(omega, xi, periods)
+    b, w = 2.0 * xi / omega, 1.0 / omega**2
+    rate = 1.0 + np.sqrt(max(2.0 * w - b * b, 0.0)) + np.sqrt(max(w - 0.25 * b * b, 0.0))
+    whole = TWO_PI * periods
+    h = min(whole / points, _RESOLUTION / rate)
+    if whole / h > MAX_POINTS:
+        raise KernelInputError("omega", f"{omega} needs more than {MAX_POINTS} points for {periods} periods")
+    fastest = b + np.sqrt(max(b * b - 2.0 * w, 0.0))
+    finest = min(h, _RESOLUTION / max(fastest, 1e-300))
+    steps = [finest]
+    at = finest
+    while (step := max(finest, _GRADING * at)) < h:
+        at += step
+        steps.append(step)
+    edge = np.cumsum(steps)
+    inner = np.linspace(at, whole - at, max(points, int(np.ceil((whole - 2.0 * at) / h)) + 1))
+    first = finest * np.array([0.02, 0.2])
+    ends = np.concatenate([first, edge[:-1]])
+    return np.concatenate([ends, inner, whole - ends[::-1]])
+
+
+def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance: float = 0.0) -> Branch:
+    """The cycles of one flight in `periods` plate periods whose flights take flight_time (n,) rad.
+
+    tolerance: by how much an admissible orbit may break a condition, in plate amplitudes or m A omega**2;
+    `GRAZES` for orbits that graze. Raises KernelInputError.
+    """
+    check_spring(omega, xi, periods)
+    k = spring(omega, xi)
+    x = orbit(k, periods, flight_time)
+    at = _sampled(k, omega, xi, periods)
+    return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at, tolerance))
+
+
+def branch_and_events(omega: float, xi: float, periods: int, points: int = POINTS) -> tuple[Branch, Events]:
+    """The whole branch (1, periods) on a grid of at least `points`, and all its events.
+
+    Raises KernelInputError, as `flight_times` does.
+    """
+    t = flight_times(omega, xi, periods, points)
+    k = spring(omega, xi)
+    with np.errstate(all="ignore"):  # poles of Gamma(T)
+        value, slope, x = _tests(k, periods, t)
+        at = _sampled(k, omega, xi, periods)
+        found = check(k, periods, t, x, at)
+        zeros = roots(lambda which, at: _selected(k, periods, which, at), t, value, slope)
+        f = floquet(k, periods, zeros.x)
+        torus = (zeros.which != _KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
+        zeros = Roots(zeros.which[torus], zeros.x[torus])
+        grazes = _grazes(k, periods, t, found, at, zeros)
+        which = np.concatenate([zeros.which, grazes.which])
+        events = _events(k, periods, which, np.concatenate([zeros.x, grazes.x]), at)
+        return _branch(k, periods, t, x, found), events
+
+
+def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
+    """The folds of the branch (1, periods) below a Gamma; the rest of the branch is not looked at."""
+    t = flight_times(omega, xi, periods)
+    k = spring(omega, xi)
+
+    def folds(which: Ints, at: Floats) -> tuple[Floats, Floats]:
+        f = floquet(k, periods, at)
+        return 1.0 - f.trace + f.det, f.det1 - f.trace1
+
+    with np.errstate(all="ignore"):
+        value, slope = folds(np.empty(0, np.intp), t)
+        at = roots(folds, t, value[None], slope[None]).x
+        x = orbit(k, periods, at)
+        at = at[np.hypot(x.c, x.s) < below]
+        if not len(at):
+            return join_events([])
+        return _events(k, periods, np.zeros(len(at), np.intp), at, _sampled(k, omega, xi, periods))
+
+
+def join_events(parts: Sequence[Events]) -> Events:
+    """The events of all parts, in order."""
+    empty = Events(
+        np.empty(0, np.str_), np.empty(0), np.empty(0), np.empty(0, np.int32), np.empty(0, np.int32),
+        np.empty(0), np.empty(0), np.empty((0, 2), np.complex128), np.empty(0, np.uint8),
+    )  # fmt: skip
+    return Events(*(np.concatenate(fields) for fields in zip(empty, *parts, strict=True)))
+
+
+def _sampled(k: Spring, omega: float, xi: float, periods: int) -> Samples:
+    """Where gap and n are sampled: from zero, as finely as a flight and a contact need."""
+    return samples(k, np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES)]))
+
+
+def _branch(k: Spring, periods: int, t: Floats, x: Orbit, found: Check) -> Branch:
+    """The record of orbits."""
+    gamma = np.hypot(x.c, x.s)
+    f = floquet(k, periods, t)
+    return Branch(
+        omega=float(np.real(k.omega)),
+        xi=float(np.real(k.xi)),
+        bounces=1,
+        periods=periods,
+        flight_time=t,
+        gamma=gamma,
+        takeoff_phase=np.mod(np.arctan2(x.s, x.c), TWO_PI),
+        elongation=x.q0 / gamma,
+        elongation_velocity=x.v0 / gamma,
+        impact_velocity=x.impact / gamma,
+        multiplier=multipliers(f.trace, f.det),
+        stable=stable(f.trace, f.det),
+        admissible=found.reason,
+    )
+
+
+def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Events:
+    """The record of the events of kinds `which` at flight times t, without poles, by kind and time."""
+    x = orbit(k, periods, t)
+    gamma = np.hypot(x.c, x.s)
+    keep = np.flatnonzero(gamma < _POLE)
+    keep = keep[np.lexsort((t[keep], which[keep]))]
+    which, t, x, gamma = which[keep], t[keep], Orbit(*(a[keep] for a in x)), gamma[keep]
+    f = floquet(k, periods, t)
+    tolerance = np.where(which < _OF_THE_TIMES, 0.0, GRAZES)
+    found = check(k, periods, t, x, at, tolerance) if len(t) else None
+    m = len(t)
+    return Events(
+        kind=np.array([_KINDS[i] for i in which], np.str_),
+        omega=np.full(m, np.real(k.omega)),
+        xi=np.full(m, np.real(k.xi)),
+        bounces=np.ones(m, np.int32),
+        periods=np.full(m, periods, np.int32),
+        flight_time=t,
+        gamma=gamma,
+        multiplier=multipliers(f.trace, f.det),
+        admissible=found.reason if found else np.empty(0, np.uint8),
+    )
+
+
+def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
+    """The functions of _KINDS and their slopes (6, n), and the orbits."""
+    f = floquet(k, periods, t)
+    z = t + 1j * STEP
+    x = orbit(k, periods, z)
+    size = 1.0 / np.hypot(x.c.real, x.s.real)  # not differentiated: roots do not ask for it
+    last = np.array([force_at_landing(k, x, z), x.impact, force_slope(k, x)])
+    value = np.array([1.0 - f.trace + f.det, 1.0 + f.trace + f.det, f.det - 1.0, *(last.real * size)])
+    slope = np.array([f.det1 - f.trace1, f.det1 + f.trace1, f.det1, *(last.imag / STEP * size)])
+    return value, slope, Orbit(*(a.real for a in x))
+
+
+def _selected(k: Spring, periods: int, which: Ints, t: Floats) -> tuple[Floats, Floats]:
+    """Function which[i] at t[i]."""
+    value, slope, _ = _tests(k, periods, t)
+    i = np.arange(len(t))
+    return value[which, i], slope[which, i]
+
+
+def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros: Roots) -> Roots:
+    """Where a minimum of the gap inside the flight, or of n inside the contact, passes zero.
+
+    Where one leaves at an end of its flight or contact, that is among `zeros` already.
+    """
+    which: list[Ints] = []
+    where: list[Floats] = []
+    edge = zeros.x[zeros.which >= _OF_THE_TIMES]
+    for kind, contact in ((Kind.GRAZE_FLIGHT, False), (Kind.GRAZE_CONTACT, True)):
+        broken, minima = (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
+        i = np.flatnonzero(broken[:-1] != broken[1:])
+        low, high, first = t[i], t[i + 1], broken[i]
+        time = np.where(first, minima.time[i], minima.time[i + 1])
+        for _ in range(_ROUNDS):
+            left = ~((edge >= low[:, None]) & (edge <= high[:, None])).any(axis=1)
+            low, high, first, time = low[left], high[left], first[left], time[left]
+            if not len(low):
+                break
+            root, ok = _touch(k, periods, np.where(first, low, high), time, contact)
+            ok &= (root >= low) & (root <= high)
+            where.append(root[ok])
+            which.append(np.full(int(ok.sum()), _KINDS.index(kind), np.intp))
+            low, high, first, time = low[~ok], high[~ok], first[~ok], time[~ok]
+            if not len(low):
+                break
+            middle = 0.5 * (low + high)
+            inner = check(k, periods, middle, orbit(k, periods, middle), at)
+            broken, minima = (inner.force_broken, inner.force) if contact else (inner.gap_broken, inner.gap)
+            low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
+            time = np.where(broken, minima.time, time)
+    return Roots(np.concatenate([np.empty(0, np.intp), *which]), np.concatenate([np.empty(0), *where]))
+
+
+def _touch(
+    k: Spring, periods: int, t: Floats, time: Floats, contact: bool
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Newton's method for the flight times T (m,) at which a minimum is zero, from t and the minimum's time.
+
+    Also whether it converged to a minimum inside the flight or contact.
+    """
+    for _ in range(_STEPS):
+        z = t + 1j * STEP
+        x = orbit(k, periods, z)
+        if contact:
+            terms, weights, offset = force_terms(k, time), force_weights(k, x, z), 2.0
+        else:
+            terms, weights, offset = gap_terms(k, time), gap_weights(x), 0.0
+        f, f1, f2 = (np.einsum("in,in->n", weights, y) for y in terms)
+        f, by_t, f1_by_t = f.real + offset, f.imag / STEP, f1.imag / STEP
+        f1, f2 = f1.real, f2.real
+        det = by_t * f2 - f1 * f1_by_t
+        step, move = (f * f2 - f1 * f1) / det, (by_t * f1 - f1_by_t * f) / det
+        t, time = t - step, time - move
+        t = np.clip(t, 1e-9, TWO_PI * periods - 1e-9)
+        if (np.abs(step) < 1e-14 * t).all():
+            break
+    end = TWO_PI * periods - t if contact else t
+    ok = (np.abs(step) < 1e-12 * t) & (np.abs(move) < 1e-9) & (f2 > 0.0) & (time > 1e-6) & (time < end - 1e-6)
+    return t, ok

@@ -1,0 +1,148 @@
+"""All roots of several smooth functions on a grid, by Newton's method inside brackets.
+
+The grid must resolve the functions (`events.flight_times` does): between neighbours each is a cubic but for
+about 1e-5 of its size. Then a pair of roots between neighbours shows as an extremum of that cubic near zero.
+"""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+#: (which (m,), x (m,)) -> values (m,), slopes (m,): function which[i] at x[i].
+Functions = Callable[[Ints, Floats], tuple[Floats, Floats]]
+
+#: Newton steps at most. Halving alone shrinks an interval of the grid below rounding in 50.
+_STEPS: Final = 80
+
+#: An extremum may be a pair of roots if its cubic is below this part of the values beside it: far above the
+#: cubic's own error, so that none is missed.
+_NEAR: Final = 0.05
+
+#: Steps of the search for an extremum. Its slope is nearly linear there; six leave rounding.
+_EXTREMUM_STEPS: Final = 8
+
+#: A sign change is a root if the function falls below this part of its values beside it. At a pole it grows.
+_SMALL: Final = 1e-6
+
+
+class Roots(NamedTuple):
+    """m roots: the function's index and where it is zero, by function and then by x."""
+
+    which: Ints  # (m,)
+    x: Floats  # (m,)
+
+
+def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Roots:
+    """The roots of f functions between the ends of x.
+
+    x (n,) increasing; value, slope (f, n) on it; `functions` evaluates any of them anywhere.
+    """
+    change = np.sign(value[:, :-1]) * np.sign(value[:, 1:]) < 0.0
+    which, at = np.nonzero(change)
+    low, high = x[at], x[at + 1]
+    f_low, f_high = value[which, at], value[which, at + 1]
+    others, *pairs = _pairs(functions, x, value, slope, change)
+    which = np.concatenate([which, others])
+    low, high, f_low, f_high = (
+        np.concatenate([a, b]) for a, b in zip((low, high, f_low, f_high), pairs, strict=True)
+    )
+    if not len(which):
+        return Roots(np.empty(0, np.intp), np.empty(0))
+    root, error = solve(functions, which, low, high, f_low, f_high)
+    with np.errstate(invalid="ignore"):
+        keep = np.abs(error) <= _SMALL * np.maximum(np.abs(f_low), np.abs(f_high))
+    which, root = which[keep], root[keep]
+    order = np.lexsort((root, which))
+    return Roots(which[order], root[order])
+
+
+def _pairs(
+    functions: Functions, x: Floats, value: Floats, slope: Floats, change: NDArray[np.bool_]
+) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Brackets around extrema between neighbours of the grid that lie beyond zero."""
+    left, right = value[:, :-1] * slope[:, :-1] < 0.0, value[:, 1:] * slope[:, 1:] > 0.0
+    which, at = np.nonzero(~change & left & right)
+    a, b = x[at], x[at + 1]
+    y, z = value[which, at], value[which, at + 1]
+    dy, dz = slope[which, at] * (b - a), slope[which, at + 1] * (b - a)
+    _, extremum = cubic_extremum(y, z, dy, dz, np.sign(y))
+    near = extremum * np.sign(y) < _NEAR * np.minimum(np.abs(y), np.abs(z))
+    which = which[near]
+    a, b, y, z, dy, dz = (v[near] for v in (a, b, y, z, dy, dz))
+    if not len(which):
+        return which, a, b, y, z
+    low, high, s_low, s_high = a.copy(), b.copy(), dy, dz
+    with np.errstate(invalid="ignore", divide="ignore"):
+        middle = a + (b - a) * cubic_extremum(y, z, dy, dz, np.sign(y))[0]
+        for _ in range(_EXTREMUM_STEPS):
+            f, s = functions(which, middle)
+            left_side = np.sign(s) == np.sign(s_low)
+            low, s_low = np.where(left_side, middle, low), np.where(left_side, s, s_low)
+            high, s_high = np.where(left_side, high, middle), np.where(left_side, s_high, s)
+            guess = low - s_low * (high - low) / (s_high - s_low)
+            middle = np.where((guess > low) & (guess < high), guess, 0.5 * (low + high))
+        f, _ = functions(which, middle)
+    beyond = f * y < 0.0
+    which = which[beyond]
+    a, b, y, z, middle, f = (v[beyond] for v in (a, b, y, z, middle, f))
+    return (
+        np.concatenate([which, which]),
+        np.concatenate([a, middle]),
+        np.concatenate([middle, b]),
+        np.concatenate([y, f]),
+        np.concatenate([f, z]),
+    )
+
+
+def solve(
+    functions: Functions, which: Ints, low: Floats, high: Floats, f_low: Floats, f_high: Floats
+) -> tuple[Floats, Floats]:
+    """The root in each bracket and the function there; all arrays (m,)."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        x = low - f_low * (high - low) / (f_high - f_low)
+        x = np.where((x > low) & (x < high), x, 0.5 * (low + high))
+        f = np.full_like(x, np.inf)
+        width = high - low
+        active = np.ones(len(x), np.bool_)
+        for _ in range(_STEPS):
+            i = np.flatnonzero(active)
+            value, slope = functions(which[i], x[i])
+            f[i] = value
+            below = np.sign(value) == np.sign(f_low[i])
+            low[i] = np.where(below, x[i], low[i])
+            high[i] = np.where(below, high[i], x[i])
+            step = value / slope
+            guess = x[i] - step
+            # halve where Newton leaves the bracket, or the bracket shrinks too slowly
+            inside = (guess >= low[i]) & (guess <= high[i]) & (np.abs(step) < 0.5 * width[i])
+            guess = np.where(inside, guess, 0.5 * (low[i] + high[i]))
+            width[i] = np.abs(guess - x[i])
+            done = (value == 0.0) | (width[i] <= 2e-16 * np.abs(x[i]))
+            x[i] = np.where(value == 0.0, x[i], guess)
+            active[i] = ~done
+            if done.all():
+                break
+    return x, f
+
+
+def cubic_extremum(
+    y: Floats, z: Floats, dy: Floats, dz: Floats, sign: Floats | float
+) -> tuple[Floats, Floats]:
+    """Where on [0, 1], and how deep, sign * p has its minimum, p(0) = y, p(1) = z, p'(0) = dy, p'(1) = dz.
+
+    For sign * dy < 0 < sign * dz: there is one.
+    """
+    d = z - y
+    a, b, c = 3.0 * (dy + dz - 2.0 * d), 2.0 * (3.0 * d - 2.0 * dy - dz), dy  # p' = a x**2 + b x + c
+    root = np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
+    # the root where sign * p' rises, in the form that does not cancel
+    with np.errstate(invalid="ignore", divide="ignore"):
+        up = np.sign(sign)
+        x = np.where(b * up > 0.0, -2.0 * c / (b + up * root), (-b + up * root) / (2.0 * a))
+    x = np.clip(np.where(np.isfinite(x), x, 0.5), 0.0, 1.0)
+    return x, y + x * (dy + x * (0.5 * b + x * a / 3.0))

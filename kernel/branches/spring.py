@@ -1,0 +1,146 @@
+"""The free motions of the spring, for arrays of times and for derivatives by the complex step.
+
+Everything here is an analytic function of the time, of Omega and of xi, so that f(x + i h) gives f' as the
+imaginary part over h, without cancellation (`STEP`). numpy alone: branches are computed where they are asked
+for, and nothing has to be compiled.
+
+Phase phi = omega t in rad. Lengths in this package's closed forms are in units of g/omega**2 (so that
+1/Gamma, the weight, is one and the orbit's equations are linear); results are in plate amplitudes.
+"""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: float64, or complex128 in a complex step.
+Array = NDArray[Any]
+Number = float | complex
+
+#: h of the complex step. Its square is below rounding of everything, and above the smallest double.
+STEP: Final = 1e-40
+
+#: Below this rate * time the flight's integrals are summed as power series: 24 terms leave 1/24! = 2e-24.
+SHORT: Final = 1.0
+_TERMS: Final = 24
+
+#: Below this |D| t**2 (D the discriminant) sine and exponentials are replaced by their series in D, which is
+#: smooth through critical damping: nine terms leave 0.25**9/19! = 3e-23.
+_CRITICAL: Final = 0.25
+_CRITICAL_TERMS: Final = 9
+
+
+class Spring(NamedTuple):
+    """The constants of a spring under a plate of frequency Omega (docs/model.md, section 3)."""
+
+    omega: Number
+    xi: Number
+    dashpot: Number  # b = 2 xi/Omega
+    stiffness: Number  # w = 1/Omega**2
+    q_re: Number  # the driven elongation in contact is -w**-1/Gamma + Re(Q e^{i phi}), Q = 1/(w - 1 + i b)
+    q_im: Number
+
+
+class Free(NamedTuple):
+    """x(t) = x(0) c + x'(0) s of a damped oscillator, with the time derivatives of c and s."""
+
+    c: Array
+    s: Array
+    c1: Array
+    s1: Array
+
+
+class Flight(NamedTuple):
+    """The functions of the time t that the gap is a combination of, good to all digits as t -> 0."""
+
+    free: Free  # of the elongation in flight
+    s_int: Array  # integral of s from 0 to t, about t**2/2
+    s_int2: Array  # and the integral of that, about t**3/6
+    s_rest: Array  # s - t
+    s_int_rest: Array  # s_int - t**2/2
+    sin_rest: Array  # t - sin t
+    cos_rest: Array  # 1 - cos t - t**2/2
+    versine: Array  # 1 - cos t
+    sin: Array
+    cos: Array
+
+
+def spring(omega: Number, xi: Number) -> Spring:
+    """The constants; omega and xi may be complex in a complex step."""
+    b, w = 2.0 * xi / omega, 1.0 / (omega * omega)
+    size = (w - 1.0) * (w - 1.0) + b * b
+    return Spring(omega, xi, b, w, (w - 1.0) / size, -b / size)
+
+
+def free(a: Number, w: Number, t: Array) -> Free:
+    """The free motion of x'' + 2 a x' + w x = 0 at times t >= 0, underdamped, critical or overdamped."""
+    d = a * a - w
+    decay = np.exp(-a * t)
+    square = d * t * t
+    near = np.abs(square) < _CRITICAL
+    if np.real(d) < 0.0:
+        root = np.sqrt(-d)
+        angle = root * t
+        s = decay * np.sin(angle) / (root if d != 0.0 else 1.0)
+        c = decay * np.cos(angle) + a * s
+    else:
+        root = np.sqrt(d)
+        slow = -w / (a + root)
+        tail = np.exp(slow * t)
+        s = tail * -np.expm1(-2.0 * root * t) / (2.0 * root if d != 0.0 else 1.0)
+        c = tail - slow * s
+    if near.any():
+        x = square[near]
+        sine, cosine = np.ones_like(x), np.ones_like(x)
+        term = np.ones_like(x)
+        for n in range(1, _CRITICAL_TERMS + 1):
+            term = term * x / (2 * n * (2 * n - 1))
+            cosine = cosine + term
+            sine = sine + term / (2 * n + 1)
+        s[near] = decay[near] * t[near] * sine
+        c[near] = decay[near] * cosine + a * s[near]
+    return Free(c, s, -w * s, c - 2.0 * a * s)
+
+
+def stuck(k: Spring, t: Array) -> Free:
+    """The free elongation in contact, q'' + b q' + w q = 0."""
+    return free(0.5 * k.dashpot, k.stiffness, t)
+
+
+def flight(k: Spring, t: Array) -> Flight:
+    """The elongation in flight, q'' + 2 b q' + 2 w q = 0, and its integrals."""
+    b, w = k.dashpot, k.stiffness
+    f = free(b, 2.0 * w, t)
+    s_int = (1.0 - f.c) / (2.0 * w)
+    s_int2 = (t - f.s - 2.0 * b * s_int) / (2.0 * w)
+    s_rest, s_int_rest = f.s - t, s_int - 0.5 * t * t
+    near = np.real(t) * max(np.sqrt(2.0 * abs(w)), 2.0 * abs(b)) < SHORT
+    if near.any():
+        x = t[near]
+        power, before, last = x, 0.0 * x, 1.0 + 0.0 * x  # x**n/n! and two derivatives of s at zero
+        rest = [np.zeros_like(x) for _ in range(3)]
+        for n in range(2, _TERMS):
+            before, last = last, -2.0 * b * last - 2.0 * w * before
+            power = power * x / n
+            term = last * power
+            rest[0] += term
+            rest[1] += term * x / (n + 1)
+            rest[2] += term * x * x / ((n + 1) * (n + 2))
+        s_rest[near], s_int_rest[near] = rest[0], rest[1]
+        s_int[near] = 0.5 * x * x + rest[1]
+        s_int2[near] = x * x * x / 6.0 + rest[2]
+    sin, cos = np.sin(t), np.cos(t)
+    half = np.sin(0.5 * t)
+    versine = 2.0 * half * half
+    sin_rest, cos_rest = t - sin, versine - 0.5 * t * t
+    near = np.real(t) < SHORT
+    if near.any():
+        x = t[near]
+        square = -x * x
+        odd, even = x * square / -6.0, square * square / -24.0
+        sin_rest[near], cos_rest[near] = odd, even
+        for n in range(4, _TERMS, 2):
+            odd, even = odd * square / (n * (n + 1)), even * square / ((n + 1) * (n + 2))
+            sin_rest[near] += odd
+            cos_rest[near] += even
+    return Flight(f, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine, sin, cos)

@@ -1,0 +1,259 @@
+"""The closed form of (1,k) branches: reference numbers, a naive solution, and the simulating kernel."""
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+from kernel_runs import run
+from paths import GOLDEN
+
+from kernel.branches.admissibility import Reason
+from kernel.branches.closed_form import floquet, gamma_slope, multipliers, orbit
+from kernel.branches.energy import energy
+from kernel.branches.events import Branch, branch, branch_and_events, flight_times
+from kernel.branches.spring import STEP, spring
+from kernel.params import Cell, KernelInputError, Start
+from kernel.threshold import threshold
+
+REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
+TWO_PI = 2.0 * math.pi
+
+#: Underdamped, critical and overdamped in flight, in contact, and beside; slow and fast plates.
+SPRINGS = [
+    (0.5, 0.26), (0.62, 0.05), (0.3, 0.02), (1.0, 0.7071067811865476), (0.8, 0.72), (0.9, 1.0),
+    (0.9, 1.0 - 1e-12), (2.0, 3.0), (5.0, 10.0), (12.0, 0.1), (0.1, 1.0),
+]  # fmt: skip
+
+
+def one(line: Branch) -> dict[str, float]:
+    """The first point of a branch."""
+    return {name: np.asarray(value)[0] for name, value in line._asdict().items() if np.ndim(value)}
+
+
+@pytest.mark.parametrize("cell", REFERENCE["floquet"], ids=lambda c: f"{c['gamma']}-{c['omega']}")
+def test_reference_orbits(cell):
+    point = one(branch(cell["omega"], cell["xi"], cell["mode"][1], np.array([cell["flight_time"]])))
+    # flight_time is given to 12 digits: what depends on it steeply differs by some 1e-10
+    for name in ("gamma", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity"):
+        assert point[name] == pytest.approx(cell[name], abs=2e-10), name
+    f = floquet(spring(cell["omega"], cell["xi"]), cell["mode"][1], np.array([cell["flight_time"]]))
+    assert [f.trace[0], f.det[0]] == pytest.approx([cell["trace"], cell["det"]], abs=5e-10)
+    expected = sorted((complex(*m) for m in cell["multipliers"]), key=lambda m: (-abs(m), m.imag))
+    assert np.abs(point["multiplier"] - expected).max() < 1e-9
+    assert point["stable"] == cell["stable"]
+    assert point["admissible"] == 0
+
+
+@pytest.mark.parametrize("cell", REFERENCE["floquet"], ids=lambda c: f"{c['gamma']}-{c['omega']}")
+def test_energy_and_momentum_of_a_cycle(cell):
+    e = energy(cell["omega"], cell["xi"], cell["mode"][1], np.array([cell["flight_time"]]))
+    for name, value in cell["energy"].items():
+        assert getattr(e, name)[0] == pytest.approx(value, abs=1e-9), name
+
+
+@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+def test_balance_along_whole_branches(omega, xi):
+    t = flight_times(omega, xi, 2)[2:-2]
+    e = energy(omega, xi, 2, t)
+    taken = e.dashpot + e.impact
+    size = np.abs(e.plate_contact) + np.abs(e.plate_impact) + taken
+    assert np.max(np.abs(e.plate_contact + e.plate_impact - taken) / size) < 1e-9
+    assert np.max(np.abs(e.force + e.impulse - e.weight) / (np.abs(e.force) + e.weight)) < 1e-9
+
+
+@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+def test_dashpot_against_quadrature(omega, xi):
+    """b times the integral of q'**2 over flight and contact, by Gauss-Legendre on the motions themselves."""
+    t = np.array([2.1, 4.4])
+    e = energy(omega, xi, 1, t)
+    x, w = np.polynomial.legendre.leggauss(48)
+    for i in range(len(t)):
+        total = 0.0
+        for start, span in ((0.0, t[i]), (t[i], TWO_PI - t[i])):
+            edges = start + span * np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 40)])
+            for a, b in itertools.pairwise(edges):
+                at = 0.5 * (b - a) * x + 0.5 * (a + b)
+                total += 0.5 * (b - a) * float(w @ naive_velocity(omega, xi, 1, t[i], at) ** 2)
+        # the naive motion is good to 1e-8 next to critical damping
+        near = 1e-6 if abs(xi - 1.0) < 0.1 else 1e-9
+        assert e.dashpot[i] == pytest.approx(2.0 * xi / omega * total, rel=near)
+
+
+def generator(a: float, w: float) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues and vectors of (x, x')' for x'' + 2 a x' + w x = 0; critical damping is moved by 1e-7."""
+    root = np.sqrt(complex(a * a - w))
+    if abs(root) < 1e-7 * a:
+        root = 1e-7 * a
+    values = np.array([-a + root, -a - root])
+    return values, np.array([[1.0, 1.0], values])
+
+
+def propagate(a: float, w: float, t: float) -> np.ndarray:
+    """The 2 x 2 matrix that takes (x, x') over t rad, by its eigenvectors."""
+    values, vectors = generator(a, w)
+    return np.real(vectors @ np.diag(np.exp(values * t)) @ np.linalg.inv(vectors))
+
+
+def naive_orbit(omega: float, xi: float, periods: int, t: float) -> np.ndarray:
+    """(q0, v0, c, s) with 1/Gamma = 1 from the four conditions just as they are written."""
+    b, w = 2.0 * xi / omega, 1.0 / omega**2
+    fly, stick = propagate(b, 2.0 * w, t), propagate(0.5 * b, w, TWO_PI * periods - t)
+    response = 1.0 / (w - 1.0 + 1j * b)
+
+    def residual(u: np.ndarray) -> np.ndarray:
+        q0, v0, c, s = u
+        z = c + 1j * s
+        q, v = fly @ [q0, v0]
+        turned = z * np.exp(1j * t)
+        gap = c - turned.real - t * s - 0.5 * t * t - 0.5 * (q - q0 - v0 * t)
+        gap1 = turned.imag - s - t - 0.5 * (v - v0)
+        static = np.array([-1.0 / w, 0.0])
+        driven = np.array([(response * turned).real, (1j * response * turned).real])
+        again = np.array([(response * z).real, (1j * response * z).real])
+        end = static + again + stick @ (np.array([q, v + gap1]) - static - driven)
+        return np.array([1.0 - c - b * v0 - w * q0, gap, *(end - [q0, v0])])
+
+    zero = residual(np.zeros(4))
+    matrix = np.array([residual(e) - zero for e in np.eye(4)]).T
+    return np.linalg.solve(matrix, -zero)
+
+
+def naive_velocity(omega: float, xi: float, periods: int, t: float, at: np.ndarray) -> np.ndarray:
+    """q' in plate amplitudes at times `at` after take-off."""
+    b, w = 2.0 * xi / omega, 1.0 / omega**2
+    q0, v0, c, s = naive_orbit(omega, xi, periods, t)
+    z = c + 1j * s
+    response = 1.0 / (w - 1.0 + 1j * b)
+    q, v = propagate(b, 2.0 * w, t) @ [q0, v0]
+    turned = z * np.exp(1j * t)
+    landed = np.array([q, v + turned.imag - s - t - 0.5 * (v - v0)])
+    free = landed - [-1.0 / w + (response * turned).real, (1j * response * turned).real]
+    values = []
+    for tau in at:
+        if tau <= t:
+            values.append((propagate(b, 2.0 * w, tau) @ [q0, v0])[1])
+        else:
+            wave = (1j * response * z * np.exp(1j * tau)).real
+            values.append(wave + (propagate(0.5 * b, w, tau - t) @ free)[1])
+    return np.array(values) / abs(z)
+
+
+@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+@pytest.mark.parametrize("periods", [1, 2])
+def test_the_four_conditions(omega, xi, periods):
+    k = spring(omega, xi)
+    for t in (0.9, 2.5, 4.0, 5.8, 5.8 + (periods - 1) * 6.0):
+        x = orbit(k, periods, np.array([t]))
+        expected = naive_orbit(omega, xi, periods, t)
+        found = np.array([x.q0[0], x.v0[0], x.c[0], x.s[0]])
+        assert found == pytest.approx(expected, rel=1e-6 if xi > 0.99 else 1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+def test_short_flights_begin_at_eq_25(omega, xi):
+    """Gamma - Gamma_th is proportional to T**2, to rounding down to T = 1e-5."""
+    t = 1e-2 * min(1.0, omega / max(xi, 1.0)) * np.array([1.0, 0.1, 1e-3])
+    x = orbit(spring(omega, xi), 1, t)
+    above = np.hypot(x.c, x.s) / threshold(omega, xi) - 1.0
+    curvature = above[0] / t[0] ** 2
+    assert above[1] == pytest.approx(curvature * t[1] ** 2, rel=0.05, abs=1e-11)
+    assert abs(above[2]) < 1e-9 + 2.0 * abs(curvature) * t[2] ** 2
+
+
+@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+def test_series_and_closed_forms_meet(omega, xi):
+    """Across each time at which another formula takes over, Gamma goes on with its slope."""
+    k = spring(omega, xi)
+    rate = max(math.sqrt(2.0) / omega, 4.0 * xi / omega)
+    for switch in (1.0, 1.0 / rate):
+        t = switch * np.array([1.0 - 1e-6, 1.0 + 1e-6])
+        x = orbit(k, 1, t)
+        gamma = np.hypot(x.c, x.s)
+        assert gamma[1] - gamma[0] == pytest.approx(
+            gamma_slope(k, 1, t).mean() * (t[1] - t[0]), abs=1e-11 * gamma[0]
+        )
+
+
+def test_slopes_are_derivatives():
+    k, t, h = spring(0.62, 0.05), np.array([1.1, 3.3, 5.0]), 1e-5
+    above, below, here = (floquet(k, 1, t + d) for d in (h, -h, 0.0))
+    assert here.trace1 == pytest.approx((above.trace - below.trace) / (2.0 * h), rel=1e-8)
+    assert here.det1 == pytest.approx((above.det - below.det) / (2.0 * h), rel=1e-8)
+    complex_step = floquet(spring(0.62 + 1j * STEP, 0.05), 1, t + 0j)
+    up, down = floquet(spring(0.62 + h, 0.05), 1, t), floquet(spring(0.62 - h, 0.05), 1, t)
+    assert complex_step.trace.imag / STEP == pytest.approx((up.trace - down.trace) / (2.0 * h), rel=1e-7)
+
+
+def test_multipliers():
+    trace, det = np.array([0.5, -3.0, 3.0, 0.0, 0.0]), np.array([0.9, 1.0, 1e-14, 0.0, -0.25])
+    mu = multipliers(trace, det)
+    assert mu.sum(axis=1) == pytest.approx(trace)
+    assert mu.prod(axis=1) == pytest.approx(det, rel=1e-12, abs=1e-300)
+    assert np.all(np.abs(mu[:, 0]) >= np.abs(mu[:, 1]))
+    assert mu[0, 0].imag < 0.0 < mu[0, 1].imag
+
+
+@pytest.mark.parametrize(
+    ("omega", "xi", "periods", "argument"),
+    [(0.0, 0.1, 1, "omega"), (math.nan, 0.1, 1, "omega"), (0.5, -0.1, 1, "xi"), (1.0, 0.0, 1, "xi"),
+     (0.5, 0.1, 0, "periods"), (1e-6, 0.1, 1, "omega")],
+)  # fmt: skip
+def test_refuses_what_has_no_branch(omega, xi, periods, argument):
+    with pytest.raises(KernelInputError) as refusal:
+        branch_and_events(omega, xi, periods)
+    assert refusal.value.argument == argument
+
+
+def random_points(stable: bool, count: int) -> list[tuple[float, float, int, dict[str, float]]]:
+    """Admissible points of branches of random springs, below Gamma = 8."""
+    rng = np.random.default_rng(12)
+    found = []
+    while len(found) < count:
+        omega, xi = float(rng.uniform(0.25, 2.0)), float(10.0 ** rng.uniform(-2.0, 0.3))
+        periods = int(rng.integers(1, 3))
+        line = branch(omega, xi, periods, rng.uniform(0.3, TWO_PI * periods - 0.3, 40))
+        good = (line.admissible == 0) & (line.stable == stable) & (line.gamma < 8.0)
+        for i in np.flatnonzero(good)[:4]:
+            point = {n: np.asarray(v)[i] for n, v in line._asdict().items() if np.ndim(v)}
+            found.append((omega, xi, periods, point))
+    return found[:count]
+
+
+def flights_from(omega, xi, periods, point, cycles, displaced=0.0):
+    """The first flights of a spring that starts at the landing of an orbit, its elongation displaced."""
+    x = orbit(spring(omega, xi), periods, np.array([point["flight_time"]]))
+    gamma = point["gamma"]
+    phase = (point["takeoff_phase"] + point["flight_time"]) % TWO_PI
+    state = np.array([phase, 0.0, 0.0, 0.0, x.q_land[0] / gamma + displaced, x.v_land[0] / gamma])
+    start = Start(state, Cell(gamma, omega, xi))
+    line = run(gamma, omega, xi, carry=True, start=start, settle=0, observe=(cycles + 1) * periods, keep=64)
+    return line.flight_time[0, :cycles], line.takeoff_phase[0, :cycles]
+
+
+def test_stable_orbits_return_in_the_simulation():
+    for omega, xi, periods, point in random_points(stable=True, count=200):
+        time, phase = flights_from(omega, xi, periods, point, 1)
+        assert time[0] == pytest.approx(point["flight_time"], abs=1e-9)
+        assert abs((phase[0] - point["takeoff_phase"] + math.pi) % TWO_PI - math.pi) < 1e-9
+
+
+def test_unstable_orbits_leave_at_the_rate_of_their_multiplier():
+    checked = 0
+    for omega, xi, periods, point in random_points(stable=False, count=120):
+        large, small = point["multiplier"]
+        if large.imag != 0.0 or not 1.3 < abs(large) < 4.0 or abs(small) > 0.3 * abs(large):
+            continue
+        time, _ = flights_from(omega, xi, periods, point, 7, displaced=1e-9)
+        left = time - point["flight_time"]
+        assert 1e-11 < abs(left[-1]) < 1e-4
+        assert left[-1] / left[-2] == pytest.approx(large.real, rel=1e-3)
+        checked += 1
+    assert checked >= 50
+
+
+def test_reasons():
+    """Orbits of the closed form that do not exist, and which condition they break."""
+    line = branch(0.67, 0.05, 1, np.array([3.6, 4.0, 6.0]))
+    assert line.admissible.tolist() == [0, Reason.CONTACT, Reason.GAP | Reason.CONTACT | Reason.TAKEOFF]

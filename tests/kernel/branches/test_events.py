@@ -1,0 +1,125 @@
+"""Events of (1,k) branches: reference numbers, none missed and none invented, codimension two."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies
+from kernel_runs import TWO_PI, examples
+from paths import GOLDEN
+
+from kernel.branches.admissibility import force_terms, force_weights, gap_terms, gap_weights
+from kernel.branches.closed_form import floquet, orbit
+from kernel.branches.curves import Parameter, curves
+from kernel.branches.events import Kind, branch, branch_and_events
+from kernel.branches.spring import spring
+
+REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
+
+
+def of(events, kind, below=math.inf, admissible=True):
+    """Gamma and flight time of events of a kind."""
+    keep = (events.kind == kind) & (events.gamma < below)
+    if admissible:
+        keep &= events.admissible == 0
+    return events.gamma[keep], events.flight_time[keep]
+
+
+@pytest.mark.parametrize("branch_", REFERENCE["special_points"], ids=lambda b: f"{b['omega']}-{b['mode']}")
+def test_reference_events(branch_):
+    _, events = branch_and_events(branch_["omega"], branch_["xi"], branch_["mode"][1])
+    for kind in (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER):
+        expected = [p for p in branch_["points"] if p["kind"] == kind]
+        gamma, time = of(events, kind, 8.0)
+        assert gamma == pytest.approx([p["gamma"] for p in expected], abs=1e-9)
+        assert time == pytest.approx([p["flight_time"] for p in expected], abs=1e-9)
+
+
+def naive_events(omega, xi, periods, below):
+    """Sign changes of the three conditions on 30 000 points, with orbits followed on 4000 samples."""
+    k = spring(omega, xi)
+    t = np.linspace(1e-3, TWO_PI * periods - 1e-3, 30_001)
+    f = floquet(k, periods, t)
+    found = []
+    for kind, test in (
+        (Kind.FOLD, 1.0 - f.trace + f.det),
+        (Kind.FLIP, 1.0 + f.trace + f.det),
+        (Kind.NEIMARK_SACKER, np.where(np.abs(f.trace) < 2.0, f.det - 1.0, np.nan)),
+    ):
+        for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
+            part = test[i] / (test[i] - test[i + 1])
+            at = np.array([t[i] + part * (t[i + 1] - t[i])])
+            x = orbit(k, periods, at)
+            if not np.hypot(x.c, x.s)[0] < below:
+                continue
+            inside = np.linspace(0.0, 1.0, 4001)[1:-1]
+            gap = gap_weights(x)[:, 0] @ gap_terms(k, inside * at)[0]
+            rest = TWO_PI * periods - at
+            force = 2.0 + force_weights(k, x, at)[:, 0] @ force_terms(k, inside * rest)[0]
+            margin = min(gap.min() / gap.max(), force.min() / force.max())
+            found.append((kind, float(np.hypot(x.c, x.s)[0]), margin))
+    return found
+
+
+@examples(12)
+@given(
+    omega=strategies.floats(0.25, 2.5),
+    xi=strategies.floats(math.log(0.01), math.log(3.0)).map(math.exp),
+    periods=strategies.integers(1, 3),
+)
+def test_none_missed_and_none_invented(omega, xi, periods):
+    line, events = branch_and_events(omega, xi, periods)
+    for kind in (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER):
+        expected = [
+            (gamma, margin) for k, gamma, margin in naive_events(omega, xi, periods, 8.0) if k is kind
+        ]
+        gamma, _ = of(events, kind, 8.0, admissible=False)
+        assert np.sort(gamma) == pytest.approx(sorted(g for g, _ in expected), rel=1e-5)
+        # samples decide admissibility but where a condition is nearly broken
+        gamma, _ = of(events, kind, 8.0)
+        for value, margin in expected:
+            if abs(margin) > 1e-4 or margin > 0.0:
+                assert np.any(np.abs(gamma / value - 1.0) < 1e-5) == (margin > -1e-9)
+    assert len(line.gamma) >= 400
+
+
+@pytest.mark.parametrize(("omega", "xi", "periods"), [(0.5, 0.26, 2), (0.67, 0.05, 1), (1.26, 0.05, 2)])
+def test_admissibility_changes_only_at_events(omega, xi, periods):
+    line, events = branch_and_events(omega, xi, periods)
+    edges = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT, Kind.IMMEDIATE_TAKEOFF)
+    at = np.sort(events.flight_time[np.isin(events.kind, edges)])
+    changes = np.flatnonzero((line.admissible[:-1] == 0) != (line.admissible[1:] == 0))
+    assert len(changes)
+    for i in changes:
+        low, high = line.flight_time[i], line.flight_time[i + 1]
+        inside = at[(at >= low) & (at <= high)]
+        assert len(inside)
+        # and they do change there
+        sides = branch(omega, xi, periods, np.array([inside[0] - 1e-7, inside[0] + 1e-7])).admissible == 0
+        assert sides[0] != sides[1]
+
+
+@pytest.fixture(scope="module")
+def plane():
+    return curves(Parameter.OMEGA, 0.05, 0.42, 0.84, 1, (Kind.FOLD, Kind.NEIMARK_SACKER), lines=8)
+
+
+def test_codimension_two(plane):
+    for name, kind in (("cusp", Kind.CUSP), ("bogdanov_takens", Kind.BOGDANOV_TAKENS)):
+        for expected in REFERENCE["codimension_2"][name]:
+            i = np.argmin(np.abs(plane.points.omega - expected["omega"]) + 9.0 * (plane.points.kind != kind))
+            assert plane.points.kind[i] == kind
+            assert plane.points.omega[i] == pytest.approx(expected["omega"], abs=1e-9)
+            assert plane.points.flight_time[i] == pytest.approx(expected["flight_time"], abs=1e-9)
+            assert plane.points.gamma[i] == pytest.approx(expected["gamma"], abs=1e-9)
+
+
+def test_points_of_curves_are_events(plane):
+    for curve in plane.curves:
+        for i in range(0, len(curve.gamma), 40):
+            _, events = branch_and_events(float(curve.omega[i]), float(curve.xi[i]), 1)
+            gamma, time = of(events, curve.kind, admissible=False)
+            near = np.abs(time - curve.flight_time[i]) < 1e-7
+            assert near.any(), (curve.kind, curve.omega[i])
+            assert gamma[near] == pytest.approx(curve.gamma[i], rel=1e-7)

@@ -1,0 +1,87 @@
+"""Thresholds from the branches: the tables of the reference, what stays unresolved, the ghost."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from paths import GOLDEN
+
+from kernel.branches.thresholds import EQ_25, UNRESOLVED, lifetime, thresholds
+from kernel.threshold import threshold
+
+REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
+
+
+@pytest.mark.parametrize("cell", REFERENCE["threshold_down"], ids=lambda c: str(c["omega"]))
+def test_descending_threshold(cell):
+    found = thresholds(cell["omega"], cell["xi"])
+    assert found.cause == "fold (1,1)"
+    assert found.down == pytest.approx(cell["gamma_down"], abs=1e-9)
+    assert found.gamma_th == pytest.approx(cell["gamma_th"], abs=1e-11)
+    assert found.fold.flight_time == pytest.approx(cell["flight_time"], abs=1e-9)
+    assert found.fold.other_multiplier == pytest.approx(cell["other_multiplier"], abs=1e-9)
+    balance = found.energy
+    given = balance.plate_contact + balance.plate_impact
+    assert given == pytest.approx(balance.dashpot + balance.impact, abs=1e-9)
+
+
+@pytest.mark.parametrize("cell", REFERENCE["jump_up"], ids=lambda c: str(c["omega"]))
+def test_jump(cell):
+    assert thresholds(cell["omega"], cell["xi"]).jump == pytest.approx(cell["gamma_jump"], abs=1e-9)
+
+
+def test_a_fold_of_two_periods():
+    ((omega, gamma),) = REFERENCE["folds"]["cells"]
+    found = thresholds(omega, 0.05)
+    assert found.cause == "fold (1,2)"
+    assert found.down == pytest.approx(gamma, abs=1e-6)
+    assert math.isnan(found.jump)
+
+
+@pytest.mark.parametrize("xi", [0.1, 0.2, 0.8, 3.0])
+def test_eq_25_where_nothing_reaches_lower(xi):
+    """The reference finds no hysteresis at xi = 0.2, and at 0.1 only near Omega = 0.61 and 0.43."""
+    for omega in (0.3, 0.5, 0.75, 1.0):
+        found = thresholds(omega, xi)
+        assert found.cause == EQ_25
+        assert found.down == float(threshold(omega, xi))
+        assert found.reason == ""
+
+
+def test_unresolved_between_bogdanov_takens_points():
+    bt = REFERENCE["folds"]["bogdanov_takens_omega"]
+    for low, high in (bt[:2], bt[2:]):
+        inside = thresholds(0.5 * (low + high), 0.05)
+        assert inside.cause == UNRESOLVED
+        assert math.isnan(inside.down)
+        assert "torus" in inside.reason
+    assert thresholds(bt[2] - 0.01, 0.05).cause == "fold (1,1)"
+
+
+def test_unresolved_where_the_branch_becomes_another_word():
+    """At Omega = 1.26 the lowest orbit is of two flights, the second of an immediate take-off."""
+    found = thresholds(1.26, 0.05)
+    assert found.cause == UNRESOLVED
+    assert "immediate-takeoff" in found.reason
+
+
+def test_ghost():
+    (cell,) = REFERENCE["ghost"]["cells"]
+    fold = thresholds(cell["omega"], cell["xi"]).fold
+    assert fold.curvature == pytest.approx(cell["G2"], abs=5e-4)
+    assert fold.slope == pytest.approx(cell["lambda1"], abs=5e-5)
+    measured = REFERENCE["ghost"]["simulated"]["0.6"]
+    # the law is the limit: measured lifetimes approach it from below
+    shortfalls = [1.0 - measured[below] / lifetime(fold, float(below)) for below in ("1e-5", "1e-6", "1e-7")]
+    assert shortfalls[0] < 0.04
+    assert shortfalls == sorted(shortfalls, reverse=True)
+    assert shortfalls[-1] < 0.005
+
+
+def test_hysteresis_with_rest_ends():
+    """Above xi = 0.10631 no fold lies below Gamma_th, at Omega = 0.6117; just below one does."""
+    end = REFERENCE["hysteresis_ends_at"]["j1"]
+    assert thresholds(end["omega"], end["xi"] - 5e-4).cause == "fold (1,1)"
+    omegas = end["omega"] + np.linspace(-0.01, 0.01, 9)
+    assert {thresholds(float(omega), end["xi"] + 5e-4).cause for omega in omegas} == {EQ_25}
