@@ -75,7 +75,8 @@ def sample(
         raise KernelInputError("state", f"must be finite and at phase 0, the end of a window; got {state}")
     spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
     times = np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
-    return _Walk(spring, times, periods).run(_begin(spring, state))
+    under_way = state is not None and state[1] != 0.0
+    return _Walk(spring, times, periods).run(_begin(spring, state), under_way)
 
 
 def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
@@ -103,10 +104,13 @@ class _Walk:
         self._flights: list[tuple[float, float]] = []
         self._next = 0  # the first sample not filled in yet
 
-    def run(self, here: _Point) -> Trajectory:
-        """The trajectory from `here` to the last sample."""
+    def run(self, here: _Point, under_way: bool) -> Trajectory:
+        """The trajectory from `here` to the last sample.
+
+        under_way: whether a flight began before the first sample; it is not counted.
+        """
         end = float(self._times[-1])
-        flew_in = here.in_flight  # a flight that began before the first sample is not counted
+        flew_in = here.in_flight and under_way
         while self._next < len(self._times):
             p = self._phase(here, end - here.at)
             self._fill(here, p.tau, reached_end=p.ending == HORIZON)

@@ -26,7 +26,7 @@ def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacem
     ):
         new = client.job(interrupted).replaced_by
         wait_shown(page, omega=0.5)  # the results of then are drawn
-        assert page.locator("header.job .notice").inner_text() == f"{NOTICE}."
+        assert page.locator("header.job .notice:not(.settling)").inner_text() == f"{NOTICE}."
         screenshot(page, "other-kernel")
         page.goto(f"{address}/#/")
         rows = page.locator(".jobs li")
@@ -40,4 +40,4 @@ def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacem
         page.get_by_role("button", name="Resume up and down").click()
         page.wait_for_url(f"**/#/job/{new}**")
         page.get_by_role("button", name="Cancel up and down").wait_for()
-        assert page.locator("header.job .notice").is_hidden()
+        assert page.locator("header.job .notice:not(.settling)").is_hidden()

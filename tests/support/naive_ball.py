@@ -80,6 +80,5 @@ def trajectory(gamma: float, epsilon: float, periods: int) -> Iterator[Flown]:
         time = fall.landing()
         if phi + time > end:
             return
-        if phi > 0.0:
-            yield Flown(phi, time)
+        yield Flown(phi, time)
         phi, hop = phi + time, -epsilon * fall.exactly(time)[1]

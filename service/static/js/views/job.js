@@ -24,7 +24,7 @@ export class JobView {
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.about = h("p", { className: "summary" });
     this.notice = h("p", { className: "notice", hidden: true });
-    this.settling = h("p", { className: "notice", hidden: true });
+    this.settling = h("p", { className: "notice settling", hidden: true });
     this.bar = new ProgressBar();
     this.actions = h("div", { className: "actions" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
