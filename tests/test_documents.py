@@ -268,6 +268,8 @@ def test_every_setting_is_listed_with_its_default_and_description():
         default = shown.replace(",", "")
         if field.default in (None, frozenset()):
             assert default == "", name
+        elif isinstance(field.default, bool):
+            assert default == str(field.default).lower(), name
         elif isinstance(field.default, int | float):
             assert float(default) == field.default, name
         else:

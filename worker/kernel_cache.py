@@ -124,8 +124,7 @@ def _claim(root: Path) -> Path:
 def _first_free_slot(folder: Path) -> Path:
     for number in count():
         slot = folder / f"slot-{number}"
-        for made in (folder.parent, folder, slot):
-            made.mkdir(PRIVATE_FOLDER, parents=True, exist_ok=True)
+        _make(slot)
         lock = os.open(slot / _LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -137,6 +136,13 @@ def _first_free_slot(folder: Path) -> Path:
         _seed(slot)
         return slot
     raise AssertionError
+
+
+def _make(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, for this user alone."""
+    if not folder.parent.exists():
+        _make(folder.parent)
+    folder.mkdir(PRIVATE_FOLDER, exist_ok=True)
 
 
 def _seed(slot: Path) -> None:

@@ -58,7 +58,8 @@ class LocalWorkers:
         dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
         self._scratch = _Scratch()
         try:
-            with dask.config.set(_NO_HTTP):
+            # For the scheduler, which would make a folder of its own: see `_Scratch`.
+            with dask.config.set(_NO_HTTP | {"temporary-directory": str(self._scratch.folder)}):
                 self.cluster: Any = LocalCluster(  # type: ignore[no-untyped-call]
                     n_workers=workers,
                     threads_per_worker=1,
