@@ -79,9 +79,12 @@ def _line(axes: Axes, series: Series, rows: list[Measurement]) -> None:
     joined = [(error, cost) for row, error, cost in points if error and row.model != "ball"]
     if joined:
         axes.plot(*zip(*joined, strict=True), color=series.colour, linewidth=1)
+    depths = sorted(row.penetration or 1.0 for row, error, _ in points if error)
     for row, error, cost in points:
         if error:
-            _point(axes, series, row, error, cost)
+            # of the depths under one law the ends are labelled: the points between them lie too close
+            inner = row.model == "soft" and row.penetration not in (depths[0], depths[-1])
+            _point(axes, series, row, error, cost, ("", (0, 0)) if inner else _label(row, depths))
         else:
             _reference(axes, series, cost)
 
@@ -93,25 +96,32 @@ def _reference(axes: Axes, series: Series, cost: float) -> None:
                   textcoords="offset points", color=series.text_colour, fontsize=9, **TEXT)  # fmt: skip
 
 
-def _point(axes: Axes, series: Series, row: Measurement, error: float, cost: float) -> None:
+def _point(
+    axes: Axes,
+    series: Series,
+    row: Measurement,
+    error: float,
+    cost: float,
+    label: tuple[str, tuple[int, int]],
+) -> None:
     percentile = row.error_95 if row.error_95 is not None else ERRORS[1]
     axes.plot([error, percentile], [cost, cost], color=series.colour, linewidth=0.8, alpha=0.45)
     hollow = row.adhesive is False
     axes.plot([error], [cost], color=series.colour, marker=series.marker, linestyle="none",
               markersize=10 if series.marker == "*" else 5.5, markeredgewidth=1.2 if hollow else 0,
               markerfacecolor="white" if hollow else series.colour)  # fmt: skip
-    text, offset = _label(row)
+    text, offset = label
     axes.annotate(text, (error, cost), offset, textcoords="offset points", fontsize=9,
                   color=series.text_colour, ha="right" if offset[0] < 0 else "center", **TEXT)  # fmt: skip
 
 
-def _label(row: Measurement) -> tuple[str, tuple[int, int]]:
-    """The label of a point, and its offset from it in points."""
+def _label(row: Measurement, depths: list[float]) -> tuple[str, tuple[int, int]]:
+    """The label of a point, and its offset from it in points; `depths` are those of its line."""
     if row.model == "ball":
         return "where the dashpot locks" if row.locked_only else "everywhere", (0, 8)
     depth = f"$d = 10^{{{math.log10(row.penetration or 1.0):.0f}}}$"
     if row.model == "soft":
-        return depth, (0, 7) if row.adhesive is False else (0, -13)
+        return depth, (0, 7) if row.penetration == depths[0] else (0, -13)
     if row.scheme == "verlet":
         prefix = f"{depth}, " if row.steps_per_contact == MOST_STEPS else ""
         return f"{prefix}{row.steps_per_contact}", (-6, -3)
