@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from benchmarks.machine import describe
 from kernel.params import Outcome
-from tests.support.plates import Model, run_line
+from tests.support.plates import HARD_CONTACTS, Model, run_line
 
 #: Special values of xi and omega, and values within rounding of them.
 EDGES_XI = (0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, math.sqrt(0.5) * (1.0 - 1e-12))
@@ -66,18 +66,6 @@ DEFAULT = (
     Kind("soft nonadhesive, e = 0.01", Model.SOFT, False, 0.01),
     Kind("stepped, e = 0.01", Model.STEPPED, True, 0.01),
     Kind("ball, e = 0", Model.BALL, True, 0.0),
-)
-
-
-#: (e, d, Omega, xi) of the lines.
-LINES = (
-    (1e-6, 1e-8, 1.0, 0.05),
-    (1e-6, 1e-7, 1.0, 0.05),
-    (1e-5, 1e-7, 1.0, 0.05),
-    (1e-4, 1e-6, 0.5, 0.26),
-    (1e-8, 1e-8, 1.0, 0.05),
-    (1e-8, 1e-2, 1.0, 0.05),
-    (1e-12, 1e-8, 1.0, 0.05),
 )
 
 
@@ -167,10 +155,10 @@ def report(kind: Kind, sample: Sample, periods: int, worst: int) -> None:
 
 
 def lines() -> None:
-    """Print unresolved cells and cost of each of LINES."""
+    """Print unresolved cells and cost of each of HARD_CONTACTS."""
     gamma = np.linspace(1.0, 6.0, 501)
     print("\nlines without adhesion: unresolved cells, and CPU us per plate period")
-    for e, d, omega, xi in LINES:
+    for e, d, omega, xi in HARD_CONTACTS:
         cost = []
         for _ in range(5):
             began = time.thread_time()

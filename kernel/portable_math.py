@@ -190,18 +190,3 @@ def atanh(x: float) -> float:
     if a >= 1.0:
         return math.copysign(math.inf, x) if a == 1.0 else math.nan
     return math.copysign(0.5 * log1p(2.0 * (a + a * (a / (1.0 - a)))), x)
-
-
-def cbrt(x: float) -> float:
-    """The cube root of x >= 0."""
-    if x == 0.0 or not x < math.inf:
-        return x
-    m, k = math.frexp(x)
-    third = k // 3
-    m = math.ldexp(m, k - 3 * third)  # in [1/2, 4)
-    root = 0.65 + 0.26 * m  # within 0.095 of the root, relatively
-    for _ in range(3):  # Halley's method, of third order: 6e-4, 2e-10, 1e-29
-        cube = root * root * root
-        root *= (cube + 2.0 * m) / (2.0 * cube + m)
-    root -= (root - m / (root * root)) / 3.0
-    return math.ldexp(root, third)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from kernel_runs import TWO_PI, Model, Step, compile_models, examples, phases, recorded, run, run_setting
 from naive import Setting
 from naive_exact import Exact, energy, exact, instants, work
+from plates import HARD_CONTACTS
 
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Line, Outcome
@@ -130,19 +131,7 @@ def test_any_cell_ends_with_an_outcome_in_time(s):
     assert line.outcome[0] != Outcome.UNRESOLVED or s.restitution > 0.99 or resonant(s)
 
 
-#: e, d, Omega, xi of nonadhesive contacts. In the first four many cells of the line did not end.
-HARD = [
-    (1e-6, 1e-8, 1.0, 0.05),
-    (1e-6, 1e-7, 1.0, 0.05),
-    (1e-5, 1e-7, 1.0, 0.05),
-    (1e-4, 1e-6, 0.5, 0.26),
-    (1e-8, 1e-8, 1.0, 0.05),
-    (1e-8, 1e-2, 1.0, 0.05),
-    (1e-12, 1e-8, 1.0, 0.05),
-]
-
-
-@pytest.mark.parametrize(("e", "d", "omega", "xi"), HARD)
+@pytest.mark.parametrize(("e", "d", "omega", "xi"), HARD_CONTACTS)
 def test_every_cell_of_a_hard_contact_ends(e, d, omega, xi):
     gamma = np.append(np.linspace(1.0, 6.0, 101), [2.81, 4.21])
     line = run(gamma, omega, xi, Model.SOFT, restitution=e, penetration=d, adhesive=False, settle=60)

@@ -5,7 +5,6 @@ import contextlib
 import gzip
 import json
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +12,9 @@ from typing import Any, NamedTuple
 
 import httpx2
 import pytest
-import uvicorn
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, wait_for
-from served import computing, finished, service
+from served import computing, finished, listening, service
 
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
@@ -291,14 +289,8 @@ def address(tmp_path: Any) -> Iterator[tuple[str, int]]:
     executor = Inline()
     settings = Settings(data=tmp_path, max_body_bytes=MAX_BODY, body_seconds=0.5)
     app, http = create_app(settings, executor), limited(settings.body_seconds, most=1000)
-    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    yield server.servers[0].sockets[0].getsockname()
-    server.should_exit = True
-    thread.join()
+    with listening(app, http) as address:
+        yield address
     executor.close()
 
 

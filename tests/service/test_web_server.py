@@ -5,7 +5,6 @@ import json
 import logging
 import resource
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -13,8 +12,8 @@ from pathlib import Path
 
 import httpx2
 import pytest
-import uvicorn
 from scripted import DEADLINE, Held, wait_for
+from served import listening
 
 from service.api.app import create_app
 from service.server.logging import JsonLines, OncePerSecond
@@ -29,14 +28,8 @@ def address(tmp_path: Path) -> Iterator[tuple[str, int]]:
     """A service that takes MOST connections at a time."""
     app = create_app(Settings(data=tmp_path), Held())
     http = limited(DEADLINE, MOST)
-    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    while not server.started:
-        time.sleep(0.01)
-    yield server.servers[0].sockets[0].getsockname()
-    server.should_exit = True
-    thread.join()
+    with listening(app, http) as address:
+        yield address
 
 
 def received(connection: socket.socket) -> bytes:

@@ -9,6 +9,18 @@ from kernel import line
 from kernel.models import ball, rigid, soft, stepped
 from kernel.params import Line
 
+#: e, d, Omega, xi of hard contacts without adhesion. In the first four, many cells of Gamma from 1 to 6 did
+#: not end.
+HARD_CONTACTS = (
+    (1e-6, 1e-8, 1.0, 0.05),
+    (1e-6, 1e-7, 1.0, 0.05),
+    (1e-5, 1e-7, 1.0, 0.05),
+    (1e-4, 1e-6, 0.5, 0.26),
+    (1e-8, 1e-8, 1.0, 0.05),
+    (1e-8, 1e-2, 1.0, 0.05),
+    (1e-12, 1e-8, 1.0, 0.05),
+)
+
 
 class Model(IntEnum):
     """The contact models."""

@@ -1,10 +1,12 @@
 """The application on a data folder, in this process, and requests that most tests make."""
 
+import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import uvicorn
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 
@@ -74,3 +76,17 @@ def get(client: TestClient, path: str, **query: Any) -> Any:
     answer = client.get(path, params=query)
     assert answer.status_code == 200, answer.text
     return answer.json()
+
+
+@contextmanager
+def listening(app: Any, http: Any) -> Iterator[tuple[str, int]]:
+    """The address of an application on a real connection, `http` being its uvicorn protocol."""
+    server = uvicorn.Server(uvicorn.Config(app, http=http, port=0, log_level="error"))
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        wait_for(lambda: server.started)
+        yield server.servers[0].sockets[0].getsockname()
+    finally:
+        server.should_exit = True
+        thread.join()
