@@ -46,9 +46,11 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 #: Why a checkpoint may not be written, which is no reason to fail.
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
-#: The names of the numbers in a checkpoint that are not of the line under way or of the record.
+#: The names of a checkpoint's arrays; before those of the line under way and of the record, these.
 _DONE: Final = "lines_done"
 _SECONDS: Final = "seconds"
+_LINE: Final = "line/"
+_RECORD: Final = "record/"
 
 
 class TaskError(Exception):
@@ -97,8 +99,9 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
     starts = _starts(spec, chunk, store_url)
-    work = _Work(store_url, chunk, record, began, slice_seconds)
-    for number, index in enumerate(np.ndindex(lines["outcome"].shape[:2])):
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    work = _Work(store_url, chunk.index, record, len(indices), began, slice_seconds)
+    for number, index in enumerate(indices):
         if number < work.lines_done:
             continue
         gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
@@ -106,6 +109,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
             done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
         for name, array in lines.items():
             array[index] = getattr(done, name)
+        work.finish_line()
     checksum = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
@@ -120,18 +124,19 @@ class _Work:
     """
 
     def __init__(
-        self, store_url: str, chunk: Chunk, record: _Arrays, began: float, slice_seconds: float
+        self, store_url: str, chunk: int, record: _Arrays, lines: int, began: float, slice_seconds: float
     ) -> None:
-        self._url, self._chunk, self._record = store_url, chunk.index, record
+        self._url, self._chunk, self._record, self._lines = store_url, chunk, record, lines
         self._began, self._slice_seconds = began, slice_seconds
         self._next_check = -math.inf  # of the cancel flag
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
         self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
         self.lines_done = 0
-        self._saved = store.read_checkpoint(store_url, chunk.index)
-        self._has_checkpoint = self._saved is not None
-        if self._saved is not None:
-            self._restore(self._saved)
+        self._under_way: _Arrays = {}  # of the line at which the chunk was paused
+        saved = store.read_checkpoint(store_url, chunk)
+        self._has_checkpoint = saved is not None
+        if saved is not None:
+            self._restore(saved)
 
     @property
     def seconds(self) -> tuple[float, float]:
@@ -140,15 +145,19 @@ class _Work:
 
     def compute(self, run: LineRun) -> Line:
         """Compute a line to its end. Raises ChunkCancelled, ChunkPaused."""
-        if self._saved is not None:
+        if self._under_way:
             with self._discarding_checkpoint():
-                run.restore(self._saved)
-            self._saved = None
+                run.restore(self._under_way)
+            self._under_way = {}
         while not self._advance(run):
-            if time.perf_counter() - self._began > self._slice_seconds:
-                self._pause(run)
-        self.lines_done += 1
+            self._pause_if_due(run.save())
         return run.line
+
+    def finish_line(self) -> None:
+        """The line is in the record now. Raises ChunkPaused, if there is another one."""
+        self.lines_done += 1
+        if self.lines_done < self._lines:
+            self._pause_if_due({})
 
     def remove_checkpoint(self) -> None:
         """Remove the chunk's checkpoint, once its results are stored."""
@@ -157,11 +166,11 @@ class _Work:
 
     def _advance(self, run: LineRun) -> bool:
         """Compute a part; whether the line is done."""
-        before = time.perf_counter()
-        if before > self._next_check:
+        if time.perf_counter() > self._next_check:
             if store.is_cancelled(self._url):
                 raise ChunkCancelled(f"cancelled: {self._url}")
-            self._next_check = before + CANCEL_SECONDS
+            self._next_check = time.perf_counter() + CANCEL_SECONDS
+        before = time.perf_counter()
         done = run.advance(self._steps)
         took = time.perf_counter() - before
         self._kernel_seconds += took
@@ -169,11 +178,17 @@ class _Work:
         self._steps = max(self._steps * (2 if took < low else 1) // (2 if took > high else 1), 1)
         return done
 
-    def _pause(self, run: LineRun) -> None:
-        """Write a checkpoint and raise ChunkPaused. Without one, as on a full disk, the chunk goes on."""
-        arrays = run.save() | {_DONE: np.array(self.lines_done), _SECONDS: np.array(self.seconds)}
+    def _pause_if_due(self, under_way: _Arrays) -> None:
+        """Write a checkpoint and raise ChunkPaused if the slice is over. `under_way`: of a line, or empty.
+
+        Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
+        """
+        if time.perf_counter() - self._began <= self._slice_seconds:
+            return
+        arrays = {_DONE: np.array(self.lines_done), _SECONDS: np.array(self.seconds)}
+        arrays |= {_LINE + name: array for name, array in under_way.items()}
         if self.lines_done:
-            arrays |= self._record
+            arrays |= {_RECORD + name: array for name, array in self._record.items()}
         try:
             store.write_checkpoint(self._url, self._chunk, arrays)
         except _UNWRITABLE as error:
@@ -184,10 +199,12 @@ class _Work:
 
     def _restore(self, saved: _Arrays) -> None:
         with self._discarding_checkpoint():
-            self.lines_done, self._before = int(saved[_DONE]), saved[_SECONDS]
+            self.lines_done, self._before = int(saved[_DONE]), saved[_SECONDS].reshape(2)
             if self.lines_done:
                 for name, array in self._record.items():
-                    array[...] = saved[name]
+                    array[...] = saved[_RECORD + name]
+        names = (name for name in saved if name.startswith(_LINE))
+        self._under_way = {name.removeprefix(_LINE): saved[name] for name in names}
 
     @contextmanager
     def _discarding_checkpoint(self) -> Iterator[None]:
