@@ -139,11 +139,11 @@ def _response_series(b: Number, w: Number) -> Array:
         before, last = last, -2.0 * b * last - 2.0 * w * before  # the n-th derivative of s at zero
         factorial *= n
         rows.append(last / factorial)
-    n = np.arange(2.0, _TERMS + 2.0)
-    series = np.zeros((len(n), 3), np.asarray(rows).dtype)
+    order = np.arange(2.0, _TERMS)
+    series = np.zeros((len(order) + 2, 3), np.asarray(rows).dtype)
     series[:-2, 0] = rows
-    series[1:-1, 1] = rows / (n[:-2] + 1.0)
-    series[2:, 2] = series[1:-1, 1] / (n[:-2] + 2.0)
+    series[1:-1, 1] = rows / (order + 1.0)
+    series[2:, 2] = series[1:-1, 1] / (order + 2.0)
     return series
 
 
