@@ -130,6 +130,9 @@ class Rotation:
             if job_id not in self._owners:
                 self._append(job_id, owner)
 
+    def __len__(self) -> int:
+        return len(self._owners)
+
     def __iter__(self) -> Iterator[str]:
         """Job ids, the one whose turn it is first."""
         for jobs in self._jobs.values():

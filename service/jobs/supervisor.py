@@ -35,8 +35,13 @@ log = logging.getLogger(__name__)
 
 #: Chunks in flight, however small they are, of one job and those with less left to compute.
 MAX_IN_FLIGHT: Final = 64
-#: The priority of a job's turn. That of all other chunks is negative: the core-seconds left of their job.
-TURN_PRIORITY: Final = 1.0
+#: Times the chunks that are enough for one job, of all jobs together.
+MAX_TIMES_IN_FLIGHT: Final = 4
+#: The priority of a job's turn: above that of all other chunks, which is negative.
+TURN_PRIORITY: Final = 0.0
+#: Seconds for which a chunk that waits at the executor is passed by later ones of smaller jobs; less if its
+#: own job has less than a core-second left.
+PASSED_SECONDS: Final = 10.0
 #: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
 #: chunks soon.
 IDLE_SHARE: Final = 0.25
@@ -78,7 +83,8 @@ class Supervisor:
 
     The job with the least left to compute comes first, and a share of the workers' time goes to all jobs in
     turn (`Rotation`). What is in flight is bounded, not counting the chunks of jobs with more left: those
-    wait at the executor behind a smaller job's chunks, so that a small job overtakes huge ones at once.
+    wait at the executor behind a smaller job's chunks, so that a small job overtakes huge ones at once; but
+    not for ever, since such a chunk is not passed any more after PASSED_SECONDS.
     At most `active_jobs` jobs are in memory. One that has nothing in flight gives its place to another.
     A job accepted before this start of the service runs once `is_verified` confirms that its stored chunks
     are what the ledger has marked. Stores are created under `store_lock`.
@@ -350,13 +356,13 @@ class Supervisor:
     def _next_in_turn(self) -> JobRun | None:
         """The job whose turn it is, if it is due. Turns take half of the workers at most."""
         turns = sum(len(run.turns) for run in self._runs.values())
-        if turns >= max(self._slots // (2 * self._settings.window), 1) or not self._rotation.is_due(0.0):
+        most = max(self._slots // (2 * self._settings.window), 1)
+        if turns >= most or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
             return None
         for job_id in self._rotation:
             run, job = self._runs.get(job_id), self._waiting.get(job_id)
             if run is not None and run.may_submit:
-                full = self._is_full(len(run.in_flight), run.seconds_in_flight)
-                return run if not full and self._rotation.is_due(run.chunk_seconds) else None
+                return run if self._rotation.is_due(run.chunk_seconds) else None
             if run is None and job is not None:
                 if not self._rotation.is_due(job.chunk_seconds) or not self._make_room(math.inf):
                     return None
@@ -367,6 +373,13 @@ class Supervisor:
 
     def _next_smallest(self) -> JobRun | None:
         """Of the jobs that may submit a chunk, the one with the least left to compute."""
+        runs = self._runs.values()
+        all_count, all_seconds = (
+            sum(len(run.in_flight) for run in runs),
+            sum(run.seconds_in_flight for run in runs),
+        )
+        if self._is_full(all_count / MAX_TIMES_IN_FLIGHT, all_seconds / MAX_TIMES_IN_FLIGHT):
+            return None
         count, seconds = 0, 0.0  # in flight of jobs with less left
         for run in [*sorted(self._runs.values(), key=_order), None]:
             while self._waiting and not (
@@ -407,7 +420,7 @@ class Supervisor:
         run = self._runs.get(job.id)
         return run if run is not None and run.may_submit else None
 
-    def _is_full(self, count: int, seconds: float) -> bool:
+    def _is_full(self, count: float, seconds: float) -> bool:
         """Whether so many chunks, of so many core-seconds, are enough in flight.
 
         Of short chunks there are more, up to `window_seconds` of work, so that workers do not wait for them.
@@ -417,7 +430,8 @@ class Supervisor:
 
     def _send(self, run: JobRun, is_turn: bool) -> bool:
         """Submit a job's next chunk to the executor; whether it was taken."""
-        priority = TURN_PRIORITY if is_turn else -run.remaining_seconds
+        waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
+        priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.pop()
         seconds = self._time_limit(run, chunk)
         try:
