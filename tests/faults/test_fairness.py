@@ -68,7 +68,7 @@ def test_long_cells_have_the_same_bytes_whoever_computes_their_slices(
     """Each cell takes several slices; the service stops and starts while they are computed."""
     spec = sweep(
         gamma=[2.1, 3.3], omega=0.5, xi=0.05, settle=700_000, observe=700_000,
-        protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}, model={"kind": "soft"}, exponents=2,
+        protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}, model={"kind": "soft"},
     )  # fmt: skip
     counting = Counting(cluster)
     with running(tmp_path / "cluster", counting) as service:
