@@ -99,8 +99,8 @@ def _both_ways(word: Word, points: int, gamma: tuple[float, float]) -> tuple[lis
     ways = [first.tangent] if word.direction is not None else [first.tangent, -first.tangent]
     lines, found = [], []
     for way in ways:
-        line, end = _walk(word, first._replace(tangent=way), points, gamma)
-        found += [turn for turn, _ in _turns(word, line)]
+        line, end = walk(word, first._replace(tangent=way), points, gamma)
+        found += turns_along(word, line)
         lines.append([point.u for point in line])
         if end is not None:
             found.append(end)
@@ -120,7 +120,7 @@ def start(word: Word) -> Point:
         raise KernelInputError("unknowns", f"must be {STATE + len(pieces(word.letters))}, got {len(u)}")
     if word.direction is not None:
         aside = u + _ASIDE * word.direction
-        found = _newton(k, word, aside, word.direction)
+        found = newton(k, word, aside, word.direction)
         if found is not None:
             return _along(found, word.direction)
     else:
@@ -128,7 +128,7 @@ def start(word: Word) -> Point:
         for _ in range(_SAME_GAMMA):
             same = np.zeros(len(u))
             same[2:4] = u[2:4] / np.hypot(u[2], u[3])
-            found = _newton(k, word, u, same, size)
+            found = newton(k, word, u, same, size)
             if found is None or (found.u[STATE:] <= 0.0).any():
                 found = None
                 break
@@ -144,7 +144,7 @@ def _along(point: Point, way: Floats) -> Point:
     return point._replace(tangent=tangent if tangent @ way > 0.0 else -tangent)
 
 
-def _newton(
+def newton(
     k: Spring, word: Word, u: Floats, direction: Floats, goal: float | None = None,
     converged: float = _CONVERGED,
 ) -> Point | None:  # fmt: skip
@@ -172,7 +172,7 @@ def _newton(
     return None
 
 
-def _walk(
+def walk(
     word: Word, first: Point, points: int, gamma: tuple[float, float], stable_only: bool = False
 ) -> tuple[list[Point], Turn | None]:
     """Orbits of a branch from `first` on, towards its tangent, and how it ends if as another word.
@@ -180,10 +180,11 @@ def _walk(
     stable_only: no further than the first orbit that is not stable.
     """
     k = spring(word.omega, word.xi)
-    line, step = [first], _FIRST
+    line, step, bend = [first], _FIRST, np.zeros(len(first.u))
     while len(line) <= points and step > _SMALLEST:
         at = line[-1]
-        found = _newton(k, word, at.u + step * at.tangent, at.tangent, converged=_NEARLY)
+        guess = at.u + step * (at.tangent + 0.5 * step * bend)
+        found = newton(k, word, guess, at.tangent, float(at.tangent @ at.u) + step, _NEARLY)
         angle = np.inf if found is None else float(np.arccos(min(1.0, float(found.tangent @ at.tangent))))
         if found is None or angle > _TURN:
             step *= 0.5
@@ -195,21 +196,23 @@ def _walk(
                 continue
             return line, end
         line.append(found)
+        bend = (found.tangent - at.tangent) / step
+        bend -= (bend @ found.tangent) * found.tangent
         if not gamma[0] <= np.hypot(found.u[2], found.u[3]) <= gamma[1]:
             break
-        if stable_only and not _stable(found):
+        if stable_only and not is_stable(found):
             break
         step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
     return line, None
 
 
-def _stable(point: Point) -> bool:
+def is_stable(point: Point) -> bool:
     """Whether both multipliers lie inside the unit circle."""
-    values, _ = _tests(point.slope)
+    values, _ = fold_flip_torus(point.slope)
     return bool(values[0] > 0.0 and values[1] > 0.0 and values[2] < 0.0)
 
 
-def _tests(slope: Floats) -> tuple[Floats, float]:
+def fold_flip_torus(slope: Floats) -> tuple[Floats, float]:
     """1 - tr + det, 1 + tr + det, det - 1; and the trace."""
     (trace,), (det,) = trace_and_det(slope[..., None])
     return np.array([1.0 - trace + det, 1.0 + trace + det, det - 1.0]), float(trace)
@@ -217,7 +220,7 @@ def _tests(slope: Floats) -> tuple[Floats, float]:
 
 def _test(which: int, point: Point) -> float:
     """One of them."""
-    return float(_tests(point.slope)[0][which])
+    return float(fold_flip_torus(point.slope)[0][which])
 
 
 def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
@@ -234,7 +237,7 @@ def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
 def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Point], float]) -> Point | None:
     """The orbit within a step of `at` at which a function of opposite signs there is zero (Illinois rule)."""
     low, high = 0.0, step
-    ends = [at, _newton(k, word, at.u + step * at.tangent, at.tangent)]
+    ends = [at, newton(k, word, at.u + step * at.tangent, at.tangent)]
     if ends[1] is None:
         return None
     low_value, high_value = function(at), function(ends[1])
@@ -244,7 +247,7 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
             middle = low - low_value * (high - low) / (high_value - low_value)
         else:
             middle = 0.5 * (low + high)
-        found = _newton(k, word, at.u + middle * at.tangent, at.tangent)
+        found = newton(k, word, at.u + middle * at.tangent, at.tangent)
         if found is None:
             return None
         value = function(found)
@@ -259,20 +262,21 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
     return best
 
 
-def _turns(word: Word, line: list[Point]) -> list[tuple[Turn, int]]:
-    """The events between the orbits of a line, and after which of them."""
+def turns_along(word: Word, line: list[Point]) -> list[Turn]:
+    """The events between the orbits of a line, in order."""
     k = spring(word.omega, word.xi)
-    tests = np.array([_tests(point.slope)[0] for point in line])
-    found: list[tuple[Turn, int]] = []
+    tests = np.array([fold_flip_torus(point.slope)[0] for point in line])
+    found: list[tuple[int, float, Turn]] = []
     for i, which in np.argwhere(tests[:-1] * tests[1:] < 0.0):
         at, step = line[i], _step(line[i], line[i + 1])
         orbit = _root(k, word, at, step, partial(_test, int(which)))
         if orbit is None:
             continue
         kind = _TESTS[which]
-        if kind is Kind.NEIMARK_SACKER and abs(_tests(orbit.slope)[1]) >= 2.0:
+        if kind is Kind.NEIMARK_SACKER and abs(fold_flip_torus(orbit.slope)[1]) >= 2.0:
             continue
-        found.append((Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan), int(i)))
+        turn = Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
+        found.append((int(i), _step(at, orbit), turn))
     at_nodes = samples(k, word.periods)
 
     def held(points: list[Point]) -> Conditions:
@@ -290,8 +294,8 @@ def _turns(word: Word, line: list[Point]) -> list[tuple[Turn, int]]:
             continue
         time = float(held([orbit]).time[row, 0])
         turn = Turn(whole.kind[row], word._replace(unknowns=orbit.u, direction=None), whole.piece[row], time)
-        found.append((turn, int(i)))
-    return sorted(found, key=lambda x: x[1])
+        found.append((int(i), _step(at, orbit), turn))
+    return [turn for *_, turn in sorted(found, key=lambda x: x[:2])]
 
 
 def _step(a: Point, b: Point) -> float:

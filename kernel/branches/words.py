@@ -402,8 +402,15 @@ def with_split_contact(word: Word, piece: int, time: float) -> Word:
     return _inserted(word, letters, part.place, part.place + 1, rest, time)
 
 
+def with_contact(word: Word, piece: int) -> Word:
+    """The word that begins where n = 0 at the start of a flight after a "z": it sticks shortly before."""
+    part = pieces(word.letters)[piece]
+    letters = word.letters[: part.letter - 1] + "s" + word.letters[part.letter :]
+    return _inserted(word, letters, part.place, part.place, word.unknowns[part.place :])
+
+
 def _inserted(word: Word, letters: str, keep: int, place: int, rest: Floats, *times: float) -> Word:
-    """With a flight of no time at `place` among the unknowns, the first step towards a longer one."""
+    """With a piece of no time at `place` among the unknowns, the first step towards a longer one."""
     u = np.concatenate([word.unknowns[:keep], times, [0.0], rest])
     direction = np.zeros(len(u))
     direction[place] = 1.0
