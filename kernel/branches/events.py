@@ -141,9 +141,9 @@ def flight_times(
 ) -> Floats:
     """A grid (n,) of flight times in (0, 2 pi periods), rad, with n >= points, that resolves the branch.
 
-    Even spacing below 2 pi periods/points and below `resolution` over the sum of the frequencies of the plate,
-    of the flight and of the contact; finer towards both ends where the dashpot relaxes faster than that.
-    Raises KernelInputError if this takes more than MAX_POINTS.
+    Even spacing below 2 pi periods/points and below `resolution` over the sum of the frequencies of the
+    plate, of the flight and of the contact; finer towards both ends where the dashpot relaxes faster than
+    that. Raises KernelInputError if this takes more than MAX_POINTS.
     """
     check_spring(omega, xi, periods)
     b, w = 2.0 * xi / omega, 1.0 / omega**2
