@@ -5,7 +5,7 @@ zero of one function on such a plane, so a fold is as well-conditioned as any ot
 zero smoothly: a branch ends where a flight or a contact has shrunk to nothing, and goes on as another word.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -97,7 +97,8 @@ def _both_ways(word: Word, points: int, gamma: tuple[float, float]) -> tuple[lis
     """The unknowns along a branch, a list for each way, and its events."""
     first = start(word)
     ways = [first.tangent] if word.direction is not None else [first.tangent, -first.tangent]
-    lines, found = [], []
+    lines: list[list[Floats]] = []
+    found: list[Turn] = []
     for way in ways:
         line, end = walk(word, first._replace(tangent=way), points, gamma)
         found += turns_along(word, line)
@@ -242,6 +243,7 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
         return None
     low_value, high_value = function(at), function(ends[1])
     best, best_value = (at, low_value) if abs(low_value) < abs(high_value) else (ends[1], high_value)
+    last = np.inf
     for _ in range(_HALVINGS):
         if np.isfinite(low_value) and np.isfinite(high_value):
             middle = low - low_value * (high - low) / (high_value - low_value)
@@ -253,8 +255,9 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
         value = function(found)
         if abs(value) < abs(best_value):
             best, best_value = found, value
-        if abs(value) < 1e-14 or high - low < 1e-15:
+        if abs(value) < 1e-14 or abs(middle - last) < 1e-15 + _CONVERGED * step:
             break
+        last = middle
         if (value > 0.0) == (low_value > 0.0):
             low, low_value, high_value = middle, value, 0.5 * high_value
         else:
@@ -262,21 +265,10 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
     return best
 
 
-def turns_along(word: Word, line: list[Point]) -> list[Turn]:
-    """The events between the orbits of a line, in order."""
+def turns_along(word: Word, line: list[Point]) -> Iterator[Turn]:
+    """The events between the orbits of a line, in order; each is searched for when it is asked for."""
     k = spring(word.omega, word.xi)
     tests = np.array([fold_flip_torus(point.slope)[0] for point in line])
-    found: list[tuple[int, float, Turn]] = []
-    for i, which in np.argwhere(tests[:-1] * tests[1:] < 0.0):
-        at, step = line[i], _step(line[i], line[i + 1])
-        orbit = _root(k, word, at, step, partial(_test, int(which)))
-        if orbit is None:
-            continue
-        kind = _TESTS[which]
-        if kind is Kind.NEIMARK_SACKER and abs(fold_flip_torus(orbit.slope)[1]) >= 2.0:
-            continue
-        turn = Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
-        found.append((int(i), _step(at, orbit), turn))
     at_nodes = samples(k, word.periods)
 
     def held(points: list[Point]) -> Conditions:
@@ -287,15 +279,37 @@ def turns_along(word: Word, line: list[Point]) -> list[Turn]:
         return float(held([point]).value[row, 0])
 
     whole = held(line)
-    for i, row in np.argwhere((whole.value[:, :-1] > 0.0) != (whole.value[:, 1:] > 0.0))[:, ::-1]:
+    turned = tests[:-1] * tests[1:] < 0.0
+    broken = ((whole.value[:, :-1] > 0.0) != (whole.value[:, 1:] > 0.0)).T
+    for i in np.flatnonzero(turned.any(axis=1) | broken.any(axis=1)):
         at, step = line[i], _step(line[i], line[i + 1])
-        orbit = _root(k, word, at, step, partial(margin, int(row)))
-        if orbit is None:
-            continue
-        time = float(held([orbit]).time[row, 0])
-        turn = Turn(whole.kind[row], word._replace(unknowns=orbit.u, direction=None), whole.piece[row], time)
-        found.append((int(i), _step(at, orbit), turn))
-    return [turn for *_, turn in sorted(found, key=lambda x: x[:2])]
+        found: list[tuple[float, Turn]] = []
+        for which in np.flatnonzero(turned[i]):
+            orbit = _root(k, word, at, step, partial(_test, int(which)))
+            kind = _TESTS[which]
+            if orbit is None or (kind is Kind.NEIMARK_SACKER and abs(fold_flip_torus(orbit.slope)[1]) >= 2.0):
+                continue
+            turn = Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
+            found.append((_step(at, orbit), turn))
+        for row in np.flatnonzero(broken[i]):
+            orbit = _root(k, word, at, step, partial(margin, int(row)))
+            if orbit is None:
+                continue
+            time = float(held([orbit]).time[row, 0])
+            here = word._replace(unknowns=orbit.u, direction=None)
+            found.append((_step(at, orbit), Turn(whole.kind[row], here, whole.piece[row], time)))
+        yield from (turn for _, turn in sorted(found, key=lambda x: x[0]))
+
+
+def folds_along(word: Word, line: list[Point], below: float) -> Iterator[Turn]:
+    """The folds between the orbits of a line, those next to orbits below a Gamma."""
+    k = spring(word.omega, word.xi)
+    tests = np.array([_test(0, point) for point in line])
+    for i in np.flatnonzero(tests[:-1] * tests[1:] < 0.0):
+        if np.hypot(line[i].u[2], line[i].u[3]) < below:
+            orbit = _root(k, word, line[i], _step(line[i], line[i + 1]), partial(_test, 0))
+            if orbit is not None:
+                yield Turn(Kind.FOLD, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
 
 
 def _step(a: Point, b: Point) -> float:

@@ -16,6 +16,7 @@ from kernel.branches.continuation import (
     Point,
     Turn,
     fold_flip_torus,
+    folds_along,
     is_stable,
     newton,
     start,
@@ -39,8 +40,9 @@ from kernel.branches.words import (
 )
 from kernel.params import KernelInputError
 
-#: Words that a cycle is followed through, at most: the doublings of a cascade crowd together.
+#: Words that a cycle is followed through, and flights of a word, at most: doublings crowd together.
 WORDS: Final = 6
+FLIGHTS: Final = 8
 
 #: Orbits of one word on the way down.
 _POINTS: Final = 200
@@ -139,10 +141,9 @@ def descend(word: Word) -> End:
         if not is_stable(first):
             return End(at, None, f"the word {name} is not stable at Gamma = {at:.6f}")
         line, end = walk(word, first, _POINTS, (GAMMA[0], at * (1.0 + _RISES)), stable_only=True)
-        turns = turns_along(word, line) + ([end] if end else [])
-        if not turns:
+        turn = next(turns_along(word, line), end)
+        if turn is None:
             return End(_gamma(line[-1]), None, f"the word {name} leads up from Gamma = {at:.6f}")
-        turn = turns[0]
         u = turn.word.unknowns
         at = float(np.hypot(u[2], u[3]))
         if turn.kind is Kind.FOLD:
@@ -151,7 +152,9 @@ def descend(word: Word) -> End:
         if following is None:
             return End(at, None, f"{name} ends at a {turn.kind} at Gamma = {at:.6f}")
         word = following
-    return End(at, None, f"a cascade: more than {WORDS} words down to Gamma = {at:.6f}")
+        if len(word.letters) > FLIGHTS:
+            break
+    return End(at, None, f"a cascade of words at Gamma = {at:.6f}")
 
 
 def lowest_cycles(word: Word, below: float) -> list[Fold]:
@@ -164,7 +167,7 @@ def lowest_cycles(word: Word, below: float) -> list[Fold]:
     except KernelInputError:
         return []
     line, _ = walk(word, first, _POINTS, (GAMMA[0], below))
-    folds = [_fold(turn) for turn in turns_along(word, line) if turn.kind is Kind.FOLD]
+    folds = [_fold(turn) for turn in folds_along(word, line, below)]
     return [
         fold for fold in folds
         if fold.curvature > 0.0 and not fold.admissible and abs(fold.other_multiplier) < 1.0

@@ -25,7 +25,7 @@ from kernel.branches.admissibility import (
 )
 from kernel.branches.closed_form import TWO_PI, multipliers, orbit
 from kernel.branches.closed_form import stable as is_stable
-from kernel.branches.events import GRAZES, SAMPLES, Kind, check_spring, flight_times
+from kernel.branches.events import GRAZES, Kind, check_spring, sample_times
 from kernel.branches.roots import Floats
 from kernel.branches.spring import Array, Flight, Free, Spring, flight, spring, stuck
 from kernel.params import KernelInputError
@@ -231,7 +231,7 @@ class Conditions(NamedTuple):
 def samples(k: Spring, periods: int) -> Samples:
     """Of flights and contacts of a word, to be made once for a spring."""
     omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-    t = np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES)])
+    t = sample_times(omega, xi, periods)
     return Samples(t, _gap_terms(k, t)[:2], force_terms(k, t)[:2])
 
 
