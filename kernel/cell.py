@@ -13,8 +13,8 @@ from kernel.interface import contact, flight, replay
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
-from kernel.numerics.jit import inlined, jit
-from kernel.params import Line, Outcome
+from kernel.numerics.jit import compilable, inlined, jit
+from kernel.params import Line, Outcome, periods_followed
 
 #: Flights shorter than this (rad) are not recorded: their length is of the order of the rounding errors of
 #: take-off and landing after long contacts.
@@ -44,6 +44,8 @@ AT_REST: Final = int(Outcome.AT_REST)
 UNRESOLVED: Final = int(Outcome.UNRESOLVED)
 DIVERGED: Final = int(Outcome.DIVERGED)
 SETTLING: Final = int(Outcome.SETTLING)
+
+compilable(periods_followed)
 
 
 class Window(NamedTuple):
@@ -87,6 +89,7 @@ class Progress(NamedTuple):
     budget: int  # evaluations left
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
     settle: int  # plate periods before the window: window.settle, and more once `extend` has moved it
+    end: int  # plate periods to where the run ends: the window's end, and later once `follow` has moved it
 
 
 @jit
@@ -111,13 +114,14 @@ def start_run(state: Any, window: Window, takes_off: bool) -> Progress:
         budget,
         ROOT,
         window.settle,
+        window.settle + window.observe,
     )
 
 
 @inlined
-def horizon_of(run: Progress, window: Window) -> float:
-    """Rad from the run's phase to the window's end."""
-    return TWO_PI * (run.settle + window.observe - run.period) - run.phase
+def horizon_of(run: Progress) -> float:
+    """Rad from the run's phase to its end."""
+    return TWO_PI * (run.end - run.period) - run.phase
 
 
 @inlined
@@ -144,12 +148,12 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
             flights.period[slot] = run.takeoff_period
             recorded += 1
     ending = p.ending
-    if ending == HORIZON or (ending == ROOT and period >= run.settle + window.observe):
+    if ending == HORIZON or (ending == ROOT and period >= run.end):
         # rounding of phase + tau may leave `period` one short
-        phase, period, ending = 0.0, run.settle + window.observe, HORIZON
+        phase, period, ending = 0.0, run.end, HORIZON
     return Progress(
         phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
-        phase, period, recorded, flew, run.budget - p.used, ending, run.settle,
+        phase, period, recorded, flew, run.budget - p.used, ending, run.settle, run.end,
     )  # fmt: skip
 
 
@@ -169,66 +173,109 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
         return run
     return Progress(
         run.phase, run.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle,
+        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle, run.end,
     )  # fmt: skip
 
 
 @jit
-def extend(run: Progress, window: Window, flights: Flights, first: int) -> Progress:
+def shows_no_mode(outcome: int) -> bool:
+    """Whether a window with this outcome is followed, to tell what settles from what does not."""
+    return outcome in (APERIODIC, SETTLING)
+
+
+@jit
+def follow(before: Progress, window: Window) -> Progress:
+    """A run that goes on beyond its window, from `before` the phase in which that ended.
+
+    So a flight under way at the window's end is one flight. The flights recorded so far stay.
+    """
+    added = periods_followed(window.observe)
+    return Progress(
+        before.phase, before.period, before.in_flight, before.gap, before.gap1, before.q, before.q1,
+        before.takeoff_phase, before.takeoff_period, before.recorded, before.flew,
+        before.budget + BUDGET * added, before.ending, before.settle, before.end + added,
+    )  # fmt: skip
+
+
+@jit
+def decide(outcome: int, followed: Progress, flights: Flights, first: int, window: Window) -> int:
+    """The outcome of a cell without a mode, `outcome` by its window, after the run that followed it."""
+    if followed.ending != HORIZON:
+        return outcome
+    return APERIODIC if classify(followed, flights, first, window)[0] == APERIODIC else SETTLING
+
+
+@jit
+def extend(run: Progress, outcome: int, window: Window) -> Progress:
     """`run`, which has ended, made to go on if its cell still settles and window.settle_until permits.
 
     The periods in all are doubled, up to window.settle_until; the window moves to their end. It begins where
     the old one ended or later, so that no flight is in both.
     """
-    taken = run.settle + window.observe
-    added = min(taken, window.settle_until - taken)
-    if run.ending != HORIZON or added < window.observe:
-        return run
-    if classify(run, flights, first, window)[0] != SETTLING:
+    added = min(run.end, window.settle_until - run.end)
+    if outcome != SETTLING or added < window.observe:
         return run
     return Progress(
         run.phase, run.period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added,
+        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added, run.end + added,
     )  # fmt: skip
 
 
 @jit
 def run_cell(
-    cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool,
+    cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool, line: Line, i: int,
     variations: Variations | None = None,
 ) -> Progress:  # fmt: skip
-    """Run one cell from `state` (6,) to the end of its window or to a failure.
+    """Run one cell from `state` (6,) to the end of its window or to a failure; write its record to `line`.
 
-    `takes_off`: as in `start_run`. `variations`, if given, begin anew and are carried along.
+    `state` becomes the end state. `takes_off`: as in `start_run`. `variations`, if given, begin anew and are
+    carried along.
     """
     run = start_run(state, window, takes_off)
     if variations is not None:
         start_variations(variations)
     cache = np.zeros(CACHE_SIZE)
     while True:
+        before, run = _run_to_end(cell, run, window, flights, cache, variations)
+        store_state(run, state)
+        write_record(line, i, run, flights, 0, state, window)
+        if shows_no_mode(line.outcome[i]):
+            empty = np.zeros(CACHE_SIZE)  # `before` may be earlier than what the cell's own cache knows
+            _, followed = _run_to_end(cell, follow(before, window), window, flights, empty, None)
+            line.outcome[i] = decide(line.outcome[i], followed, flights, 0, window)
+        run = extend(run, line.outcome[i], window)
         if run.ending != ROOT:
-            run = extend(run, window, flights, 0)
-            if run.ending != ROOT:
-                return run
-            if variations is not None:
-                begin_window(variations)
+            return run
+        if variations is not None:
+            begin_window(variations)
+
+
+@jit
+def _run_to_end(
+    cell: Any, run: Progress, window: Window, flights: Flights, cache: Any, variations: Variations | None
+) -> tuple[Progress, Progress]:
+    """The run before its last phase or replay, and at its end."""
+    before = run
+    while run.ending == ROOT:
+        before = run
         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-            before = run
             run = replay(cell, run, window, flights, cache)
             if variations is not None and (run.period != before.period or run.phase != before.phase):
                 forget(variations, run.period >= run.settle)
             if run.ending != ROOT:
-                continue
-        horizon = horizon_of(run, window)
+                break
+        started = run
+        horizon = horizon_of(run)
         if run.in_flight:
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
             p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         if variations is not None:
             carry(cell, run, p, window, variations)
-        before, run = run, record(run, p, window, flights, 0)
+        run = record(started, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
-            run = end_settling(before, run, window, flights, 0)
+            run = end_settling(started, run, window, flights, 0)
+    return before, run
 
 
 @jit
@@ -249,19 +296,19 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
     bounces, periods = find_mode(time, phase, period)
     if bounces > 0:
         return PERIODIC, bounces, periods
-    settling = _comes_to_rest(run, flights, first, window) or is_settling(time, phase)
+    settling = _comes_to_rest(run, flights, first) or is_settling(time, phase)
     return SETTLING if settling else APERIODIC, 0, 0
 
 
 @jit
-def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) -> bool:
-    """Whether a run that has ended was in contact for the last half of the window, and QUIET periods."""
+def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
+    """Whether a run was in contact for the last half of what was recorded, and for QUIET periods."""
     if run.in_flight or run.recorded == 0:
         return False
     last = first + (run.recorded - 1) % flights.size
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
-    still: float = run.settle + window.observe - landing
-    return still > max(0.5 * window.observe, QUIET)
+    still: float = run.end - landing
+    return still > max(0.5 * (run.end - run.settle), QUIET)
 
 
 @jit
@@ -311,5 +358,7 @@ def write_record(
         slot = first + (run.recorded - kept + k) % flights.size
         line.flight_time[i, k] = flights.time[slot]
         line.takeoff_phase[i, k] = flights.phase[slot]
+    for k in range(kept, keep):  # of an earlier window of this cell
+        line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
     for field in range(len(state)):
         line.end_state[i, field] = state[field]

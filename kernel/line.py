@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Window, allocate_flights, run_cell, store_state, write_record
+from kernel.cell import Window, allocate_flights, run_cell
 from kernel.exponents import Variations, allocate_variations, write_exponents
 from kernel.interface import flies, prepare, rest
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
@@ -45,11 +45,9 @@ def _walk(
         in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
         takes_off = in_flight and state[1] == 0.0
         state[1] = 1.0 if in_flight else 0.0
-        run = run_cell(cell, state, window, flights, takes_off, variations)
+        run = run_cell(cell, state, window, flights, takes_off, line, i, variations)
         if variations is not None:
             write_exponents(line.lyapunov[i], run.ending, variations)
-        store_state(run, state)
-        write_record(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
         started = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
 

@@ -15,10 +15,13 @@ from kernel.cell import (
     Progress,
     Window,
     allocate_flights,
+    decide,
     end_settling,
     extend,
+    follow,
     horizon_of,
     record,
+    shows_no_mode,
     start_run,
     store_state,
     write_record,
@@ -143,9 +146,9 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
 
 
 @jit
-def _scalar_phase(s: Spring, run: Progress, window: Window) -> Phase:
+def _scalar_phase(s: Spring, run: Progress) -> Phase:
     """The run's next phase by the scalar functions of `rigid`."""
-    horizon = horizon_of(run, window)
+    horizon = horizon_of(run)
     p: Phase
     if run.in_flight:
         p = flight(s, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
@@ -155,9 +158,9 @@ def _scalar_phase(s: Spring, run: Progress, window: Window) -> Phase:
 
 
 @inlined
-def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, window: Window) -> bool:
+def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float) -> bool:
     """Put the run's next phase into lane k; False if it must be computed by the scalar functions."""
-    horizon = horizon_of(run, window)
+    horizon = horizon_of(run)
     if run.in_flight:
         loaded = _load_flight(table, k, s, run, sin, cos, horizon)
     else:
@@ -183,10 +186,13 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
     springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
     runs = [start_run(state, window, False) for _ in range(LANES)]
+    ends = [start_run(state, window, False) for _ in range(LANES)]  # of the windows, while a run is followed
+    followed = np.zeros(LANES, dtype=np.bool_)
     index = np.full(LANES, -1)  # the cell in each lane
     begun, left = 0, len(gamma)  # cells put into a lane so far, cells not yet done
     while left > 0:
         for k in range(LANES):
+            first, before = k * flights.size, runs[k]
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
                 if index[k] < 0:
                     if begun == len(gamma):
@@ -196,11 +202,10 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     index[k], sin, cos = begun, 0.0, 1.0
                     begun += 1
                 else:
-                    first = k * flights.size
                     before = runs[k]
                     scalar = _needs_scalar(table, k, before)
                     if scalar:
-                        p = _scalar_phase(springs[k], before, window)
+                        p = _scalar_phase(springs[k], before)
                     else:
                         p, sin, cos = _phase_of(table, k, springs[k], before)
                     runs[k] = record(before, p, window, flights, first)
@@ -208,15 +213,25 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                         runs[k] = end_settling(before, runs[k], window, flights, first)
                     if scalar:
                         sin, cos = sincos(runs[k].phase)
-                if runs[k].ending != ROOT and window.settle_until > 0:
-                    runs[k] = extend(runs[k], window, flights, k * flights.size)
+                if runs[k].ending != ROOT:
+                    i = index[k]
+                    if followed[k]:
+                        line.outcome[i] = decide(line.outcome[i], runs[k], flights, first, window)
+                        runs[k], followed[k] = ends[k], False
+                    else:
+                        store_state(runs[k], state)
+                        write_record(line, i, runs[k], flights, first, state, window)
+                        if shows_no_mode(line.outcome[i]):
+                            ends[k], followed[k] = runs[k], True
+                            runs[k] = follow(before, window)
+                            sin, cos = sincos(before.phase)
+                if runs[k].ending != ROOT:
+                    runs[k] = extend(runs[k], line.outcome[i], window)
                     sin, cos = 0.0, 1.0  # a window ends at phase zero
                 if runs[k].ending != ROOT:
-                    store_state(runs[k], state)
-                    write_record(line, index[k], runs[k], flights, k * flights.size, state, window)
                     index[k] = -1
                     left -= 1
                 else:
-                    loaded = _load(table, k, springs[k], runs[k], sin, cos, window)
+                    loaded = _load(table, k, springs[k], runs[k], sin, cos)
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
         advance(table)

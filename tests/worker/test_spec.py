@@ -233,8 +233,7 @@ RULES = [
     ({"settle_tolerance": 1e-7}, "settle_tolerance: must be at most 1e-09, not 1e-07"),
     (
         {"settle_until": 399},
-        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; "
-        "400 or null works",
+        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 400 or null works",
     ),
     (
         {"settle_until": 10**7, "settle": 9_999_900},
