@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.exponents import Variations, begin_window, carry, forget, start_variations
+from kernel.exponents import Variations, carry, forget
 from kernel.interface import contact, flight, replay
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
@@ -90,6 +90,10 @@ class Progress(NamedTuple):
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
     settle: int  # plate periods before the window: window.settle, and more once `extend` has moved it
     end: int  # plate periods to where the run ends: the window's end, and later once `follow` has moved it
+
+
+#: Numbers that `store_run` writes.
+RUN_FIELDS: Final = len(Progress._fields)
 
 
 @jit
@@ -223,40 +227,18 @@ def extend(run: Progress, outcome: int, window: Window) -> Progress:
 
 @jit
 def run_cell(
-    cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool, line: Line, i: int,
-    variations: Variations | None = None,
-) -> Progress:  # fmt: skip
-    """Run one cell from `state` (6,) to the end of its window or to a failure; write its record to `line`.
+    cell: Any, run: Progress, window: Window, flights: Flights, cache: Any,
+    variations: Variations | None, steps: int,
+) -> tuple[Progress, Progress, int]:  # fmt: skip
+    """Advance one cell by at most `steps` contacts and flights.
 
-    `state` becomes the end state. `takes_off`: as in `start_run`. `variations`, if given, begin anew and are
-    carried along.
+    Returns the run before its last phase, the run, and the steps left. Its `ending` is ROOT if it has paused
+    before its end: the next call goes on from it. `cache` (CACHE_SIZE,) is zero when the cell begins, or goes
+    on beyond a window. `variations`: carried along, or None.
     """
-    run = start_run(state, window, takes_off)
-    if variations is not None:
-        start_variations(variations)
-    cache = np.zeros(CACHE_SIZE)
-    while True:
-        before, run = _run_to_end(cell, run, window, flights, cache, variations)
-        store_state(run, state)
-        write_record(line, i, run, flights, 0, state, window)
-        if shows_no_mode(line.outcome[i]):
-            empty = np.zeros(CACHE_SIZE)  # `before` may be earlier than what the cell's own cache knows
-            _, followed = _run_to_end(cell, follow(before, window), window, flights, empty, None)
-            line.outcome[i] = decide(line.outcome[i], followed, flights, 0, window)
-        run = extend(run, line.outcome[i], window)
-        if run.ending != ROOT:
-            return run
-        if variations is not None:
-            begin_window(variations)
-
-
-@jit
-def _run_to_end(
-    cell: Any, run: Progress, window: Window, flights: Flights, cache: Any, variations: Variations | None
-) -> tuple[Progress, Progress]:
-    """The run before its last phase or replay, and at its end."""
     before = run
-    while run.ending == ROOT:
+    while run.ending == ROOT and steps > 0:
+        steps -= 1
         before = run
         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
             run = replay(cell, run, window, flights, cache)
@@ -275,7 +257,30 @@ def _run_to_end(
         run = record(started, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
             run = end_settling(started, run, window, flights, 0)
-    return before, run
+    return before, run, steps
+
+
+@jit
+def store_run(run: Progress, numbers: Any) -> None:
+    """Write a run to `numbers` (RUN_FIELDS,) float64, from which `load_run` makes the same run.
+
+    Its integers are far below 2**53: the budget, the largest, is BUDGET for each plate period.
+    """
+    numbers[0], numbers[1], numbers[2] = run.phase, run.period, run.in_flight
+    numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
+    numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
+    numbers[10], numbers[11], numbers[12], numbers[13] = run.flew, run.budget, run.ending, run.settle
+    numbers[14] = run.end
+
+
+@jit
+def load_run(numbers: Any) -> Progress:
+    """The run that `store_run` has written."""
+    return Progress(
+        numbers[0], int(numbers[1]), numbers[2] != 0.0, numbers[3], numbers[4], numbers[5], numbers[6],
+        numbers[7], int(numbers[8]), int(numbers[9]), numbers[10] != 0.0, int(numbers[11]),
+        int(numbers[12]), int(numbers[13]), int(numbers[14]),
+    )  # fmt: skip
 
 
 @jit

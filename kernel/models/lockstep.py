@@ -7,22 +7,25 @@ they need the power series, are computed by the scalar functions of `rigid` at o
 depends on nothing but the cell.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from kernel.cell import (
+    RUN_FIELDS,
+    Flights,
     Progress,
     Window,
-    allocate_flights,
     decide,
     end_settling,
     extend,
     follow,
     horizon_of,
+    load_run,
     record,
     shows_no_mode,
     start_run,
+    store_run,
     store_state,
     write_record,
 )
@@ -177,30 +180,53 @@ def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
     return start_run(state, window, state[1] == 1.0)
 
 
-@jit
-def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line) -> None:
-    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`."""
+class Lanes(NamedTuple):
+    """What is in the lanes of a line under way."""
+
+    table: Any  # (ROWS * LANES,) the phases, see `lanes`
+    runs: Any  # (LANES, RUN_FIELDS) the cells' runs
+    index: Any  # (LANES,) int64, the cell in each lane; -1: none
+    counts: Any  # (2,) int64: cells put into a lane so far, cells done
+    followed: Any  # (LANES,) bool, whether the cell is followed beyond its window
+    ends: Any  # (LANES, RUN_FIELDS) of cells that are, the run at the window's end
+
+
+def allocate_lanes() -> Lanes:
+    """Empty lanes."""
     table = np.zeros(ROWS * LANES)
     table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # F = 1 keeps the arithmetic of idle lanes finite
-    flights = allocate_flights(line.flight_time.shape[1], LANES)
-    springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
+    runs, ends = np.zeros((LANES, RUN_FIELDS)), np.zeros((LANES, RUN_FIELDS))
+    index, counts = np.full(LANES, -1), np.zeros(2, np.int64)
+    return Lanes(table, runs, index, counts, np.zeros(LANES, dtype=np.bool_), ends)
+
+
+@jit
+def run_lockstep(
+    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line,
+    flights: Flights, lanes: Lanes, steps: int,
+) -> bool:  # fmt: skip
+    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`.
+
+    Pauses after `steps` moves of all lanes or scalar phases, or a few more; returns whether the line is
+    done. The next call goes on from `flights` and `lanes`.
+    """
+    table, index, counts, followed = lanes.table, lanes.index, lanes.counts, lanes.followed
+    springs = [prepare(plate, i, gamma[i], omega[i], xi[i]) for i in np.maximum(index, 0)]
+    runs = [load_run(lanes.runs[k]) for k in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
-    runs = [start_run(state, window, False) for _ in range(LANES)]
-    ends = [start_run(state, window, False) for _ in range(LANES)]  # of the windows, while a run is followed
-    followed = np.zeros(LANES, dtype=np.bool_)
-    index = np.full(LANES, -1)  # the cell in each lane
-    begun, left = 0, len(gamma)  # cells put into a lane so far, cells not yet done
-    while left > 0:
+    while counts[1] < len(gamma) and steps > 0:
         for k in range(LANES):
             first, before = k * flights.size, runs[k]
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
+                steps -= 1
                 if index[k] < 0:
-                    if begun == len(gamma):
+                    if counts[0] == len(gamma):
                         break
-                    springs[k] = prepare(plate, begun, gamma[begun], omega[begun], xi[begun])
+                    i = counts[0]
+                    springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
                     runs[k] = _from_rest(springs[k], state, window)
-                    index[k], sin, cos = begun, 0.0, 1.0
-                    begun += 1
+                    index[k], sin, cos = i, 0.0, 1.0
+                    counts[0] += 1
                 else:
                     before = runs[k]
                     scalar = _needs_scalar(table, k, before)
@@ -217,21 +243,33 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     i = index[k]
                     if followed[k]:
                         line.outcome[i] = decide(line.outcome[i], runs[k], flights, first, window)
-                        runs[k], followed[k] = ends[k], False
+                        runs[k], followed[k] = load_run(lanes.ends[k]), False
                     else:
                         store_state(runs[k], state)
                         write_record(line, i, runs[k], flights, first, state, window)
                         if shows_no_mode(line.outcome[i]):
-                            ends[k], followed[k] = runs[k], True
-                            runs[k] = follow(before, window)
+                            store_run(runs[k], lanes.ends[k])
+                            runs[k], followed[k] = follow(before, window), True
                             sin, cos = sincos(before.phase)
                 if runs[k].ending != ROOT:
                     runs[k] = extend(runs[k], line.outcome[i], window)
                     sin, cos = 0.0, 1.0  # a window ends at phase zero
                 if runs[k].ending != ROOT:
                     index[k] = -1
-                    left -= 1
+                    counts[1] += 1
                 else:
                     loaded = _load(table, k, springs[k], runs[k], sin, cos)
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
+                    if not loaded and steps <= 0:  # the next call goes on with this lane
+                        _store_runs(runs, lanes.runs)
+                        return False
         advance(table)
+        steps -= 1
+    _store_runs(runs, lanes.runs)
+    return bool(counts[1] == len(gamma))
+
+
+@inlined
+def _store_runs(runs: list[Progress], numbers: Any) -> None:
+    for k in range(LANES):
+        store_run(runs[k], numbers[k])
