@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from service.api.capacity import ConcurrencyLimit
+from service.api.capacity import Capacity, ListenerLimit
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
@@ -27,9 +27,8 @@ class Service:
     ledger: Ledger
     manager: JobManager
     on_demand: OnDemandCache
-    export_limit: ConcurrencyLimit
-    trajectory_limit: ConcurrencyLimit
-    listener_limit: ConcurrencyLimit
+    capacity: Capacity
+    listener_limit: ListenerLimit
     progress_stream: ProgressStream
     readiness: Readiness
     metrics: Metrics

@@ -17,6 +17,9 @@ from worker.executors.errors import ExecutorError
 #: Results kept, those requested last.
 MAX_RESULTS: Final = 64
 
+#: Results computed at a time.
+MAX_PENDING: Final = 4
+
 #: Submits the parts of a result to an executor; may raise an ExecutorError.
 Submit = Callable[[Executor], Sequence["Future[Any]"]]
 
@@ -35,7 +38,7 @@ class OnDemandCache:
     `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits.
     """
 
-    def __init__(self, executor: Executor, max_pending: int = 4, timeout: float = 2.0) -> None:
+    def __init__(self, executor: Executor, max_pending: int = MAX_PENDING, timeout: float = 2.0) -> None:
         self._executor, self._max_pending, self._timeout = executor, max_pending, timeout
         self._results: OrderedDict[Hashable, Sequence[Future[Any]]] = OrderedDict()
         self._lock = threading.Lock()

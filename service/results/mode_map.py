@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,13 @@ def plane(
     arrays = read(sweep, names, direction, {"xi": point.index, "omega": omega, "gamma": gamma})
     omegas, gammas = spec.axis_values("omega")[omega], spec.axis_values("gamma")[gamma]
     return Plane(point.value, direction, omegas, gammas, arrays)
+
+
+def plane_size(spec: SweepSpec, min_flight: float | None, max_points: int, every: int = 1) -> tuple[int, int]:
+    """The most cells of an answer, and the most flights read for it."""
+    cells = prod(-(-len(spec.axis_values(axis)) // every) for axis in ("omega", "gamma"))
+    cells = min(cells, _cells(spec, min_flight, max_points))
+    return cells, cells * spec.keep if needs_flights(spec, min_flight) else 0
 
 
 def _cells(spec: SweepSpec, min_flight: float | None, max_points: int) -> int:
