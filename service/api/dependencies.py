@@ -59,7 +59,8 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
     if not isinstance(prepared.spec, SweepSpec):
         kind = prepared.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    return Sweep(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.kernel_version)
+    done = job.state is JobState.DONE
+    return Sweep(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing)
 
 
 async def reject_repeated_parameters(request: Request) -> None:

@@ -40,6 +40,7 @@ class Sweep:
     url: str
     complete: bool = False  # the job is done: a missing chunk is damage, not work to come
     kernel_version: str = KERNEL_VERSION  # that computed it
+    repairing: bool = False  # damage was found: no answer is complete until the job is done again
 
     @property
     def attributes(self) -> dict[str, str]:

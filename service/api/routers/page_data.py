@@ -67,6 +67,7 @@ def line(
         "every": flight_line.every,
         "min_flight": flight_line.min_flight,
         "missing": flight_line.missing,
+        "complete": flight_line.missing == 0 and not sweep.repairing,
         "points": len(flight_line.flights),
         "highest": flight_line.longest,
     }
