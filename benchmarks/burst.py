@@ -199,8 +199,8 @@ class Report:
         p99, worst = float(np.percentile(polls.seconds, 99)), max(polls.seconds)
         print(
             f"{what}: {took:.0f} s, {len(polls.seconds)} polls, p99 {1e3 * p99:.0f} ms, "
-            f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; at most {memory.most:.0f} MB and {memory.handles} "
-            f"handles, then {service.used()[0]:.0f} MB and {service.used()[1]}",
+            f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; "
+            f"at most {memory.most:.0f} MB and {memory.handles} handles, then {service.used()[0]:.0f} MB and {service.used()[1]}",
             flush=True,
         )
         self.broken |= p99 >= MAX_P99 or memory.most >= MAX_MEMORY_MB or bool(polls.wrong)
