@@ -200,7 +200,8 @@ class Report:
         print(
             f"{what}: {took:.0f} s, {len(polls.seconds)} polls, p99 {1e3 * p99:.0f} ms, "
             f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; "
-            f"at most {memory.most:.0f} MB and {memory.handles} handles, then {service.used()[0]:.0f} MB and {service.used()[1]}",
+            f"at most {memory.most:.0f} MB and {memory.handles} handles, "
+            f"then {service.used()[0]:.0f} MB and {service.used()[1]}",
             flush=True,
         )
         self.broken |= p99 >= MAX_P99 or memory.most >= MAX_MEMORY_MB or bool(polls.wrong)
