@@ -7,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from kernel.branches.curves import CURVES
 from service.formats import DiagramFormat, ExportFormat, TradeoffFormat
 from service.jobs.model import JobState
-from service.results.orbits import MAX_POINTS
 from service.results.trajectory import MAX_SAMPLES
+from worker.orbits import MAX_POINTS
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]

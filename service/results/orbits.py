@@ -4,12 +4,11 @@ Branches are computed while the caller waits, some milliseconds each; curves by 
 rigid contact without restitution.
 """
 
-import re
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,30 +21,15 @@ from kernel.branches.thresholds import Thresholds
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.on_demand import OnDemandCache
-from worker.analysis.prediction import MAX_GRID, predict
+from worker.analysis.prediction import predict
 from worker.executors.base import Executor
-from worker.spec.errors import one_of
-
-#: Modes of one answer, and plate periods of one mode.
-MAX_MODES: Final = 6
-MAX_PERIODS: Final = 12
-
-#: Points of one branch that a caller may ask for.
-MAX_POINTS: Final = 1_000
+from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
+from worker.spec.errors import BrokenRuleError, one_of
 
 #: Answers kept: the least recently used one makes room.
 KEPT: Final = 32
 
 Record = TypeVar("Record", Branch, Curve, Events)
-
-_MODE: Final = re.compile(r"([1-9][0-9]{0,3})-([1-9][0-9]{0,3})")
-
-
-class Mode(NamedTuple):
-    """A cycle's bounces and plate periods."""
-
-    bounces: int
-    periods: int
 
 
 @dataclass(frozen=True)
@@ -72,22 +56,11 @@ class EventCurves:
 
 def parse_modes(text: str) -> tuple[Mode, ...]:
     """Modes written as `1-1,1-2`: bounces and plate periods, of one bounce each. Raises InvalidRequest."""
-    modes = []
-    for part in text.split(","):
-        match = _MODE.fullmatch(part.strip())
-        if match is None:
-            raise InvalidRequest.of("modes", f"must be like 1-1,1-2 (bounces-periods), not {part[:40]!a}")
-        mode = Mode(int(match[1]), int(match[2]))
-        if mode.bounces != 1:
-            rule = "must be of one bounce, as 1-1 and 1-2: others follow from the cells of a sweep"
-            raise InvalidRequest.of("modes", f"{rule}, not {part.strip()}")
-        if mode.periods > MAX_PERIODS:
-            raise InvalidRequest.of("modes", f"must have at most {MAX_PERIODS} periods, not {mode.periods}")
-        modes.append(mode)
-    if len(set(modes)) < len(modes):
-        raise InvalidRequest.of("modes", "names a mode twice")
-    if len(modes) > MAX_MODES:
-        raise InvalidRequest.of("modes", f"must be at most {MAX_MODES}, not {len(modes)}")
+    try:
+        modes = [read_mode(part.strip()) for part in text.split(",")]
+        check_modes(modes)
+    except BrokenRuleError as error:
+        raise InvalidRequest.of("modes", error.rule) from error
     return tuple(sorted(modes))
 
 

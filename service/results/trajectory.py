@@ -17,7 +17,7 @@ from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Contact, Soft, model_fields, penetration_of
-from worker.spec.errors import Problem, SpecInvalid, describe, problems_of
+from worker.spec.errors import SpecInvalid, problems_of
 from worker.tasks import plate_of, run_cells
 
 #: Samples in one answer.
@@ -50,14 +50,7 @@ class TrajectorySpec(Strict):
     @classmethod
     def from_json(cls, text: bytes) -> Self:
         """From JSON text. Raises SpecUnreadable or SpecInvalid."""
-        data = parsing.read_json(text)
-        if not isinstance(data, dict):
-            raise SpecInvalid([Problem("", f"a trajectory must be an object, not {describe(data)}")])
-        unprintable = [name for name in data if not name.isprintable()]
-        if unprintable:
-            name = describe(unprintable[0])
-            raise SpecInvalid([Problem("", f"field names must be printable text, not {name}")])
-        return cls(**data)
+        return cls(**parsing.fields_of(parsing.read_json(text), "a trajectory"))
 
     def sweep(self) -> SweepSpec:
         """The sweep of this one cell that ends where the samples begin. Raises SpecInvalid."""

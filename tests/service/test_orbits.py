@@ -114,10 +114,10 @@ def test_a_branch_that_leaves_gamma_max_is_several_pieces(service: TestClient):
     ("query", "rule"),
     [
         ({"modes": "2-2"}, "of one bounce, as 1-1 and 1-2"),
-        ({"modes": "1"}, "must be like 1-1,1-2"),
+        ({"modes": "1"}, "must be like 1-2 (bounces-periods), not text"),
         ({"modes": "1-99"}, "at most 12 periods, not 99"),
-        ({"modes": "1-1,1-1"}, "names a mode twice"),
-        ({"modes": "1-1,1-2,1-3,1-4,1-5,1-6,1-7"}, "at most 6, not 7"),
+        ({"modes": "1-1,1-1"}, "must not name a mode twice"),
+        ({"modes": "1-1,1-2,1-3,1-4,1-5,1-6,1-7"}, "must be 1 to 6 modes, not 7"),
         ({"points": 5}, "points: should be greater than or equal to 10"),
         ({"omega": 0}, "omega: should be greater than 0"),
         ({"omega": 1, "xi": 0}, "xi: must be > 0 at omega = 1"),

@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from worker.spec.errors import Problem, SpecUnreadable, describe
+from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
 MAX_DIGITS: Final = 400  # a double has at most 309 before the point
@@ -53,6 +53,16 @@ def read_json(text: str | bytes) -> object:
         raise _unreadable(f"the text is not JSON: {error.msg} at {where}") from None
     except RecursionError:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
+
+
+def fields_of(data: object, what: str) -> dict[str, Any]:
+    """The fields of an object; `what` it is, for errors. Raises `SpecInvalid`."""
+    if not isinstance(data, dict):
+        raise SpecInvalid([Problem("", f"{what} must be an object, not {describe(data)}")])
+    wrong = [key for key in data if not isinstance(key, str) or not key.isprintable()]
+    if wrong:
+        raise SpecInvalid([Problem("", f"field names must be printable text, not {describe(wrong[0])}")])
+    return data
 
 
 def read_file(path: Path) -> object:

@@ -31,7 +31,7 @@ from worker.spec.contact_models import (
     model_fields,
     penetration_of,
 )
-from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
 from worker.spec.protocols import Protocol, Ramp, Rest
 from worker.spec.time_steps import check_steps, corners
 
@@ -137,14 +137,7 @@ class SweepSpec(Strict):
         """
         if isinstance(data, cls):
             return data
-        if not isinstance(data, dict):
-            raise SpecInvalid([Problem("", f"a specification must be an object, not {describe(data)}")])
-        invalid = [key for key in data if not isinstance(key, str) or not key.isprintable()]
-        if invalid:
-            raise SpecInvalid(
-                [Problem("", f"field names must be printable text, not {describe(invalid[0])}")]
-            )
-        return cls(**data)
+        return cls(**parsing.fields_of(data, "a specification"))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
