@@ -124,6 +124,15 @@ class PlaneQuery(Query):
     min_flight: MinFlight = None
 
 
+class JobOrbitsQuery(Query):
+    """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
+
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Direction = None
+    gamma_max: GammaMax = 8.0
+
+
 class ModesQuery(PlaneQuery):
     """A plane, optionally thinned."""
 

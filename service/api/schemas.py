@@ -178,6 +178,49 @@ class OrbitsView(BaseModel):
     events: list[EventView]
 
 
+class WordView(BaseModel):
+    """The branch of a cycle of several flights, in order along it; lists of flights in the word's order."""
+
+    word: str = Field(description="per landing: s, it sticks; z, it takes off again at once")
+    bounces: int
+    periods: int
+    gamma: list[float]
+    flight_time: list[list[float]]
+    takeoff_phase: list[list[float]]
+    impact_velocity: list[list[float]]
+    stable: list[bool]
+    admissible: list[int] = Field(description="as of other branches")
+    multipliers: list[list[tuple[float, float]]]
+
+
+class WordEventView(EventView):
+    """An event of the branch with this index; `flight_time` is that of the first flight."""
+
+    branch: int
+
+
+class SkippedView(BaseModel):
+    """A periodic cell from which no branch was followed."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    reason: str
+
+
+class WordOrbitsView(BaseModel):
+    """Branches of the cycles that the cells of a sweep settled to, of the rigid contact."""
+
+    omega: float
+    xi: float
+    direction: str
+    gamma_max: float
+    branches: list[WordView]
+    events: list[WordEventView]
+    skipped: list[SkippedView]
+    complete: bool
+
+
 class CurveView(BaseModel):
     """A connected piece of a curve of events; `omega` or `xi` is the parameter that varies."""
 
@@ -297,7 +340,7 @@ def job_view(
 
 
 #: Resources of a job.
-_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "export", "zarr")
+_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "orbits", "export", "zarr")
 
 
 def _links(job_id: str) -> dict[str, str]:

@@ -20,8 +20,11 @@ from kernel.branches.events import Branch, Events, Kind, branch_and_events, flig
 from kernel.branches.thresholds import Thresholds
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
+from service.jobs.model import JobRecord
 from service.jobs.on_demand import OnDemandCache
+from service.results.selection import Sweep, nearest_index, resolve_direction
 from worker.analysis.prediction import predict
+from worker.analysis.words import Words, continue_words
 from worker.executors.base import Executor
 from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
 from worker.spec.errors import BrokenRuleError, one_of
@@ -42,6 +45,18 @@ class Orbits:
     branches: tuple[Branch, ...]  # connected pieces, by mode and flight time
     energy: tuple[Energy, ...]  # of each piece
     events: Events
+
+
+@dataclass(frozen=True)
+class WordOrbits:
+    """Branches of words, continued from the cells of a sweep at one spring."""
+
+    omega: float
+    xi: float
+    direction: str
+    gamma_max: float
+    found: Words
+    complete: bool  # the sweep is done
 
 
 @dataclass(frozen=True)
@@ -128,6 +143,32 @@ def event_curves(
     ]
     points = join_events([_rows(part.points, part.points.gamma <= gamma_max) for part in parts])
     return EventCurves(parameter, fixed, tuple(pieces), points)
+
+
+def words(
+    on_demand: OnDemandCache,
+    job: JobRecord,
+    sweep: Sweep,
+    omega: float | None,
+    xi: float | None,
+    direction: str | None,
+    gamma_max: float,
+) -> WordOrbits:
+    """The branches of the cycles that the cells along gamma settled to, followed by a worker.
+
+    Raises InvalidRequest as `selection.nearest_index` and `selection.resolve_direction`, and as
+    `OnDemandCache.get`.
+    """
+    place = {"omega": nearest_index(sweep.spec, "omega", omega), "xi": nearest_index(sweep.spec, "xi", xi)}
+    direction = resolve_direction(sweep.spec, direction)
+    index = (sweep.spec.directions.index(direction), place["xi"].index, place["omega"].index)
+    if not job.chunks_done:
+        found = Words((), (), ())
+    else:
+        call = (continue_words, sweep.spec, sweep.url, *index, gamma_max, sweep.complete)
+        key = ("words", job.id, job.chunks_done, *index, gamma_max)
+        (found,) = on_demand.get(key, lambda executor: [executor.call(*call)])
+    return WordOrbits(place["omega"].value, place["xi"].value, direction, gamma_max, found, sweep.complete)
 
 
 def _submit(

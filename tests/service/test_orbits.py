@@ -207,3 +207,60 @@ def test_the_client_has_labelled_datasets(client: Client):
         client.orbits(0.6, 0.05, "2-2")
     with pytest.raises(BadRequest, match="give xi, omega_start"):
         client.curves(omega=0.5, xi=0.05)
+
+
+# Words continued from the cells of a sweep
+
+FIGURE_2: dict[str, Any] = {
+    "gamma": [1.5, 1.8, 2.2, 2.3, 2.4, 2.52], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
+    "settle": 400, "observe": 100,
+}  # fmt: skip
+
+
+def _job_orbits(client: Client, spec: dict[str, Any], **query: Any) -> Any:
+    job = client.submit(spec).wait(progress=False)
+    return job, job.orbits(progress=False, **query)
+
+
+def test_words_are_continued_from_settled_cells(client: Client):
+    job, found = _job_orbits(client, FIGURE_2)
+    assert found.sizes["cell"] == 0  # every cell lies on a branch that was followed
+    assert sorted(found.word.values.tolist()) == ["s", "ss", "ssss"]
+    double = found.isel(branch=found.word.values.tolist().index("ss"))
+    assert (int(double.bounces), int(double.periods)) == (2, 2)
+    on_it = (found.event_branch == found.word.values.tolist().index("ss")) & (found.event_kind == "flip")
+    flips = found.event_gamma.values[on_it.values]
+    assert sorted(flips) == pytest.approx([2.5045676620, 3.6325483800], abs=1e-9)
+    # it begins at the flip of the single flight, and is not gone through twice
+    gamma = double.gamma.values[: int(double.points)]
+    assert gamma.min() == pytest.approx(2.07516, abs=0.01)
+    assert (np.diff(gamma) > 0).all() or (np.diff(gamma) < 0).all()
+    # the branch passes through the sweep's own cells
+    diagram = job.diagram()
+    near = int(np.abs(double.gamma.values - 2.3).argmin())
+    settled = np.sort(diagram.flight_time.sel(gamma=2.3).values[-2:])
+    assert np.sort(double.flight_time.values[near][:2]) == pytest.approx(settled, abs=0.05)
+    assert bool(double.stable[near])
+    assert int(double.admissible[near]) == 0
+    assert np.isnan(double.flight_time.values[:, 2:]).all()
+
+
+def test_cells_without_words_are_told(client: Client):
+    short = FIGURE_2 | {"gamma": 2.3, "keep": 3}
+    _, found = _job_orbits(client, short)
+    assert found.sizes["branch"] == 0
+    assert found.skipped_gamma.values.tolist() == [2.3]
+    assert "do not show two rounds" in str(found.skipped_reason.values[0])
+
+
+def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
+    job = client.submit(FIGURE_2 | {"omega": [0.5, 0.51], "gamma": 1.5}).wait(progress=False)
+    here = f"/v1/jobs/{job.id}/orbits"
+    assert "omega: is required: the sweep has 2 values" in refused(service, here, 422)
+    assert "direction: must be 'rest'" in refused(service, here, 422, omega=0.5, direction="up")
+    wait_for(lambda: service.get(here, params={"omega": 0.507}).status_code != 202)
+    answer = get(service, here, omega=0.507)
+    assert set(answer) == set(schemas.WordOrbitsView.model_fields)
+    assert (answer["omega"], answer["complete"]) == (0.51, True)
+    assert set(answer["branches"][0]) == set(schemas.WordView.model_fields)
+    assert set(answer["events"][0]) == set(schemas.WordEventView.model_fields)

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from kernel.branches.events import flight_times
 from kernel.branches.thresholds import UNRESOLVED, Thresholds, thresholds
 from kernel.params import KernelInputError
@@ -21,7 +23,8 @@ def predict(omega: float, xi: float) -> Thresholds:
         )
         return _undecided(omega, xi, reason)
     try:
-        return thresholds(omega, xi)
+        with np.errstate(all="ignore"):  # an undamped spring may have poles
+            return thresholds(omega, xi)
     except KernelInputError as error:
         return _undecided(omega, xi, str(error))
 

@@ -14,8 +14,9 @@ from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES, DiagramForma
 from service.jobs.model import JobState
 from service.render import bifurcation, text
 from service.render import export as export_files
+from service.render import orbits as orbits_text
 from service.results import diagram as diagrams
-from service.results import mode_map, thresholds
+from service.results import mode_map, orbits, thresholds
 from service.results.diagram import Diagram
 from service.results.thresholds import Thresholds
 from worker import store
@@ -78,6 +79,27 @@ def job_threshold(
     if query.tolerance is not None:
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
+
+
+@router.get(
+    "/orbits",
+    summary="Continue the cycles of a sweep's cells",
+    response_model=schemas.WordOrbitsView,
+    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
+)
+def job_orbits(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
+) -> Response:
+    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
+
+    A worker follows them, some tenths of a second for each; until then 202. Of the rigid contact without
+    restitution: cells of another contact are a guess from which its cycles are looked for.
+    """
+    found = orbits.words(
+        service.on_demand, job, dependencies.sweep(service, job),
+        query.omega, query.xi, query.direction, query.gamma_max,
+    )  # fmt: skip
+    return Response(orbits_text.words_json(found), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(
