@@ -237,7 +237,7 @@ def test_words_are_continued_from_settled_cells(client: Client):
     assert (np.diff(gamma) > 0).all() or (np.diff(gamma) < 0).all()
     # the branch passes through the sweep's own cells
     diagram = job.diagram()
-    near = int(np.abs(double.gamma.values - 2.3).argmin())
+    near = int(np.nanargmin(np.abs(double.gamma.values - 2.3)))
     settled = np.sort(diagram.flight_time.sel(gamma=2.3).values[-2:])
     assert np.sort(double.flight_time.values[near][:2]) == pytest.approx(settled, abs=0.05)
     assert bool(double.stable[near])

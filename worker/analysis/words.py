@@ -5,7 +5,7 @@ there may be no way to a cycle of the rigid one.
 """
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,12 +153,12 @@ def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
             continue
         apart = branch.flight_time - np.roll(branch.flight_time, -n, axis=1)
         turns = np.flatnonzero((apart[:-1, 0] > 0.0) != (apart[1:, 0] > 0.0))
-        same = turns[
-            np.minimum(np.abs(apart[turns]).max(axis=1), np.abs(apart[turns + 1]).max(axis=1)) < _STEP
-        ]
+        size = np.abs(apart).max(axis=1)
+        same = turns[np.minimum(size[turns], size[turns + 1]) < _STEP]
         low = max([low, *(same[same < at] + 1).tolist()])
         high = min([high, *(same[same >= at] + 1).tolist()])
-    arrays = {name: x[low:high] for name, x in branch._asdict().items() if isinstance(x, np.ndarray)}
+    fields = branch._asdict()
+    arrays: dict[str, Any] = {name: x[low:high] for name, x in fields.items() if isinstance(x, np.ndarray)}
     return branch._replace(**arrays)
 
 
@@ -168,7 +168,8 @@ def _once(events: Events) -> Events:
     kind, gamma = events.kind[order], events.gamma[order]
     again = (kind[1:] == kind[:-1]) & (np.diff(gamma) < _SAME)
     kept = np.sort(np.delete(order, np.flatnonzero(again) + 1))
-    return Events(*(values[kept] for values in events))
+    rows: dict[str, Any] = {name: values[kept] for name, values in events._asdict().items()}
+    return Events(**rows)
 
 
 def _skip(cycle: _Cycle, reason: str) -> Skipped:
