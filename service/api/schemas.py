@@ -269,6 +269,9 @@ class Trajectory(BaseModel):
     force: list[float | None] = Field(description="of the plate on the lower mass, in mAω²")
     in_flight: list[bool]
     flights: FlightsView
+    energy: EnergyView | None = Field(
+        description="balance of a cycle of one bounce on a rigid plate without restitution; else null"
+    )
     complete: bool
 
 

@@ -68,10 +68,12 @@ def threshold_view(thresholds: "xarray.Dataset") -> dict[str, Any]:
     """Thresholds as plain values, null unless the status is `found`."""
     plain = {
         name: [value if isfinite(value) else None for value in thresholds[name].values.tolist()]
-        for name in ("omega", "analytic", "up", "down")
+        for name in ("omega", "analytic", "up", "down", "predicted_jump", "predicted_down")
     }
-    statuses = {name: thresholds[name].values.tolist() for name in ("up_status", "down_status")}
+    texts = ("up_status", "down_status", "cause", "difference")
+    statuses = {name: thresholds[name].values.tolist() for name in texts}
     return {"xi": float(thresholds.xi), **plain, **statuses,
+            "prediction": thresholds.attrs["prediction"],
             "tolerance": thresholds.attrs.get("tolerance"),
             "complete": bool(thresholds.attrs["complete"])}  # fmt: skip
 

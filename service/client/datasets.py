@@ -50,6 +50,10 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
     "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
     "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
+    "predicted_jump": (np.float64, {"long_name": "Γ of the fold at which flights leap", "units": "1"}),
+    "predicted_down": (np.float64, {"long_name": "Γ at which bouncing ends, predicted", "units": "1"}),
+    "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
+    "difference": (np.str_, {"long_name": "why down and predicted_down differ"}),
     "up_status": (np.str_, {"long_name": "why up is a number or NaN"}),
     "down_status": (np.str_, {"long_name": "why down is a number or NaN"}),
 }
@@ -78,7 +82,6 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "threshold": (np.float64, {"long_name": "Γ at which rest ends, Eq. 25", "units": "1"}),
     "jump": (np.float64, {"long_name": "Γ of the fold at which flights leap on the way up", "units": "1"}),
     "down": (np.float64, {"long_name": "Γ at which bouncing ends on the way down", "units": "1"}),
-    "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
     "reason": (np.str_, {"long_name": "why there is none"}),
     "lifetime": (np.float64, {"long_name": "life of bouncing at Γ = down - delta", "units": "plate periods"}),
     "delta": (np.float64, {"long_name": "Γ below down", "units": "1"}),
@@ -152,13 +155,15 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Thresholds: dim omega, NaN unless the status is `found`."""
     with _reading("a list of thresholds"):
         variables = {
-            field: _variable(field, "omega", _with_nan(answer[field])) for field in ("analytic", "up", "down")
+            field: _variable(field, "omega", _with_nan(answer[field]))
+            for field in ("analytic", "up", "down", "predicted_jump", "predicted_down")
         }
-        for field in ("up_status", "down_status"):
+        for field in ("up_status", "down_status", "cause", "difference"):
             variables[field] = _variable(field, "omega", answer[field])
         coordinates = {"omega": _variable("omega", "omega", answer["omega"])}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         dataset = _dataset(variables, coordinates, answer, "bouncing threshold", job_id)
+        dataset.attrs["prediction"] = str(answer["prediction"])
         if answer.get("tolerance") is not None:
             dataset.attrs["tolerance"] = float(answer["tolerance"])
         return dataset
@@ -197,8 +202,11 @@ def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
             "phase": ("phase", phase, {"long_name": "plate phase since the first sample", "units": "rad"}),
             **{name: ((), float(answer[name])) for name in ("gamma", "omega", "xi")},
         }
+        balance = {
+            name: _cycle_variable(name, (), value) for name, value in (answer.get("energy") or {}).items()
+        }
         attributes = {"rest_length": float(answer["rest_length"]), "complete": int(answer["complete"])}
-        return xarray.Dataset({**samples, **flights}, coordinates, attributes)
+        return xarray.Dataset({**samples, **flights, **balance}, coordinates, attributes)
 
 
 def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:

@@ -14,7 +14,7 @@ from kernel.numerics.elementary import TWO_PI
 from service.results.counting import LABEL
 from service.results.diagram import Diagram
 from service.results.mode_map import Plane
-from service.results.trajectory import Motion
+from service.results.trajectory import Motion, cycle_energy
 from worker import schema
 from worker.spec import AXES
 
@@ -71,6 +71,7 @@ def mode_map_json(plane: Plane) -> bytes:
 def trajectory_json(motion: Motion) -> bytes:
     """A sampled trajectory as a JSON document; null beyond where it could be followed."""
     path, spec = motion.trajectory, motion.spec
+    balance = cycle_energy(motion)
     z2 = path.plate + path.gap
     return to_json(
         {
@@ -90,6 +91,7 @@ def trajectory_json(motion: Motion) -> bytes:
                 "takeoff_phase": (path.takeoff % TWO_PI).tolist(),
                 "flight_time": path.flight_time.tolist(),
             },
+            "energy": None if balance is None else {name: x[0] for name, x in balance._asdict().items()},
             "complete": path.complete,
         }
     )

@@ -31,6 +31,7 @@ from worker.spec.errors import BrokenRuleError, one_of
 
 #: Answers kept: the least recently used one makes room.
 KEPT: Final = 32
+THRESHOLDS_KEPT: Final = 4096
 
 Record = TypeVar("Record", Branch, Curve, Events)
 
@@ -88,7 +89,7 @@ def parse_kinds(text: str) -> tuple[Kind, ...]:
     return tuple(kind for kind in CURVES if kind in parts)
 
 
-@lru_cache(KEPT)
+@lru_cache(THRESHOLDS_KEPT)
 def thresholds(omega: float, xi: float) -> Thresholds:
     """The thresholds of one spring; `unresolved` where the theory does not decide."""
     return predict(omega, xi)
