@@ -4,6 +4,7 @@ import csv
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -125,21 +126,20 @@ def threshold_text(found: "xarray.Dataset") -> str:
     lines.append(f"bouncing ends on the way   {_gamma(values['down'])}  {cause}")
     if reason:
         lines.append(f"unresolved: {reason}")
-    if found.lifetime.item() == found.lifetime.item():
-        lines.append(
-            f"{found.delta.item():g} below the fold bouncing lives {found.lifetime.item():,.0f} periods"
-        )
+    lifetime = found.lifetime.item()
+    if isfinite(lifetime):
+        lines.append(f"{found.delta.item():g} below the fold bouncing lives {lifetime:,.0f} periods")
     return "\n".join(lines)
 
 
 def plain(found: "xarray.Dataset") -> dict[str, Any]:
-    """A Dataset as plain values by name, null for NaN, complex numbers as their two parts."""
+    """A Dataset as plain values by name, null for what is not finite, complex numbers as their two parts."""
     names = [*found.coords, *found.data_vars]
     return {str(name): _plain(found[name].values.tolist()) for name in names}
 
 
 def _gamma(value: float) -> str:
-    return f"{value:12.9f}" if value == value else f"{'-':>12}"
+    return f"{value:12.9f}" if isfinite(value) else f"{'-':>12}"
 
 
 def _write(found: "xarray.Dataset", dim: str, format: str | None, output: str | None) -> None:
@@ -161,7 +161,7 @@ def _events(found: "xarray.Dataset") -> str:
             kind,
             f"({bounces},{periods})",
             *(f"{value:.10f}" for value in numbers),
-            "yes" if not reason else "no",
+            "no" if reason else "yes",
         )
         for kind, bounces, periods, *numbers, reason in zip(*columns, strict=True)
     ]
@@ -193,7 +193,7 @@ def _csv(found: "xarray.Dataset", dim: str) -> bytes:
 def _shown(found: "xarray.Dataset", i: int, rows: Iterable[Sequence[Any]]) -> Iterator[Sequence[Any]]:
     """The rows of the points that there are."""
     for gamma, row in zip(found.gamma.values[i].tolist(), rows, strict=True):
-        if gamma == gamma:
+        if isfinite(gamma):
             yield row
 
 
@@ -221,4 +221,4 @@ def _plain(value: Any) -> Any:
         return [_plain(entry) for entry in value]
     if isinstance(value, complex):
         return [_plain(value.real), _plain(value.imag)]
-    return None if isinstance(value, float) and value != value else value
+    return None if isinstance(value, float) and not isfinite(value) else value

@@ -142,6 +142,12 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
         )
         return [text(value, status, name, grid) for value, status, grid in rows]
 
+    predicted = [
+        f"{value:.{digits}f}" if isfinite(value) else cause.split()[0]
+        for value, cause in zip(
+            thresholds.predicted_down.values.tolist(), thresholds.cause.values.tolist(), strict=True
+        )
+    ]
     columns = [
         [f"{value:.{digits}f}" for value in thresholds.omega.values],
         [
@@ -150,15 +156,23 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
         ],
         column("up"),
         column("down"),
+        predicted,
     ]
     precision = f"to {tolerance:g} in gamma" if tolerance else "on the grid of gamma"
     lines = [f"xi = {float(thresholds.xi):g}, {precision}"]
     lines += [
         "".join(f"{text:>{width}}" for text in row)
-        for row in (("OMEGA", "EQ. 25", "UP", "DOWN"), *zip(*columns, strict=True))
+        for row in (("OMEGA", "EQ. 25", "UP", "DOWN", "PREDICTED"), *zip(*columns, strict=True))
     ]
     incomplete = [] if thresholds.attrs["complete"] else ["the job is not done: thresholds may be missing"]
-    return "\n".join([*lines, *notes, *incomplete])
+    return "\n".join([*lines, *notes, *_differences(thresholds), *incomplete])
+
+
+def _differences(thresholds: "xarray.Dataset") -> list[str]:
+    """What PREDICTED is of, and where DOWN differs from it."""
+    texts = zip(thresholds.omega.values.tolist(), thresholds.difference.values.tolist(), strict=True)
+    differing = [f"omega {omega:g}: {text}" for omega, text in texts if text]
+    return [f"PREDICTED: DOWN by the closed form, {thresholds.attrs['prediction']}", *differing]
 
 
 # Tables of cells and samples
