@@ -16,7 +16,8 @@ from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.api import schemas
 from service.client import BadRequest, Client
-from service.results import orbits
+from service.results import orbits, thresholds
+from worker.spec import SweepSpec
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -264,3 +265,90 @@ def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
     assert (answer["omega"], answer["complete"]) == (0.51, True)
     assert set(answer["branches"][0]) == set(schemas.WordView.model_fields)
     assert set(answer["events"][0]) == set(schemas.WordEventView.model_fields)
+
+
+# Predictions beside the thresholds of a sweep
+
+RAMP: dict[str, Any] = {
+    "gamma": {"start": 0.5, "stop": 0.9, "num": 101}, "omega": [0.6, 0.9], "xi": 0.05,
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}, "model": {"kind": "rigid"},
+    "settle": 60, "observe": 20, "keep": 4,
+}  # fmt: skip
+
+
+def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
+    job = client.submit(RAMP).wait(progress=False)
+    found = job.threshold()
+    assert float(found.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
+    assert float(found.predicted_jump[0]) == pytest.approx(JUMP_060, abs=1e-6)
+    assert found.cause.values.tolist()[0] == "fold (1,1)"
+    assert found.attrs["prediction"].startswith("rigid, restitution 0: the contact of the sweep")
+    for down, predicted, difference in zip(
+        found.down.values, found.predicted_down.values, found.difference.values, strict=True
+    ):
+        agrees = -1e-9 <= down - predicted <= 0.004 + 1e-9
+        assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
+
+
+def test_a_difference_from_the_prediction_is_explained():
+    spec = SweepSpec.parse(RAMP)
+    fold = orbits.thresholds(0.6, 0.05)
+    gamma = spec.axis_values("gamma")
+    texts = {}
+    for name, down in {"as predicted": fold.down + 0.001, "ghost": fold.down - 1e-5, "early": 0.62,
+                       "other": fold.down - 0.03}.items():  # fmt: skip
+        coarse = thresholds.Thresholds(
+            xi=0.05, omega=np.array([0.6]), analytic=np.array([fold.gamma_th]), up=np.array([np.nan]),
+            down=np.array([down]), up_status=["not ramped"], down_status=["found"],
+            predicted_jump=np.array([fold.jump]), predicted_down=np.array([fold.down]), cause=[fold.cause],
+            difference=[""], prediction="", complete=True,
+        )  # fmt: skip
+        texts[name] = thresholds._compared(spec, coarse).difference[0]
+    assert gamma[1] - gamma[0] == pytest.approx(0.004)
+    assert texts["as predicted"] == ""
+    assert "bouncing lives about 1,1" in texts["ghost"]
+    assert "longer than the window of 80" in texts["ghost"]
+    assert "steps of 0.004 excite the spring" in texts["early"]
+    assert "another cycle" in texts["other"]
+
+
+def test_another_contact_is_told_from_the_one_predicted(client: Client):
+    job = client.submit(RAMP | {"model": {"kind": "soft"}, "omega": 0.9, "gamma": [0.5, 0.6]})
+    assert "not the contact of the sweep, which is soft" in job.wait(progress=False).threshold().prediction
+
+
+def test_the_motion_of_a_cycle_has_its_energy(client: Client):
+    cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 300}
+    motion = client.trajectory(cell)
+    # BRANCHES: Γ = 1.5 of Fig. 2
+    for name, value in {"plate_contact": 5.360202674, "plate_impact": 2.322874748, "dashpot": 4.026176359,
+                        "impact": 3.656901063}.items():  # fmt: skip
+        assert float(motion[name]) == pytest.approx(value, abs=1e-8)
+    assert "plate_contact" not in client.trajectory(cell | {"gamma": 2.3})  # (2,2)
+    assert "plate_contact" not in client.trajectory(cell | {"model": {"kind": "soft"}})
+
+
+# The study
+
+GRID: dict[str, Any] = {
+    "name": "folds", "protocol": {"kind": "orbits"}, "omega": {"start": 0.55, "stop": 0.65, "num": 3},
+    "xi": [0.05, 0.1], "points": 40,
+}  # fmt: skip
+
+
+def test_a_grid_of_springs_is_a_job(service: TestClient, client: Client):
+    estimate = client.estimate(GRID)
+    assert (estimate.cells, estimate.chunks > 1) == (6, True)
+    job = client.submit(GRID).wait(progress=False)
+    assert job.progress.cells_done == 6
+    assert job.spec["modes"] == ["1-1", "1-2"]
+    stored = job.open().load()
+    assert stored.gamma.dims == ("xi", "omega", "branch", "point")
+    assert stored.event_gamma.dims == ("xi", "omega", "event")
+    cell = stored.sel(xi=0.05, omega=0.6)
+    fold = (cell.event_kind.values == 1) & (cell.event_periods.values == 1)
+    assert cell.event_gamma.values[fold].min() == pytest.approx(FOLD_060, abs=1e-9)
+    assert "must be a sweep; the protocol of this job is orbits" in refused(
+        service, f"/v1/jobs/{job.id}/diagram", 422
+    )
+    assert client.submit(GRID | {"name": "the same"}).id == job.id
