@@ -14,7 +14,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from worker import store
-from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS
+from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_SECONDS
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are what the system's clocks and SQLite can represent.
@@ -92,14 +92,28 @@ class Settings(BaseSettings):
     body_seconds: Positive = Field(
         10.0, description="Seconds for a request's headers to arrive, and for its body."
     )
+    stall_seconds: Positive = Field(
+        60.0, description="Seconds after which a client that reads nothing of its answer is disconnected."
+    )
     max_cells: Count = Field(DEFAULT_MAX_CELLS, description="Cells of one sweep.")
     max_bytes: Count = Field(
         DEFAULT_MAX_BYTES, description="Bytes of one sweep's stored arrays before compression."
+    )
+    max_core_seconds: Positive = Field(
+        DEFAULT_MAX_CORE_SECONDS, description="Core-seconds of one sweep, by the estimate."
     )
     max_queue: Count = Field(1_000, description="Jobs that may be queued or running.")
     max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
     max_export_bytes: Count = Field(
         2 * 2**30, description="Bytes of a sweep that may be exported as one file, before compression."
+    )
+    max_reads: Count = Field(2, description="Diagrams, maps and tables read or drawn at a time.")
+    answer_memory: Count = Field(
+        512 * 2**20,
+        description="Bytes that diagrams, maps, files and trajectories take together until they are sent.",
+    )
+    turn_seconds: Positive = Field(
+        5.0, description="Seconds that a costly request waits for its turn before it is refused."
     )
     max_exports: Count = Field(2, description="Files exported at a time.")
     max_trajectories: Count = Field(2, description="Trajectories computed at a time.")
@@ -114,12 +128,14 @@ class Settings(BaseSettings):
     # Running jobs
 
     active_jobs: Count = Field(
-        32, description="Jobs that run at a time, their plans in memory; the others stay queued."
+        32, description="Jobs with their plans in memory; one that waits for others gives up its place."
     )
-    window: Count = Field(2, description="Chunks in flight per worker and job.")
+    window: Count = Field(
+        2, description="Chunks in flight per worker, of one job and those with less left to compute."
+    )
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
         0.5,
-        description="Core-seconds in flight per worker and job: jobs of short chunks exceed `window`.",
+        description="Core-seconds in flight per worker: where chunks are short, more than `window` are.",
     )
     chunk_tries: Count = Field(
         3, description="Tries of a chunk that fails or whose worker dies of it, before it is given up."

@@ -100,15 +100,16 @@ def _to_tuple(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
+def _mode(name: str) -> str:
+    return str(read_mode(name))
+
+
 def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
-    modes = []
-    for i, name in enumerate(names):
-        try:
-            modes.append(read_mode(name))
-        except BrokenRuleError as error:
-            raise BrokenRuleError(f"[{i}]", error.rule) from error
-    check_modes(modes)
+    check_modes([read_mode(name) for name in names])
     return names
+
+
+ModeName = Annotated[str, AfterValidator(_mode)]
 
 
 class Orbits(Strict):
@@ -127,7 +128,10 @@ class OrbitsSpec(Strict):
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
     protocol: Orbits
-    modes: Annotated[tuple[str, ...], BeforeValidator(_to_tuple), AfterValidator(_modes)] = ("1-1", "1-2")
+    modes: Annotated[tuple[ModeName, ...], BeforeValidator(_to_tuple), AfterValidator(_modes)] = (
+        "1-1",
+        "1-2",
+    )
     gamma_max: Annotated[float, Field(gt=0.0, le=LARGEST), NUMBER] = 8.0
     points: Annotated[int, Field(ge=10, le=MAX_POINTS), WHOLE] = 128
     events: Annotated[int, Field(ge=1, le=MAX_EVENTS), WHOLE] = 128

@@ -5,9 +5,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.branches.descent import lifetime
 from kernel.branches.energy import Energy
 from kernel.branches.events import Events
-from kernel.branches.thresholds import Thresholds, lifetime
+from kernel.branches.thresholds import Thresholds
 from service.render.text import to_json
 from service.results.orbits import EventCurves, Orbits, WordOrbits
 

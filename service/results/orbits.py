@@ -21,11 +21,10 @@ from kernel.branches.thresholds import Thresholds
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
-from service.jobs.on_demand import OnDemandCache
+from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.selection import Sweep, nearest_index, resolve_direction
 from worker.analysis.prediction import predict
 from worker.analysis.words import Words, continue_words
-from worker.executors.base import Executor
 from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
 from worker.spec.errors import BrokenRuleError, one_of
 
@@ -173,7 +172,7 @@ def words(
 
 
 def _submit(
-    executor: Executor,
+    executor: Caller,
     *,
     parameter: Parameter,
     fixed: float,

@@ -24,6 +24,8 @@ from worker.tasks import plate_of, run_cells
 
 #: Samples in one answer.
 MAX_SAMPLES: Final = 20_000
+#: Bytes of memory that a sample takes, with its numbers as text.
+BYTES_PER_SAMPLE: Final = 1_000
 
 #: A motion whose take-offs are this near to a period apart, rad, is a cycle.
 SETTLED: Final = 1e-6

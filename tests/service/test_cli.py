@@ -33,8 +33,8 @@ from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "cancel", "curves", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "orbits", "resume",
-    "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
+    "cancel", "curves", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes",
+    "orbits", "resume", "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}
