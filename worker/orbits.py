@@ -109,7 +109,9 @@ def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-ModeName = Annotated[str, AfterValidator(_mode)]
+Modes = Annotated[
+    tuple[Annotated[str, AfterValidator(_mode)], ...], BeforeValidator(_to_tuple), AfterValidator(_modes)
+]
 
 
 class Orbits(Strict):
