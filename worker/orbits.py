@@ -130,10 +130,7 @@ class OrbitsSpec(Strict):
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
     protocol: Orbits
-    modes: Annotated[tuple[ModeName, ...], BeforeValidator(_to_tuple), AfterValidator(_modes)] = (
-        "1-1",
-        "1-2",
-    )
+    modes: Modes = ("1-1", "1-2")
     gamma_max: Annotated[float, Field(gt=0.0, le=LARGEST), NUMBER] = 8.0
     points: Annotated[int, Field(ge=10, le=MAX_POINTS), WHOLE] = 128
     events: Annotated[int, Field(ge=1, le=MAX_EVENTS), WHOLE] = 128
