@@ -26,6 +26,7 @@ from service.client.errors import (
     error_class,
 )
 from service.client.models import Problem
+from service.tokens import AUTO, find_token
 
 CONNECT_SECONDS: Final = 5.0
 
@@ -59,7 +60,10 @@ class Transport:
             trust_env=not _is_loopback(self.url),  # a proxy cannot reach this machine's own loopback
         )
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
-        if token:  # as in the service, an empty variable means no token
+        if token in (None, "", AUTO):  # an empty variable means no token
+            token = None if credentials else _own_token(self.url)
+        self.token = token
+        if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
         elif credentials:
             self._headers["Authorization"] = f"Basic {b64encode(credentials.encode()).decode()}"
@@ -283,6 +287,12 @@ def _is_loopback(url: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def _own_token(url: str) -> str | None:
+    """The token of this user's service at a loopback address, if it has made one."""
+    port = httpx2.URL(url).port
+    return find_token(port) if port is not None and _is_loopback(url) else None
 
 
 def _reason(error: Exception) -> str:

@@ -19,8 +19,8 @@ def test_every_setting_is_described_in_one_sentence(name: str):
 @pytest.mark.parametrize(("given", "rule"), [
     ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_file"),
     ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
-    ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN"),
-    ({"token": "short"}, "must be at least 16 ASCII characters without spaces"),
+    ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
+    ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
     ({"stores": "ftp://somewhere"}, "stores"),
     ({"cluster": "no colon"}, "cluster"),
     ({"port": 65536}, "port"),
