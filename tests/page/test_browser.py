@@ -824,7 +824,7 @@ def test_the_page_takes_the_token_of_the_opened_address(
         with opened(browser, opened_by[0]) as page:
             page.get_by_text("No sweeps yet").wait_for()
             assert page.url == f"{address}/#/"
-            page.get_by_role("link", name="New sweep").click()
+            page.get_by_role("navigation").get_by_role("link", name="New sweep").click()
             page.locator(".cost", has_text="cells in").wait_for()
             page.reload()  # the tab keeps it
             page.locator(".cost", has_text="cells in").wait_for()
