@@ -155,11 +155,20 @@ class Settings(BaseSettings):
         names = value.split(",") if isinstance(value, str) else value
         return frozenset(str(name).strip().lower() for name in names) - {""}
 
+    @field_validator("scheduler")
+    @classmethod
+    def _check_scheduler(cls, value: str | None) -> str | None:
+        if value is not None and "@" in value:
+            raise ValueError(
+                "must not contain credentials: scheduler_cert and scheduler_key identify the service"
+            )
+        return value
+
     @field_validator("stores")
     @classmethod
     def _check_stores(cls, value: str | None) -> str | None:
         if value is not None:
-            if "@" in urlsplit(value).netloc:
+            if "@" in urlsplit(value).netloc or (value.startswith("s3:") and "@" in value):
                 raise ValueError(
                     "must not contain credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, "
                     "for the workers too"

@@ -265,10 +265,17 @@ def _valid_url(url: str) -> str:
     try:
         parsed = httpx2.URL(url)
     except httpx2.InvalidURL as error:
-        raise ServiceUnreachable(_hide_credentials(url), f"not an address: {error}") from None
+        raise ServiceUnreachable(_hide_all_before_at(url), _why_invalid(url, error)) from None
     if parsed.scheme not in ("http", "https") or not parsed.host:
-        raise ServiceUnreachable(_hide_credentials(url), "expected an address like http://HOST:PORT")
+        raise ServiceUnreachable(_hide_all_before_at(url), "expected an address like http://HOST:PORT")
     return url.rstrip("/")
+
+
+def _why_invalid(url: str, error: Exception) -> str:
+    """The reason, unless it may quote a part of a password, as the port of `http://me:pass/word@host`."""
+    if "@" in url:
+        return "not an address; write / ? # and @ of a password as %2F %3F %23 and %40"
+    return f"not an address: {error}"
 
 
 def _split_credentials(url: str) -> tuple[str, str]:
@@ -279,6 +286,12 @@ def _split_credentials(url: str) -> tuple[str, str]:
 
 def _hide_credentials(url: str) -> str:
     return re.sub(r"(?<=//)[^/?#]*@", "", url, count=1)
+
+
+def _hide_all_before_at(text: str) -> str:
+    """A text that is no address, without what may be a password in it."""
+    before, at, after = text.rpartition("@")
+    return f"...@{after}" if at else before + after
 
 
 def _is_loopback(url: str) -> bool:

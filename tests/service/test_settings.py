@@ -44,6 +44,18 @@ def test_an_error_does_not_show_a_secret(given: dict[str, Any]):
     assert "s3cret" not in str(refused.value)
 
 
+def test_a_password_in_the_address_of_the_scheduler_is_refused():
+    with pytest.raises(ValidationError, match="must not contain credentials: scheduler_cert") as refused:
+        Settings(scheduler="tls://name:s3cret@host:8786")
+    assert "s3cret" not in str(refused.value)
+
+
+def test_an_address_of_stores_without_its_slashes_is_no_folder():
+    with pytest.raises(ValidationError, match="must not contain credentials") as refused:
+        Settings(stores="s3:name:s3cret@bucket")
+    assert "s3cret" not in str(refused.value)
+
+
 def test_credentials_in_the_address_of_the_stores_are_refused():
     with pytest.raises(ValidationError, match="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY") as refused:
         Settings(stores="s3://name:s3cret@bucket/prefix")

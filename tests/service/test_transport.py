@@ -5,6 +5,7 @@ import json
 import socket
 import threading
 import time
+import traceback
 from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -490,3 +491,24 @@ def test_a_store_of_zarrs_version_2_is_not_looked_for():
     answers = (Answer(body=view()), Answer(404, {"detail": "nothing"}))
     with scripted(*answers) as (_, client), pytest.raises(StoreUnreachable):
         client.job(ID).open()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        *("http://me:s3cret@host:bad", "http://me:s3cret@[::1", "me:s3cret@host", "//me:s3cret@host"),
+        *("ftp://me:s3cret@host", "http:me:s3cret@host", "http:\\\\me:s3cret@host", "http://me:s3cret@h\n"),
+        *("http://me:s3/cret@host", "http://me:s3?cret@host", "http://me:s3#cret@host", "http://me:s3@cret@"),
+        "http://me:s3cret@127.0.0.1:1",
+    ],
+)
+def test_no_error_shows_a_password_of_the_address(url: str):
+    def ask() -> None:
+        with Client(url, timeout=5) as client:
+            assert "s3" not in repr(client) + client.url + client.page
+            client.metrics()
+
+    with pytest.raises(ServiceUnreachable) as refused:
+        ask()
+    assert "s3" not in "".join(traceback.format_exception_only(refused.value))
+    assert "cret" not in str(refused.value)
