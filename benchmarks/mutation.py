@@ -281,8 +281,9 @@ def _end_group(leader: int) -> None:
 def run_pytest(arguments: Sequence[str], plugins: Sequence[object] = ()) -> int:
     import pytest
 
-    common = ["-q", "-n", "0", "-p", "no:cacheprovider", "-p", "no:randomly", "--no-header", "--tb=short"]
-    return int(pytest.main([*common, *arguments], plugins=list(plugins)))
+    common = ["-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=short"]
+    preloaded = ["-W", "ignore:Module already imported"]  # plugins among the libraries
+    return int(pytest.main([*common, *preloaded, *arguments], plugins=list(plugins)))
 
 
 class Recorder:
