@@ -96,6 +96,9 @@ class Settings(BaseSettings):
     body_seconds: Positive = Field(
         10.0, description="Seconds for a request's headers to arrive, and for its body."
     )
+    stall_seconds: Positive = Field(
+        60.0, description="Seconds after which a client that reads nothing of its answer is disconnected."
+    )
     max_cells: Count = Field(DEFAULT_MAX_CELLS, description="Cells of one sweep.")
     max_bytes: Count = Field(
         DEFAULT_MAX_BYTES, description="Bytes of one sweep's stored arrays before compression."
@@ -107,6 +110,14 @@ class Settings(BaseSettings):
     max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
     max_export_bytes: Count = Field(
         2 * 2**30, description="Bytes of a sweep that may be exported as one file, before compression."
+    )
+    max_reads: Count = Field(2, description="Diagrams, maps and tables read or drawn at a time.")
+    answer_memory: Count = Field(
+        512 * 2**20,
+        description="Bytes that diagrams, maps, files and trajectories take together until they are sent.",
+    )
+    turn_seconds: Positive = Field(
+        5.0, description="Seconds that a costly request waits for its turn before it is refused."
     )
     max_exports: Count = Field(2, description="Files exported at a time.")
     max_trajectories: Count = Field(2, description="Trajectories computed at a time.")

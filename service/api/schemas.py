@@ -65,6 +65,9 @@ class JobView(BaseModel):
     created: datetime
     started: datetime | None
     finished: datetime | None
+    repairing: bool = Field(
+        description="it was done, and computes stored results again that were damaged; no answer is complete"
+    )
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists if it is long")
     choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
     failures: list[FailureView] = Field([], description="empty in lists and events")
@@ -194,7 +197,8 @@ def job_view(
         owner=job.owner,
         created=_time(job.created),
         started=_time(job.started),
-        finished=_time(job.finished),
+        finished=None if job.repairing else _time(job.finished),
+        repairing=job.repairing,
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
         choice=choice_of(job),
         failures=[FailureView(**failure._asdict()) for failure in failures],

@@ -5,10 +5,14 @@ It requires a token that only this process knows: other users of the machine rea
 
 import os
 import secrets
+import signal
+import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import NamedTuple
+from types import FrameType
+from typing import Final, NamedTuple
 
 import click
 
@@ -36,10 +40,15 @@ def claim_kernel_cache() -> None:
         raise NotStarted(str(error)) from error
 
 
+#: Signals that end a command, which then removes its temporary folder and ends its worker processes.
+_SIGNALS: Final = (signal.SIGTERM, signal.SIGHUP)
+
+
 @contextmanager
 def temporary_service(workers: int | None) -> Iterator[Address]:
     """A service whose data is removed at the end of the block."""
     with (
+        _ended_by_signals(),
         tempfile.TemporaryDirectory(prefix="bounce-") as folder,
         _local_service(workers=workers, data=folder) as address,
     ):
@@ -57,6 +66,7 @@ def persistent_service(workers: int | None, data: str | None, token: str | None)
     from service.errors import DataFolderBusy
 
     with ExitStack() as stack:
+        stack.enter_context(_ended_by_signals())
         try:
             address = stack.enter_context(_local_service(workers=workers, data=data))
         except DataFolderBusy:
@@ -82,6 +92,29 @@ def _local_service(**options: str | int | None) -> Iterator[Address]:
     click.echo("starting a local service (compiling for the first time takes a minute)", err=True)
     with embedded.running(settings) as url:
         yield Address(url, token)
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """The signals end the block by SystemExit; only the main thread can handle signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # as `nohup` leaves SIGHUP
+            signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    for other in _SIGNALS:  # a second one does not interrupt the clean-up
+        signal.signal(other, signal.SIG_IGN)
+    sys.exit(128 + number)
 
 
 def _answers(url: str, token: str | None) -> bool:

@@ -107,6 +107,11 @@ class JobStatus:
         return self.view.get("error")
 
     @property
+    def repairing(self) -> bool:
+        """Whether the job was done and computes stored results again that were damaged."""
+        return bool(self.view.get("repairing"))
+
+    @property
     def notice(self) -> str | None:
         """That another kernel version than the service's computed the job; None if it did not.
 

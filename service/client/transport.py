@@ -2,7 +2,6 @@
 
 import json
 import re
-import tempfile
 import time
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
@@ -26,6 +25,7 @@ from service.client.errors import (
     error_class,
 )
 from service.client.models import Problem
+from service.client.output_file import complete_file
 from service.tokens import AUTO, find_token
 
 CONNECT_SECONDS: Final = 5.0
@@ -130,18 +130,9 @@ class Transport:
 
     def download(self, path: str, query: Query, target: Path) -> None:
         """GET into the file `target`, which is replaced once the download is complete."""
-        with (
-            self._stream(path, query, DOWNLOAD_SECONDS) as response,
-            tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file,
-        ):
-            partial = Path(file.name)
-            try:
-                for block in response.iter_bytes():
-                    file.write(block)
-                file.close()
-                partial.replace(target)
-            finally:
-                partial.unlink(missing_ok=True)
+        with self._stream(path, query, DOWNLOAD_SECONDS) as response, complete_file(target) as file:
+            for block in response.iter_bytes():
+                file.write(block)
 
     @contextmanager
     def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:

@@ -99,7 +99,7 @@ class JobRecord(NewJob):
     error: str | None
     created: float
     started: float | None
-    finished: float | None
+    finished: float | None  # of a job that is being repaired: when it was done before
     run_started: float | None  # when it last started or continued
     run_cells: int  # cells done at that time
     chunks_done: int
@@ -126,6 +126,11 @@ class JobRecord(NewJob):
             f"computed by kernel version {self.kernel_version}; "
             f"this release computes version {KERNEL_VERSION}{again}"
         )
+
+    @property
+    def repairing(self) -> bool:
+        """Whether it was done before, and computes chunks again that were damaged in the store."""
+        return self.state is JobState.RUNNING and self.finished is not None
 
     @property
     def revision(self) -> tuple[object, ...]:

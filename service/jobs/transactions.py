@@ -251,7 +251,7 @@ class WriteTransaction(ReadTransaction):
         """Have chunks computed again; a job that was done runs again. Returns those that were marked."""
         unmarked = self._unmark(job, chunks)
         if unmarked and job.state is JobState.DONE:
-            self._move(job, JobState.RUNNING, finished=None)
+            self._move(job, JobState.RUNNING)  # `finished` tells that it is being repaired
         return unmarked
 
     def lose(self, job: JobRecord, failures: Sequence[Failure]) -> list[int]:

@@ -10,13 +10,12 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSche
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
-from service.jobs.on_demand import OnDemandCache
+from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.mode_map import plane
 from service.results.selection import MAX_READ, Sweep, check_kernel, check_points, nearest_index
 from worker.analysis import thresholds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
-from worker.executors.base import Executor
 
 #: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
 BLOCK: Final = 16
@@ -97,9 +96,9 @@ def refined(
     _check_cost(sweep, omegas)
     xi = int(np.searchsorted(sweep.spec.axis_values("xi"), coarse.xi))
 
-    def submit(executor: Executor) -> list[Future[Refined]]:
+    def submit(workers: Caller) -> list[Future[Refined]]:
         blocks = [tuple(range(low, min(low + BLOCK, omegas))) for low in range(0, omegas, BLOCK)]
-        return [executor.call(refine, sweep.spec, sweep.url, xi, block, tolerance) for block in blocks]
+        return [workers.call(refine, sweep.spec, sweep.url, xi, block, tolerance) for block in blocks]
 
     parts = on_demand.get((job.id, job.chunks_done, xi, tolerance), submit)
     joined: dict[str, Any] = {

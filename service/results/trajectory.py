@@ -22,6 +22,8 @@ from worker.tasks import plate_of, run_cells
 
 #: Samples in one answer.
 MAX_SAMPLES: Final = 20_000
+#: Bytes of memory that a sample takes, with its numbers as text.
+BYTES_PER_SAMPLE: Final = 1_000
 
 #: Plate periods before the first sample.
 MAX_SETTLE: Final = 1_000_000

@@ -305,6 +305,75 @@ def test_its_own_page_may_submit(local: TestClient):
     assert local.post("/v1/jobs", json=SWEEP, headers=own).status_code == 202
 
 
+READS = [(method, path) for method, path in CALLS if method in ("GET", "HEAD")]
+
+
+@pytest.mark.parametrize(("method", "path"), READS)
+@pytest.mark.parametrize(
+    "headers",
+    [
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "no-cors"), ("Sec-Fetch-Dest", "image")],
+        [("Sec-Fetch-Site", "same-site"), ("Sec-Fetch-Mode", "cors"), ("Sec-Fetch-Dest", "empty")],
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "iframe")],
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate")],
+        [("Sec-Fetch-Site", "none"), ("Sec-Fetch-Site", "cross-site")],
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Site", "same-origin")],
+        [("Sec-Fetch-Site", "cross-site"), *[("Sec-Fetch-Mode", mode) for mode in ("navigate", "cors")],
+         ("Sec-Fetch-Dest", "document")],
+    ],
+    ids=["image", "fetch", "frame", "no destination", "none and cross", "cross and same", "two modes"],
+)  # fmt: skip
+def test_a_page_of_another_origin_loads_nothing(
+    local: TestClient, method: str, path: str, headers: list[tuple[str, str]]
+):
+    answer = local.request(method, path.format(job="0" * 32), headers=headers)
+    assert answer.status_code == 403
+    if method == "GET":
+        assert "may link to this" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "same-origin", "none"])
+def test_a_link_on_a_page_of_another_origin_works(local: TestClient, site: str):
+    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
+    navigation = {"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    assert local.get(job, headers=navigation).status_code == 200
+    assert local.post("/v1/jobs", json=SWEEP, headers=navigation).status_code == (
+        200 if site in ("same-origin", "none") else 403
+    )
+
+
+@pytest.mark.parametrize("site", ["same-origin", "none"])
+def test_its_own_page_may_load_everything(local: TestClient, site: str):
+    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
+    headers = {"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "cors", "Sec-Fetch-Dest": "empty"}
+    for path in (job, f"{job}/diagram", "/", "/static/js/main.js"):
+        assert local.get(path, headers=headers).status_code == 200
+
+
+@pytest.mark.parametrize(("method", "path"), [call for call in READS if call[0] == "GET"])
+def test_head_answers_what_get_answers(local: TestClient, method: str, path: str):
+    """Without the body, and at once also where GET streams until the job ends."""
+    job = local.post("/v1/jobs", json=SWEEP).json()["id"]
+    head = local.head(path.format(job=job))
+    assert head.content == b""
+    if "/events" in path:
+        assert head.status_code == 200
+        return
+    answer = local.request(method, path.format(job=job))
+    assert head.status_code == answer.status_code
+    assert head.headers["Content-Type"] == answer.headers["Content-Type"]
+    assert head.headers.get("ETag") == answer.headers.get("ETag")
+    if answer.status_code == 405:
+        assert "GET" not in answer.headers["Allow"]
+
+
+@pytest.mark.parametrize(("path", "allowed"), [("/v1/jobs", "GET, HEAD, POST"), ("/v1/trajectories", "POST")])
+def test_a_method_that_is_not_allowed_is_named_in_part(local: TestClient, path: str, allowed: str):
+    answer = local.request("X" * 5_000, path)
+    assert (answer.status_code, answer.headers["Allow"]) == (405, allowed)
+    assert answer.json()["detail"] == f"{path} does not support {'X' * 16}"
+
+
 def test_no_page_of_another_origin_may_read(local: TestClient):
     answer = local.get("/v1/jobs", headers={"Origin": "https://evil.example"})
     assert not [name for name in answer.headers if name.startswith("access-control-")]

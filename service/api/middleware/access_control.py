@@ -65,6 +65,10 @@ class AccessControl:
         self._check_host(headers.getlist("host"))
         if method not in SAFE:
             _check_origin(headers)
+        elif not _same_site(headers) and not _is_navigation(headers):
+            raise CrossOriginRefused(
+                "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
+            )
         if self._tokens and path not in OPEN_PATHS and not path.startswith(OPEN_FOLDER):
             return self._check_token(headers.getlist("authorization"))
         return None
@@ -93,9 +97,19 @@ class AccessControl:
 def _check_origin(headers: Headers) -> None:
     """Refuse pages of another origin; browsers send these headers, other clients do not and pass."""
     same_origin = all(_authority(origin) == headers.get("host") for origin in headers.getlist("origin"))
-    same_site = all(site in ("none", "same-origin") for site in headers.getlist("sec-fetch-site"))
-    if not same_origin or not same_site:
+    if not same_origin or not _same_site(headers):
         raise CrossOriginRefused("Origin: web pages of another origin must not change anything")
+
+
+def _same_site(headers: Headers) -> bool:
+    return all(site in ("none", "same-origin") for site in headers.getlist("sec-fetch-site"))
+
+
+def _is_navigation(headers: Headers) -> bool:
+    """Whether the answer becomes the page that the user looks at; a frame or an image does not."""
+    return headers.getlist("sec-fetch-mode") == ["navigate"] and (
+        headers.getlist("sec-fetch-dest") == ["document"]
+    )
 
 
 def _authority(origin: str) -> str:

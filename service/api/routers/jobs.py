@@ -161,7 +161,7 @@ async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
     summary="Stream a job's progress",
     response_class=EventSourceResponse,
     dependencies=[Depends(_listener_slot)],
-    responses=problem_responses(404, 429),
+    responses=problem_responses(404, 503),
 )
 async def events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events, each the job without its specification.

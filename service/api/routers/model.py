@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query, Response
 
 from kernel.threshold import threshold
 from service.api import parameters, schemas
+from service.api.capacity import costly
 from service.api.dependencies import JsonBody, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.formats import MEDIA_TYPES, PICTURES
@@ -14,7 +15,7 @@ from service.render import text
 from service.render import work_precision as work_precision_diagram
 from service.results import trajectory as trajectories
 from service.results import work_precision
-from service.results.trajectory import TrajectorySpec
+from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec
 from service.results.work_precision import Tradeoff
 
 router = APIRouter(prefix="/v1")
@@ -41,6 +42,7 @@ def eq_25(query: Annotated[parameters.ThresholdQuery, Query()]) -> schemas.Thres
     responses=problem_responses(400, 408, 413, 415, 422, 429),
     openapi_extra=_TRAJECTORY_BODY,
 )
+@costly(MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
 def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """One cell from rest, after `settle` plate periods: plate, masses and contact force, sample by sample.
 
@@ -48,8 +50,7 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """
     spec = TrajectorySpec.from_json(body)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    with service.trajectory_limit.slot():
-        motion = trajectories.compute(spec)
+    motion = trajectories.compute(spec)
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 
 
@@ -63,6 +64,7 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
         **problem_responses(422, 429, 503),
     },
 )
+@costly(work_precision_diagram.MEMORY, "on demand")
 def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 
