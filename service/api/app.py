@@ -38,8 +38,9 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     """The service as an ASGI application that computes on `executor`; the caller closes the executor.
 
     Its startup raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
-    version wrote the ledger.
+    version wrote the ledger. Raises NotStarted for a file of tokens that cannot be used.
     """
+    tokens = settings.access_tokens()
     metrics = Metrics()
     app = FastAPI(
         title="bouncing-spring",
@@ -56,7 +57,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, settings=settings)
+    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens)
     app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app

@@ -60,6 +60,9 @@ class JobView(BaseModel):
     replaced_by: str | None = Field(
         description="id of the job that computes the sweep anew, with this release's kernel version"
     )
+    owner: str | None = Field(
+        description="name of the access token that submitted it, or resumed it last; null if that has none"
+    )
     created: datetime
     started: datetime | None
     finished: datetime | None
@@ -335,6 +338,7 @@ def job_view(
         kernel_version=job.kernel_version,
         notice=notice or job.notice,
         replaced_by=job.replaced_by,
+        owner=job.owner,
         created=_time(job.created),
         started=_time(job.started),
         finished=None if job.repairing else _time(job.finished),

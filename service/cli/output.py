@@ -33,7 +33,10 @@ def job_report(job: "Job") -> str:
         "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
         f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
         "settling": settling_note(job),
-        **{member: job.view.get(member) for member in ("notice", "created", "started", "finished", "error")},
+        **{
+            member: job.view.get(member)
+            for member in ("owner", "notice", "created", "started", "finished", "error")
+        },
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
 

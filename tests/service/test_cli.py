@@ -33,7 +33,7 @@ from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "cancel", "curves", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes",
+    "cancel", "curves", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "open",
     "orbits", "resume", "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 

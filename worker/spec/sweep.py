@@ -8,6 +8,7 @@ import hashlib
 import json
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
+from unicodedata import category
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,18 @@ SMALLEST: Final = 1e-6
 LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
+#: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
+MAX_MARKS: Final = 4
 
 
 def _label(name: str) -> str:
     if not name.isprintable():
         raise BrokenRuleError("", "must be one line of printable characters")
+    marks = 0
+    for character in name:
+        marks = marks + 1 if category(character) in ("Mn", "Me") else 0
+        if marks > MAX_MARKS:
+            raise BrokenRuleError("", f"must have at most {MAX_MARKS} combining marks in a row")
     return name
 
 
