@@ -60,6 +60,10 @@ def _label(name: str) -> str:
     return name
 
 
+#: The name of a study: not part of its identity.
+Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
+
+
 class SweepSpec(Strict):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
@@ -68,7 +72,7 @@ class SweepSpec(Strict):
     each field and rule.
     """
 
-    name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
+    name: Label = ""
     gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
