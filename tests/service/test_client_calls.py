@@ -309,38 +309,18 @@ def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
 
 
 def test_orbits_of_a_job_are_written(running: Running, tmp_path: Path):
-    words = (
-        "orbits",
-        running.job.id,
-        "--omega",
-        "0.5",
-        "--direction",
-        "up",
-        "-o",
-        str(tmp_path / "words.csv"),
-    )
+    place = ("--omega", "0.5", "--direction", "up")
+    words = ("orbits", running.job.id, *place, "-o", str(tmp_path / "words.csv"))
     done = bounce(running, *words)
     assert done.exit_code == 0, done.output
     header, *rows = (tmp_path / "words.csv").read_text().splitlines()
-    assert header.startswith("branch,word,bounces,periods,") or "word" in header.split(",")
-    assert "flight_time_1" in header.split(",")
+    assert {"word", "flight_time_1", "gamma"} <= set(header.split(","))
     assert rows
 
 
 def test_curves_are_printed_and_written(running: Running, tmp_path: Path):
-    words = (
-        "curves",
-        "--xi",
-        "0.05",
-        "--start",
-        "0.6",
-        "--stop",
-        "0.62",
-        "--modes",
-        "1-1",
-        "--kinds",
-        "fold",
-    )
+    span = ("--start", "0.6", "--stop", "0.62")
+    words = ("curves", "--xi", "0.05", *span, "--modes", "1-1", "--kinds", "fold")
     assert output_of(running, *words).startswith("EVENT")
     assert bounce(running, *words, "-o", str(tmp_path / "c.csv")).exit_code == 0
     header, *rows = (tmp_path / "c.csv").read_text().splitlines()
