@@ -138,7 +138,7 @@ def job_orbits(
         service.on_demand, job, dependencies.sweep(service, job),
         query.omega, query.xi, query.direction, query.gamma_max,
     )  # fmt: skip
-    return Response(orbits_text.words_json(found), media_type=MEDIA_TYPES["json"])
+    return Response(orbits_text.words_json(found, query.energy), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(
