@@ -32,6 +32,7 @@ class JobRun:
     ) -> None:
         self.job, self.prepared = job, prepared
         self.stopping = job.cancel_requested  # a cancel is being carried out
+        self.flagged = False  # its store has the cancel flag
         self.in_flight: dict[int, Future[ChunkReport]] = {}
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
