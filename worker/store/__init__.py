@@ -14,6 +14,7 @@ from worker.store.backend import (
     rename_for_deletion,
 )
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
+from worker.store.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
 from worker.store.chunks import checksum_of, discard, find_corrupt
 from worker.store.errors import (
     ChunkCoords,
@@ -56,14 +57,17 @@ __all__ = [
     "is_cancelled",
     "names_in",
     "read_attrs",
+    "read_checkpoint",
     "read_chunk",
     "read_coordinates",
     "read_key",
     "read_slice",
     "remove",
+    "remove_checkpoint",
     "rename_for_deletion",
     "repair_metadata",
     "set_cancelled",
     "sweep_leftovers",
+    "write_checkpoint",
     "write_chunk",
 ]
