@@ -9,12 +9,12 @@ from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
-from service.jobs.deletion import Deleter
 from service.jobs.ledger import Ledger
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
-from service.jobs.repair import Repairer
-from service.jobs.scrub import Scrubber
+from service.jobs.stores.deletion import Deleter
+from service.jobs.stores.repair import Repairer
+from service.jobs.stores.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.jobs.transactions import WriteTransaction
 from service.settings import Settings

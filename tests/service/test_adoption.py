@@ -13,9 +13,9 @@ from scripted import Held, Scripted, small, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import NotAdoptable
-from service.jobs import adoption
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, JobState
+from service.jobs.stores import adoption
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.spec import SweepSpec

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import Final
 
-from service.jobs.adoption import find_unknown
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
 from service.jobs.prepare import JobPreparer
-from service.jobs.repair import Repairer
+from service.jobs.stores.adoption import find_unknown
+from service.jobs.stores.repair import Repairer
 from service.settings import Settings
 from worker import store
 
