@@ -5,7 +5,7 @@ Modules that take long to import are imported by the commands that need them.
 
 import click
 
-from service.cli import jobs, results
+from service.cli import data, jobs, results
 from service.cli.figure import figure
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.cli.tradeoff import tradeoff
@@ -53,7 +53,7 @@ def metrics(url: str, token: str | None) -> None:
         click.echo(client.metrics(), nl=False)
 
 
-for command in (*jobs.COMMANDS, *results.COMMANDS, figure, tradeoff):
+for command in (*jobs.COMMANDS, *results.COMMANDS, *data.COMMANDS, figure, tradeoff):
     main.add_command(command)
 
 

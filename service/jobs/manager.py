@@ -4,12 +4,13 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
-from service.jobs.ledger import Ledger
+from service.jobs.ledger import NOT_LOCAL, Ledger
+from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores.deletion import Deleter
@@ -67,9 +68,21 @@ class JobManager:
             part.stop(max(deadline - time.monotonic(), 0.1))
 
     @property
-    def unknown_stores(self) -> Sequence[str]:
+    def unknown_stores(self) -> list[str]:
         """Addresses of stores that the ledger does not know, as found at the start."""
-        return [*self._scrubber.unknown_stores, *self._deleter.kept]
+        return sorted({*self._scrubber.unknown_stores, *self._deleter.kept})
+
+    def notices(self) -> list[str]:
+        """What an operator should know, although jobs are computed."""
+        notices = []
+        if unknown := len(self.unknown_stores):
+            notices.append(
+                f"stores that the ledger does not know: {unknown}; bounce doctor names them, "
+                "bounce adopt takes them in"
+            )
+        if network := network_file_system(self._settings.data):
+            notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
+        return notices
 
     def _is_verified(self, job_id: str) -> bool:
         return self._scrubber.is_verified(job_id)
@@ -97,7 +110,6 @@ class JobManager:
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
-            self._ledger.keep_reserve()
             self._supervisor.wake()
         return Submission(record, accepted)
 
@@ -139,7 +151,6 @@ class JobManager:
                 accepted = self._accept(ledger, job)
                 record = _existing(ledger.find(job_id), job_id)
         if accepted:
-            self._ledger.keep_reserve()
             self._supervisor.wake()
         return Submission(record, accepted)
 

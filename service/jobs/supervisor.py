@@ -7,7 +7,7 @@ Whatever it holds in memory can be rebuilt from the ledger.
 import logging
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
@@ -89,6 +89,7 @@ class Supervisor:
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
+        self._messages: deque[Message] = deque()  # received, and not yet taken in
         self._runs: dict[str, JobRun] = {}
         self._broken: Counter[str] = Counter()  # runs given up after an error of this module, by job
         self._slots = 0  # chunks that each job may have in flight
@@ -120,7 +121,9 @@ class Supervisor:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._step(self._receive())
+                self._messages.extend(self._receive())
+                self._ledger.check()  # nothing is stored either while the ledger is not the one it was
+                self._step()
             except LedgerUnavailable as error:  # the next step writes what this one could not
                 pause = self._settings.heartbeat_seconds
                 log.error("supervisor step failed; retrying in %g s: %s", pause, error)
@@ -143,20 +146,24 @@ class Supervisor:
             messages.append(self._inbox.get())
         return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
 
-    def _step(self, messages: list[Message]) -> None:
+    def _step(self) -> None:
         """Messages change what is in memory; then the ledger gets it, now or in a later step.
 
         Raises LedgerUnavailable. Any other error concerns the job alone that it is of.
         """
-        for message in messages:
-            if not isinstance(message, Sync) and message.job_id in self._runs:
+        sync = False
+        while self._messages:
+            message = self._messages.popleft()
+            if isinstance(message, Sync):
+                sync = True
+            elif message.job_id in self._runs:
                 run = self._runs[message.job_id]
                 with self._contained(run):
                     self._take(run, message)
         for run in list(self._runs.values()):
             with self._contained(run):
                 self._save(run)
-        if any(isinstance(message, Sync) for message in messages):
+        if sync:
             self._sync()
         self._submit()
         for run in list(self._runs.values()):
@@ -232,6 +239,7 @@ class Supervisor:
 
     def _sync(self) -> None:
         """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
+        self._ledger.keep_reserve()
         self._slots = self._settings.window * self._executor.workers()
         pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause

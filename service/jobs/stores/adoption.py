@@ -5,9 +5,11 @@ else: the specification, how it was cut into chunks, and the chunks, of which ea
 """
 
 import json
+import logging
 import re
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from kernel.params import Outcome
@@ -23,6 +25,8 @@ from worker.spec.errors import SpecError
 from worker.store import StoreError
 from worker.studies import Plan, study_of
 from worker.tasks import ChunkReport
+
+log = logging.getLogger(__name__)
 
 _STORE_NAME: Final = re.compile(r"([0-9a-f]{32})\.zarr")
 
@@ -46,6 +50,21 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
     with ledger.reading() as reading:
         known = reading.ids() | {deletion.job_id for deletion in reading.deletions()}
     return [settings.store_of(job_id) for job_id in ids if job_id not in known]
+
+
+def has_stores(settings: Settings) -> bool:
+    """Whether there are stores where the settings say; assumed of a place that does not answer."""
+    try:
+        names = store.names_in(settings.store_of("").rsplit("/", 1)[0])
+    except Exception as error:  # noqa: BLE001 - whatever keeps it from answering
+        log.warning("the stores cannot be listed: %s", error)
+        return True
+    return any(_STORE_NAME.fullmatch(name) for name in names)
+
+
+def open_ledger(settings: Settings) -> Ledger:
+    """The ledger of the settings' data folder. Raises as `Ledger` does."""
+    return Ledger(settings.ledger_path, partial(has_stores, settings))
 
 
 def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:

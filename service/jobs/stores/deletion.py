@@ -95,6 +95,7 @@ class Deleter:
         url = self._settings.store_of(deletion.job_id)
         began = time.monotonic()
         try:
+            self._ledger.check()
             if deletion.step is DeletionStep.RECORDED and not self._free(deletion, url):
                 return True
             store.remove(_renamed(url, deletion))

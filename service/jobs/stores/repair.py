@@ -65,6 +65,7 @@ class Repairer:
     def repair_metadata(self, job: JobRecord) -> None:
         """Rewrite damaged metadata and coordinates; not those of an outdated job, which differ."""
         if not job.outdated:
+            self._ledger.check()
             prepared = self._preparer.prepare(job)
             if store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes):
                 self._after_writing(job)
