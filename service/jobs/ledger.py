@@ -135,13 +135,18 @@ class Ledger:
 
         It names no path: whoever asks for the service's readiness gets it.
         """
-        if self._damage is None:
-            try:
+        try:
+            if self._damage is None:
                 with self.reading() as ledger:
                     ledger.newest_seq()
-            except LedgerUnavailable as error:
-                return str(error)
-        return self._refused or self._files.replaced()
+            if self._write_lock.acquire(blocking=False):
+                try:
+                    self._check_files()
+                finally:
+                    self._write_lock.release()
+        except LedgerUnavailable as error:
+            return str(error)
+        return self._refused
 
     def _begin(self) -> None:
         """Begin to write; keeps the reason if that is refused, as by a lock of another program."""
