@@ -106,7 +106,8 @@ class Client:
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
         periods), `samples` per period, and `start`, a cycle of the closed form. Returns a Dataset with dim
         phase: `plate`, `z1`, `z2` in plate amplitudes, `force`, `in_flight`; with dim flight: `takeoff`,
-        `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate amplitudes. Raises BadRequest naming the field, TooLarge, Busy.
+        `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate amplitudes. Raises
+        BadRequest naming the field, TooLarge, Busy.
         """
         from service.client.datasets import trajectory_dataset
 
