@@ -104,11 +104,15 @@ def force_weights(k: Spring, x: Orbit, t: Array) -> Array:
     n = 2/Gamma - Re(N z e^{i(T + t)}) + h'', with N = 1 + (w + i b) Q and z = c + i s; lengths in units of
     g/omega**2.
     """
-    b, w = k.dashpot, k.stiffness
     sin, cos = np.sin(t), np.cos(t)
-    c, s = x.c * cos - x.s * sin, x.c * sin + x.s * cos
-    h = x.q_land + 1.0 / w - (k.q_re * c - k.q_im * s)
-    h1 = x.v_land + (k.q_re * s + k.q_im * c)
+    return force_from(k, x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos)
+
+
+def force_from(k: Spring, q: Array, v: Array, c: Array, s: Array) -> Array:
+    """`force_weights` of a contact that begins with q and v at Gamma e^{i phi} = c + i s."""
+    b, w = k.dashpot, k.stiffness
+    h = q + 1.0 / w - (k.q_re * c - k.q_im * s)
+    h1 = v + (k.q_re * s + k.q_im * c)
     h2 = -b * h1 - w * h
     n_re, n_im = 1.0 + w * k.q_re - b * k.q_im, w * k.q_im + b * k.q_re
     return np.array([n_re * c - n_im * s, n_re * s + n_im * c, h2, -b * h2 - w * h1])
@@ -136,8 +140,8 @@ def check(
     scale = 1.0 / np.hypot(x.c, x.s)
     impact, slope, landing = x.impact * scale, force_slope(k, x) * scale, force_at_landing(k, x, t) * scale
     zero, rest = np.zeros_like(t), TWO_PI * periods - t
-    gap, below = _deepest(k, gap_terms, gap_weights(x) * scale, zero, t, impact, at.time, at.gap, tolerance)
-    force, pulls = _deepest(
+    gap, below = deepest(k, gap_terms, gap_weights(x) * scale, zero, t, impact, at.time, at.gap, tolerance)
+    force, pulls = deepest(
         k, force_terms, force_weights(k, x, t) * scale, 2.0 * scale, rest, slope, at.time, at.force, tolerance
     )
     # written so that an orbit that is not finite fulfils no condition
@@ -153,7 +157,7 @@ def _combined(weights: Floats, terms: Floats) -> Floats:
     return np.asarray(np.einsum("in,im->nm", weights, terms))
 
 
-def _deepest(
+def deepest(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, nodes: Floats,
     at_nodes: tuple[Floats, Floats], tolerance: NDArray[np.float64] | float,
 ) -> tuple[Minima, NDArray[np.bool_]]:  # fmt: skip

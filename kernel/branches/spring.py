@@ -8,6 +8,7 @@ Phase phi = omega t in rad. Lengths in this package's closed forms are in units 
 1/Gamma, the weight, is one and the orbit's equations are linear); results are in plate amplitudes.
 """
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -117,30 +118,46 @@ def flight(k: Spring, t: Array) -> Flight:
     near = np.real(t) * max(np.sqrt(2.0 * abs(w)), 2.0 * abs(b)) < SHORT
     if near.any():
         x = t[near]
-        power, before, last = x, 0.0 * x, 1.0 + 0.0 * x  # x**n/n! and two derivatives of s at zero
-        rest = [np.zeros_like(x) for _ in range(3)]
-        for n in range(2, _TERMS):
-            before, last = last, -2.0 * b * last - 2.0 * w * before
-            power = power * x / n
-            term = last * power
-            rest[0] += term
-            rest[1] += term * x / (n + 1)
-            rest[2] += term * x * x / ((n + 1) * (n + 2))
-        s_rest[near], s_int_rest[near] = rest[0], rest[1]
-        s_int[near] = 0.5 * x * x + rest[1]
-        s_int2[near] = x * x * x / 6.0 + rest[2]
+        s_rest[near], s_int_rest[near], double = _summed(x, 2, _response_series(b, w))
+        s_int[near] = 0.5 * x * x + s_int_rest[near]
+        s_int2[near] = x * x * x / 6.0 + double
     sin, cos = np.sin(t), np.cos(t)
     half = np.sin(0.5 * t)
     versine = 2.0 * half * half
     sin_rest, cos_rest = t - sin, versine - 0.5 * t * t
     near = np.real(t) < SHORT
     if near.any():
-        x = t[near]
-        square = -x * x
-        odd, even = x * square / -6.0, square * square / -24.0
-        sin_rest[near], cos_rest[near] = odd, even
-        for n in range(4, _TERMS, 2):
-            odd, even = odd * square / (n * (n + 1)), even * square / ((n + 1) * (n + 2))
-            sin_rest[near] += odd
-            cos_rest[near] += even
+        sin_rest[near], cos_rest[near] = _summed(t[near], 3, _CIRCULAR_SERIES)
     return Flight(f, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine, sin, cos)
+
+
+def _response_series(b: Number, w: Number) -> Array:
+    """Coefficients (m, 3) of t**2, t**3, ... in s - t and its first and second integral."""
+    before, last, factorial = 0.0 * b, 1.0 + 0.0 * b, 1.0
+    rows = []
+    for n in range(2, _TERMS):
+        before, last = last, -2.0 * b * last - 2.0 * w * before  # the n-th derivative of s at zero
+        factorial *= n
+        rows.append(last / factorial)
+    order = np.arange(2.0, _TERMS)
+    series = np.zeros((len(order) + 2, 3), np.asarray(rows).dtype)
+    series[:-2, 0] = rows
+    series[1:-1, 1] = rows / (order + 1.0)
+    series[2:, 2] = series[1:-1, 1] / (order + 2.0)
+    return series
+
+
+def _circular_series() -> Array:
+    """Coefficients (m, 2) of t**3, t**4, ... in t - sin t and 1 - cos t - t**2/2."""
+    terms = [(-1.0) ** (n // 2 + 1) / math.factorial(n) for n in range(3, _TERMS)]
+    return np.array([[a, 0.0] if n % 2 else [0.0, a] for n, a in enumerate(terms, 3)])
+
+
+_CIRCULAR_SERIES: Final = _circular_series()
+
+
+def _summed(t: Array, lowest: int, series: Array) -> Array:
+    """Power series (f, n) at times (n,), from their coefficients (m, f) of t**lowest and on."""
+    power = np.empty((len(series), len(t)), t.dtype)
+    power[0], power[1:] = t**lowest, t
+    return np.asarray(np.einsum("mf,mn->fn", series, np.multiply.accumulate(power)))

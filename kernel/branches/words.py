@@ -1,14 +1,13 @@
-"""Cycles of several flights, written as words, and their branches.
+"""Cycles of several flights, written as words.
 
 A word has a letter for each flight: "s", it lands and sticks, or "z", it lands where n < 0 and takes off
 again at once. The last letter is "s". Unknowns are the state after the last landing, (q, v, c, s) with
 c + i s = Gamma e^{i phi} and lengths in units of g/omega**2, and all times: the contact that follows, the
 first flight, the contact after it if its letter is "s", and so on. Equations: n = 0 at the end of each
 contact, gap = 0 at the end of each flight, q and v come back, and the times add up to 2 pi periods: one
-fewer than unknowns.
+fewer than unknowns. Times, not velocities, are unknowns: nothing is singular where a landing grazes.
 
-Branches are followed by pseudo-arclength. Times, not velocities, are unknowns: nothing is singular where a
-landing grazes. Derivatives are by the complex step, exact to rounding.
+`kernel.branches.continuation` follows the branch of a word.
 """
 
 from typing import Final, NamedTuple
@@ -16,41 +15,44 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.admissibility import Reason
+from kernel.branches.admissibility import (
+    Reason,
+    Samples,
+    deepest,
+    force_from,
+    force_terms,
+    gap_terms,
+)
 from kernel.branches.closed_form import TWO_PI, multipliers, orbit
 from kernel.branches.closed_form import stable as is_stable
-from kernel.branches.events import Events, Kind, join_events
-from kernel.branches.spring import STEP, Array, Spring, flight, spring, stuck
+from kernel.branches.events import GRAZES, SAMPLES, Kind, check_spring, flight_times
+from kernel.branches.roots import Floats
+from kernel.branches.spring import Array, Flight, Free, Spring, flight, spring, stuck
 from kernel.params import KernelInputError
-
-Floats = NDArray[np.float64]
-
-#: Newton steps at most, and the last step's size, relative.
-_NEWTON: Final = 15
-_CONVERGED: Final = 1e-12
-
-#: Steps along a branch: the first, the largest, the smallest; the tangent turns by at most this, rad.
-_FIRST, _LARGEST, _SMALLEST = 1e-3, 0.1, 1e-9
-_TURN: Final = 0.2
-
-#: First step away from the branch that doubles its period, in the units of the unknowns.
-_ASIDE: Final = 1e-3
-
-#: Samples of each flight and contact in the check of an orbit, and what is rounding there.
-_SAMPLES: Final = 257
-_ROUNDING: Final = 1e-9
-
-#: Newton's method keeps c + i s on a line; so often turned to the new phase, that keeps Gamma.
-_SAME_GAMMA: Final = 4
 
 #: A contact shorter than this, rad, is an immediate take-off.
 _STICKS: Final = 1e-6
 
-#: What changes sign along a branch, in the order of `_tests`.
-_TESTS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
+#: A time that is exactly zero is taken as this: what the gap is divided by stays a number.
+_SHORTEST: Final = 1e-30
 
-#: Steps of the search for an event along a branch: enough to halve a step to rounding.
-_HALVINGS: Final = 60
+#: Conditions are broken by more than this, in plate amplitudes or m A omega**2. Where a flight shrinks to
+#: nothing, n touches zero: two times vanish together, and each is known to the root of rounding only.
+_BROKEN: Final = 1e-8
+
+#: The state's places among the unknowns; the times follow.
+STATE: Final = 4
+
+
+class Word(NamedTuple):
+    """A cycle of several flights, or a guess of one, from which its branch is followed."""
+
+    omega: float
+    xi: float
+    letters: str  # of "s" and "z", the last an "s"
+    periods: int
+    unknowns: Floats  # (m,): see the module
+    direction: Floats | None = None  # (m,) the first step from another branch; None: both ways
 
 
 class WordBranch(NamedTuple):
@@ -64,13 +66,23 @@ class WordBranch(NamedTuple):
     gamma: NDArray[np.float64]  # (n,)
     flight_time: NDArray[np.float64]  # (n, flights) rad, in the order of the letters
     takeoff_phase: NDArray[np.float64]  # (n, flights) rad, in [0, 2 pi)
+    impact_velocity: NDArray[np.float64]  # (n, flights) gap' before landing, < 0
     multiplier: NDArray[np.complex128]  # (n, 2)
     stable: NDArray[np.bool_]  # (n,)
     admissible: NDArray[np.uint8]  # (n,) 0, or the bits of a Reason
 
 
-class _State(NamedTuple):
-    """q, v, and Gamma e^{i phi} = c + i s."""
+class Piece(NamedTuple):
+    """A contact or a flight of a word."""
+
+    flies: bool
+    letter: int  # the flight's, or of the flight after this contact
+    place: int  # its time among the unknowns
+    power: int  # of the root of the gap at zero time: 3 after a contact, 2 after a "z"
+
+
+class State(NamedTuple):
+    """q, v, c, s of p orbits, with their derivatives: arrays (1 + m, p), the values in row 0."""
 
     q: Array
     v: Array
@@ -78,327 +90,362 @@ class _State(NamedTuple):
     s: Array
 
 
-class _Piece(NamedTuple):
-    """A contact or flight of an orbit."""
+class Round(NamedTuple):
+    """p orbits gone through once."""
 
-    flies: bool
-    start: _State
-    time: Array
+    value: Floats  # (m - 1, p) of the equations
+    slope: Floats  # (m - 1, m, p) their derivatives by the unknowns
+    starts: list[State]  # at each piece's beginning
+    impacts: list[Floats]  # (p,) gap' before each flight's landing
 
 
-def _turned(x: _State, t: Array) -> tuple[Array, Array]:
-    """c and s after t rad."""
-    sin, cos = np.sin(t), np.cos(t)
+def pieces(letters: str) -> list[Piece]:
+    """In order from the last landing on."""
+    found: list[Piece] = []
+    for n in range(len(letters)):
+        sticks = letters[n - 1] == "s"
+        if sticks:
+            found.append(Piece(False, n, STATE + len(found), 0))
+        found.append(Piece(True, n, STATE + len(found), 3 if sticks else 2))
+    return found
+
+
+def go_round(k: Spring, letters: str, periods: int, u: Floats) -> Round:
+    """The equations at unknowns u (m, p), and their derivatives: each motion is linear in its state."""
+    parts = pieces(letters)
+    m, p = u.shape
+    times = np.where(u[STATE:] == 0.0, _SHORTEST, u[STATE:])
+    flies = np.array([part.flies for part in parts])
+    flown, stuck_ = flight(k, times[flies]), stuck(k, times[~flies])
+    state = State(*np.zeros((STATE, 1 + m, p)))
+    for i, x in enumerate(state):
+        x[0], x[1 + i] = u[i], 1.0
+    start = state
+    rows, starts, impacts = [], [], []
+    flights = contacts = 0
+    for part in parts:
+        starts.append(state)
+        t = times[part.place - STATE]
+        if part.flies:
+            f = Flight(Free(*(x[flights] for x in flown.free)), *(x[flights] for x in flown[1:]))
+            state, gap, impact = _fly(k, state, f, t, part.place)
+            gap = gap / t**part.power  # without the root at zero
+            gap[1 + part.place] -= part.power * gap[0] / t
+            rows.append(gap)
+            impacts.append(impact)
+            flights += 1
+        else:
+            state = _stick(k, state, Free(*(x[contacts] for x in stuck_)), t, part.place)
+            rows.append(force(k, state))
+            contacts += 1
+    # what is left of the periods is zero: to first order, a contact of that time
+    rest = np.zeros((1 + m, p))
+    rest[0], rest[1 + STATE :] = TWO_PI * periods - u[STATE:].sum(axis=0), -1.0
+    q1, v1 = _contact_motion(k, state)
+    rows += [state.q - start.q + rest * q1, state.v - start.v + rest * v1, rest]
+    whole = np.array(rows)
+    return Round(whole[:, 0], whole[:, 1:], starts, impacts)
+
+
+def force(k: Spring, x: State) -> Array:
+    """n of a mass that sticks (1 + m, p)."""
+    n = -x.c - k.dashpot * x.v - k.stiffness * x.q
+    n[0] += 1.0
+    return np.asarray(n)
+
+
+def _contact_motion(k: Spring, x: State) -> tuple[Floats, Floats]:
+    """q' and v' in contact (p,)."""
+    return x.v[0], x.c[0] - 1.0 - k.dashpot * x.v[0] - k.stiffness * x.q[0]
+
+
+def _turned(x: State, sin: Floats, cos: Floats) -> tuple[Array, Array]:
+    """c and s later."""
     return x.c * cos - x.s * sin, x.c * sin + x.s * cos
 
 
-def _stick(k: Spring, x: _State, t: Array) -> _State:
+def _stick(k: Spring, x: State, f: Free, t: Floats, place: int) -> State:
     """The state after a contact of t rad."""
-    h = x.q + 1.0 / k.stiffness - (k.q_re * x.c - k.q_im * x.s)
+    h = x.q - (k.q_re * x.c - k.q_im * x.s)
+    h[0] += 1.0 / k.stiffness
     h1 = x.v + (k.q_re * x.s + k.q_im * x.c)
-    f = stuck(k, t)
-    c, s = _turned(x, t)
-    q = h * f.c + h1 * f.s - 1.0 / k.stiffness + (k.q_re * c - k.q_im * s)
-    return _State(q, h * f.c1 + h1 * f.s1 - (k.q_re * s + k.q_im * c), c, s)
+    c, s = _turned(x, np.sin(t), np.cos(t))
+    q = h * f.c + h1 * f.s + (k.q_re * c - k.q_im * s)
+    q[0] -= 1.0 / k.stiffness
+    end = State(q, h * f.c1 + h1 * f.s1 - (k.q_re * s + k.q_im * c), c, s)
+    return _with_time(end, place, *_contact_motion(k, end))
 
 
-def _force(k: Spring, x: _State) -> Array:
-    """n of a mass that sticks."""
-    return 1.0 - x.c - k.dashpot * x.v - k.stiffness * x.q
+def _with_time(x: State, place: int, q1: Floats, v1: Floats) -> State:
+    """With the derivative by the time of the last piece."""
+    x.q[1 + place] += q1
+    x.v[1 + place] += v1
+    x.c[1 + place] -= x.s[0]
+    x.s[1 + place] += x.c[0]
+    return x
 
 
-def _gap(k: Spring, x: _State, t: Array) -> tuple[Array, Array]:
-    """gap and gap' t rad after a take-off with gap = gap' = 0, gap'' = -n."""
-    f, press = flight(k, t), k.dashpot * x.v + k.stiffness * x.q
-    gap2 = -_force(k, x)
-    gap = 0.5 * gap2 * t * t + x.c * f.cos_rest - x.s * f.sin_rest
-    gap = gap + press * f.s_int_rest + k.stiffness * x.v * f.s_int2
-    gap1 = gap2 * t - x.c * f.sin_rest - x.s * f.versine
-    return gap, gap1 + press * f.s_rest + k.stiffness * x.v * f.s_int
+def _fly(k: Spring, x: State, f: Flight, t: Floats, place: int) -> tuple[State, Array, Floats]:
+    """The state after a flight of t rad and its landing, the gap (1 + m, p), and gap' there (p,).
 
-
-def _fly(k: Spring, x: _State, t: Array) -> tuple[_State, Array]:
-    """The state after a flight of t rad and its landing, and the gap."""
-    gap, impact = _gap(k, x, t)
-    f = flight(k, t).free
-    c, s = _turned(x, t)
-    return _State(x.q * f.c + x.v * f.s, x.q * f.c1 + x.v * f.s1 + impact, c, s), gap
-
-
-def _follow(k: Spring, word: str, periods: int, u: Array) -> tuple[Array, list[_Piece]]:
-    """The equations (m - 1, ...) at unknowns u (m, ...), and the pieces of the orbit."""
-    x = start = _State(u[0], u[1], u[2], u[3])
-    at, total, rows, pieces = 4, 0.0 * u[0], [], []
-    for n in range(len(word)):
-        power = 2
-        if n == 0 or word[n - 1] == "s":
-            pieces.append(_Piece(False, x, u[at]))
-            x, total, at, power = _stick(k, x, u[at]), total + u[at], at + 1, 3
-            rows.append(_force(k, x))
-        pieces.append(_Piece(True, x, u[at]))
-        x, gap = _fly(k, x, u[at])
-        rows.append(gap / u[at] ** power)  # without the root at zero
-        total, at = total + u[at], at + 1
-    rest = TWO_PI * periods - total
-    end = _stick(k, x, rest)
-    return np.array([*rows, end.q - start.q, end.v - start.v, rest]), pieces
-
-
-def _equations(k: Spring, word: str, periods: int, u: Floats) -> tuple[Floats, Floats]:
-    """The equations (m - 1,) and their derivatives (m - 1, m)."""
-    value, _ = _follow(k, word, periods, u[:, None] + 1j * STEP * np.eye(len(u)))
-    return value[:, 0].real, value.imag / STEP
-
-
-def _newton(
-    k: Spring, word: str, periods: int, u: Floats, direction: Floats, goal: float | None = None
-) -> tuple[Floats, Floats, bool]:
-    """The orbit at which direction . u is `goal`, the derivatives there, and whether it was found.
-
-    goal: None: what it is at the guess u.
+    From a take-off with gap = gap' = 0, gap'' = -n.
     """
-    goal = float(direction @ u) if goal is None else goal
-    for _ in range(_NEWTON):
-        with np.errstate(all="ignore"):
-            value, slope = _equations(k, word, periods, u)
-        if not (np.isfinite(value).all() and np.isfinite(slope).all()):
-            return u, slope, False
-        try:
-            step = np.linalg.solve(np.vstack([slope, direction]), np.append(value, direction @ u - goal))
-        except np.linalg.LinAlgError:
-            return u, slope, False
-        u = u - step
-        if (u[4:] <= 0.0).any():
-            return u, slope, False
-        if np.abs(step).max() < _CONVERGED * np.abs(u).max():
-            return u, slope, True
-    return u, slope, False
+    b, w = k.dashpot, k.stiffness
+    gap2, press = -force(k, x), b * x.v + w * x.q
+    gap = 0.5 * t * t * gap2 + x.c * f.cos_rest - x.s * f.sin_rest + press * f.s_int_rest + w * x.v * f.s_int2
+    gap1 = t * gap2 - x.c * f.sin_rest - x.s * f.versine + press * f.s_rest + w * x.v * f.s_int
+    q, v = x.q * f.free.c + x.v * f.free.s, x.q * f.free.c1 + x.v * f.free.s1
+    c, s = _turned(x, f.sin, f.cos)
+    before = v[0].copy()
+    end = _with_time(
+        State(q, v + gap1, c, s), place, before, -b * before - w * q[0] + c[0] - 1.0
+    )  # v' + gap'' with v' = -2 b v - 2 w q and gap'' = b v + w q + c - 1
+    impact = gap1[0].copy()
+    gap[1 + place] += impact
+    return end, gap, impact
 
 
-def _tangent(slope: Floats) -> Floats:
-    """The unit vector along the branch."""
-    return np.asarray(np.linalg.svd(slope)[2][-1])
+def trace_and_det(slope: Floats) -> tuple[Floats, Floats]:
+    """Of the tangent maps (p,) over a cycle at fixed phase and Gamma, the times following from the events.
+
+    slope (m - 1, m, p). A landing that sticks forgets its phase: the map is 2 x 2.
+    """
+    each = np.moveaxis(slope, -1, 0)
+    events = slope.shape[0] - 3
+    final = each[:, events : events + 2]
+    by_state = np.linalg.solve(each[:, :events, STATE:], each[:, :events, :2])
+    m = final[:, :, :2] + np.eye(2) - final[:, :, STATE:] @ by_state
+    return m[:, 0, 0] + m[:, 1, 1], m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
 
 
-def _trace_det(slope: Floats) -> tuple[float, float]:
-    """Of the tangent map over a cycle at fixed phase and Gamma, the times following from the events."""
-    events = len(slope) - 3
-    final = slope[events : events + 2]
-    by_state = np.linalg.solve(slope[:events, 4:], slope[:events, :2])
-    m = final[:, :2] + np.eye(2) - final[:, 4:] @ by_state
-    return float(np.trace(m)), float(np.linalg.det(m))
+class Conditions(NamedTuple):
+    """What must be positive for p orbits to be those of a spring."""
+
+    kind: tuple[Kind, ...]  # (r,) what happens where it passes zero
+    reason: tuple[Reason, ...]  # (r,)
+    piece: tuple[int, ...]  # (r,) of which contact or flight it is
+    value: Floats  # (r, p) in plate amplitudes or m A omega**2; inf: no minimum inside
+    time: Floats  # (r, p) rad after the piece's beginning, of a minimum inside; NaN: not of a minimum
 
 
-def _reason(k: Spring, word: str, periods: int, u: Floats) -> int:
-    """Which conditions the orbit breaks, by sampling its flights and contacts."""
-    _, pieces = _follow(k, word, periods, u[:, None])
-    size = float(np.hypot(u[2], u[3]))
-    inside = np.linspace(0.0, 1.0, _SAMPLES)[1:-1]
-    reason = 0
-    for piece in pieces:
-        t = inside * piece.time
-        if piece.flies:
-            gap, _ = _gap(k, piece.start, t)
-            _, impact = _gap(k, piece.start, piece.time)
-            if gap.min() < -_ROUNDING * size or impact[0] > 0.0:
-                reason |= Reason.GAP
-            if _force(k, piece.start)[0] > _ROUNDING * size:
-                reason |= Reason.CONTACT  # a "z" that would stick
+def samples(k: Spring, periods: int) -> Samples:
+    """Of flights and contacts of a word, to be made once for a spring."""
+    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
+    t = np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES)])
+    return Samples(t, _gap_terms(k, t)[:2], force_terms(k, t)[:2])
+
+
+def _gap_terms(k: Spring, t: Array) -> tuple[Array, Array, Array]:
+    """The gap and its two derivatives as combinations (5, ...) of (c, s, b v + w q, v, -n)."""
+    one = np.ones_like(t)
+    last = (0.5 * t * t, t, one)
+    terms = zip(gap_terms(k, t), last, strict=True)
+    return tuple(np.concatenate([x, y[None]]) for x, y in terms)  # type: ignore[return-value]
+
+
+def conditions(k: Spring, letters: str, u: Floats, found: Round, at: Samples) -> Conditions:
+    """Of orbits u (m, p), gone through as `found`."""
+    scale = 1.0 / np.hypot(u[2], u[3])
+    b, w = k.dashpot, k.stiffness
+    rows: list[tuple[Kind, Reason, int, Floats, Floats]] = []
+    none = np.full(u.shape[1], np.nan)
+    flown = 0
+    for i, part in enumerate(pieces(letters)):
+        x = State(*(y[0] for y in found.starts[i]))
+        n = force(k, found.starts[i])[0]
+        t = u[part.place]
+        press = b * x.v + w * x.q
+        if part.flies:
+            impact = found.impacts[flown]
+            flown += 1
+            weights = np.array([x.c, x.s, press, x.v, -n if part.power == 2 else 0.0 * n]) * scale
+            gap, _ = deepest(k, _gap_terms, weights, 0.0 * t, t, impact * scale, at.time, at.gap, GRAZES)
+            rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, gap.depth, gap.time))
+            rows.append((Kind.GRAZE_FLIGHT, Reason.GAP, i, -impact * scale, none))
+            if part.power == 2:
+                rows.append((Kind.IMMEDIATE_TAKEOFF, Reason.GAP, i, -n * scale, none))
+            else:
+                # n' = s - b v' - w v at a take-off from contact, where n = 0
+                falls = -(x.s - b * (x.c - 1.0 - press) - w * x.v)
+                rows.append((Kind.GRAZE_CONTACT, Reason.TAKEOFF, i, falls * scale, none))
         else:
-            force = _force(k, _stick(k, piece.start, t))
-            if force.min() < -_ROUNDING * size or _force(k, piece.start)[0] < -_ROUNDING * size:
-                reason |= Reason.CONTACT
-            if force[-1] < 0.0:
-                reason |= Reason.TAKEOFF
-    return int(reason)
+            weights = force_from(k, x.q, x.v, x.c, x.s) * scale
+            after = State(*(y[0] for y in found.starts[i + 1]))
+            slope = after.s - b * (after.c - 1.0 - b * after.v - w * after.q) - w * after.v
+            pull, _ = deepest(
+                k, force_terms, weights, 2.0 * scale, t, slope * scale, at.time, at.force, GRAZES
+            )
+            rows.append((Kind.GRAZE_CONTACT, Reason.CONTACT, i, pull.depth, pull.time))
+            rows.append((Kind.IMMEDIATE_TAKEOFF, Reason.CONTACT, i, n * scale, none))
+    kind, reason, piece, value, time = zip(*rows, strict=True)
+    return Conditions(kind, reason, piece, np.array(value), np.array(time))
 
 
-def doubled(omega: float, xi: float, periods: int, flight_time: float) -> tuple[str, int, Floats, Floats]:
-    """The word that begins at a flip of the branch (1, periods), for `follow`.
+def reasons(found: Conditions) -> NDArray[np.uint8]:
+    """Which conditions p orbits break: bits of a Reason (p,)."""
+    broken = ~(found.value > -_BROKEN)
+    bits = np.zeros(found.value.shape[1], np.uint8)
+    for reason, row in zip(found.reason, broken, strict=True):
+        bits |= np.uint8(reason) * row.astype(np.uint8)
+    return bits
 
-    Returns the word, its periods, the unknowns (m,) of the orbit at the flip gone through twice, and the
-    direction (m,) in which the two rounds begin to differ.
-    """
-    k = spring(omega, xi)
+
+def record(word: Word, unknowns: Floats) -> WordBranch:
+    """The orbits (n, m) of a word."""
+    k = spring(word.omega, word.xi)
+    u = np.ascontiguousarray(unknowns.T)
+    found = go_round(k, word.letters, word.periods, u)
+    trace, det = trace_and_det(found.slope)
+    parts = pieces(word.letters)
+    flights = [i for i, part in enumerate(parts) if part.flies]
+    gamma = np.hypot(u[2], u[3])
+    phase = [np.arctan2(found.starts[i].s[0], found.starts[i].c[0]) for i in flights]
+    held = conditions(k, word.letters, u, found, samples(k, word.periods))
+    return WordBranch(
+        omega=word.omega,
+        xi=word.xi,
+        word=word.letters,
+        periods=word.periods,
+        unknowns=unknowns,
+        gamma=gamma,
+        flight_time=np.array([u[parts[i].place] for i in flights]).T,
+        takeoff_phase=np.mod(np.array(phase).T, TWO_PI),
+        impact_velocity=(np.array(found.impacts) / gamma).T,
+        multiplier=multipliers(trace, det),
+        stable=is_stable(trace, det),
+        admissible=reasons(held),
+    )
+
+
+def from_branch(omega: float, xi: float, periods: int, flight_time: float) -> Word:
+    """The cycle of one flight of flight_time rad as the word "s". Raises KernelInputError."""
+    check_spring(omega, xi, periods)
     t = np.array([flight_time])
-    x = orbit(k, periods, t)
-    c, s = _turned(_State(x.q_land, x.v_land, x.c, x.s), t)
-    contact = TWO_PI * periods - flight_time
-    u = np.array([x.q_land[0], x.v_land[0], c[0], s[0], contact, flight_time])
-    _, slope = _equations(k, "s", periods, u)
-    events = len(slope) - 3
-    times = -np.linalg.solve(slope[:events, 4:], slope[:events, :2])
-    final = slope[events : events + 2]
-    m = final[:, :2] + np.eye(2) + final[:, 4:] @ times
-    values, vectors = np.linalg.eig(m)
-    state = vectors[:, np.argmin(np.abs(values + 1.0))].real
-    first = times @ state
-    # the phase of the landing moves by what the second cycle gives back
-    direction = np.concatenate([state, [0.0, 0.0], first, -first])
-    return "ss", 2 * periods, np.concatenate([u, u[4:]]), direction / np.linalg.norm(direction)
+    x = orbit(spring(omega, xi), periods, t)
+    sin, cos = np.sin(t), np.cos(t)
+    c, s = x.c * cos - x.s * sin, x.c * sin + x.s * cos
+    u = [x.q_land[0], x.v_land[0], c[0], s[0], TWO_PI * periods - flight_time, flight_time]
+    return Word(omega, xi, "s", periods, np.array(u))
 
 
 def from_flights(
-    omega: float, xi: float, gamma: float, flight_time: Floats, takeoff_phase: Floats, periods: int
-) -> tuple[str, int, Floats]:
-    """A word and a guess of its unknowns (m,) from the flights of one cycle, as a sweep records them.
+    omega: float, xi: float, gamma: float, takeoff_phase: Floats, flight_time: Floats, periods: int
+) -> Word:
+    """The word of a cycle, with a guess of its unknowns, from its flights, as a sweep records them.
 
-    flight_time, takeoff_phase (flights,): rad, in order, of `periods` plate periods. Raises KernelInputError
-    if every landing takes off at once.
+    takeoff_phase, flight_time (flights,): rad, in order, of `periods` plate periods, with all flights,
+    however short. Raises KernelInputError if they do not fill these periods or if every landing takes off at
+    once.
     """
+    check_spring(omega, xi, periods)
+    takeoff_phase, flight_time = np.asarray(takeoff_phase, float), np.asarray(flight_time, float)
+    if flight_time.ndim != 1 or flight_time.shape != takeoff_phase.shape or not len(flight_time):
+        raise KernelInputError("flight_time", "must be (flights,), as takeoff_phase is, with one at least")
+    if not (np.isfinite(flight_time).all() and np.isfinite(takeoff_phase).all() and gamma > 0.0):
+        raise KernelInputError("flight_time", "must be finite, and gamma > 0")
     k = spring(omega, xi)
-    following = np.roll(takeoff_phase, -1)
-    contact = np.mod(following - takeoff_phase - flight_time, TWO_PI)
+    contact = np.mod(np.roll(takeoff_phase, -1) - takeoff_phase - flight_time, TWO_PI)
     contact = np.where(contact > TWO_PI - _STICKS, 0.0, contact)
-    letters = np.where(contact > _STICKS, "s", "z")
-    if not (letters == "s").any():
-        raise KernelInputError("flight_time", "needs a landing that sticks")
-    turn = int(np.flatnonzero(letters == "s")[-1]) + 1
-    order = np.roll(np.arange(len(letters)), -turn)
-    word = "".join(letters[order])
     # whole plate periods in contact are not in the phases: they go to the longest contact
-    contact[np.argmax(contact)] += TWO_PI * round(
-        (TWO_PI * periods - flight_time.sum() - contact.sum()) / TWO_PI
-    )
-    last = order[-1]
+    missing = round((TWO_PI * periods - flight_time.sum() - contact.sum()) / TWO_PI)
+    contact[np.argmax(contact)] += TWO_PI * missing
+    if missing < 0:
+        raise KernelInputError("periods", f"{periods} are less than the flights take")
+    sticks = contact > _STICKS
+    if not sticks.any():
+        raise KernelInputError("flight_time", "needs a landing that sticks; every one takes off at once")
+    turn = int(np.flatnonzero(sticks)[-1]) + 1
+    order = np.roll(np.arange(len(sticks)), -turn)
+    letters = "".join("s" if sticks[i] else "z" for i in order)
     times = []
     for n, i in enumerate(order):
-        if n == 0 or word[n - 1] == "s":
+        if letters[n - 1] == "s":
             times.append(contact[order[n - 1]])
         times.append(flight_time[i])
+    last = order[-1]
     phase = takeoff_phase[last] + flight_time[last]
-    base = np.array([0.0, 0.0, gamma * np.cos(phase), gamma * np.sin(phase), *times])
-    zero, slope = _equations(k, word, periods, base)
-    base[:2] = -np.linalg.lstsq(slope[:, :2], zero, rcond=None)[0]  # linear in q and v
-    return word, periods, base
+    u = np.array([0.0, 0.0, gamma * np.cos(phase), gamma * np.sin(phase), *times])
+    found = go_round(k, letters, periods, u[:, None])
+    # linear in q and v
+    u[:2] = -np.linalg.lstsq(found.slope[:, :2, 0], found.value[:, 0], rcond=None)[0]
+    return Word(omega, xi, letters, periods, u)
 
 
-def follow(
-    omega: float, xi: float, word: str, periods: int, unknowns: Floats, *,
-    direction: Floats | None = None, points: int = 400, gamma: tuple[float, float] = (0.0, 8.0),
-) -> tuple[WordBranch, Events]:  # fmt: skip
-    """The branch of a word through a guess of an orbit, both ways, with its events.
+def doubled(word: Word) -> Word:
+    """The word gone through twice that begins at a flip of this one."""
+    k = spring(word.omega, word.xi)
+    times = word.unknowns[STATE:]
+    u = np.concatenate([word.unknowns, times])
+    letters, periods = 2 * word.letters, 2 * word.periods
+    slope = go_round(k, letters, periods, u[:, None]).slope[..., 0]
+    single = go_round(k, word.letters, word.periods, word.unknowns[:, None]).slope[..., 0]
+    along = np.linalg.svd(single)[2][-1]
+    along = np.concatenate([along, along[STATE:]])
+    # two branches pass here: of the two directions without change, the one that is not the same twice
+    direction = np.linalg.svd(np.vstack([slope, along]))[2][-1]
+    return Word(word.omega, word.xi, letters, periods, u, direction)
 
-    direction (m,): the first step to take, and only that way, as `doubled` gives it; None: both ways. Ends
-    where Gamma leaves its range, a time shrinks to zero, or after `points` points each way. Raises
-    KernelInputError if no orbit is found.
+
+def with_hop(word: Word, flight_: int) -> Word:
+    """The word that begins where flight number `flight_` lands with n = 0: a "z" and a short flight."""
+    letters = word.letters[:flight_] + "zs" + word.letters[flight_ + 1 :]
+    place = next(x.place for x in pieces(word.letters) if x.flies and x.letter == flight_)
+    return _inserted(word, letters, place + 1, place + 1, word.unknowns[place + 1 :])
+
+
+def with_split_contact(word: Word, piece: int, time: float) -> Word:
+    """The word that begins where n touches zero `time` rad after a contact began: a short flight there."""
+    part = pieces(word.letters)[piece]
+    letters = word.letters[: part.letter] + "s" + word.letters[part.letter :]
+    rest = word.unknowns[part.place :].copy()
+    rest[0] -= time
+    return _inserted(word, letters, part.place, part.place + 1, rest, time)
+
+
+def _inserted(word: Word, letters: str, keep: int, place: int, rest: Floats, *times: float) -> Word:
+    """With a flight of no time at `place` among the unknowns, the first step towards a longer one."""
+    u = np.concatenate([word.unknowns[:keep], times, [0.0], rest])
+    direction = np.zeros(len(u))
+    direction[place] = 1.0
+    return Word(word.omega, word.xi, letters, word.periods, u, direction)
+
+
+def without(word: Word, piece: int) -> Word:
+    """The word that goes on where a flight or a contact has shrunk to nothing.
+
+    Raises KernelInputError if there is none.
     """
-    if not word or set(word) - {"s", "z"} or word[-1] != "s":
-        raise KernelInputError("word", f"must be of letters s and z and end with s, got {word!r}")
-    k = spring(omega, xi)
-    if direction is not None:
-        u, slope, found = _newton(k, word, periods, unknowns + _ASIDE * direction, direction)
-        ways = [direction]
-    else:
-        size, u = float(np.hypot(unknowns[2], unknowns[3])), unknowns
-        for _ in range(_SAME_GAMMA):
-            same = np.zeros(len(u))
-            same[2:4] = u[2:4] / np.hypot(u[2], u[3])
-            u, slope, found = _newton(k, word, periods, u, same, size)
-            if not found:
-                break
-        ways = [_tangent(slope), -_tangent(slope)] if found else []
-    if not found:
-        raise KernelInputError("unknowns", f"no orbit of the word {word} near them")
-    lines = [_walk(k, word, periods, u, slope, way, points, gamma) for way in ways]
-    line = [*lines[1][0][::-1], u, *lines[0][0]] if len(lines) > 1 else [u, *lines[0][0]]
-    events = [event for _, some in lines for event in some]
-    return _branch(k, omega, xi, word, periods, np.array(line)), _join(k, omega, xi, word, periods, events)
+    part = pieces(word.letters)[piece]
+    if not part.flies:  # the landing before takes off again at once
+        landing = (part.letter - 1) % len(word.letters)
+        others = [i for i, letter in enumerate(word.letters) if letter == "s" and i != landing]
+        if not others:
+            raise KernelInputError("word", "needs a landing that sticks")
+        word = _begun_after(word, others[-1])
+        landing = (landing - others[-1] - 1) % len(word.letters)
+        place = next(x.place for x in pieces(word.letters) if not x.flies and x.letter == landing + 1)
+        letters = word.letters[:landing] + "z" + word.letters[landing + 1 :]
+        return word._replace(letters=letters, unknowns=np.delete(word.unknowns, place), direction=None)
+    n = part.letter
+    if part.power == 2:
+        letters = word.letters[: n - 1] + word.letters[n:]
+        return word._replace(letters=letters, unknowns=np.delete(word.unknowns, part.place), direction=None)
+    if len(word.letters) == 1 or word.letters[n] == "z":
+        raise KernelInputError("word", "the flight has no contact on both sides")
+    word = _begun_after(word, (n - 1) % len(word.letters))
+    u = np.delete(word.unknowns, [STATE + 1, STATE + 2])
+    u[STATE] = word.unknowns[STATE : STATE + 3].sum()
+    return word._replace(letters=word.letters[1:], unknowns=u, direction=None)
 
 
-def _tests(slope: Floats) -> tuple[Floats, float]:
-    """1 - tr + det, 1 + tr + det, det - 1; and the trace."""
-    trace, det = _trace_det(slope)
-    return np.array([1.0 - trace + det, 1.0 + trace + det, det - 1.0]), trace
-
-
-def _walk(
-    k: Spring, word: str, periods: int, u: Floats, slope: Floats, way: Floats, points: int,
-    gamma: tuple[float, float],
-) -> tuple[list[Floats], list[tuple[Kind, Floats]]]:  # fmt: skip
-    """Points of a branch from u on, and its events."""
-    line: list[Floats] = []
-    events: list[tuple[Kind, Floats]] = []
-    tangent = _tangent(slope)
-    tangent = tangent if tangent @ way > 0.0 else -tangent
-    step = _FIRST
-    test, _ = _tests(slope)
-    while len(line) < points and step > _SMALLEST:
-        v, slope, found = _newton(k, word, periods, u + step * tangent, tangent)
-        turned = _tangent(slope) if found else tangent
-        turned = turned if turned @ tangent > 0.0 else -turned
-        angle = float(np.arccos(min(1.0, float(turned @ tangent))))
-        if not found or angle > _TURN:
-            step *= 0.5
-            continue
-        if not gamma[0] <= np.hypot(v[2], v[3]) <= gamma[1]:
-            break
-        after, trace = _tests(slope)
-        for i in np.flatnonzero(test * after < 0.0):
-            if _TESTS[i] is Kind.NEIMARK_SACKER and abs(trace) >= 2.0:
-                continue
-            at = _bisect(k, word, periods, u, tangent, step, int(i), test[i], after[i])
-            if at is not None:
-                events.append((_TESTS[i], at))
-        u, tangent, test = v, turned, after
-        line.append(u)
-        step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
-    return line, events
-
-
-def _bisect(
-    k: Spring, word: str, periods: int, u: Floats, tangent: Floats, step: float, which: int,
-    low_value: float, high_value: float,
-) -> Floats | None:  # fmt: skip
-    """The orbit within a step of u at which a test is zero, by the Illinois rule."""
-    low, high = 0.0, step
-    at = u
-    for _ in range(_HALVINGS):
-        middle = low - low_value * (high - low) / (high_value - low_value)
-        at, slope, found = _newton(k, word, periods, u + middle * tangent, tangent)
-        if not found:
-            return None
-        value = float(_tests(slope)[0][which])
-        if abs(value) < 1e-13 or high - low < 1e-15:
-            break
-        if (value > 0.0) == (low_value > 0.0):
-            low, low_value, high_value = middle, value, 0.5 * high_value
-        else:
-            high, high_value, low_value = middle, value, 0.5 * low_value
-    return at
-
-
-def _branch(k: Spring, omega: float, xi: float, word: str, periods: int, line: Floats) -> WordBranch:
-    """The record of orbits (n, m)."""
-    _, pieces = _follow(k, word, periods, line.T)
-    flights = [piece for piece in pieces if piece.flies]
-    slopes = [_equations(k, word, periods, u)[1] for u in line]
-    trace, det = np.array([_trace_det(slope) for slope in slopes]).T
-    return WordBranch(
-        omega=omega,
-        xi=xi,
-        word=word,
-        periods=periods,
-        unknowns=line,
-        gamma=np.hypot(line[:, 2], line[:, 3]),
-        flight_time=np.array([piece.time for piece in flights]).T,
-        takeoff_phase=np.mod(np.array([np.arctan2(p.start.s, p.start.c) for p in flights]).T, TWO_PI),
-        multiplier=multipliers(trace, det),
-        stable=is_stable(trace, det),
-        admissible=np.array([_reason(k, word, periods, u) for u in line], np.uint8),
-    )
-
-
-def _join(
-    k: Spring, omega: float, xi: float, word: str, periods: int, events: list[tuple[Kind, Floats]]
-) -> Events:
-    """The record of events; flight_time is that of the first flight."""
-    if not events:
-        return join_events([])
-    b = _branch(k, omega, xi, word, periods, np.array([u for _, u in events]))
-    m = len(events)
-    return Events(
-        np.array([kind for kind, _ in events], np.str_), np.full(m, omega), np.full(m, xi),
-        np.full(m, len(word), np.int32), np.full(m, periods, np.int32), b.flight_time[:, 0], b.gamma,
-        b.multiplier, b.admissible,
-    )  # fmt: skip
+def _begun_after(word: Word, landing: int) -> Word:
+    """The same cycle, its unknowns beginning after another landing that sticks."""
+    if landing == len(word.letters) - 1:
+        return word
+    parts = pieces(word.letters)
+    found = go_round(spring(word.omega, word.xi), word.letters, word.periods, word.unknowns[:, None])
+    first = next(i for i, part in enumerate(parts) if not part.flies and part.letter == landing + 1)
+    state = [x[0, 0] for x in found.starts[first]]
+    times = np.roll(word.unknowns[STATE:], -first)
+    letters = word.letters[landing + 1 :] + word.letters[: landing + 1]
+    return word._replace(letters=letters, unknowns=np.array([*state, *times]), direction=None)

@@ -1,0 +1,314 @@
+"""Branches of words, followed by pseudo-arclength, and their events.
+
+Newton's method with exact derivatives finds the orbit on each plane across the tangent. Every event is the
+zero of one function on such a plane, so a fold is as well-conditioned as any other point. Times pass through
+zero smoothly: a branch ends where a flight or a contact has shrunk to nothing, and goes on as another word.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from kernel.branches.events import Events, Kind, join_events
+from kernel.branches.roots import Floats
+from kernel.branches.spring import Spring, spring
+from kernel.branches.words import (
+    STATE,
+    Conditions,
+    Word,
+    WordBranch,
+    conditions,
+    go_round,
+    pieces,
+    record,
+    samples,
+    trace_and_det,
+)
+from kernel.params import KernelInputError
+
+#: Newton steps at most, and the last step's size, relative, of an event. Along a branch the last step may be
+#: larger: what it leaves is its square.
+_NEWTON: Final = 15
+_CONVERGED: Final = 1e-12
+_NEARLY: Final = 1e-7
+
+#: Steps along a branch: the first, the largest, the smallest; the tangent turns by at most this, rad.
+_FIRST, _LARGEST, _SMALLEST = 1e-3, 0.1, 1e-9
+_TURN: Final = 0.2
+
+#: First step away from a branch, in the units of the unknowns.
+_ASIDE: Final = 1e-3
+
+#: Newton's method keeps c + i s on a line; so often turned to the new phase, that keeps Gamma.
+_SAME_GAMMA: Final = 4
+
+#: Steps of the search for an event along a branch: enough to halve a step to rounding.
+_HALVINGS: Final = 60
+
+#: Points of a branch each way, unless more are asked for.
+POINTS: Final = 400
+
+#: Where branches end unless asked otherwise.
+GAMMA: Final = (0.0, 8.0)
+
+#: What changes sign along a branch, in the order of `_tests`.
+_TESTS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
+
+
+class Turn(NamedTuple):
+    """What happens at an orbit of a branch, and how the branch may go on."""
+
+    kind: Kind
+    word: Word  # the orbit: its unknowns solve the equations
+    piece: int  # of which contact or flight it is; -1: of the whole orbit
+    time: float  # rad after the piece's beginning; NaN: not inside it
+
+
+class Point(NamedTuple):
+    """An orbit, the derivatives of its equations, and the unit vector along the branch."""
+
+    u: Floats  # (m,)
+    slope: Floats  # (m - 1, m)
+    tangent: Floats  # (m,)
+
+
+def follow(
+    word: Word, *, points: int = POINTS, gamma: tuple[float, float] = GAMMA
+) -> tuple[WordBranch, Events]:
+    """The branch of a word through a guess of an orbit, with its events.
+
+    Both ways, or the way of `word.direction` only. Ends where Gamma leaves its range, where a flight or a
+    contact shrinks to nothing, or after `points` points each way. Raises KernelInputError if no orbit is
+    found.
+    """
+    lines, found = _both_ways(word, points, gamma)
+    line = lines[0] if len(lines) == 1 else [*lines[1][:0:-1], *lines[0]]
+    return record(word, np.array(line)), events(found)
+
+
+def turns(word: Word, *, points: int = POINTS, gamma: tuple[float, float] = GAMMA) -> list[Turn]:
+    """The events of `follow` with their orbits, from which other branches begin. Raises KernelInputError."""
+    return _both_ways(word, points, gamma)[1]
+
+
+def _both_ways(word: Word, points: int, gamma: tuple[float, float]) -> tuple[list[list[Floats]], list[Turn]]:
+    """The unknowns along a branch, a list for each way, and its events."""
+    first = start(word)
+    ways = [first.tangent] if word.direction is not None else [first.tangent, -first.tangent]
+    lines, found = [], []
+    for way in ways:
+        line, end = _walk(word, first._replace(tangent=way), points, gamma)
+        found += [turn for turn, _ in _turns(word, line)]
+        lines.append([point.u for point in line])
+        if end is not None:
+            found.append(end)
+            lines[-1].append(end.word.unknowns)
+    return lines, found
+
+
+def start(word: Word) -> Point:
+    """The orbit that a word guesses, at the guess's Gamma, or the first beside the branch that it leaves.
+
+    Raises KernelInputError if no orbit is found.
+    """
+    if not word.letters or set(word.letters) - {"s", "z"} or word.letters[-1] != "s":
+        raise KernelInputError("word", f"must be of letters s and z and end with s, got {word.letters!r}")
+    k, u = spring(word.omega, word.xi), word.unknowns
+    if len(u) != STATE + len(pieces(word.letters)):
+        raise KernelInputError("unknowns", f"must be {STATE + len(pieces(word.letters))}, got {len(u)}")
+    if word.direction is not None:
+        aside = u + _ASIDE * word.direction
+        found = _newton(k, word, aside, word.direction)
+        if found is not None:
+            return _along(found, word.direction)
+    else:
+        size = float(np.hypot(u[2], u[3]))
+        for _ in range(_SAME_GAMMA):
+            same = np.zeros(len(u))
+            same[2:4] = u[2:4] / np.hypot(u[2], u[3])
+            found = _newton(k, word, u, same, size)
+            if found is None or (found.u[STATE:] <= 0.0).any():
+                found = None
+                break
+            u = found.u
+        if found is not None:
+            return _along(found, found.tangent)
+    raise KernelInputError("unknowns", f"no orbit of the word {word.letters} near them")
+
+
+def _along(point: Point, way: Floats) -> Point:
+    """With the tangent of the branch, towards `way`."""
+    tangent = np.linalg.svd(point.slope)[2][-1]
+    return point._replace(tangent=tangent if tangent @ way > 0.0 else -tangent)
+
+
+def _newton(
+    k: Spring, word: Word, u: Floats, direction: Floats, goal: float | None = None,
+    converged: float = _CONVERGED,
+) -> Point | None:  # fmt: skip
+    """The orbit at which direction . u is `goal`, or None. goal: None: what it is at the guess u.
+
+    The tangent leans towards `direction`. converged: the last step's size, relative.
+    """
+    goal = float(direction @ u) if goal is None else goal
+    for _ in range(_NEWTON):
+        with np.errstate(all="ignore"):
+            found = go_round(k, word.letters, word.periods, u[:, None])
+        value, slope = found.value[:, 0], found.slope[..., 0]
+        if not (np.isfinite(value).all() and np.isfinite(slope).all()):
+            return None
+        matrix = np.vstack([slope, direction])
+        right = np.zeros((len(u), 2))
+        right[:-1, 0], right[-1] = value, (direction @ u - goal, 1.0)
+        try:
+            step, tangent = np.linalg.solve(matrix, right).T
+        except np.linalg.LinAlgError:
+            return None
+        u = u - step
+        if np.abs(step).max() < converged * np.abs(u).max():
+            return Point(u, slope, tangent / np.sqrt(tangent @ tangent))
+    return None
+
+
+def _walk(
+    word: Word, first: Point, points: int, gamma: tuple[float, float], stable_only: bool = False
+) -> tuple[list[Point], Turn | None]:
+    """Orbits of a branch from `first` on, towards its tangent, and how it ends if as another word.
+
+    stable_only: no further than the first orbit that is not stable.
+    """
+    k = spring(word.omega, word.xi)
+    line, step = [first], _FIRST
+    while len(line) <= points and step > _SMALLEST:
+        at = line[-1]
+        found = _newton(k, word, at.u + step * at.tangent, at.tangent, converged=_NEARLY)
+        angle = np.inf if found is None else float(np.arccos(min(1.0, float(found.tangent @ at.tangent))))
+        if found is None or angle > _TURN:
+            step *= 0.5
+            continue
+        if (found.u[STATE:] <= 0.0).any():
+            end = _end(k, word, at, step)
+            if end is None:
+                step *= 0.5
+                continue
+            return line, end
+        line.append(found)
+        if not gamma[0] <= np.hypot(found.u[2], found.u[3]) <= gamma[1]:
+            break
+        if stable_only and not _stable(found):
+            break
+        step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
+    return line, None
+
+
+def _stable(point: Point) -> bool:
+    """Whether both multipliers lie inside the unit circle."""
+    values, _ = _tests(point.slope)
+    return bool(values[0] > 0.0 and values[1] > 0.0 and values[2] < 0.0)
+
+
+def _tests(slope: Floats) -> tuple[Floats, float]:
+    """1 - tr + det, 1 + tr + det, det - 1; and the trace."""
+    (trace,), (det,) = trace_and_det(slope[..., None])
+    return np.array([1.0 - trace + det, 1.0 + trace + det, det - 1.0]), float(trace)
+
+
+def _test(which: int, point: Point) -> float:
+    """One of them."""
+    return float(_tests(point.slope)[0][which])
+
+
+def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
+    """Where within a step the first of the times is zero."""
+    found = _root(k, word, at, step, lambda point: float(point.u[STATE:].min()))
+    if found is None:
+        return None
+    piece = int(np.argmin(found.u[STATE:]))
+    part = pieces(word.letters)[piece]
+    kind = Kind.GRAZE_CONTACT if part.power == 3 else Kind.IMMEDIATE_TAKEOFF
+    return Turn(kind, word._replace(unknowns=found.u, direction=None), piece, 0.0)
+
+
+def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Point], float]) -> Point | None:
+    """The orbit within a step of `at` at which a function of opposite signs there is zero (Illinois rule)."""
+    low, high = 0.0, step
+    ends = [at, _newton(k, word, at.u + step * at.tangent, at.tangent)]
+    if ends[1] is None:
+        return None
+    low_value, high_value = function(at), function(ends[1])
+    best, best_value = (at, low_value) if abs(low_value) < abs(high_value) else (ends[1], high_value)
+    for _ in range(_HALVINGS):
+        if np.isfinite(low_value) and np.isfinite(high_value):
+            middle = low - low_value * (high - low) / (high_value - low_value)
+        else:
+            middle = 0.5 * (low + high)
+        found = _newton(k, word, at.u + middle * at.tangent, at.tangent)
+        if found is None:
+            return None
+        value = function(found)
+        if abs(value) < abs(best_value):
+            best, best_value = found, value
+        if abs(value) < 1e-14 or high - low < 1e-15:
+            break
+        if (value > 0.0) == (low_value > 0.0):
+            low, low_value, high_value = middle, value, 0.5 * high_value
+        else:
+            high, high_value, low_value = middle, value, 0.5 * low_value
+    return best
+
+
+def _turns(word: Word, line: list[Point]) -> list[tuple[Turn, int]]:
+    """The events between the orbits of a line, and after which of them."""
+    k = spring(word.omega, word.xi)
+    tests = np.array([_tests(point.slope)[0] for point in line])
+    found: list[tuple[Turn, int]] = []
+    for i, which in np.argwhere(tests[:-1] * tests[1:] < 0.0):
+        at, step = line[i], _step(line[i], line[i + 1])
+        orbit = _root(k, word, at, step, partial(_test, int(which)))
+        if orbit is None:
+            continue
+        kind = _TESTS[which]
+        if kind is Kind.NEIMARK_SACKER and abs(_tests(orbit.slope)[1]) >= 2.0:
+            continue
+        found.append((Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan), int(i)))
+    at_nodes = samples(k, word.periods)
+
+    def held(points: list[Point]) -> Conditions:
+        u = np.array([point.u for point in points]).T
+        return conditions(k, word.letters, u, go_round(k, word.letters, word.periods, u), at_nodes)
+
+    def margin(row: int, point: Point) -> float:
+        return float(held([point]).value[row, 0])
+
+    whole = held(line)
+    for i, row in np.argwhere((whole.value[:, :-1] > 0.0) != (whole.value[:, 1:] > 0.0))[:, ::-1]:
+        at, step = line[i], _step(line[i], line[i + 1])
+        orbit = _root(k, word, at, step, partial(margin, int(row)))
+        if orbit is None:
+            continue
+        time = float(held([orbit]).time[row, 0])
+        turn = Turn(whole.kind[row], word._replace(unknowns=orbit.u, direction=None), whole.piece[row], time)
+        found.append((turn, int(i)))
+    return sorted(found, key=lambda x: x[1])
+
+
+def _step(a: Point, b: Point) -> float:
+    """How far b lies along the tangent at a."""
+    return float(a.tangent @ (b.u - a.u))
+
+
+def events(turns: list[Turn]) -> Events:
+    """Their record; flight_time is that of the first flight."""
+    rows = []
+    for turn in turns:
+        b = record(turn.word, turn.word.unknowns[None])
+        rows.append(
+            Events(
+                np.array([turn.kind], np.str_), np.array([b.omega]), np.array([b.xi]),
+                np.array([len(b.word)], np.int32), np.array([b.periods], np.int32), b.flight_time[:, 0],
+                b.gamma, b.multiplier, b.admissible,
+            )
+        )  # fmt: skip
+    return join_events(rows)
