@@ -16,6 +16,13 @@ from kernel.branches.spring import STEP, Spring, flight, spring, stuck
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Start
 
 
+class CycleStart(NamedTuple):
+    """A start on a cycle, and that cycle as a branch of one point."""
+
+    start: Start
+    cycle: Branch
+
+
 class GammaRange(NamedTuple):
     """A range of Gamma in which a branch has a stable admissible cycle."""
 
@@ -40,24 +47,20 @@ def cycles_at(cell: Cell, periods: int) -> Branch:
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope = above(np.empty(0, np.intp), t)
         at = roots(above, t, value[None], slope[None]).x
-    if len(at):
-        return branch(omega, xi, periods, at)
-    one = branch(omega, xi, periods, t[:1])
-    none: dict[str, Any] = {n: v[:0] for n, v in one._asdict().items() if isinstance(v, np.ndarray)}
-    return one._replace(**none)
+    return branch(omega, xi, periods, at) if len(at) else _points(branch(omega, xi, periods, t[:1]), slice(0))
 
 
-def start_on_stable_cycle(cell: Cell, periods: int) -> Start | None:
+def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:
     """A start on the stable admissible cycle (1, periods) of a cell; None if there is none.
 
     Of several, the one with the longest flight. Raises KernelInputError.
     """
     line = cycles_at(cell, periods)
     holds = np.flatnonzero(line.stable & (line.admissible == 0))
-    return Start(_state(line, int(holds[-1])), cell) if len(holds) else None
+    return _start(cell, line, int(holds[-1])) if len(holds) else None
 
 
-def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> Start | None:
+def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> CycleStart | None:
     """A start on the cycle (1, periods) of a cell whose flight takes nearest to `flight_time`, rad.
 
     The cycle may be unstable or not admissible. None if the cell has no cycle. Raises KernelInputError.
@@ -65,7 +68,7 @@ def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> Start | None
     line = cycles_at(cell, periods)
     if not len(line.flight_time):
         return None
-    return Start(_state(line, int(np.argmin(np.abs(line.flight_time - flight_time)))), cell)
+    return _start(cell, line, int(np.argmin(np.abs(line.flight_time - flight_time))))
 
 
 def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
@@ -81,6 +84,17 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
         GammaRange(float(line.gamma[low:high].min()), float(line.gamma[low:high].max()))
         for low, high in edges
     ]
+
+
+def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
+    """The start on cycle i of a branch."""
+    return CycleStart(Start(_state(line, i), cell), _points(line, slice(i, i + 1)))
+
+
+def _points(line: Branch, which: slice) -> Branch:
+    """Some points of a branch."""
+    arrays: dict[str, Any] = {n: v[which] for n, v in line._asdict().items() if isinstance(v, np.ndarray)}
+    return line._replace(**arrays)
 
 
 def _state(line: Branch, i: int) -> NDArray[np.float64]:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
-from kernel.branches.starts import start_on_cycle
+from kernel.branches.events import Branch
+from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_cycle
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
@@ -19,8 +20,8 @@ from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Contact, Soft, model_fields, penetration_of
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
-from worker.spec.protocols import MAX_START_PERIODS, CycleStart
-from worker.spec.sweep import WITH_CYCLES, no_cycle, start_of
+from worker.spec.protocols import MAX_START_PERIODS, OnCycle
+from worker.spec.sweep import WITH_CYCLES, no_cycle
 from worker.tasks import plate_of, run_cells
 
 #: Samples in one answer.
@@ -37,7 +38,7 @@ DEPTH_OVER_LENGTH: Final = 1e-4
 _LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
 
 
-class CyclePoint(CycleStart):
+class CyclePoint(OnCycle):
     """A cycle of the closed form to start on.
 
     `flight_time`, rad: of the cell's cycles the one whose flight takes nearest to it, unstable ones too.
@@ -119,6 +120,7 @@ class Motion:
     spec: TrajectorySpec
     trajectory: Trajectory
     rest_length: float
+    cycle: Branch | None = None  # of one point: the cycle that it starts on
 
 
 def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
@@ -147,8 +149,10 @@ def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> M
     """
     gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
     depth = penetration_of(spec.model, gamma, omega)
+    cycle = None
     if spec.start is not None:
-        state = _on_cycle(Cell(spec.gamma, spec.omega, spec.xi), spec.start)
+        start, cycle = _on_cycle(Cell(spec.gamma, spec.omega, spec.xi), spec.start)
+        state = start.state
     if state is None and spec.settle:
         state = _settled(spec.sweep(), gamma, omega, xi)
     trajectory = sample(
@@ -158,7 +162,7 @@ def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> M
         periods=spec.periods,
         samples=spec.samples,
     )
-    return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH)
+    return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH, cycle)
 
 
 def of_cell(
@@ -192,18 +196,18 @@ def of_cell(
     return trajectory, state
 
 
-def _on_cycle(cell: Cell, point: CyclePoint) -> NDArray[np.float64]:
-    """The state of a cycle at phase 0. Raises InvalidRequest."""
+def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
+    """The start on a cycle. Raises InvalidRequest."""
     periods, time = point.periods, point.flight_time
     try:
-        start = start_of(cell, periods) if time is None else start_on_cycle(cell, periods, time)
+        found = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error
-    if start is None:
+    if found is None:
         at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
         rule = f"there is no cycle (1, {periods}) at {at}" if time is not None else no_cycle(cell, periods)
         raise InvalidRequest.of("start", rule)
-    return start.state
+    return found
 
 
 def _settled(

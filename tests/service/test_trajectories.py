@@ -71,7 +71,12 @@ def test_a_start_on_a_cycle(client: TestClient):
     ):
         answer = client.post("/v1/trajectories", json={**plain, **cell, "start": start})
         assert answer.status_code == 200, answer.text
-        assert answer.json()["flights"]["flight_time"] == pytest.approx([expected] * 3, abs=1e-9)
+        document = answer.json()
+        assert document["flights"]["flight_time"] == pytest.approx([expected] * 3, abs=1e-9)
+        assert document["cycle"]["flight_time"] == pytest.approx(expected, abs=1e-12)
+        largest = max(abs(complex(*mu)) for mu in document["cycle"]["multipliers"])
+        assert document["cycle"]["stable"] == (expected == stable) == (largest < 1.0)
+        assert document["cycle"]["admissible"] == 0
 
 
 @pytest.mark.parametrize(

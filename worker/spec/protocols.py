@@ -34,7 +34,7 @@ def _one_bounce(value: object) -> object:
     return value
 
 
-class CycleStart(Strict):
+class OnCycle(Strict):
     """The stable cycle of the closed form that the first cell of a line starts on (docs/hysteresis.md)."""
 
     bounces: Annotated[int, WHOLE, BeforeValidator(_one_bounce)] = 1
@@ -43,7 +43,7 @@ class CycleStart(Strict):
 
 #: Tagged, so that errors name its fields and not those of the ramp.
 Start = Annotated[
-    Annotated[CycleStart, Tag("<start>")] | Annotated[None, Tag("<rest>")],
+    Annotated[OnCycle, Tag("<start>")] | Annotated[None, Tag("<rest>")],
     Discriminator(lambda value: "<rest>" if value is None else "<start>"),
 ]
 

@@ -37,7 +37,7 @@ from worker.spec.contact_models import (
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
-from worker.spec.protocols import CycleStart, Protocol, Ramp, Rest
+from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
 from worker.spec.time_steps import check_steps, corners
 
 #: The axes of a sweep in the order of the store's dimensions, slowest first.
@@ -245,9 +245,10 @@ class SweepSpec(Strict):
 def start_of(cell: Cell, periods: int) -> Start | None:
     """The start of a ramp on the stable cycle (1, periods) of its first cell; None if there is none."""
     try:
-        return start_on_stable_cycle(cell, periods)
+        found = start_on_stable_cycle(cell, periods)
     except KernelInputError:
         return None
+    return found.start if found else None
 
 
 def no_cycle(cell: Cell, periods: int) -> str:
@@ -277,6 +278,6 @@ def _fields() -> dict[str, tuple[str, ...]]:
         "<range>": tuple(Range.model_fields),
         "<rest>": tuple(Rest.model_fields),
         "<ramp>": tuple(Ramp.model_fields),
-        "<start>": tuple(CycleStart.model_fields),
+        "<start>": tuple(OnCycle.model_fields),
         **model_fields(),
     }

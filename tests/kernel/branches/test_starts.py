@@ -27,7 +27,8 @@ def random_cells(count: int) -> list[tuple[Cell, int, float]]:
     return found[:count]
 
 
-def flights_of(start, cycles: int, periods: int):
+def flights_of(found, cycles: int, periods: int):
+    start = found.start
     gamma, omega, xi = start.cell
     line = run(gamma, omega, xi, carry=True, start=start, settle=0, observe=(cycles + 2) * periods, keep=64)
     return line.flight_time[0, :cycles]
@@ -39,9 +40,11 @@ def test_a_start_is_on_the_cycle():
     for cell, periods, time in random_cells(60):
         start = start_on_cycle(cell, periods, time)
         assert start is not None
-        assert start.state.shape == (len(STATE_FIELDS),)
-        assert start.state[0] == 0.0
-        in_flight += int(start.state[1])
+        state = start.start.state
+        assert state.shape == (len(STATE_FIELDS),)
+        assert state[0] == 0.0
+        in_flight += int(state[1])
+        assert start.cycle.flight_time == pytest.approx([time], abs=1e-9)
         assert flights_of(start, 2, periods) == pytest.approx([time, time], abs=1e-9)
     assert 0 < in_flight < 60
 
