@@ -2,8 +2,9 @@
 
     python -m benchmarks.contacts [--step 1e-4]
 
-At five frequencies of Fig. 9 (xi = 0.05) a ramp starts on the closed-form cycle above its fold, on each
-contact, and descends until the spring stays on the plate. Prints the lowest Gamma that bounces less the fold.
+At five frequencies of Fig. 9 (xi = 0.05) a ramp starts on a stable cycle of the closed form well above its
+fold, on each contact, and descends until the spring stays on the plate. Prints the lowest Gamma that bounces
+less the fold; nan: the first cell of the ramp does not bounce.
 """
 
 import argparse
@@ -12,24 +13,24 @@ import numpy as np
 
 from benchmarks.machine import describe
 from benchmarks.tables import table
-from kernel.branches.starts import start_on_stable_cycle
+from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.branches.thresholds import thresholds
-from kernel.line import run_line
-from kernel.models import rigid, soft
-from kernel.params import Cell, Outcome
+from kernel.params import Cell, Outcome, Start
+from tests.support.plates import Model, run_line
 
 XI = 0.05
 OMEGA = (0.56, 0.60, 0.62, 0.66, 0.70)
 
-#: Contact: the module of its kernel and the arguments of its plate.
+#: Contact: its model and restitution. The penetration of a soft one is 1e-3 plate amplitudes.
 CONTACTS = {
-    "soft, d = 1e-3": (soft, {"restitution": 0.0, "penetration": 1e-3, "adhesive": True}),
-    "e = 0.1": (rigid, {"restitution": 0.1}),
-    "e = 0.5": (rigid, {"restitution": 0.5}),
+    "soft": (Model.SOFT, 0.0),
+    "e = 0.1": (Model.RIGID, 0.1),
+    "e = 0.5": (Model.RIGID, 0.5),
 }
 
-#: The ramp begins so far above the fold, and ends at this part of it.
-ABOVE, LOWEST = 0.01, 0.6
+#: The ramp begins at this part of the range of Gamma in which the cycle is stable, and ends at this part of
+#: the fold.
+BEGIN, END = 0.5, 0.6
 SETTLE, OBSERVE, SETTLE_UNTIL = 400, 100, 4000
 
 #: Cells computed at a time: a ramp ends soon after bouncing has.
@@ -39,18 +40,17 @@ PIECE = 50
 def end_of_bouncing(omega: float, contact: str, step: float) -> float:
     """The lowest Gamma that bounces on the way down; NaN if none does."""
     fold = thresholds(omega, XI).down
-    kernel, arguments = CONTACTS[contact]
-    gamma = np.arange(fold + ABOVE, LOWEST * fold, -step)
+    model, restitution = CONTACTS[contact]
+    stable = min(stable_ranges(omega, XI, 1), key=lambda r: abs(r.low - fold))
+    gamma = np.arange(fold + BEGIN * (stable.high - fold), END * fold, -step)
     found = start_on_stable_cycle(Cell(float(gamma[0]), omega, XI), 1)
     start, lowest = found.start if found else None, np.nan
     for low in range(0, len(gamma), PIECE):
-        part = np.ascontiguousarray(gamma[low : low + PIECE])
+        part = gamma[low : low + PIECE].copy()
         same = np.ones(len(part))
-        plate = kernel.plate(
-            **{name: value * same if name != "adhesive" else value for name, value in arguments.items()}
-        )
         line = run_line(
-            part, omega * same, XI * same, plate=plate, carry=True, settle=SETTLE, observe=OBSERVE, keep=1,
+            part, omega * same, XI * same, model=model, restitution=restitution * same,
+            penetration=1e-3 * same, carry=True, settle=SETTLE, observe=OBSERVE, keep=1,
             settle_until=SETTLE_UNTIL, start=start,
         )  # fmt: skip
         bounces = line.outcome != Outcome.AT_REST
@@ -58,7 +58,7 @@ def end_of_bouncing(omega: float, contact: str, step: float) -> float:
             lowest = float(part[bounces].min())
         if not bounces.all():
             break
-        start = start._replace(state=line.end_state[-1], cell=Cell(float(part[-1]), omega, XI))
+        start = Start(line.end_state[-1], Cell(float(part[-1]), omega, XI))
     return lowest
 
 
@@ -74,7 +74,6 @@ def main() -> None:
         fold = thresholds(omega, XI).down
         moved = [end_of_bouncing(omega, contact, step) - fold for contact in CONTACTS]
         rows.append([f"{omega:.2f}", f"{fold:.6f}", *(f"{value:+.4f}" for value in moved)])
-        print(rows[-1])
     print(describe())
     print(table(["Omega", "fold", *CONTACTS], rows))
 
