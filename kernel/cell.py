@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.exponents import Variations, begin_window, carry, forget, start_variations
+from kernel.exponents import Variations, begin_window, carry, forget
 from kernel.interface import contact, flight, replay
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
@@ -87,6 +87,10 @@ class Progress(NamedTuple):
     budget: int  # evaluations left
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
     settle: int  # plate periods before the window: window.settle, and more once `extend` has moved it
+
+
+#: Numbers that `store_run` writes.
+RUN_FIELDS: Final = len(Progress._fields)
 
 
 @jit
@@ -194,24 +198,24 @@ def extend(run: Progress, window: Window, flights: Flights, first: int) -> Progr
 
 @jit
 def run_cell(
-    cell: Any, state: Any, window: Window, flights: Flights, takes_off: bool,
-    variations: Variations | None = None,
-) -> Progress:  # fmt: skip
-    """Run one cell from `state` (6,) to the end of its window or to a failure.
+    cell: Any, run: Progress, window: Window, flights: Flights, cache: Any,
+    variations: Variations | None, steps: int,
+) -> tuple[Progress, int]:  # fmt: skip
+    """Advance one cell by at most `steps` contacts and flights; returns the run and the steps left.
 
-    `takes_off`: as in `start_run`. `variations`, if given, begin anew and are carried along.
+    Its `ending` is ROOT if the run has paused before the end of its window: the next call goes on from it.
+    `cache` (CACHE_SIZE,) is zero when the cell begins. `variations`: carried along, or None.
     """
-    run = start_run(state, window, takes_off)
-    if variations is not None:
-        start_variations(variations)
-    cache = np.zeros(CACHE_SIZE)
     while True:
         if run.ending != ROOT:
             run = extend(run, window, flights, 0)
             if run.ending != ROOT:
-                return run
+                return run, steps
             if variations is not None:
                 begin_window(variations)
+        if steps <= 0:
+            return run, 0
+        steps -= 1
         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
             before = run
             run = replay(cell, run, window, flights, cache)
@@ -229,6 +233,28 @@ def run_cell(
         before, run = run, record(run, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
             run = end_settling(before, run, window, flights, 0)
+
+
+@jit
+def store_run(run: Progress, numbers: Any) -> None:
+    """Write a run to `numbers` (RUN_FIELDS,) float64, from which `load_run` makes the same run.
+
+    Its integers are far below 2**53: the budget, the largest, is BUDGET for each plate period.
+    """
+    numbers[0], numbers[1], numbers[2] = run.phase, run.period, run.in_flight
+    numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
+    numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
+    numbers[10], numbers[11], numbers[12], numbers[13] = run.flew, run.budget, run.ending, run.settle
+
+
+@jit
+def load_run(numbers: Any) -> Progress:
+    """The run that `store_run` has written."""
+    return Progress(
+        numbers[0], int(numbers[1]), numbers[2] != 0.0, numbers[3], numbers[4], numbers[5], numbers[6],
+        numbers[7], int(numbers[8]), int(numbers[9]), numbers[10] != 0.0, int(numbers[11]),
+        int(numbers[12]), int(numbers[13]),
+    )  # fmt: skip
 
 
 @jit

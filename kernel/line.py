@@ -6,52 +6,100 @@ plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velo
 (Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
 """
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.cell import Window, allocate_flights, run_cell, store_state, write_record
-from kernel.exponents import Variations, allocate_variations, write_exponents
+from kernel.cell import (
+    CACHE_SIZE,
+    RUN_FIELDS,
+    Flights,
+    Window,
+    allocate_flights,
+    load_run,
+    run_cell,
+    start_run,
+    store_run,
+    store_state,
+    write_record,
+)
+from kernel.exponents import Variations, allocate_variations, start_variations, write_exponents
 from kernel.interface import flies, prepare, rest
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
-from kernel.models.lockstep import run_lockstep
+from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
 from kernel.models.rigid import RigidPlate
-from kernel.numerics.first_root import NON_FINITE
+from kernel.numerics.first_root import NON_FINITE, ROOT
 from kernel.numerics.jit import jit
-from kernel.params import STATE_FIELDS, KernelInputError, Line, Start, empty_line
+from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
 from kernel.validation import check_arrays, check_window, checked_state
+
+#: More steps than any line takes.
+_ALL: Final = 2**62
+
+
+class Walk(NamedTuple):
+    """Where a line is that is computed cell by cell."""
+
+    counts: Any  # (3,) int64: cells done; 1 while a cell is under way; 1 if there is a state to carry over
+    state: Any  # (len(STATE_FIELDS),) the state at the last cell's end
+    before: Any  # (2,) gamma and omega, in whose units the state is
+    run: Any  # (RUN_FIELDS,) the run of the cell under way
+    cache: Any  # (CACHE_SIZE,) its model's
+
+
+def _allocate_walk(start: Start | None) -> Walk:
+    """At the first cell, which goes on from `start` if the line carries its state."""
+    state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
+    before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
+    counts = np.array([0, 0, start is not None], np.int64)
+    return Walk(counts, state, before, np.zeros(RUN_FIELDS), np.zeros(CACHE_SIZE))
 
 
 @jit
 def _walk(
-    plate: Any, gamma: Any, omega: Any, xi: Any,
-    carry: bool, started: bool, state: Any, before: Any, window: Window, line: Line,
-    variations: Variations | None,
-) -> None:  # fmt: skip
-    """Run a line cell by cell and fill `line`.
+    plate: Any, gamma: Any, omega: Any, xi: Any, carry: bool, window: Window, line: Line,
+    flights: Flights, walk: Walk, variations: Variations | None, steps: int,
+) -> bool:  # fmt: skip
+    """Run a line cell by cell and fill `line`, for `steps` contacts and flights; whether the line is done.
 
-    With `carry`, from cell to cell; the first cell goes on from `state` (6,), in the units of `before` =
-    (gamma, omega), if `started`. Both arrays are overwritten. `variations`: for the exponents, or None.
+    With `carry`, from cell to cell. The next call goes on from `flights`, `walk` and `variations`, which are
+    overwritten. `variations`: for the exponents, or None.
     """
-    flights = allocate_flights(line.flight_time.shape[1], 1)
-    for i in range(len(gamma)):
+    counts, state, before = walk.counts, walk.state, walk.before
+    while counts[0] < len(gamma):
+        i = counts[0]
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
-        if carry and started:
-            _rescale(state, before, gamma[i], omega[i])
+        if counts[1] != 0:
+            run = load_run(walk.run)
         else:
-            state[0], state[1] = 0.0, 0.0
-            state[2], state[3], state[4], state[5] = rest(cell)
-        in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
-        takes_off = in_flight and state[1] == 0.0
-        state[1] = 1.0 if in_flight else 0.0
-        run = run_cell(cell, state, window, flights, takes_off, variations)
+            if carry and counts[2] != 0:
+                _rescale(state, before, gamma[i], omega[i])
+            else:
+                state[0], state[1] = 0.0, 0.0
+                state[2], state[3], state[4], state[5] = rest(cell)
+            in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
+            takes_off = in_flight and state[1] == 0.0
+            state[1] = 1.0 if in_flight else 0.0
+            run = start_run(state, window, takes_off)
+            walk.cache[:] = 0.0
+            if variations is not None:
+                start_variations(variations)
+        run, steps = run_cell(cell, run, window, flights, walk.cache, variations, steps)
+        if run.ending == ROOT:
+            store_run(run, walk.run)
+            counts[1] = 1
+            return False
+        counts[1] = 0
         if variations is not None:
             write_exponents(line.lyapunov[i], run.ending, variations)
         store_state(run, state)
         write_record(line, i, run, flights, 0, state, window)
         before[0], before[1] = gamma[i], omega[i]
-        started = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
+        counts[2] = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
+        counts[0] += 1
+    return True
 
 
 @jit
@@ -74,23 +122,10 @@ def _check_plate(plate: Any, n: int) -> None:
             raise KernelInputError(name, f"must have the shape of gamma, ({n},), got {array.shape}")
 
 
-def run_line(
-    gamma: NDArray[np.float64],
-    omega: NDArray[np.float64],
-    xi: NDArray[np.float64],
-    *,
-    plate: Any,
-    carry: bool,
-    settle: int,
-    observe: int,
-    keep: int,
-    micro_flight: float = 0.0,
-    settle_tolerance: float = 0.0,
-    settle_until: int | None = None,
-    exponents: int = 0,
-    start: Start | None = None,
-) -> Line:
-    """Run n cells in the given order and return their record.
+class LineRun:
+    """A line of cells under way: computed in parts, its state saved between them and restored elsewhere.
+
+    However it is divided, the numbers are the same.
 
     gamma, omega, xi: float64 (n,). plate: made by a model's `plate` function from its own arrays (n,); its
     type selects the model. With `carry` each cell continues from its predecessor's end, the first from
@@ -104,22 +139,76 @@ def run_line(
     A trajectory that fails is an outcome, not an exception. Raises KernelInputError for arguments outside
     what a kernel can compute.
     """
-    arrays = {"gamma": gamma, "omega": omega, "xi": xi}
-    check_arrays(arrays)
-    check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
-    _check_plate(plate, len(gamma))
-    gamma, omega, xi = (np.ascontiguousarray(a) for a in arrays.values())
-    n = len(gamma)
-    line = empty_line(n, keep, exponents)
-    state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
-    before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
-    window = Window(
-        int(settle), int(observe), float(micro_flight), float(settle_tolerance),
-        int(settle_until or 0), int(exponents),
-    )  # fmt: skip
-    variations = allocate_variations(plate, exponents) if exponents else None
-    if isinstance(plate, RigidPlate) and not carry and variations is None:
-        run_lockstep(plate, gamma, omega, xi, window, line)
-        return line
-    _walk(plate, gamma, omega, xi, bool(carry), start is not None, state, before, window, line, variations)
-    return line
+
+    def __init__(
+        self,
+        gamma: NDArray[np.float64],
+        omega: NDArray[np.float64],
+        xi: NDArray[np.float64],
+        *,
+        plate: Any,
+        carry: bool,
+        settle: int,
+        observe: int,
+        keep: int,
+        micro_flight: float = 0.0,
+        settle_tolerance: float = 0.0,
+        settle_until: int | None = None,
+        exponents: int = 0,
+        start: Start | None = None,
+    ) -> None:
+        arrays = {"gamma": gamma, "omega": omega, "xi": xi}
+        check_arrays(arrays)
+        check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
+        _check_plate(plate, len(gamma))
+        self.line = empty_line(len(gamma), keep, exponents)
+        self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
+        self._plate, self._carry = plate, bool(carry)
+        self._window = Window(
+            int(settle), int(observe), float(micro_flight), float(settle_tolerance),
+            int(settle_until or 0), int(exponents),
+        )  # fmt: skip
+        self._variations = allocate_variations(plate, exponents) if exponents else None
+        in_lanes = isinstance(plate, RigidPlate) and not carry and self._variations is None
+        self._at: Lanes | Walk = allocate_lanes() if in_lanes else _allocate_walk(start)
+        self._flights = allocate_flights(keep, LANES if in_lanes else 1)
+
+    def advance(self, steps: int = _ALL) -> bool:
+        """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
+        if isinstance(self._at, Lanes):
+            return run_lockstep(
+                self._plate, self._gamma, self._omega, self._xi, self._window, self.line,
+                self._flights, self._at, steps,
+            )  # fmt: skip
+        return _walk(
+            self._plate, self._gamma, self._omega, self._xi, self._carry, self._window, self.line,
+            self._flights, self._at, self._variations, steps,
+        )  # fmt: skip
+
+    def save(self) -> dict[str, NDArray[Any]]:
+        """All that `advance` changes, by name: the arrays themselves, not copies."""
+        return {
+            f"{type(part).__name__}.{name}": array
+            for part in (self.line, self._flights, self._at, self._variations)
+            if part is not None
+            for name, array in part._asdict().items()
+            if isinstance(array, np.ndarray)
+        }
+
+    def restore(self, saved: Mapping[str, NDArray[Any]]) -> None:
+        """Go on from what `save` gave for the same arguments. Raises ValueError for anything else."""
+        arrays = self.save()
+        for name, array in arrays.items():
+            if name not in saved or (saved[name].shape, saved[name].dtype) != (array.shape, array.dtype):
+                raise ValueError(f"{name}: must be as saved by a run of the same line")
+        for name, array in arrays.items():
+            array[...] = saved[name]
+
+
+def run_line(
+    gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], **options: Any
+) -> Line:
+    """Run n cells in the given order and return their record. Arguments and errors as of `LineRun`."""
+    run = LineRun(gamma, omega, xi, **options)
+    run.advance()
+    return run.line

@@ -104,7 +104,8 @@ class Study(Protocol):
     def task(self, spec: Any, chunk: Any, store_url: str) -> ChunkReport:
         """Compute one chunk and store it, in a worker process; repeated, it writes the same bytes.
 
-        Raises a `tasks.TaskError` or a `store.StoreError`.
+        Raises a `tasks.TaskError` or a `store.StoreError`. A task that takes longer than
+        `tasks.SLICE_SECONDS` should keep what it has and raise `tasks.ChunkPaused`: it is called again.
         """
 
 
@@ -124,7 +125,7 @@ class SweepStudy:
         return estimate(spec, len(plan))
 
     def task(self, spec: SweepSpec, chunk: SweepChunk, store_url: str) -> ChunkReport:
-        return tasks.run_chunk(spec, chunk, store_url)
+        return tasks.run_chunk(spec, chunk, store_url, tasks.SLICE_SECONDS)
 
 
 SWEEP: Final = SweepStudy()

@@ -1,11 +1,18 @@
 """Tasks: computes a chunk of a sweep, stores it, and returns a report. Tasks are idempotent.
 
+A chunk that takes longer than a time slice pauses: what has been computed is kept in a checkpoint, and the
+next task of the same chunk goes on from there. So no chunk, however long its cells are, keeps a worker from
+others for longer than a slice.
+
 TaskError               why a chunk was not computed
 ├── ChunkCancelled      the cancel flag of the store is set
+├── ChunkPaused         its time slice is over; the next task goes on
 └── PredecessorMissing  the previous chunk of the ramp is not stored
 """
 
 import importlib
+import logging
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,20 +22,37 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.line import run_line
+from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
-from worker.cost import cell_seconds, cells_at_once
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 from worker.spec.protocols import Ramp
 from worker.spec.sweep import start_of
 
-#: Estimated core-seconds between two checks of the cancel flag, or the time of one cell if that is longer; of
-#: a full set of lanes where cells are computed side by side. Hard cells can take many times the estimate,
-#: so the interval is far below the time in which a user expects a job to stop.
+log = logging.getLogger(__name__)
+
+#: Seconds that a task computes before it pauses; the longest that another job's chunk waits for a worker.
+#: Twice the target of a chunk, so that few chunks pause that are harder than their estimate.
+SLICE_SECONDS: Final = 1.5
+
+#: Seconds between two checks of the cancel flag, which may be in a distant bucket.
 CANCEL_SECONDS: Final = 0.25
+
+#: Contacts and flights between two looks at the clock, at first, and the seconds that they may take: the
+#: number is doubled or halved until they do. A cell takes about two for each plate period.
+FIRST_STEPS: Final = 4096
+LOOK_SECONDS: Final = (0.02, 0.1)
+
+#: Why a checkpoint may not be written, which is no reason to fail.
+_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
+
+#: The names of a checkpoint's arrays; before those of the line under way and of the record, these.
+_DONE: Final = "lines_done"
+_SECONDS: Final = "seconds"
+_LINE: Final = "line/"
+_RECORD: Final = "record/"
 
 
 class TaskError(Exception):
@@ -37,6 +61,10 @@ class TaskError(Exception):
 
 class ChunkCancelled(TaskError):
     """The cancel flag of the store is set; nothing of the chunk was written."""
+
+
+class ChunkPaused(TaskError):
+    """The chunk's time slice is over; the next task goes on from its checkpoint."""
 
 
 class PredecessorMissing(TaskError):
@@ -60,10 +88,11 @@ _LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
 
 
-def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: float = math.inf) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
-    Raises `ChunkCancelled`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells
+    Goes on from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` once
+    `slice_seconds` are over, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells
     stay missing and the chunk can be run again.
     """
     began = time.perf_counter()
@@ -72,39 +101,121 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
     starts = _starts(spec, chunk, store_url)
-    kernel_seconds = 0.0
-    for index in np.ndindex(lines["outcome"].shape[:2]):
-        for piece, done, seconds in _run_line(spec, cells, index, starts.get(index), store_url):
-            kernel_seconds += seconds
-            for name, array in lines.items():
-                array[(*index, piece)] = getattr(done, name)
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    work = _Work(store_url, chunk.index, record, len(indices), began, slice_seconds)
+    for number, index in enumerate(indices):
+        if number < work.lines_done:
+            continue
+        gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
+        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
+            done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
+        for name, array in lines.items():
+            array[index] = getattr(done, name)
+        work.finish_line()
     checksum = store.write_chunk(store_url, chunk, record)
+    work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    took = time.perf_counter() - began
+    took, kernel_seconds = work.seconds
     return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
 
 
-def _run_line(
-    spec: SweepSpec, cells: _Arrays, index: _LineIndex, start: Start | None, store_url: str
-) -> Iterator[tuple[slice, Line, float]]:
-    """Compute one line in pieces; yields each piece's slice, results and kernel seconds.
+class _Work:
+    """The computing of a chunk's lines: looks at the clock and the cancel flag between parts of a line.
 
-    The pieces depend on the specification alone and not on the clock, for reproducible results. Raises
-    ChunkCancelled.
+    The parts do not affect the results. `record`: the chunk's arrays, in which lines that are done are.
     """
-    gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
-    at_once = cells_at_once(spec)
-    step = max(1, int(CANCEL_SECONDS / cell_seconds(spec) / at_once)) * at_once
-    for low in range(0, len(gamma), step):
-        if store.is_cancelled(store_url):
-            raise ChunkCancelled(f"cancelled: {store_url}")
-        piece = slice(low, low + step)
-        began = time.perf_counter()
-        with _noting_cells(gamma=gamma[piece], omega=omega[piece], xi=xi[piece]):
-            done = run_cells(spec, gamma[piece], omega[piece], xi[piece], start)
-        yield piece, done, time.perf_counter() - began
-        last = low + len(done.outcome) - 1
-        start = _start(done.end_state[-1], done.outcome[-1], Cell(gamma[last], omega[last], xi[last]))
+
+    def __init__(
+        self, store_url: str, chunk: int, record: _Arrays, lines: int, began: float, slice_seconds: float
+    ) -> None:
+        self._url, self._chunk, self._record, self._lines = store_url, chunk, record, lines
+        self._began, self._slice_seconds = began, slice_seconds
+        self._next_check = -math.inf  # of the cancel flag
+        self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
+        self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
+        self.lines_done = 0
+        self._under_way: _Arrays = {}  # of the line at which the chunk was paused
+        saved = store.read_checkpoint(store_url, chunk)
+        self._has_checkpoint = saved is not None
+        if saved is not None:
+            self._restore(saved)
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """Seconds since the chunk began, pauses left out, and those in the kernel."""
+        return time.perf_counter() - self._began + self._before[0], self._kernel_seconds + self._before[1]
+
+    def compute(self, run: LineRun) -> Line:
+        """Compute a line to its end. Raises ChunkCancelled, ChunkPaused."""
+        if self._under_way:
+            with self._discarding_checkpoint():
+                run.restore(self._under_way)
+            self._under_way = {}
+        while not self._advance(run):
+            self._pause_if_due(run.save())
+        return run.line
+
+    def finish_line(self) -> None:
+        """The line is in the record now. Raises ChunkPaused, if there is another one."""
+        self.lines_done += 1
+        if self.lines_done < self._lines:
+            self._pause_if_due({})
+
+    def remove_checkpoint(self) -> None:
+        """Remove the chunk's checkpoint, once its results are stored."""
+        if self._has_checkpoint:
+            store.remove_checkpoint(self._url, self._chunk)
+
+    def _advance(self, run: LineRun) -> bool:
+        """Compute a part; whether the line is done."""
+        if time.perf_counter() > self._next_check:
+            if store.is_cancelled(self._url):
+                raise ChunkCancelled(f"cancelled: {self._url}")
+            self._next_check = time.perf_counter() + CANCEL_SECONDS
+        before = time.perf_counter()
+        done = run.advance(self._steps)
+        took = time.perf_counter() - before
+        self._kernel_seconds += took
+        low, high = LOOK_SECONDS
+        self._steps = max(self._steps * (2 if took < low else 1) // (2 if took > high else 1), 1)
+        return done
+
+    def _pause_if_due(self, under_way: _Arrays) -> None:
+        """Write a checkpoint and raise ChunkPaused if the slice is over. `under_way`: of a line, or empty.
+
+        Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
+        """
+        if time.perf_counter() - self._began <= self._slice_seconds:
+            return
+        arrays = {_DONE: np.array(self.lines_done), _SECONDS: np.array(self.seconds)}
+        arrays |= {_LINE + name: array for name, array in under_way.items()}
+        if self.lines_done:
+            arrays |= {_RECORD + name: array for name, array in self._record.items()}
+        try:
+            store.write_checkpoint(self._url, self._chunk, arrays)
+        except _UNWRITABLE as error:
+            log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", self._chunk, error)
+            self._slice_seconds = math.inf
+            return
+        raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
+
+    def _restore(self, saved: _Arrays) -> None:
+        with self._discarding_checkpoint():
+            self.lines_done, self._before = int(saved[_DONE]), saved[_SECONDS].reshape(2)
+            if self.lines_done:
+                for name, array in self._record.items():
+                    array[...] = saved[_RECORD + name]
+        names = (name for name in saved if name.startswith(_LINE))
+        self._under_way = {name.removeprefix(_LINE): saved[name] for name in names}
+
+    @contextmanager
+    def _discarding_checkpoint(self) -> Iterator[None]:
+        """Have the chunk begin anew if its checkpoint is not of this release: it holds other arrays."""
+        try:
+            yield
+        except (KeyError, ValueError) as error:
+            self.remove_checkpoint()
+            raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
 
 
 @contextmanager
@@ -130,8 +241,21 @@ def run_cells(
     gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
     None starts from rest. Raises KernelInputError for values that the kernel does not accept.
     """
+    run = _line_run(spec, gamma, omega, xi, start)
+    run.advance()
+    return run.line
+
+
+def _line_run(
+    spec: SweepSpec,
+    gamma: NDArray[np.float64],
+    omega: NDArray[np.float64],
+    xi: NDArray[np.float64],
+    start: Start | None,
+) -> LineRun:
+    """A line of cells as a sweep computes it, at its beginning."""
     carry = spec.ramp_axis is not None
-    return run_line(
+    return LineRun(
         np.ascontiguousarray(gamma),
         np.ascontiguousarray(omega),
         np.ascontiguousarray(xi),
@@ -241,10 +365,10 @@ def compile_kernels() -> None:
     axis = np.ones(1)
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
-        run_line(
+        LineRun(
             axis, axis, axis, plate=plate_of(contact, axis, axis, axis),
             carry=False, settle=0, observe=1, keep=1,
-        )  # fmt: skip
+        ).advance()  # fmt: skip
 
 
 def compile_for(spec: SweepSpec) -> None:
@@ -255,7 +379,7 @@ def compile_for(spec: SweepSpec) -> None:
     if not spec.exponents and not (spec.model.kind == "rigid" and spec.ramp_axis is not None):
         return
     gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
-    run_line(
+    LineRun(
         gamma, omega, xi, plate=plate_of(spec.model, gamma, omega, xi),
         carry=True, settle=0, observe=1, keep=1, exponents=spec.exponents,
-    )  # fmt: skip
+    ).advance()  # fmt: skip

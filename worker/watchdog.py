@@ -19,7 +19,7 @@ from distributed import get_worker
 from worker import store
 from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
-from worker.tasks import ChunkCancelled, ChunkReport, compile_for
+from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, TaskError, compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
 #: watchdog terminates the worker over it.
@@ -40,12 +40,12 @@ HARD_LIMIT_SECONDS: Final = 5.0
 LONGEST_SECONDS: Final = 1e6
 
 
-def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> ChunkReport | ChunkCancelled:
+def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 
     Ends the process if the chunk takes longer than `seconds`, exceeds the worker's memory limit, or ignores
-    the cancel flag. Returns ChunkCancelled instead of raising it: distributed logs what a task raises as an
-    error.
+    the cancel flag. Returns ChunkCancelled and ChunkPaused instead of raising them: distributed logs what a
+    task raises as an error.
     """
     worker = get_worker()
     event = {"key": worker.get_current_task(), "worker": worker.address}
@@ -61,8 +61,8 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
     with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):
         try:
             return run_task(spec, chunk, store_url)
-        except ChunkCancelled as cancelled:
-            return cancelled
+        except (ChunkCancelled, ChunkPaused) as stopped:
+            return stopped
 
 
 class Watchdog:

@@ -7,19 +7,22 @@ they need the power series, are computed by the scalar functions of `rigid` at o
 depends on nothing but the cell.
 """
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from kernel.cell import (
+    RUN_FIELDS,
+    Flights,
     Progress,
     Window,
-    allocate_flights,
     end_settling,
     extend,
     horizon_of,
+    load_run,
     record,
     start_run,
+    store_run,
     store_state,
     write_record,
 )
@@ -174,27 +177,48 @@ def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
     return start_run(state, window, state[1] == 1.0)
 
 
-@jit
-def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line) -> None:
-    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`."""
+class Lanes(NamedTuple):
+    """What is in the lanes of a line under way."""
+
+    table: Any  # (ROWS * LANES,) the phases, see `lanes`
+    runs: Any  # (LANES, RUN_FIELDS) the cells' runs
+    index: Any  # (LANES,) int64, the cell in each lane; -1: none
+    counts: Any  # (2,) int64: cells put into a lane so far, cells done
+
+
+def allocate_lanes() -> Lanes:
+    """Empty lanes."""
     table = np.zeros(ROWS * LANES)
     table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # F = 1 keeps the arithmetic of idle lanes finite
-    flights = allocate_flights(line.flight_time.shape[1], LANES)
-    springs = [prepare(plate, 0, gamma[0], omega[0], xi[0]) for _ in range(LANES)]
+    return Lanes(table, np.zeros((LANES, RUN_FIELDS)), np.full(LANES, -1), np.zeros(2, np.int64))
+
+
+@jit
+def run_lockstep(
+    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line,
+    flights: Flights, lanes: Lanes, steps: int,
+) -> bool:  # fmt: skip
+    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`.
+
+    Pauses after `steps` moves of all lanes or scalar phases, or a few more; returns whether the line is
+    done. The next call goes on from `flights` and `lanes`.
+    """
+    table, index, counts = lanes.table, lanes.index, lanes.counts
+    springs = [prepare(plate, i, gamma[i], omega[i], xi[i]) for i in np.maximum(index, 0)]
+    runs = [load_run(lanes.runs[k]) for k in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
-    runs = [start_run(state, window, False) for _ in range(LANES)]
-    index = np.full(LANES, -1)  # the cell in each lane
-    begun, left = 0, len(gamma)  # cells put into a lane so far, cells not yet done
-    while left > 0:
+    while counts[1] < len(gamma) and steps > 0:
         for k in range(LANES):
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
+                steps -= 1
                 if index[k] < 0:
-                    if begun == len(gamma):
+                    if counts[0] == len(gamma):
                         break
-                    springs[k] = prepare(plate, begun, gamma[begun], omega[begun], xi[begun])
+                    i = counts[0]
+                    springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
                     runs[k] = _from_rest(springs[k], state, window)
-                    index[k], sin, cos = begun, 0.0, 1.0
-                    begun += 1
+                    index[k], sin, cos = i, 0.0, 1.0
+                    counts[0] += 1
                 else:
                     first = k * flights.size
                     before = runs[k]
@@ -215,8 +239,20 @@ def run_lockstep(plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Win
                     store_state(runs[k], state)
                     write_record(line, index[k], runs[k], flights, k * flights.size, state, window)
                     index[k] = -1
-                    left -= 1
+                    counts[1] += 1
                 else:
                     loaded = _load(table, k, springs[k], runs[k], sin, cos, window)
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
+                    if not loaded and steps <= 0:  # the next call goes on with this lane
+                        _store_runs(runs, lanes.runs)
+                        return False
         advance(table)
+        steps -= 1
+    _store_runs(runs, lanes.runs)
+    return bool(counts[1] == len(gamma))
+
+
+@inlined
+def _store_runs(runs: list[Progress], numbers: Any) -> None:
+    for k in range(LANES):
+        store_run(runs[k], numbers[k])

@@ -56,6 +56,51 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
 
 _LENGTH: Final = {"units": "plate amplitudes"}
 
+#: `admissible` of a point beyond the end of its branch or curve.
+MISSING_POINT: Final = 255
+
+_REASONS: Final = {
+    "flag_masks": np.array([1, 2, 4], np.uint8),
+    "flag_meanings": "gap_negative_in_flight force_negative_in_contact no_takeoff",
+    "comment": f"0: admissible; {MISSING_POINT}: no point",
+}
+_SPEED: Final = {"units": "plate amplitudes per rad"}
+
+#: Variables of a cycle with a value per point of a branch.
+_PER_POINT: Final = (
+    "gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity",
+)  # fmt: skip
+#: The energy balance of a cycle.
+_ENERGY: Final = ("plate_contact", "plate_impact", "dashpot", "impact", "force", "impulse", "weight")
+
+#: dtype and attributes of the variables of cycles in closed form, beside those of _RESULTS.
+_CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
+    "threshold": (np.float64, {"long_name": "Γ at which rest ends, Eq. 25", "units": "1"}),
+    "jump": (np.float64, {"long_name": "Γ of the fold at which flights leap on the way up", "units": "1"}),
+    "down": (np.float64, {"long_name": "Γ at which bouncing ends on the way down", "units": "1"}),
+    "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
+    "reason": (np.str_, {"long_name": "why it is unresolved"}),
+    "lifetime": (np.float64, {"long_name": "life of bouncing at Γ = down - delta", "units": "plate periods"}),
+    "delta": (np.float64, {"long_name": "Γ below down", "units": "1"}),
+    "elongation": (np.float64, {"long_name": "elongation of the spring at take-off", **_LENGTH}),
+    "elongation_velocity": (np.float64, {"long_name": "velocity of the elongation at take-off", **_SPEED}),
+    "impact_velocity": (np.float64, {"long_name": "velocity of the gap before landing", **_SPEED}),
+    "multiplier": (np.complex128, {"long_name": "Floquet multiplier, the larger in modulus", "units": "1"}),
+    "other_multiplier": (np.complex128, {"long_name": "the other Floquet multiplier", "units": "1"}),
+    "stable": (np.bool_, {"long_name": "whether both multipliers are inside the unit circle"}),
+    "admissible": (np.uint8, {"long_name": "why the cycle is not one of the spring", **_REASONS}),
+    "points": (np.int32, {"long_name": "points of the branch", "units": "1"}),
+    "kind": (np.str_, {"long_name": "kind of event"}),
+    "word": (np.str_, {"long_name": "landings of the cycle: s sticks, z takes off again at once"}),
+    "plate_contact": (np.float64, {"long_name": "work of the plate in contact", "units": "m A² ω²"}),
+    "plate_impact": (np.float64, {"long_name": "work of the plate at the impact", "units": "m A² ω²"}),
+    "dashpot": (np.float64, {"long_name": "energy that the dashpot takes", "units": "m A² ω²"}),
+    "impact": (np.float64, {"long_name": "energy that the impact takes", "units": "m A² ω²"}),
+    "force": (np.float64, {"long_name": "momentum that the contact force gives", "units": "m A ω"}),
+    "impulse": (np.float64, {"long_name": "momentum that the impact gives", "units": "m A ω"}),
+    "weight": (np.float64, {"long_name": "momentum that gravity takes, 4π periods/Γ", "units": "m A ω"}),
+}
+
 #: The samples of a trajectory, with dim phase.
 _SAMPLES: Final[Mapping[str, Attributes]] = {
     "plate": {"long_name": "plate", **_LENGTH},
@@ -153,6 +198,121 @@ def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
         }
         attributes = {"rest_length": float(answer["rest_length"]), "complete": int(answer["complete"])}
         return xarray.Dataset({**samples, **flights}, coordinates, attributes)
+
+
+def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
+    """The thresholds of one spring as scalars, NaN where there is none; `threshold` is infinite then."""
+    with _reading("the thresholds of a spring"):
+        number = {name: answer[name] for name in ("threshold", "jump", "down")}
+        number["threshold"] = np.inf if number["threshold"] is None else number["threshold"]
+        lifetime = answer["lifetime"] or {"delta": None, "periods": None}
+        number |= {"lifetime": lifetime["periods"], "delta": lifetime["delta"]}
+        variables = {name: _cycle_variable(name, (), _number(value)) for name, value in number.items()}
+        variables |= {
+            name: _cycle_variable(name, (), str(answer[name] or "")) for name in ("cause", "reason")
+        }
+        for name in _ENERGY:
+            variables[name] = _cycle_variable(name, (), _number((answer["energy"] or {}).get(name)))
+        coordinates = {name: _variable(name, None, answer[name]) for name in ("omega", "xi")}
+        return xarray.Dataset(variables, coordinates, _closed_form("thresholds of a spring"))
+
+
+def orbits_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
+    """Branches of one spring: dims (branch, point), NaN after the last point of a branch, and (event)."""
+    with _reading("a list of branches"):
+        branches = answer["branches"]
+        grid = ("branch", "point")
+        variables: dict[str, Any] = {
+            name: _cycle_variable(name, grid, _padded([branch[name] for branch in branches]))
+            for name in _PER_POINT
+        }
+        counts = np.array([len(branch["gamma"]) for branch in branches], np.intp)
+        multipliers = np.full((len(branches), int(counts.max(initial=0)), 2), np.nan, np.complex128)
+        for row, branch in zip(multipliers, branches, strict=True):
+            row[: len(branch["gamma"])] = _complex(branch["multipliers"])
+        variables["multiplier"] = _cycle_variable("multiplier", grid, multipliers[..., 0])
+        variables["other_multiplier"] = _cycle_variable("other_multiplier", grid, multipliers[..., 1])
+        for name in ("stable", "admissible"):
+            padded = _padded([branch[name] for branch in branches])
+            fill = 0 if name == "stable" else MISSING_POINT
+            variables[name] = _cycle_variable(name, grid, np.where(np.isnan(padded), fill, padded))
+        if branches and branches[0].get("energy") is not None:
+            for name in _ENERGY:
+                rows = _padded([branch["energy"][name] for branch in branches])
+                variables[name] = _cycle_variable(name, grid, rows)
+        variables["points"] = _cycle_variable("points", ("branch",), counts)
+        variables |= _events("event", answer["events"])
+        coordinates = {
+            "omega": _variable("omega", None, answer["omega"]),
+            "xi": _variable("xi", None, answer["xi"]),
+            **{
+                name: _variable(name, "branch", [branch[name] for branch in branches])
+                for name in ("bounces", "periods")
+            },
+        }
+        if any("word" in branch for branch in branches):
+            coordinates["word"] = _cycle_variable(
+                "word", ("branch",), [branch["word"] for branch in branches]
+            )
+        return xarray.Dataset(variables, coordinates, _closed_form("branches of a spring"))
+
+
+def curves_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
+    """Curves of events: dims (curve, point), NaN after the last point of a curve, and (event)."""
+    with _reading("a list of curves"):
+        along, curves = str(answer["along"]), answer["curves"]
+        fixed = "xi" if along == "omega" else "omega"
+        grid = ("curve", "point")
+        variables: dict[str, Any] = {
+            name: _cycle_variable(name, grid, _padded([curve[name] for curve in curves]))
+            for name in (along, "gamma", "flight_time")
+        }
+        padded = _padded([curve["admissible"] for curve in curves])
+        admissible = np.where(np.isnan(padded), MISSING_POINT, padded)
+        variables["admissible"] = _cycle_variable("admissible", grid, admissible)
+        variables |= _events("event", answer["points"])
+        coordinates = {
+            fixed: _variable(fixed, None, answer[fixed]),
+            "kind": _cycle_variable("kind", ("curve",), [curve["kind"] for curve in curves]),
+            **{
+                name: _variable(name, "curve", [curve[name] for curve in curves])
+                for name in ("bounces", "periods")
+            },
+        }
+        return xarray.Dataset(variables, coordinates, _closed_form("bifurcation curves"))
+
+
+def _events(dim: str, events: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
+    """Variables `event_gamma`, `event_kind` and so on, with one dimension."""
+    return {
+        f"{dim}_{name}": _cycle_variable(name, (dim,), [event[name] for event in events])
+        for name in (
+            "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "admissible",
+        )
+    }  # fmt: skip
+
+
+def _cycle_variable(name: str, dims: tuple[str, ...], values: object) -> Variable:
+    dtype, attributes = {**_RESULTS, **_CYCLES}[name]
+    return dims, np.asarray(values, dtype), dict(attributes)
+
+
+def _closed_form(title: str) -> dict[str, Any]:
+    return {
+        "Conventions": "CF-1.11",
+        "title": title,
+        "source": "bouncing-spring, closed form",
+        "model": "rigid, restitution 0",
+    }
+
+
+def _complex(pairs: Sequence[Sequence[Sequence[float]]]) -> NDArray[np.complex128]:
+    parts = np.array(pairs, np.float64)
+    return np.asarray(parts[..., 0] + 1j * parts[..., 1])
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
 
 
 @contextmanager

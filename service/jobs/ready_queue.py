@@ -30,6 +30,7 @@ class ReadyQueue:
         ready = (predecessors == NONE) | self._done[predecessors]
         self._initial = np.flatnonzero(ready & ~self._done)  # ready from the start
         self._initial_popped = 0  # how many of them are popped
+        self._first: deque[int] = deque()  # requeued chunks that come before all others
         self._later: deque[int] = deque()  # ready since then: successors and requeued chunks
         self._popped: set[int] = set()  # neither requeued nor complete
         self._remaining = int(np.count_nonzero(~self._done))
@@ -42,14 +43,16 @@ class ReadyQueue:
     @property
     def ready(self) -> bool:
         """Whether there is a chunk to pop."""
-        return self._initial_popped < len(self._initial) or bool(self._later)
+        return self._initial_popped < len(self._initial) or bool(self._first) or bool(self._later)
 
     def pop(self) -> int:
         """A chunk that can be computed now; raises IndexError if none is ready.
 
         All chains of a ramp advance together: a long one left to the end would occupy a single worker.
         """
-        if self._initial_popped == len(self._initial):
+        if self._first:
+            chunk = self._first.popleft()
+        elif self._initial_popped == len(self._initial):
             chunk = self._later.popleft()
         else:
             self._initial_popped += 1
@@ -57,11 +60,11 @@ class ReadyQueue:
         self._popped.add(chunk)
         return chunk
 
-    def requeue(self, chunk: int) -> None:
-        """Put a popped chunk that was not computed at the end of the queue."""
+    def requeue(self, chunk: int, *, first: bool = False) -> None:
+        """Put a popped chunk that was not computed at the end of the queue, or before all others."""
         self._popped.discard(chunk)
         if self._can_run(chunk):
-            self._later.append(chunk)
+            (self._first if first else self._later).append(chunk)
 
     def complete(self, chunks: Iterable[int]) -> None:
         """Popped chunks are done; their successors become ready."""
@@ -77,8 +80,10 @@ class ReadyQueue:
         undone = {chunk for chunk in chunks if self._done[chunk]}
         self._done[list(undone)] = False
         self._remaining += len(undone)
-        queued = [*(int(chunk) for chunk in self._initial[self._initial_popped :]), *self._later, *undone]
+        initial = (int(chunk) for chunk in self._initial[self._initial_popped :])
+        queued = [*self._first, *initial, *self._later, *undone]
         self._initial, self._initial_popped = np.empty(0, np.int64), 0
+        self._first.clear()
         self._later = deque(chunk for chunk in dict.fromkeys(queued) if self._can_run(chunk))
 
     def _can_run(self, chunk: int) -> bool:

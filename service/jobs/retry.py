@@ -1,7 +1,8 @@
 """What follows a chunk that came back without a report. The only module that classifies errors.
 
-A chunk can come back for four reasons, which count differently:
+A chunk can come back for five reasons, which count differently:
 
+- its time slice is over: it goes on before others of its job begin, and nothing is counted;
 - it was cancelled, or the cluster was lost: the chunk is requeued and nothing is counted;
 - its worker died while computing another chunk: a collateral loss, counted on its own;
 - it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
@@ -9,6 +10,7 @@ A chunk can come back for four reasons, which count differently:
 """
 
 import errno
+from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from enum import Enum
@@ -16,7 +18,7 @@ from typing import Final, NamedTuple
 
 from worker.executors.errors import ClusterLost, WorkerLost
 from worker.store import StoreDamaged
-from worker.tasks import ChunkCancelled, PredecessorMissing
+from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
 
 #: A worker's death often takes innocent chunks with it. After this many such losses a chunk is a suspect
 #: itself, and each further one counts as a failed try.
@@ -31,6 +33,7 @@ class Action(Enum):
     """What the supervisor does with the chunk."""
 
     REQUEUE = "requeue"  # nothing is counted
+    CONTINUE = "continue"  # requeue before the job's other chunks; nothing is counted
     PAUSE = "pause"  # requeue, and submit nothing until a sync finds workers
     COLLATERAL = "collateral"  # requeue, and count a collateral loss
     RETRY = "retry"  # requeue, and count a failed try
@@ -40,6 +43,14 @@ class Action(Enum):
 
 #: The actions that record a failed try.
 FAILED_TRIES: Final = frozenset({Action.RETRY, Action.GIVE_UP, Action.FATAL})
+
+#: Why a chunk comes back through no fault of its own, and what follows.
+UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
+    ChunkCancelled: Action.REQUEUE,
+    CancelledError: Action.REQUEUE,
+    ChunkPaused: Action.CONTINUE,
+    ClusterLost: Action.PAUSE,
+}
 
 
 class Decision(NamedTuple):
@@ -68,10 +79,9 @@ class RetryPolicy:
 
     def decide(self, error: BaseException, history: History) -> Decision:
         """What follows `error` for a chunk with this history."""
-        if isinstance(error, ChunkCancelled | CancelledError):
-            return Decision(Action.REQUEUE)
-        if isinstance(error, ClusterLost):
-            return Decision(Action.PAUSE)
+        for kind, action in UNCOUNTED.items():
+            if isinstance(error, kind):
+                return Decision(action)
         if isinstance(error, WorkerLost):
             if history.collateral_losses + 1 < MAX_COLLATERAL_LOSSES:
                 return Decision(Action.COLLATERAL)

@@ -108,7 +108,7 @@ class JobRun:
             cells = self.prepared.describe(self.prepared.plan[chunk])
             self._failures.append(_failure(chunk, cells, error, self._tries[chunk]))
         else:
-            self._ready_queue.requeue(chunk)
+            self._ready_queue.requeue(chunk, first=action is Action.CONTINUE)
 
     def requeue(self, chunk: int) -> None:
         """The executor did not take a chunk."""

@@ -206,7 +206,7 @@ def test_a_threshold_outside_the_grid_is_printed_as_a_bound(
 ):
     with Client(url) as client:
         job = client.submit({**RAMPED, "gamma": gamma, "settle": 300, "observe": 60}).wait(progress=False)
-        eq_25 = client.threshold(0.5, 0.26)
+        eq_25 = float(client.threshold(0.5, 0.26).threshold)
     result = bounce("threshold", job.id, *tolerance, url=url)
     _, heading, line, *rest = result.stdout.splitlines()
     assert heading.split() == ["OMEGA", "EQ.", "25", "UP", "DOWN"]

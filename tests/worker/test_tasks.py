@@ -2,6 +2,7 @@
 
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
 from worker.spec.sweep import start_of
-from worker.tasks import ChunkCancelled, PredecessorMissing, run_chunk
+from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, PredecessorMissing, run_chunk
 
 RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
@@ -224,3 +225,104 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
     _, url = stored(tmp_path, spec, (1, 3, 2))
     with pytest.raises(store.StoreConflict, match="spans xi 0 to 2, but chunks here are 1 long"):
         run_chunk(spec, make_plan(spec, chunk_shape=(2, 3, 2))[0], url)
+
+
+#: Chunks whose lines and cells are many, for pauses at any place.
+PAUSING = {
+    "in lanes": {"model": {"kind": "rigid"}},
+    "ramp": {"protocol": ramp("gamma", "both")},
+    "settling": {"model": {"kind": "soft"}, "settle_until": 640},
+    "exponents": {"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2},
+    "ball": {"model": {"kind": "ball", "restitution": 0.3}, "protocol": ramp("gamma", "up")},
+    "stepped": {"model": {"kind": "stepped"}, "protocol": ramp("xi", "up")},
+}
+
+
+def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
+    """A chunk that pauses at every look at the clock; and how often it did."""
+    pauses = 0
+    while True:
+        try:
+            return run_chunk(spec, chunk, url, slice_seconds=0.0), pauses
+        except ChunkPaused:
+            pauses += 1
+
+
+@pytest.mark.parametrize("changes", PAUSING.values(), ids=PAUSING)
+def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes):
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 37)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    spec = small_spec(**changes)
+    plan, whole = stored(tmp_path / "whole", spec)
+    _, url = stored(tmp_path, spec, plan.chunk_shape)
+    for chunk in plan:
+        report, pauses = run_slices(spec, chunk, url)
+        expected = run_chunk(spec, chunk, whole)
+        assert (report.checksum, report.outcomes) == (expected.checksum, expected.outcomes)
+        assert pauses > 1
+        assert 0 < report.kernel_seconds < report.seconds
+    assert [path.name for path in Path(url).glob(".*")] == []
+
+
+def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
+    """A sweep whose first chunk has paused after some of its lines, in another."""
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
+    spec = small_spec(protocol=ramp("gamma", "up"))
+    plan, url = stored(tmp_path, spec, (2, 3, 10))
+    done = 0
+    while done < 2:
+        with pytest.raises(ChunkPaused, match="paused after 0 s"):
+            run_chunk(spec, plan[0], url, slice_seconds=0.0)
+        done = store.read_checkpoint(url, 0)["lines_done"]
+    assert not store.read_slice(url, ["outcome"])["outcome"].any()
+    return spec, plan, url
+
+
+def test_a_paused_chunk_does_not_begin_anew(tmp_path, small_spec, monkeypatch):
+    spec, plan, url = paused(tmp_path, small_spec, monkeypatch)
+    taken = store.read_checkpoint(url, 0)["seconds"]
+    report = run_chunk(spec, plan[0], url)
+    assert report.kernel_seconds > taken[1]
+    assert store.read_checkpoint(url, 0) is None
+
+
+@pytest.mark.parametrize("harm", ["damaged", "truncated", "of another release", "of another line"])
+def test_a_checkpoint_that_is_not_what_was_written_begins_anew(tmp_path, small_spec, monkeypatch, harm):
+    spec, plan, url = paused(tmp_path, small_spec, monkeypatch)
+    file = Path(url, ".checkpoint-0")
+    content = file.read_bytes()
+    if harm == "damaged":
+        file.write_bytes(content[:-100] + b"x" + content[-99:])
+    elif harm == "truncated":
+        file.write_bytes(content[: len(content) // 2])
+    elif harm == "of another release":
+        store.write_checkpoint(url, 0, {"lines": np.zeros(3)})
+    else:
+        saved = store.read_checkpoint(url, 0)
+        shorter = {name: array[..., :1] if array.ndim else array for name, array in saved.items()}
+        store.write_checkpoint(url, 0, shorter)
+    report, _ = run_slices(spec, plan[0], url)
+    _, whole = stored(tmp_path / "whole", spec, plan.chunk_shape)
+    assert report.checksum == run_chunk(spec, plan[0], whole).checksum
+
+
+def test_a_chunk_that_cannot_pause_goes_on(tmp_path, small_spec, monkeypatch):
+    spec = small_spec(protocol=ramp("gamma", "up"))
+    plan, url = stored(tmp_path, spec, (2, 3, 10))
+    Path(url, ".checkpoint-0").mkdir()  # so that no file can be written in its place
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
+    report = run_chunk(spec, plan[0], url, slice_seconds=0.0)
+    assert sum(report.outcomes) == 60
+
+
+@pytest.mark.parametrize("model", [{"kind": "rigid"}, {"kind": "soft"}], ids=["in lanes", "one by one"])
+def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, model):
+    """A single cell takes a minute."""
+    spec = small_spec(gamma=3.7, omega=0.5, xi=0.05, model=model, settle=10_000_000, observe=10_000_000)
+    plan, url = stored(tmp_path, spec)
+    timer = threading.Timer(0.3, store.set_cancelled, [url])
+    timer.start()
+    with pytest.raises(ChunkCancelled):
+        run_chunk(spec, plan[0], url)
+    timer.join()
+    assert not store.read_slice(url, ["outcome"])["outcome"].any()

@@ -18,7 +18,7 @@ from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, Work
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.worker_plugin import WarmKernels
 from worker.studies import Chunk, Spec
-from worker.tasks import ChunkCancelled, ChunkReport
+from worker.tasks import ChunkReport, TaskError
 from worker.watchdog import run_watched
 
 #: How long a count of the workers stays valid.
@@ -132,7 +132,7 @@ class Dask:
                 await future.cancel()  # else the scheduler may start it on another worker
                 raise WorkerDied(task.termination.result())
             outcome = result.result()
-            if isinstance(outcome, ChunkCancelled):
+            if isinstance(outcome, TaskError):
                 raise outcome
             return outcome
         except KilledWorker as error:

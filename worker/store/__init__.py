@@ -5,6 +5,7 @@ Code outside this package uses only the names listed here. In worker, only this 
 
 from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, rename_for_deletion
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
+from worker.store.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
 from worker.store.chunks import discard, find_corrupt
 from worker.store.errors import (
     ChunkCoords,
@@ -44,14 +45,17 @@ __all__ = [
     "in_bucket",
     "is_cancelled",
     "read_attrs",
+    "read_checkpoint",
     "read_chunk",
     "read_coordinates",
     "read_key",
     "read_slice",
     "remove",
+    "remove_checkpoint",
     "rename_for_deletion",
     "repair_metadata",
     "set_cancelled",
     "sweep_leftovers",
+    "write_checkpoint",
     "write_chunk",
 ]

@@ -75,6 +75,21 @@ def read_key(url: str, key: str) -> bytes | None:
         return None
 
 
+def put(url: str, key: str, content: bytes) -> None:
+    """Write a key of a store, whole or not at all; its folder must exist."""
+    if in_bucket(url):
+        _bucket(url).put(key, content)
+        return
+    path = Path(url, key)
+    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
 def delete(url: str, key: str) -> None:
     """Remove a key of a store, if it exists."""
     try:

@@ -1,0 +1,50 @@
+"""Checkpoints of chunks that take long: what has been computed of one, in a file in its store.
+
+A checkpoint only saves time. One that is missing, or is not what was written, is no error: the chunk begins
+anew, with the same result.
+"""
+
+import hashlib
+import io
+from collections.abc import Mapping
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worker.store import backend
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
+    """Keep arrays of a chunk in the store at `url`, in place of those kept before.
+
+    Raises OSError, or one of `store.UNREACHABLE`.
+    """
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    content = file.getvalue()
+    backend.put(url, _key(chunk), hashlib.sha256(content).digest() + content)
+
+
+def read_checkpoint(url: str, chunk: int) -> dict[str, NDArray[Any]] | None:
+    """The arrays of a chunk's checkpoint; None without one whose bytes are those written."""
+    stored = backend.read_key(url, _key(chunk))
+    if stored is None or hashlib.sha256(stored[_DIGEST_BYTES:]).digest() != stored[:_DIGEST_BYTES]:
+        return None
+    try:
+        with np.load(io.BytesIO(stored[_DIGEST_BYTES:]), allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (ValueError, BadZipFile):  # of another release
+        return None
+
+
+def remove_checkpoint(url: str, chunk: int) -> None:
+    """Remove a chunk's checkpoint, if there is one."""
+    backend.delete(url, _key(chunk))
+
+
+def _key(chunk: int) -> str:
+    return f".checkpoint-{chunk}"
