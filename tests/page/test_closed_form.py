@@ -47,6 +47,8 @@ PIXELS = """([selector, property]) => {
     return found;
 }"""
 PLOT = ".panel .plot canvas"
+#: Chromium's advice on reading a canvas often, as only these tests do.
+READBACK = ("willReadFrequently",)
 
 
 @pytest.fixture(scope="module")
@@ -86,12 +88,12 @@ def readout_at(page: Any, at: list[float]) -> str:
 
 
 def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, address: str, loop: str):
-    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05") as page:
+    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05", expected=READBACK) as page:
         wait_shown(page, omega=0.6)
         assert branch_pixels(page) == []
         page.get_by_label("Branches").check()
         wait_for(lambda: len(branch_pixels(page)) > 200)
-        assert "branches=1" in page.url
+        wait_for(lambda: "branches=1" in page.url)
         screenshot(page, "branches")
 
         # every cycle that is pointed at is one of the closed form, and some are unstable
@@ -121,7 +123,7 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         assert values == pytest.approx([time] * len(values), abs=2e-3)
         assert "on a cycle in closed form" in page.locator(".trajectory header .note").inner_text()
         screenshot(page, "cycle")
-        with opened(browser, page.url) as again:  # the address shows the same cycle
+        with opened(browser, page.url, expected=READBACK) as again:  # the address shows the same cycle
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
 
 
@@ -131,7 +133,9 @@ def _corner(page: Any) -> tuple[float, float]:
 
 
 def test_branches_follow_the_slider_and_leave_with_the_box(browser: Any, address: str, loop: str):
-    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1") as page:
+    with opened(
+        browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1", expected=READBACK
+    ) as page:
         wait_for(lambda: len(branch_pixels(page)) > 200)
         before = branch_pixels(page)
         page.locator(".panel input[type=range]").first.evaluate(
@@ -141,11 +145,11 @@ def test_branches_follow_the_slider_and_leave_with_the_box(browser: Any, address
         wait_for(lambda: branch_pixels(page) != before)
         page.get_by_label("Branches").uncheck()
         wait_for(lambda: branch_pixels(page) == [])
-        assert "branches" not in page.url
+        wait_for(lambda: "branches" not in page.url)
 
 
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
-    with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05") as page:
+    with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05", expected=READBACK) as page:
         wait_shown(page, xi=0.05, folds=False)
         page.get_by_label("Folds").check()
         wait_shown(page, xi=0.05, folds=True)
@@ -159,10 +163,31 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
 def test_branches_fit_the_screen(browser: Any, address: str, loop: str, scheme: str, width: int):
     target = f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1"
     options = {"viewport": {"width": width, "height": 860}, "color_scheme": scheme}
-    with opened(browser, target, **options) as page:
+    with opened(browser, target, expected=READBACK, **options) as page:
         wait_for(lambda: len(branch_pixels(page)) > 60)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         screenshot(page, f"branches-{scheme}-{width}")
+
+
+def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address: str):
+    seeded = {
+        **LOOP, "name": "seeded", "gamma": {"start": 0.555, "stop": 0.6, "num": 5}, "omega": 0.6,
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "down", "start": {"periods": 1}},
+    }  # fmt: skip
+    view = httpx2.post(f"{address}/v1/jobs", json=seeded, timeout=DEADLINE).raise_for_status().json()
+    with opened(browser, f"{address}/#/new?from={view['id']}", expected=("422",)) as page:
+        page.locator(".cost").filter(has_text="cells in").wait_for()
+        first = page.get_by_label("first cell")
+        assert first.input_value() == "1"
+        first.select_option("2")
+        refused = page.locator("[data-field='protocol.start'][aria-invalid=true]")
+        refused.wait_for()
+        assert "there is no stable cycle (1, 2) at gamma 0.6" in page.locator(".error").inner_text()
+        first.select_option("1")
+        page.locator(".cost").filter(has_text="cells in").wait_for()
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile(f"#/job/{view['id']}"))  # the same specification is the same job
+        assert "ramp down along Γ from the cycle (1, 1)" in page.locator("header.job .summary").inner_text()
 
 
 def test_a_ball_has_no_branches(browser: Any, address: str):

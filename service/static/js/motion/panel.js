@@ -87,14 +87,16 @@ export class TrajectoryPanel {
 
   #header(cell) {
     this.about = h("p", { className: "note" });
+    this.title = h("h2", { tabindex: "-1" });
     this.#describeCell(cell);
     return h("header", {},
-      h("h2", { tabindex: "-1" }, "Trajectory of a cell"), this.about,
+      this.title, this.about,
       h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
   }
 
   #describeCell({ gamma, omega, xi, direction }) {
     const values = Object.entries({ gamma, omega, xi }).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`);
+    this.title.textContent = `Trajectory of a ${cycleStart(direction) ? "cycle" : "cell"}`;
     this.about.textContent = `${values.join(", ")}, ${startText(direction)}`;
   }
 

@@ -71,30 +71,30 @@ export const foldLegend = () => [["fold", (ctx, x, y, theme) => polyline(ctx, th
 export function drawBranches(ctx, box, { branches, events }) {
   const labels = [];
   for (const branch of branches) {
-    for (const run of runsOf(branch)) {
-      const points = run.points.map((i) => [box.x.pixel(branch.gamma[i]), box.y.pixel(branch.flight_time[i])]);
-      polyline(ctx, box.theme.branch, run.stable ? 2 : 1.4, points, run.stable ? [] : DASH);
+    for (const { stable, points } of runsOf(branch, events)) {
+      const pixels = points.map(({ gamma, flight_time: time }) => [box.x.pixel(gamma), box.y.pixel(time)]);
+      polyline(ctx, box.theme.branch, stable ? 2 : 1.4, pixels, stable ? [] : DASH);
     }
   }
   for (const event of events.filter(({ admissible }) => admissible === 0)) drawEvent(ctx, box, event.gamma, event.flight_time, event, labels);
 }
 
-/** The parts of a branch on which cycles exist and are all stable, or all unstable; neighbours share a point. */
-function runsOf({ stable, admissible }) {
+/** The parts of a branch on which cycles exist and are all stable, or all unstable; they begin and end at events. */
+function runsOf({ periods, gamma, flight_time: time, stable, admissible }, events) {
   const runs = [];
   let run = null;
-  stable.forEach((isStable, i) => {
-    if (admissible[i]) {
+  for (let i = 0; i < gamma.length; i++) {
+    const isSame = run && !admissible[i] && run.stable === stable[i];
+    const between = isSame || i === 0 ? [] : events.filter((event) => event.periods === periods && event.admissible === 0
+      && event.flight_time > time[i - 1] && event.flight_time < time[i]);
+    if (!isSame) {
+      if (between.length) run?.points.push(between[0]);
       run = null;
-      return;
     }
-    if (run && run.stable !== isStable) {
-      run.points.push(i);
-      run = null;
-    }
-    if (!run) runs.push((run = { stable: isStable, points: [] }));
-    run.points.push(i);
-  });
+    if (admissible[i]) continue;
+    if (!run) runs.push((run = { stable: stable[i], points: between.slice(-1) }));
+    run.points.push({ gamma: gamma[i], flight_time: time[i] });
+  }
   return runs;
 }
 

@@ -17,6 +17,7 @@ import { PlotView } from "./plot-view.js";
 
 const MAX_POINTS = 250_000; // flights sent as points; longer lines are sent as density
 const PREFETCH_STEPS = [1, 2, 3, -1]; // in the direction of the slider's last move
+const BEYOND = 2; // branches are requested up to this many times the highest Γ, so that none ends within the plot
 const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom, double-click to reset the zoom.";
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
@@ -120,7 +121,7 @@ export class Diagram extends PlotView {
   async #requestCycles(signal) {
     if (!this.closedForm?.checked || this.along !== "gamma") return null;
     try {
-      const cycles = await requestBranches(this.fixed, this.grid.gamma.at(-1), { signal });
+      const cycles = await requestBranches(this.fixed, BEYOND * this.grid.gamma.at(-1), { signal });
       this.closedForm.note.textContent = "";
       return cycles;
     } catch (error) {
