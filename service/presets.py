@@ -209,9 +209,10 @@ def _hysteresis() -> tuple[Sweep, ...]:
 
 
 def seeded(omega: float, xi: float) -> tuple[Sweep, ...]:
-    """The ramp down to the fold at which bouncing ends; none where it does not end at a fold."""
-    fold = thresholds(omega, xi).fold
-    if fold is None:
+    """The ramp down to the fold at which bouncing ends; none where it does not end at a fold of (1, k)."""
+    found = thresholds(omega, xi)
+    fold = found.fold
+    if fold is None or not found.cause.startswith("fold (1,"):
         return ()
     # half a step beside the fold: a cell at the fold itself would hang on rounding
     low, high = (fold.gamma + (n + 0.5) * SEEDED_STEP for n in (-BELOW_FOLD, ABOVE_FOLD))

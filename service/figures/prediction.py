@@ -77,7 +77,7 @@ def _draw_predictions(axes: Axes) -> None:
     """Γ_th, Γ_jump and Γ_down, with the frequencies at which the branches do not decide shaded."""
     found = predictions()
     jump = np.array([each.jump for each in found])
-    down = np.array([each.down if each.fold is not None else np.nan for each in found])
+    down = np.array([each.down if each.fold is not None else np.nan for each in found])  # of words too
     grid = np.linspace(OMEGAS[0], OMEGAS[-1], 600)
     axes.plot(grid, threshold(grid, XI), color="0.7", linewidth=2.6, label=r"$\Gamma_{\mathrm{th}}$, Eq. 25")
     axes.plot(OMEGAS, jump, color=ORANGE, linestyle=(0, (4, 1.5)),
