@@ -7,7 +7,7 @@
     ├── TooLarge               body, sweep or response above a limit; the text says what would fit
     ├── Unauthenticated        the access token is missing or wrong
     ├── HostNotAllowed         the Host header is not one of the service's names
-    ├── CrossOriginRefused     a web page of another origin sent a request that changes something
+    ├── CrossOriginRefused     a web page of another origin sent the request
     ├── UnknownJob             no job has this id
     ├── NotInStore             a job's store has nothing under this key
     ├── KeyReused              an Idempotency-Key was used before with another body
@@ -15,6 +15,7 @@
     ├── OutdatedJob            another kernel version computed it: this would mix two versions
     ├── QueueFull              too many unfinished jobs
     ├── Busy                   too many concurrent expensive requests
+    ├── TooManyListeners       too many event streams
     ├── NotComputed            no worker could compute the response
     ├── NoSpace                no disk space for an export
     ├── ExportFailed           the process that writes an export has died
@@ -69,7 +70,7 @@ class HostNotAllowed(ServiceError):
 
 
 class CrossOriginRefused(ServiceError):
-    """A web page of another origin sent a request that changes something."""
+    """A web page of another origin sent the request."""
 
 
 class UnknownJob(ServiceError):
@@ -103,6 +104,10 @@ class QueueFull(ServiceError):
 
 class Busy(ServiceError):
     """Too many concurrent expensive requests."""
+
+
+class TooManyListeners(ServiceError):
+    """Too many event streams."""
 
 
 class NotComputed(ServiceError):

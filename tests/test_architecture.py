@@ -44,7 +44,8 @@ SPECIFICATION = {
 REACHABLE = {
     "worker.spec": SPECIFICATION,
     "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
-    "service.client": SPECIFICATION | {"kernel.labels", "service.client", "service.formats"},
+    "service.client": SPECIFICATION
+    | {"kernel.labels", "service.client", "service.formats", "service.tokens"},
 }
 
 #: Packages whose face is their __init__; all others are empty.

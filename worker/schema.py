@@ -78,6 +78,13 @@ class Layout:
         """Length of an array's chunk along each of its dimensions."""
         return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
 
+    @property
+    def chunk_bytes(self) -> int:
+        """Bytes of one chunk of all arrays, before compression."""
+        return sum(
+            math.prod(self.chunk_shape(array)) * np.dtype(array.dtype).itemsize for array in self.arrays
+        )
+
     def coords(self, slices: Sequence[slice]) -> tuple[int, ...]:
         """Coordinates in the grid of chunks of the chunk that spans these cells."""
         return tuple(span.start // size for span, size in zip(slices, self.chunk_sizes.values(), strict=True))

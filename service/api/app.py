@@ -3,29 +3,33 @@
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 from fastapi import Depends, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service.api import problems
-from service.api.capacity import ConcurrencyLimit
+from service.api.capacity import Capacity, ListenerLimit
 from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.middleware.access_control import AccessControl
 from service.api.middleware.access_log import AccessLog
 from service.api.middleware.body_limit import BodyLimit
+from service.api.middleware.head import HeadAsGet
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, model, page, page_data, results
 from service.api.schemas import ProblemDocument
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
-from service.jobs.on_demand import OnDemandCache
+from service.jobs.on_demand import MAX_PENDING, OnDemandCache
 from service.render import export
 from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.spec import SweepSpec
+
+#: Chunks of stores read at a time.
+CHUNKS: Final = 4
 
 SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
 
@@ -34,8 +38,9 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     """The service as an ASGI application that computes on `executor`; the caller closes the executor.
 
     Its startup raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
-    version wrote the ledger.
+    version wrote the ledger. Raises NotStarted for a file of tokens that cannot be used.
     """
+    tokens = settings.access_tokens()
     metrics = Metrics()
     app = FastAPI(
         title="bouncing-spring",
@@ -50,8 +55,9 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
         app.include_router(module.router)
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)
+    app.add_middleware(HeadAsGet)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, settings=settings)
+    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens)
     app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app
@@ -70,6 +76,7 @@ async def _lifespan(
         try:
             yield
         finally:
+            service.capacity.close()
             service.on_demand.close()
             service.manager.stop()
 
@@ -82,11 +89,18 @@ def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Me
         ledger=ledger,
         manager=JobManager(ledger, executor, settings),
         on_demand=OnDemandCache(executor),
-        export_limit=ConcurrencyLimit("exports", settings.max_exports),
-        trajectory_limit=ConcurrencyLimit("trajectories", settings.max_trajectories),
-        listener_limit=ConcurrencyLimit(
-            "event streams", settings.max_listeners, timeout=0, advice="poll the job instead"
+        capacity=Capacity(
+            {
+                "read": settings.max_reads,
+                "store": CHUNKS,
+                "export": settings.max_exports,
+                "trajectory": settings.max_trajectories,
+                "on demand": MAX_PENDING,
+            },
+            settings.answer_memory,
+            timeout=settings.turn_seconds,
         ),
+        listener_limit=ListenerLimit(settings.max_listeners),
         progress_stream=ProgressStream(ledger),
         readiness=readiness,
         metrics=metrics,

@@ -1,34 +1,242 @@
-"""Limits on concurrent requests that hold resources for long: exports, trajectories, event streams."""
+"""Limits on requests that hold resources for long: threads and memory of costly answers, event streams.
 
-import threading
-from collections.abc import Iterator
+An endpoint that reads much, computes or draws is declared `costly`. It then waits its turn without a thread,
+runs in threads that only costly requests use, and its answer counts as memory until the client has read it.
+All other requests keep the threads of the event loop's pool for themselves.
+"""
+
+import asyncio
+import ctypes
+import functools
+from collections import deque
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import Any, Final, Literal, NamedTuple
 
-from service.errors import Busy
+from fastapi import Response
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from service.errors import Busy, TooManyListeners
+
+#: What costly requests do; each has threads of its own, so that long exports do not keep diagrams waiting.
+Activity = Literal["read", "store", "export", "trajectory", "on demand"]
+
+#: What the error calls them.
+_PLURALS: Final[Mapping[Activity, str]] = {
+    "read": "diagrams, maps and tables",
+    "store": "chunks of stores",
+    "export": "exports",
+    "trajectory": "trajectories",
+    "on demand": "answers that workers compute",
+}
+
+#: Bytes sent at a time; the next ones wait until the client has taken these.
+PIECE: Final = 256 * 1024
+
+#: Bytes of answers after which the C library is told to return memory when none is left.
+MUCH: Final = 64 * 2**20
 
 
-class ConcurrencyLimit:
-    """At most `limit` blocks run at a time; a caller over the limit waits up to `timeout` s, then gets 429.
+class _Waiter(NamedTuple):
+    memory: int
+    admitted: "asyncio.Future[None]"
 
-    With a timeout of a second, short requests pass a burst without a retry. In the event loop, where waiting
-    would stop every other request, the timeout must be 0. `activity` names the blocks in the error, `advice`
-    tells what to do instead. Thread-safe.
+
+class Capacity:
+    """The threads and the memory of costly requests; used in one event loop only.
+
+    `slots`: threads of each activity; `memory`: bytes that all answers may take together, from the start of
+    their computation until they are sent. A request beyond either waits up to `timeout` s, first come first
+    served; `max_waiting` may wait for each activity.
     """
 
-    def __init__(self, activity: str, limit: int, timeout: float = 1.0, advice: str = "") -> None:
-        self._limit, self._timeout = limit, timeout
-        self._message = f"too many concurrent {activity}: at most {limit} at a time"
-        if advice:
-            self._message += f"; {advice}"
-        self._slots = threading.BoundedSemaphore(limit)
+    def __init__(
+        self, slots: Mapping[Activity, int], memory: int, *, timeout: float = 5.0, max_waiting: int = 100
+    ) -> None:
+        self._slots, self._free = dict(slots), dict(slots)
+        self._memory, self._timeout, self._max_waiting = memory, timeout, max_waiting
+        self._used = self._most_used = 0  # bytes, now and since the C library last returned memory
+        self._waiting: dict[Activity, deque[_Waiter]] = {activity: deque() for activity in slots}
+        self._threads = {
+            activity: ThreadPoolExecutor(count, thread_name_prefix=f"costly-{activity}")
+            for activity, count in slots.items()
+        }
+
+    @property
+    def used(self) -> int:
+        """Bytes that answers take now, by their estimates."""
+        return self._used
+
+    def close(self) -> None:
+        """End the threads, each after what it is computing."""
+        for threads in self._threads.values():
+            threads.shutdown(wait=False, cancel_futures=True)
+
+    async def acquire(self, activity: Activity, memory: int) -> "Lease":
+        """A thread for `activity` and so many bytes; more than there are count as all. Raises Busy."""
+        memory, queue = min(memory, self._memory), self._waiting[activity]
+        if queue or not self._fits(activity, memory):
+            if len(queue) >= self._max_waiting:
+                raise self._busy(activity)
+            waiter = _Waiter(memory, asyncio.get_running_loop().create_future())
+            queue.append(waiter)
+            try:
+                await asyncio.wait_for(waiter.admitted, self._timeout)
+            except TimeoutError:
+                self._withdraw(activity, waiter)
+                raise self._busy(activity) from None
+            except asyncio.CancelledError:
+                self._withdraw(activity, waiter)
+                raise
+        else:
+            self._take(activity, memory)
+        return Lease(self, activity, memory)
+
+    async def run(self, activity: Activity, work: Callable[[], Response]) -> Response:
+        """Run `work` in a thread of the activity, of which the caller holds a lease."""
+        return await asyncio.get_running_loop().run_in_executor(self._threads[activity], work)
+
+    def give_back(self, activity: Activity | None, memory: int) -> None:
+        """Free a thread of `activity`, if it is given, and so many bytes."""
+        self._used -= memory
+        if activity is not None:
+            self._free[activity] += 1
+        if self._used == 0 and self._most_used > MUCH:
+            self._most_used = 0
+            asyncio.get_running_loop().run_in_executor(None, _return_memory)
+        self._admit()
+
+    def _fits(self, activity: Activity, memory: int) -> bool:
+        return self._free[activity] > 0 and self._used + memory <= self._memory
+
+    def _take(self, activity: Activity, memory: int) -> None:
+        self._free[activity] -= 1
+        self._used += memory
+        self._most_used = max(self._most_used, self._used)
+
+    def _admit(self) -> None:
+        for activity, queue in self._waiting.items():
+            while queue and (queue[0].admitted.done() or self._fits(activity, queue[0].memory)):
+                waiter = queue.popleft()
+                if not waiter.admitted.done():
+                    self._take(activity, waiter.memory)
+                    waiter.admitted.set_result(None)
+
+    def _withdraw(self, activity: Activity, waiter: _Waiter) -> None:
+        """Take back a request that waits no longer, perhaps admitted in the same moment."""
+        if waiter.admitted.done() and not waiter.admitted.cancelled():
+            self.give_back(activity, waiter.memory)
+        elif waiter in self._waiting[activity]:
+            self._waiting[activity].remove(waiter)
+            self._admit()  # those behind it may fit
+
+    def _busy(self, activity: Activity) -> Busy:
+        count, what = self._slots[activity], _PLURALS[activity]
+        return Busy(
+            f"too many concurrent requests: {count} {what} are computed at a time, and all costly answers "
+            f"together take at most {self._memory:,} bytes"
+        )
+
+
+class Lease:
+    """A thread and memory of a `Capacity`."""
+
+    def __init__(self, capacity: Capacity, activity: Activity, memory: int) -> None:
+        self._capacity, self._activity, self._memory = capacity, activity, memory
+        self._thread: Activity | None = activity
+
+    async def run(self, work: Callable[[], Response]) -> Response:
+        """The answer of `work`, whose body is all that the lease holds then; released if `work` raises."""
+        try:
+            response = await self._capacity.run(self._activity, work)
+        except BaseException:
+            self.release()
+            raise
+        kept = min(self._memory, len(response.body) if hasattr(response, "body") else PIECE)
+        self._give_back(self._memory - kept)
+        return _Leased(response, self)
+
+    def release(self) -> None:
+        """Give everything back; may be called again."""
+        self._give_back(self._memory)
+
+    def _give_back(self, memory: int) -> None:
+        thread, self._thread = self._thread, None
+        self._memory -= memory
+        if memory or thread:
+            self._capacity.give_back(thread, memory)
+
+
+class _Leased(Response):
+    """A response sent piece by piece as the client reads it; releases its lease at the end."""
+
+    def __init__(self, response: Response, lease: Lease) -> None:
+        self._response, self._lease = response, lease
+        self.status_code, self.background = response.status_code, response.background
+        self.raw_headers = response.raw_headers  # the same list: routes add headers to it
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            if isinstance(self._response, StreamingResponse):
+                await self._response(scope, receive, send)
+                return
+            start = {"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers}
+            await send(start)
+            body = memoryview(self._response.body)
+            for low in range(0, len(body), PIECE):
+                await send({"type": "http.response.body", "body": body[low : low + PIECE], "more_body": True})
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+        finally:
+            self._lease.release()
+
+
+def costly(
+    memory: int | Callable[..., int], activity: Activity = "read"
+) -> Callable[[Callable[..., Response]], Callable[..., Coroutine[Any, Any, Response]]]:
+    """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
+
+    `memory`: bytes that an answer takes at most, or a function that estimates them; it is called with the
+    endpoint's arguments. A request that finds no thread or no memory within `turn_seconds` gets 429.
+    """
+
+    def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
+        @functools.wraps(endpoint)
+        async def limited(**arguments: Any) -> Response:
+            estimate = await run_in_threadpool(memory, **arguments) if callable(memory) else memory
+            lease = await arguments["service"].capacity.acquire(activity, estimate)
+            response: Response = await lease.run(functools.partial(endpoint, **arguments))
+            return response
+
+        return limited
+
+    return declare
+
+
+class ListenerLimit:
+    """At most `limit` event streams at a time; used in one event loop only."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit, self._listeners = limit, 0
 
     @contextmanager
     def slot(self) -> Iterator[None]:
-        """Hold a slot during the block. Raises Busy."""
-        acquired = self._slots.acquire(blocking=self._timeout > 0, timeout=self._timeout or None)
-        if not acquired:
-            raise Busy(self._message)
+        """Count as a listener during the block. Raises TooManyListeners at once."""
+        if self._listeners >= self._limit:
+            raise TooManyListeners(
+                f"too many event streams: at most {self._limit:,} at a time; poll the job instead"
+            )
+        self._listeners += 1
         try:
             yield
         finally:
-            self._slots.release()
+            self._listeners -= 1
+
+
+def _return_memory() -> None:
+    """Give what the C library keeps for later allocations back to the system, where it can."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from service.api.capacity import ConcurrencyLimit
+from service.api.capacity import Capacity, ListenerLimit
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
@@ -27,9 +27,8 @@ class Service:
     ledger: Ledger
     manager: JobManager
     on_demand: OnDemandCache
-    export_limit: ConcurrencyLimit
-    trajectory_limit: ConcurrencyLimit
-    listener_limit: ConcurrencyLimit
+    capacity: Capacity
+    listener_limit: ListenerLimit
     progress_stream: ProgressStream
     readiness: Readiness
     metrics: Metrics
@@ -41,6 +40,15 @@ async def _service(request: Request) -> Service:  # async, because FastAPI would
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+async def _owner(request: Request) -> str | None:
+    name: str | None = getattr(request.state, "token_name", None)
+    return name
+
+
+#: The name of the caller's access token; None if it has no name, or none is required.
+OwnerDep = Annotated[str | None, Depends(_owner)]
 
 
 def find_job(job_id: str, service: ServiceDep) -> JobRecord:
@@ -60,7 +68,8 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
     if not isinstance(prepared.spec, SweepSpec):
         kind = prepared.spec.protocol.kind
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    return Sweep(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.kernel_version)
+    done = job.state is JobState.DONE
+    return Sweep(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing)
 
 
 async def reject_repeated_parameters(request: Request) -> None:

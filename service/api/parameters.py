@@ -7,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from kernel.branches.curves import CURVES
 from service.formats import DiagramFormat, ExportFormat, TradeoffFormat
 from service.jobs.model import JobState
-from service.results.orbits import MAX_POINTS
 from service.results.trajectory import MAX_SAMPLES
+from worker.orbits import MAX_POINTS
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
@@ -122,6 +122,15 @@ class PlaneQuery(Query):
     xi: Number | None = None
     direction: Direction = None
     min_flight: MinFlight = None
+
+
+class JobOrbitsQuery(Query):
+    """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
+
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Direction = None
+    gamma_max: GammaMax = 8.0
 
 
 class ModesQuery(PlaneQuery):

@@ -33,6 +33,7 @@ from service.errors import (
     OutdatedJob,
     QueueFull,
     TooLarge,
+    TooManyListeners,
     Unauthenticated,
     UnknownJob,
     WrongMediaType,
@@ -63,6 +64,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     TooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
     QueueFull: HTTPStatus.TOO_MANY_REQUESTS,
     Busy: HTTPStatus.TOO_MANY_REQUESTS,
+    TooManyListeners: HTTPStatus.SERVICE_UNAVAILABLE,
     NotComputed: HTTPStatus.SERVICE_UNAVAILABLE,
     NoSpace: HTTPStatus.INSUFFICIENT_STORAGE,
     ExportFailed: HTTPStatus.SERVICE_UNAVAILABLE,
@@ -209,7 +211,7 @@ def _allowed(request: Request, named: str) -> list[str]:
     routes = [route for route in request.app.routes if not isinstance(route, Mount)]
     methods = {
         method
-        for method in ("DELETE", "GET", "HEAD", "POST")
+        for method in ("DELETE", "GET", "POST")
         if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in routes)
-    }
-    return sorted(methods | set(named.split(", ")))
+    } | set(named.split(", "))
+    return sorted(methods | ({"HEAD"} if "GET" in methods else set()))

@@ -1,7 +1,7 @@
-"""Progress events: one ledger query serves all listeners of a job; no listener holds a thread."""
+"""Progress events: one ledger query at a time serves all listeners; none of them holds a thread."""
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import Final
 
 from starlette.concurrency import run_in_threadpool
@@ -12,13 +12,17 @@ from service.jobs.model import UNFINISHED, JobRecord
 #: Seconds between two queries for the same listener.
 POLL_SECONDS: Final = 0.25
 
+_Found = Mapping[str, JobRecord | None]
+
 
 class ProgressStream:
     """Polls the ledger for listeners, in the event loop; only `close` may be called from any thread."""
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
-        self._queries: dict[str, asyncio.Future[JobRecord | None]] = {}
+        self._asked: set[str] = set()  # jobs of the next query
+        self._next: asyncio.Future[_Found] | None = None
+        self._querying = asyncio.Lock()
         self._closing = False
 
     def close(self) -> None:
@@ -39,10 +43,16 @@ class ProgressStream:
             await asyncio.sleep(POLL_SECONDS)
 
     async def _find(self, job_id: str) -> JobRecord | None:
-        """The job, at most half a poll interval old; listeners of the same job share the query."""
-        query = self._queries.get(job_id)
-        if query is None:
-            query = asyncio.ensure_future(run_in_threadpool(self._ledger.find, job_id))
-            self._queries[job_id] = query
-            asyncio.get_running_loop().call_later(POLL_SECONDS / 2, self._queries.pop, job_id, None)
-        return await asyncio.shield(query)
+        """The job; all that is asked for while a query runs is found by the one that follows."""
+        self._asked.add(job_id)
+        if self._next is None:
+            self._next = asyncio.ensure_future(self._query())
+        return (await asyncio.shield(self._next))[job_id]
+
+    async def _query(self) -> _Found:
+        async with self._querying:
+            asked, self._asked, self._next = self._asked, set(), None
+            return await run_in_threadpool(self._find_all, asked)
+
+    def _find_all(self, job_ids: Iterable[str]) -> _Found:
+        return {job_id: self._ledger.find(job_id) for job_id in job_ids}  # other readers come in between

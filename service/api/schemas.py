@@ -60,9 +60,15 @@ class JobView(BaseModel):
     replaced_by: str | None = Field(
         description="id of the job that computes the sweep anew, with this release's kernel version"
     )
+    owner: str | None = Field(
+        description="name of the access token that submitted it, or resumed it last; null if that has none"
+    )
     created: datetime
     started: datetime | None
     finished: datetime | None
+    repairing: bool = Field(
+        description="it was done, and computes stored results again that were damaged; no answer is complete"
+    )
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists if it is long")
     choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
     failures: list[FailureView] = Field([], description="empty in lists and events")
@@ -178,6 +184,49 @@ class OrbitsView(BaseModel):
     events: list[EventView]
 
 
+class WordView(BaseModel):
+    """The branch of a cycle of several flights, in order along it; lists of flights in the word's order."""
+
+    word: str = Field(description="per landing: s, it sticks; z, it takes off again at once")
+    bounces: int
+    periods: int
+    gamma: list[float]
+    flight_time: list[list[float]]
+    takeoff_phase: list[list[float]]
+    impact_velocity: list[list[float]]
+    stable: list[bool]
+    admissible: list[int] = Field(description="as of other branches")
+    multipliers: list[list[tuple[float, float]]]
+
+
+class WordEventView(EventView):
+    """An event of the branch with this index; `flight_time` is that of the first flight."""
+
+    branch: int
+
+
+class SkippedView(BaseModel):
+    """A periodic cell from which no branch was followed."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    reason: str
+
+
+class WordOrbitsView(BaseModel):
+    """Branches of the cycles that the cells of a sweep settled to, of the rigid contact."""
+
+    omega: float
+    xi: float
+    direction: str
+    gamma_max: float
+    branches: list[WordView]
+    events: list[WordEventView]
+    skipped: list[SkippedView]
+    complete: bool
+
+
 class CurveView(BaseModel):
     """A connected piece of a curve of events; `omega` or `xi` is the parameter that varies."""
 
@@ -237,6 +286,9 @@ class Trajectory(BaseModel):
     force: list[float | None] = Field(description="of the plate on the lower mass, in mAω²")
     in_flight: list[bool]
     flights: FlightsView
+    energy: EnergyView | None = Field(
+        description="balance of a cycle of one bounce on a rigid plate without restitution; else null"
+    )
     complete: bool
     cycle: CycleView | None = Field(description="with a start on a cycle")
 
@@ -298,9 +350,11 @@ def job_view(
         kernel_version=job.kernel_version,
         notice=notice or job.notice,
         replaced_by=job.replaced_by,
+        owner=job.owner,
         created=_time(job.created),
         started=_time(job.started),
-        finished=_time(job.finished),
+        finished=None if job.repairing else _time(job.finished),
+        repairing=job.repairing,
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
         choice=choice_of(job),
         failures=[FailureView(**failure._asdict()) for failure in failures],
@@ -309,7 +363,7 @@ def job_view(
 
 
 #: Resources of a job.
-_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "export", "zarr")
+_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "orbits", "export", "zarr")
 
 
 def _links(job_id: str) -> dict[str, str]:

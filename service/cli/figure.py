@@ -58,8 +58,8 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = output_format(targets[0], PICTURES)
-    service = persistent_service(workers, data, token) if url is None else nullcontext(url)
-    with service as address, Client(address, token, timeout=COMPILE_SECONDS) as client:
+    service = persistent_service(workers, data, token) if url is None else nullcontext((url, token))
+    with service as address, Client(*address, timeout=COMPILE_SECONDS) as client:
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)
             click.echo(f"{target}\n{picture.caption}\n", err=True)

@@ -124,11 +124,11 @@ def output_format(output: str, formats: tuple[str, ...], format: str | None = No
 def write_file(output: str, content: bytes) -> None:
     """Write a file completely or not at all: an existing file is replaced once the new content is complete.
 
-    A pipe or a device is written to, not replaced.
+    A symbolic link is replaced, and what it points to is left alone. A pipe or a device is written to.
     """
-    path = Path(output)
-    is_regular = output != "-" and (path.is_file() or not path.exists())
-    with click.open_file(output, "wb", atomic=is_regular) as file:
+    from service.client.output_file import complete_file
+
+    with click.open_file("-", "wb") if output == "-" else complete_file(Path(output)) as file:
         file.write(content)
 
 

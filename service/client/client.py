@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
+from urllib.parse import quote
 
 from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
@@ -32,9 +33,11 @@ class Client:
             diagram = job.wait().diagram()
 
     `url` is the address of the service; `token` is its access token, which it requires unless it listens on
-    loopback only; `timeout` is the time limit of one request in seconds. `http` sends the requests instead of
-    a connection of the client's own (for proxies, certificates, or an application in this process); closing
-    the client does not close it. Every exception raised on purpose is a `BounceError`.
+    loopback only. Without one, the client looks for the token that a service of the same user has made
+    (`bounce serve --token auto`) in the data folder BOUNCE_DATA, by default ./bounce-data. `timeout` is the
+    time limit of one request in seconds. `http` sends the requests instead of a connection of the client's
+    own (for proxies, certificates, or an application in this process); closing the client does not close it.
+    Every exception raised on purpose is a `BounceError`.
     """
 
     def __init__(
@@ -51,6 +54,12 @@ class Client:
     def url(self) -> str:
         """The address of the service."""
         return self._transport.url
+
+    @property
+    def page(self) -> str:
+        """The address of the service's page, with the access token, if there is one, in its fragment."""
+        token = self._transport.token
+        return f"{self.url}/" if token is None else f"{self.url}/#token={quote(token, safe='')}"
 
     def submit(self, spec: Specification, *, key: str | None = None) -> Job:
         """Submit a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
@@ -169,7 +178,8 @@ class Client:
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
         periods), `samples` per period, and `start`, a cycle of the closed form. Returns a Dataset with dim
         phase: `plate`, `z1`, `z2` in plate amplitudes, `force`, `in_flight`; with dim flight: `takeoff`,
-        `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate amplitudes. Raises
+        `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate amplitudes; of a cycle of one
+        bounce on a rigid plate without restitution the energy balance, `plate_contact` and so on. Raises
         BadRequest naming the field, TooLarge, Busy.
         """
         from service.client.datasets import trajectory_dataset

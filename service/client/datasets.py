@@ -50,6 +50,10 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
     "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
     "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
+    "predicted_jump": (np.float64, {"long_name": "Γ of the fold at which flights leap", "units": "1"}),
+    "predicted_down": (np.float64, {"long_name": "Γ at which bouncing ends, predicted", "units": "1"}),
+    "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
+    "difference": (np.str_, {"long_name": "why down and predicted_down differ"}),
     "up_status": (np.str_, {"long_name": "why up is a number or NaN"}),
     "down_status": (np.str_, {"long_name": "why down is a number or NaN"}),
 }
@@ -78,8 +82,7 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "threshold": (np.float64, {"long_name": "Γ at which rest ends, Eq. 25", "units": "1"}),
     "jump": (np.float64, {"long_name": "Γ of the fold at which flights leap on the way up", "units": "1"}),
     "down": (np.float64, {"long_name": "Γ at which bouncing ends on the way down", "units": "1"}),
-    "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
-    "reason": (np.str_, {"long_name": "why it is unresolved"}),
+    "reason": (np.str_, {"long_name": "why there is none"}),
     "lifetime": (np.float64, {"long_name": "life of bouncing at Γ = down - delta", "units": "plate periods"}),
     "delta": (np.float64, {"long_name": "Γ below down", "units": "1"}),
     "elongation": (np.float64, {"long_name": "elongation of the spring at take-off", **_LENGTH}),
@@ -91,6 +94,7 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "admissible": (np.uint8, {"long_name": "why the cycle is not one of the spring", **_REASONS}),
     "points": (np.int32, {"long_name": "points of the branch", "units": "1"}),
     "kind": (np.str_, {"long_name": "kind of event"}),
+    "event_branch": (np.int32, {"long_name": "index of the branch that the event is on", "units": "1"}),
     "word": (np.str_, {"long_name": "landings of the cycle: s sticks, z takes off again at once"}),
     "plate_contact": (np.float64, {"long_name": "work of the plate in contact", "units": "m A² ω²"}),
     "plate_impact": (np.float64, {"long_name": "work of the plate at the impact", "units": "m A² ω²"}),
@@ -151,13 +155,15 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
     """Thresholds: dim omega, NaN unless the status is `found`."""
     with _reading("a list of thresholds"):
         variables = {
-            field: _variable(field, "omega", _with_nan(answer[field])) for field in ("analytic", "up", "down")
+            field: _variable(field, "omega", _with_nan(answer[field]))
+            for field in ("analytic", "up", "down", "predicted_jump", "predicted_down")
         }
-        for field in ("up_status", "down_status"):
+        for field in ("up_status", "down_status", "cause", "difference"):
             variables[field] = _variable(field, "omega", answer[field])
         coordinates = {"omega": _variable("omega", "omega", answer["omega"])}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         dataset = _dataset(variables, coordinates, answer, "bouncing threshold", job_id)
+        dataset.attrs["prediction"] = str(answer["prediction"])
         if answer.get("tolerance") is not None:
             dataset.attrs["tolerance"] = float(answer["tolerance"])
         return dataset
@@ -196,8 +202,11 @@ def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
             "phase": ("phase", phase, {"long_name": "plate phase since the first sample", "units": "rad"}),
             **{name: ((), float(answer[name])) for name in ("gamma", "omega", "xi")},
         }
+        balance = {
+            name: _cycle_variable(name, (), value) for name, value in (answer.get("energy") or {}).items()
+        }
         attributes = {"rest_length": float(answer["rest_length"]), "complete": int(answer["complete"])}
-        return xarray.Dataset({**samples, **flights}, coordinates, attributes)
+        return xarray.Dataset({**samples, **flights, **balance}, coordinates, attributes)
 
 
 def thresholds_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
@@ -226,22 +235,12 @@ def orbits_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
             name: _cycle_variable(name, grid, _padded([branch[name] for branch in branches]))
             for name in _PER_POINT
         }
-        counts = np.array([len(branch["gamma"]) for branch in branches], np.intp)
-        multipliers = np.full((len(branches), int(counts.max(initial=0)), 2), np.nan, np.complex128)
-        for row, branch in zip(multipliers, branches, strict=True):
-            row[: len(branch["gamma"])] = _complex(branch["multipliers"])
-        variables["multiplier"] = _cycle_variable("multiplier", grid, multipliers[..., 0])
-        variables["other_multiplier"] = _cycle_variable("other_multiplier", grid, multipliers[..., 1])
-        for name in ("stable", "admissible"):
-            padded = _padded([branch[name] for branch in branches])
-            fill = 0 if name == "stable" else MISSING_POINT
-            variables[name] = _cycle_variable(name, grid, np.where(np.isnan(padded), fill, padded))
+        variables |= _stability(branches)
         if branches and branches[0].get("energy") is not None:
             for name in _ENERGY:
                 rows = _padded([branch["energy"][name] for branch in branches])
                 variables[name] = _cycle_variable(name, grid, rows)
-        variables["points"] = _cycle_variable("points", ("branch",), counts)
-        variables |= _events("event", answer["events"])
+        variables |= _events(answer["events"])
         coordinates = {
             "omega": _variable("omega", None, answer["omega"]),
             "xi": _variable("xi", None, answer["xi"]),
@@ -250,11 +249,44 @@ def orbits_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
                 for name in ("bounces", "periods")
             },
         }
-        if any("word" in branch for branch in branches):
-            coordinates["word"] = _cycle_variable(
-                "word", ("branch",), [branch["word"] for branch in branches]
-            )
         return xarray.Dataset(variables, coordinates, _closed_form("branches of a spring"))
+
+
+def words_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
+    """Branches of words: dims (branch, point, flight), NaN beyond their ends, and (event), (cell)."""
+    with _reading("a list of branches of words"):
+        branches, events, skipped = answer["branches"], answer["events"], answer["skipped"]
+        variables: dict[str, Any] = {
+            "gamma": _cycle_variable(
+                "gamma", ("branch", "point"), _padded([branch["gamma"] for branch in branches])
+            )
+        }
+        points = max((len(branch["gamma"]) for branch in branches), default=0)
+        flights = max((branch["bounces"] for branch in branches), default=0)
+        for name in ("flight_time", "takeoff_phase", "impact_velocity"):
+            values = np.full((len(branches), points, flights), np.nan)
+            for row, branch in zip(values, branches, strict=True):
+                row[: len(branch["gamma"]), : branch["bounces"]] = branch[name]
+            variables[name] = _cycle_variable(name, ("branch", "point", "flight"), values)
+        variables |= _stability(branches) | _events(events)
+        variables["event_branch"] = _cycle_variable(
+            "event_branch", ("event",), [event["branch"] for event in events]
+        )
+        for name in ("gamma", "bounces", "periods", "reason"):
+            column = [cell[name] for cell in skipped]
+            variables[f"skipped_{name}"] = _cycle_variable(name, ("cell",), column)
+        coordinates = {
+            "omega": _variable("omega", None, answer["omega"]),
+            "xi": _variable("xi", None, answer["xi"]),
+            "direction": _direction(answer),
+            "word": _cycle_variable("word", ("branch",), [branch["word"] for branch in branches]),
+            **{
+                name: _variable(name, "branch", [branch[name] for branch in branches])
+                for name in ("bounces", "periods")
+            },
+        }
+        attributes = {**_closed_form("branches of words"), "job": job_id, "complete": int(answer["complete"])}
+        return xarray.Dataset(variables, coordinates, attributes)
 
 
 def curves_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
@@ -270,7 +302,7 @@ def curves_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
         padded = _padded([curve["admissible"] for curve in curves])
         admissible = np.where(np.isnan(padded), MISSING_POINT, padded)
         variables["admissible"] = _cycle_variable("admissible", grid, admissible)
-        variables |= _events("event", answer["points"])
+        variables |= _events(answer["points"])
         coordinates = {
             fixed: _variable(fixed, None, answer[fixed]),
             "kind": _cycle_variable("kind", ("curve",), [curve["kind"] for curve in curves]),
@@ -282,10 +314,28 @@ def curves_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
         return xarray.Dataset(variables, coordinates, _closed_form("bifurcation curves"))
 
 
-def _events(dim: str, events: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
-    """Variables `event_gamma`, `event_kind` and so on, with one dimension."""
+def _stability(branches: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
+    """Multipliers, stability and admissibility with dims (branch, point), and the points of each branch."""
+    grid = ("branch", "point")
+    counts = np.array([len(branch["gamma"]) for branch in branches], np.intp)
+    multipliers = np.full((len(branches), int(counts.max(initial=0)), 2), np.nan, np.complex128)
+    for row, branch in zip(multipliers, branches, strict=True):
+        if branch["multipliers"]:
+            parts = np.array(branch["multipliers"], np.float64)
+            row[: len(parts)] = parts[..., 0] + 1j * parts[..., 1]
+    variables = {"points": _cycle_variable("points", ("branch",), counts)}
+    for i, name in enumerate(("multiplier", "other_multiplier")):
+        variables[name] = _cycle_variable(name, grid, multipliers[..., i])
+    for name, fill in (("stable", 0), ("admissible", MISSING_POINT)):
+        padded = _padded([branch[name] for branch in branches])
+        variables[name] = _cycle_variable(name, grid, np.where(np.isnan(padded), fill, padded))
+    return variables
+
+
+def _events(events: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
+    """Variables `event_gamma`, `event_kind` and so on, with dim event."""
     return {
-        f"{dim}_{name}": _cycle_variable(name, (dim,), [event[name] for event in events])
+        f"event_{name}": _cycle_variable(name, ("event",), [event[name] for event in events])
         for name in (
             "kind", "gamma", "omega", "xi", "bounces", "periods", "flight_time", "admissible",
         )
@@ -304,11 +354,6 @@ def _closed_form(title: str) -> dict[str, Any]:
         "source": "bouncing-spring, closed form",
         "model": "rigid, restitution 0",
     }
-
-
-def _complex(pairs: Sequence[Sequence[Sequence[float]]]) -> NDArray[np.complex128]:
-    parts = np.array(pairs, np.float64)
-    return np.asarray(parts[..., 0] + 1j * parts[..., 1])
 
 
 def _number(value: float | None) -> float:

@@ -107,6 +107,11 @@ class JobStatus:
         return self.view.get("error")
 
     @property
+    def repairing(self) -> bool:
+        """Whether the job was done and computes stored results again that were damaged."""
+        return bool(self.view.get("repairing"))
+
+    @property
     def notice(self) -> str | None:
         """That another kernel version than the service's computed the job; None if it did not.
 
@@ -118,6 +123,11 @@ class JobStatus:
     def replaced_by(self) -> str | None:
         """Id of the job that computes the sweep anew, for a job of another kernel version."""
         return self.view.get("replaced_by")
+
+    @property
+    def owner(self) -> str | None:
+        """Name of the access token that submitted the job, or resumed it last; None if that has none."""
+        return self.view.get("owner")
 
     @property
     def links(self) -> dict[str, str]:

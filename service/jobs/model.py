@@ -1,7 +1,7 @@
 """A job, its states, the transitions between them, and its progress. Pure."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
@@ -85,6 +85,8 @@ class NewJob:
     chunk_shape: tuple[int, ...]  # how the study is cut; of a sweep, cells of a chunk along xi, omega, gamma
     chunks_total: int
     cells_total: int
+    #: Name of the access token with which it was submitted, or last resumed; None if that has no name.
+    owner: str | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ class JobRecord(NewJob):
     error: str | None
     created: float
     started: float | None
-    finished: float | None
+    finished: float | None  # of a job that is being repaired: when it was done before
     run_started: float | None  # when it last started or continued
     run_cells: int  # cells done at that time
     chunks_done: int
@@ -126,10 +128,15 @@ class JobRecord(NewJob):
         )
 
     @property
+    def repairing(self) -> bool:
+        """Whether it was done before, and computes chunks again that were damaged in the store."""
+        return self.state is JobState.RUNNING and self.finished is not None
+
+    @property
     def revision(self) -> tuple[object, ...]:
         """Changes whenever what the job shows changes, except the estimated time left."""
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
-        return (self.id, *facts, self.notice)
+        return (self.id, *facts, self.notice, self.owner)
 
     def progress(self, now: float) -> Progress:
         """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""

@@ -25,7 +25,7 @@ MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Fields of a sweep with stricter rules today than under kernel version 1; no reader of results uses them.
-BOUNDED_SINCE: Final = ("settle_tolerance",)
+BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
 #: What a prepared job depends on. `seq` tells a job from a deleted one of the same id; the chunk shape and
 #: the choice change when the model of an `auto` sweep is chosen.
@@ -52,6 +52,11 @@ class PreparedJob:
     def layout(self) -> Layout:
         """What is stored, and how it is cut."""
         return self.study.variables(self.submitted, self.plan.chunk_shape)
+
+    @property
+    def core_seconds(self) -> float:
+        """Core-seconds that the whole job takes, by the cost table."""
+        return self._cost.core_seconds
 
     @cached_property
     def cell_seconds(self) -> float:

@@ -64,9 +64,7 @@ def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
     _describe(axes, first, spec)
     if len(diagrams) > 1:
         _legend(axes)
-    _warn(
-        axes, sum(diagram.missing for diagram in diagrams), sum(len(diagram.values) for diagram in diagrams)
-    )
+    _warn(axes, diagrams)
 
 
 def _draw_points(axes: Axes, diagram: Diagram, colour: str, scale: float) -> None:
@@ -222,10 +220,13 @@ def _legend(axes: Axes) -> None:
     legend.set_zorder(4)
 
 
-def _warn(axes: Axes, missing: int, cells: int) -> None:
-    if missing:
+def _warn(axes: Axes, diagrams: Sequence[Diagram]) -> None:
+    missing = sum(diagram.missing for diagram in diagrams)
+    cells = sum(len(diagram.values) for diagram in diagrams)
+    if not all(diagram.complete for diagram in diagrams):
+        reason = f"{missing:,} of {cells:,} cells are not computed yet" if missing else "being repaired"
         axes.annotate(
-            f"incomplete: {missing:,} of {cells:,} cells are not computed yet",
+            f"incomplete: {reason}",
             (0.5, 0.5),
             xycoords="axes fraction",
             ha="center",

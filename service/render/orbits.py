@@ -5,17 +5,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.branches.descent import lifetime
 from kernel.branches.energy import Energy
 from kernel.branches.events import Events
-from kernel.branches.thresholds import Thresholds, lifetime
+from kernel.branches.thresholds import Thresholds
 from service.render.text import to_json
-from service.results.orbits import EventCurves, Orbits
+from service.results.orbits import EventCurves, Orbits, WordOrbits
 
 #: Fields of a branch with a number per point.
 _PER_POINT: Final = (
     "gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity",
     "stable", "admissible",
 )  # fmt: skip
+
+#: Fields of a branch of a word with a number per point and flight.
+_PER_FLIGHT: Final = ("flight_time", "takeoff_phase", "impact_velocity")
 
 
 def orbits_json(orbits: Orbits, energies: bool) -> bytes:
@@ -35,6 +39,39 @@ def orbits_json(orbits: Orbits, energies: bool) -> bytes:
             "gamma_max": orbits.gamma_max,
             "branches": branches,
             "events": _events(orbits.events),
+        }
+    )
+
+
+def words_json(orbits: WordOrbits) -> bytes:
+    """Branches of words with a list of flights per point, their events, and the cells left out."""
+    branches = [
+        {
+            "word": branch.word,
+            "bounces": len(branch.word),
+            "periods": branch.periods,
+            "gamma": branch.gamma.tolist(),
+            **{name: getattr(branch, name).tolist() for name in _PER_FLIGHT},
+            "stable": branch.stable.tolist(),
+            "admissible": branch.admissible.tolist(),
+            "multipliers": _multipliers(branch.multiplier),
+        }
+        for branch in orbits.found.branches
+    ]
+    return to_json(
+        {
+            "omega": orbits.omega,
+            "xi": orbits.xi,
+            "direction": orbits.direction,
+            "gamma_max": orbits.gamma_max,
+            "branches": branches,
+            "events": [
+                {"branch": i, **event}
+                for i, events in enumerate(orbits.found.events)
+                for event in _events(events)
+            ],
+            "skipped": [skipped._asdict() for skipped in orbits.found.skipped],
+            "complete": orbits.complete,
         }
     )
 

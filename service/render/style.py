@@ -5,8 +5,8 @@ in a process that has only the client, which must not import the service.
 """
 
 import io
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import matplotlib as mpl
@@ -22,13 +22,17 @@ DPI: Final = 200
 #: Colours that remain distinct to colour-blind readers and on a photocopy (ColorBrewer's RdBu).
 GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
 
-#: matplotlib's font caches and settings belong to the process: one picture at a time.
-_LOCK: Final = threading.Lock()
+#: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
+_THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 
 
 def encode(size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat) -> bytes:
     """The bytes of a png or svg that `draw` draws, the same for the same drawing; `size` is in inches."""
-    with _LOCK, mpl.rc_context({"svg.hashsalt": "bouncing-spring"}):
+    return _THREAD.submit(_encode, size, draw, format).result()
+
+
+def _encode(size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat) -> bytes:
+    with mpl.rc_context({"svg.hashsalt": "bouncing-spring"}):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         draw(figure)
         file = io.BytesIO()

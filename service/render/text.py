@@ -2,7 +2,8 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, islice
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from kernel.numerics.elementary import TWO_PI
 from service.results.counting import LABEL
 from service.results.diagram import Diagram
 from service.results.mode_map import Plane
-from service.results.trajectory import Motion
+from service.results.trajectory import Motion, cycle_energy
 from worker import schema
 from worker.spec import AXES
 
@@ -39,32 +40,37 @@ to_json: Final = TypeAdapter(Any).dump_json
 
 #: Numbers converted at a time: other threads run in between.
 NUMBERS: Final = 4096
+#: Rows of a table converted at a time.
+ROWS: Final = 1024
+
+#: A document is put together once, from pieces: no copies of its lists are in memory beside it.
+_Pieces = Iterable[bytes]
 
 
 def diagram_json(diagram: Diagram) -> bytes:
     """The diagram as a JSON document; the lists per flight hold the flights that `shown` tells."""
-    members = {
-        "along": to_json(diagram.along),
-        "fixed": to_json(diagram.fixed),
-        "direction": to_json(diagram.direction),
+    members: dict[str, _Pieces] = {
+        "along": [to_json(diagram.along)],
+        "fixed": [to_json(diagram.fixed)],
+        "direction": [to_json(diagram.direction)],
         "values": _list(diagram.values),
     }
     per_flight = {array.name for array in _PER_FLIGHT}
     for name, values in diagram.arrays.items():
         members[name] = _lists(values, diagram.shown) if name in per_flight else _list(values)
-    members["min_flight"] = to_json(diagram.min_flight)
+    members["min_flight"] = [to_json(diagram.min_flight)]
     return _object(members, diagram.complete, diagram.every)
 
 
 def mode_map_json(plane: Plane) -> bytes:
     """A mode map as a JSON document; arrays as lists of rows, one for each Ω."""
     members = {
-        "xi": to_json(plane.xi),
-        "direction": to_json(plane.direction),
+        "xi": [to_json(plane.xi)],
+        "direction": [to_json(plane.direction)],
         "omega": _list(plane.omega),
         "gamma": _list(plane.gamma),
         **{name: _list(array) for name, array in plane.arrays.items()},
-        "min_flight": to_json(plane.min_flight),
+        "min_flight": [to_json(plane.min_flight)],
     }
     return _object(members, plane.complete, plane.every)
 
@@ -72,6 +78,7 @@ def mode_map_json(plane: Plane) -> bytes:
 def trajectory_json(motion: Motion) -> bytes:
     """A sampled trajectory as a JSON document; null beyond where it could be followed."""
     path, spec = motion.trajectory, motion.spec
+    balance = cycle_energy(motion)
     z2 = path.plate + path.gap
     return to_json(
         {
@@ -91,6 +98,7 @@ def trajectory_json(motion: Motion) -> bytes:
                 "takeoff_phase": (path.takeoff % TWO_PI).tolist(),
                 "flight_time": path.flight_time.tolist(),
             },
+            "energy": None if balance is None else {name: x[0] for name, x in balance._asdict().items()},
             "complete": path.complete,
             "cycle": None if motion.cycle is None else _cycle(motion.cycle),
         }
@@ -111,39 +119,55 @@ def _cycle(cycle: Branch) -> dict[str, Any]:
 
 def diagrams_csv(diagrams: Sequence[Diagram]) -> bytes:
     """A table with a header and one row per flight; cells without flights have none."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow([*COLUMNS, *_exponent_columns(diagrams[0])])
-    for diagram in diagrams:
-        table.writerows(_rows(diagram))
-    return text.getvalue().encode()
+    rows = chain([[*COLUMNS, *_exponent_columns(diagrams[0])]], *map(_rows, diagrams))
+    return b"".join(_lines(rows))
 
 
-def _object(members: Mapping[str, bytes], complete: bool, every: int) -> bytes:
+def _lines(rows: Iterator[list[Any]]) -> Iterator[bytes]:
+    """The lines of a table, some at a time."""
+    while some := list(islice(rows, ROWS)):
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(some)
+        yield text.getvalue().encode()
+
+
+def _object(members: Mapping[str, _Pieces], complete: bool, every: int) -> bytes:
     """A JSON object; `every` is left out where it is 1."""
-    last = {"complete": to_json(complete)} | ({"every": to_json(every)} if every > 1 else {})
-    return (
-        b"{"
-        + b",".join(b'"%s":%s' % (name.encode(), value) for name, value in {**members, **last}.items())
-        + b"}"
-    )
+    last = {"complete": [to_json(complete)]} | ({"every": [to_json(every)]} if every > 1 else {})
+    return b"".join(_joined(b"{", b"}", (_member(*member) for member in {**members, **last}.items())))
 
 
-def _list(array: NDArray[Any]) -> bytes:
+def _member(name: str, value: _Pieces) -> Iterator[bytes]:
+    yield b'"%s":' % name.encode()
+    yield from value
+
+
+def _list(array: NDArray[Any]) -> Iterator[bytes]:
     """A JSON list, of lists where the array has rows."""
     step = max(1, NUMBERS // max(1, array[:1].size))
-    parts = (to_json(array[low : low + step].tolist())[1:-1] for low in range(0, len(array), step))
-    return b"[" + b",".join(parts) + b"]"
+    parts = ([to_json(array[low : low + step].tolist())[1:-1]] for low in range(0, len(array), step))
+    return _joined(b"[", b"]", parts)
 
 
-def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> bytes:
+def _lists(values: NDArray[np.float64], shown: NDArray[np.bool_]) -> Iterator[bytes]:
     """A list for every cell, of the values that are shown."""
-    parts = []
     step = max(1, NUMBERS // max(1, values.shape[1]))
-    for low in range(0, len(values), step):
-        rows = zip(values[low : low + step], shown[low : low + step], strict=True)
-        parts.append(to_json([row[mask].tolist() for row, mask in rows])[1:-1])
-    return b"[" + b",".join(parts) + b"]"
+    blocks = (
+        zip(values[low : low + step], shown[low : low + step], strict=True)
+        for low in range(0, len(values), step)
+    )
+    parts = ([to_json([row[mask].tolist() for row, mask in rows])[1:-1]] for rows in blocks)
+    return _joined(b"[", b"]", parts)
+
+
+def _joined(before: bytes, after: bytes, parts: Iterable[_Pieces]) -> Iterator[bytes]:
+    """The parts, separated by commas, between two brackets."""
+    yield before
+    for number, part in enumerate(parts):
+        if number:
+            yield b","
+        yield from part
+    yield after
 
 
 def _exponent_columns(diagram: Diagram) -> list[str]:

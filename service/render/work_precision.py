@@ -37,6 +37,8 @@ TITLES: Final = {
     "plate": "studies of a hard plate: $d, e \\to 0$",
 }
 SIZE: Final = (13.2, 4.4)  # inches
+#: Bytes of memory that drawing takes at most.
+MEMORY: Final = 48 * 2**20
 MOST_STEPS: Final = 100  # the point of a Verlet series that is labelled with its depth
 #: Limits of the axes: rad, core-µs per cell per plate period.
 ERRORS: Final = (1e-14, 100.0)

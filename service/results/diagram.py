@@ -42,6 +42,7 @@ class Diagram:
     arrays: Mapping[str, NDArray[Any]]
     min_flight: float = 0.0  # rad; shorter flights do not count, unless all of a cell are
     every: int = 1  # the cells are every n-th of the axis
+    repairing: bool = False  # of the sweep
 
     @property
     def flight_time(self) -> NDArray[np.float64]:
@@ -65,8 +66,8 @@ class Diagram:
 
     @property
     def complete(self) -> bool:
-        """Whether every cell is computed."""
-        return self.missing == 0
+        """Whether every cell is computed, and the sweep undamaged."""
+        return self.missing == 0 and not self.repairing
 
 
 def diagram(
@@ -95,7 +96,9 @@ def diagram(
     arrays = read(sweep, [array.name for array in diagram_arrays(spec)], direction, indices)
     arrays |= recounted(spec, arrays, min_flight)
     fixed_values = {name: point.value for name, point in fixed.items()}
-    return Diagram(along, fixed_values, direction, axis[::every], arrays, shortest(spec, min_flight), every)
+    shorter = shortest(spec, min_flight)
+    values_along = axis[::every]
+    return Diagram(along, fixed_values, direction, values_along, arrays, shorter, every, sweep.repairing)
 
 
 def diagrams(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -32,11 +33,12 @@ class Plane:
     arrays: Mapping[str, NDArray[Any]]  # each (n_omega, n_gamma)
     every: int = 1  # the cells are every n-th of both axes
     min_flight: float = 0.0  # rad; shorter flights do not count for the mode, unless all of a cell are
+    repairing: bool = False  # of the sweep
 
     @property
     def complete(self) -> bool:
-        """Whether every cell is computed."""
-        return bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
+        """Whether every cell is computed, and the sweep undamaged."""
+        return not self.repairing and bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
 
 
 def modes(
@@ -99,7 +101,14 @@ def plane(
     point = nearest_index(spec, "xi", xi)
     arrays = read(sweep, names, direction, {"xi": point.index, "omega": omega, "gamma": gamma})
     omegas, gammas = spec.axis_values("omega")[omega], spec.axis_values("gamma")[gamma]
-    return Plane(point.value, direction, omegas, gammas, arrays)
+    return Plane(point.value, direction, omegas, gammas, arrays, repairing=sweep.repairing)
+
+
+def plane_size(spec: SweepSpec, min_flight: float | None, max_points: int, every: int = 1) -> tuple[int, int]:
+    """The most cells of an answer, and the most flights read for it."""
+    cells = prod(-(-len(spec.axis_values(axis)) // every) for axis in ("omega", "gamma"))
+    cells = min(cells, _cells(spec, min_flight, max_points))
+    return cells, cells * spec.keep if needs_flights(spec, min_flight) else 0
 
 
 def _cells(spec: SweepSpec, min_flight: float | None, max_points: int) -> int:

@@ -4,12 +4,11 @@ Branches are computed while the caller waits, some milliseconds each; curves by 
 rigid contact without restitution.
 """
 
-import re
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,31 +20,19 @@ from kernel.branches.events import Branch, Events, Kind, branch_and_events, flig
 from kernel.branches.thresholds import Thresholds
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
-from service.jobs.on_demand import OnDemandCache
-from worker.analysis.prediction import MAX_GRID, predict
-from worker.executors.base import Executor
-from worker.spec.errors import one_of
-
-#: Modes of one answer, and plate periods of one mode.
-MAX_MODES: Final = 6
-MAX_PERIODS: Final = 12
-
-#: Points of one branch that a caller may ask for.
-MAX_POINTS: Final = 1_000
+from service.jobs.model import JobRecord
+from service.jobs.on_demand import Caller, OnDemandCache
+from service.results.selection import Sweep, nearest_index, resolve_direction
+from worker.analysis.prediction import predict
+from worker.analysis.words import Words, continue_words
+from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
+from worker.spec.errors import BrokenRuleError, one_of
 
 #: Answers kept: the least recently used one makes room.
 KEPT: Final = 32
+THRESHOLDS_KEPT: Final = 4096
 
 Record = TypeVar("Record", Branch, Curve, Events)
-
-_MODE: Final = re.compile(r"([1-9][0-9]{0,3})-([1-9][0-9]{0,3})")
-
-
-class Mode(NamedTuple):
-    """A cycle's bounces and plate periods."""
-
-    bounces: int
-    periods: int
 
 
 @dataclass(frozen=True)
@@ -61,6 +48,18 @@ class Orbits:
 
 
 @dataclass(frozen=True)
+class WordOrbits:
+    """Branches of words, continued from the cells of a sweep at one spring."""
+
+    omega: float
+    xi: float
+    direction: str
+    gamma_max: float
+    found: Words
+    complete: bool  # the sweep is done
+
+
+@dataclass(frozen=True)
 class EventCurves:
     """Curves of events in two parameters, cut where Γ leaves [0, gamma_max], and the points on them."""
 
@@ -72,22 +71,11 @@ class EventCurves:
 
 def parse_modes(text: str) -> tuple[Mode, ...]:
     """Modes written as `1-1,1-2`: bounces and plate periods, of one bounce each. Raises InvalidRequest."""
-    modes = []
-    for part in text.split(","):
-        match = _MODE.fullmatch(part.strip())
-        if match is None:
-            raise InvalidRequest.of("modes", f"must be like 1-1,1-2 (bounces-periods), not {part[:40]!a}")
-        mode = Mode(int(match[1]), int(match[2]))
-        if mode.bounces != 1:
-            rule = "must be of one bounce, as 1-1 and 1-2: others follow from the cells of a sweep"
-            raise InvalidRequest.of("modes", f"{rule}, not {part.strip()}")
-        if mode.periods > MAX_PERIODS:
-            raise InvalidRequest.of("modes", f"must have at most {MAX_PERIODS} periods, not {mode.periods}")
-        modes.append(mode)
-    if len(set(modes)) < len(modes):
-        raise InvalidRequest.of("modes", "names a mode twice")
-    if len(modes) > MAX_MODES:
-        raise InvalidRequest.of("modes", f"must be at most {MAX_MODES}, not {len(modes)}")
+    try:
+        modes = [read_mode(part.strip()) for part in text.split(",")]
+        check_modes(modes)
+    except BrokenRuleError as error:
+        raise InvalidRequest.of("modes", error.rule) from error
     return tuple(sorted(modes))
 
 
@@ -100,7 +88,7 @@ def parse_kinds(text: str) -> tuple[Kind, ...]:
     return tuple(kind for kind in CURVES if kind in parts)
 
 
-@lru_cache(KEPT)
+@lru_cache(THRESHOLDS_KEPT)
 def thresholds(omega: float, xi: float) -> Thresholds:
     """The thresholds of one spring; `unresolved` where the theory does not decide."""
     return predict(omega, xi)
@@ -157,8 +145,34 @@ def event_curves(
     return EventCurves(parameter, fixed, tuple(pieces), points)
 
 
+def words(
+    on_demand: OnDemandCache,
+    job: JobRecord,
+    sweep: Sweep,
+    omega: float | None,
+    xi: float | None,
+    direction: str | None,
+    gamma_max: float,
+) -> WordOrbits:
+    """The branches of the cycles that the cells along gamma settled to, followed by a worker.
+
+    Raises InvalidRequest as `selection.nearest_index` and `selection.resolve_direction`, and as
+    `OnDemandCache.get`.
+    """
+    place = {"omega": nearest_index(sweep.spec, "omega", omega), "xi": nearest_index(sweep.spec, "xi", xi)}
+    direction = resolve_direction(sweep.spec, direction)
+    index = (sweep.spec.directions.index(direction), place["xi"].index, place["omega"].index)
+    if not job.chunks_done:
+        found = Words((), (), ())
+    else:
+        call = (continue_words, sweep.spec, sweep.url, *index, gamma_max, sweep.complete)
+        key = ("words", job.id, job.chunks_done, *index, gamma_max)
+        (found,) = on_demand.get(key, lambda executor: [executor.call(*call)])
+    return WordOrbits(place["omega"].value, place["xi"].value, direction, gamma_max, found, sweep.complete)
+
+
 def _submit(
-    executor: Executor,
+    executor: Caller,
     *,
     parameter: Parameter,
     fixed: float,

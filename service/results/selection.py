@@ -22,6 +22,9 @@ from worker.spec.errors import one_of
 #: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
 MAX_READ: Final = 8_000_000
 
+#: Bytes of memory that reading takes beside the arrays of the answer: chunks, before a part of them is kept.
+BASE_MEMORY: Final = 16 * 2**20
+
 #: Rounding that is forgiven at the ends of an axis, relative to the larger of its two ends.
 ROUNDING: Final = 1e-9
 
@@ -37,6 +40,7 @@ class Sweep:
     url: str
     complete: bool = False  # the job is done: a missing chunk is damage, not work to come
     kernel_version: str = KERNEL_VERSION  # that computed it
+    repairing: bool = False  # damage was found: no answer is complete until the job is done again
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -101,6 +105,11 @@ def resolve_direction(spec: SweepSpec, direction: str | None) -> str:
     if direction not in spec.directions:
         raise InvalidRequest.of("direction", f"must be {one_of(spec.directions)} in this sweep")
     return direction
+
+
+def line_flights(spec: SweepSpec, along: str, every: int = 1) -> int:
+    """The most flights of a line in one direction."""
+    return -(-len(spec.axis_values(along)) // every) * spec.keep
 
 
 def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> int | None:

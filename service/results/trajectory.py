@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
-from kernel.branches.events import Branch
+from kernel.branches.energy import Energy, energy
+from kernel.branches.events import Branch, branch
 from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_cycle
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
@@ -18,14 +19,19 @@ from worker import schema
 from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
-from worker.spec.contact_models import Contact, Soft, model_fields, penetration_of
-from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
+from worker.spec.contact_models import Contact, Rigid, Soft, model_fields, penetration_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
 from worker.spec.protocols import MAX_START_PERIODS, OnCycle
 from worker.spec.sweep import WITH_CYCLES, no_cycle
 from worker.tasks import plate_of, run_cells
 
 #: Samples in one answer.
 MAX_SAMPLES: Final = 20_000
+#: Bytes of memory that a sample takes, with its numbers as text.
+BYTES_PER_SAMPLE: Final = 1_000
+
+#: A motion whose take-offs are this near to a period apart, rad, is a cycle.
+SETTLED: Final = 1e-6
 
 #: Plate periods before the first sample.
 MAX_SETTLE: Final = 1_000_000
@@ -88,14 +94,7 @@ class TrajectorySpec(Strict):
     @classmethod
     def from_json(cls, text: bytes) -> Self:
         """From JSON text. Raises SpecUnreadable or SpecInvalid."""
-        data = parsing.read_json(text)
-        if not isinstance(data, dict):
-            raise SpecInvalid([Problem("", f"a trajectory must be an object, not {describe(data)}")])
-        unprintable = [name for name in data if not name.isprintable()]
-        if unprintable:
-            name = describe(unprintable[0])
-            raise SpecInvalid([Problem("", f"field names must be printable text, not {name}")])
-        return cls(**data)
+        return cls(**parsing.fields_of(parsing.read_json(text), "a trajectory"))
 
     def sweep(self) -> SweepSpec:
         """The sweep of this one cell that ends where the samples begin. Raises SpecInvalid."""
@@ -163,6 +162,28 @@ def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> M
         samples=spec.samples,
     )
     return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH, cycle)
+
+
+def cycle_energy(motion: Motion) -> Energy | None:
+    """The balance of a cycle, if the samples show one of one bounce on a rigid plate without restitution.
+
+    In closed form; None for any other motion.
+    """
+    spec, path = motion.spec, motion.trajectory
+    model = spec.model
+    if not (isinstance(model, Rigid) and model.restitution == 0.0 and len(path.takeoff) > 1):
+        return None
+    spans, flight_time = np.diff(path.takeoff), path.flight_time[-1]
+    periods = round(float(spans[-1]) / (2.0 * np.pi))
+    if periods < 1 or np.abs(spans - 2.0 * np.pi * periods).max() > SETTLED:
+        return None
+    try:
+        cycle = branch(spec.omega, spec.xi, periods, np.array([flight_time]))
+        if abs(float(cycle.gamma[0]) - spec.gamma) > SETTLED * spec.gamma:
+            return None
+        return energy(spec.omega, spec.xi, periods, np.array([flight_time]))
+    except KernelInputError:
+        return None
 
 
 def of_cell(

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from pydantic import BaseModel, Field
 
+from service.jobs.on_demand import Caller
 from worker.analysis import work_precision
 from worker.analysis.work_precision import Measurement
-from worker.executors.base import Executor
 
 #: What each purpose's errors are measured from.
 REFERENCES: Final = {
@@ -29,9 +29,9 @@ class Tradeoff(BaseModel):
     advice: str
 
 
-def submit(executor: Executor) -> list[Future[Measurement]]:
+def submit(workers: Caller) -> list[Future[Measurement]]:
     """Start the measurements on the workers, one future per row of the table."""
-    return [executor.call(work_precision.measure, setup) for setup in work_precision.SETUPS]
+    return [workers.call(work_precision.measure, setup) for setup in work_precision.SETUPS]
 
 
 def table(rows: list[Measurement]) -> Tradeoff:

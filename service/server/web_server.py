@@ -1,4 +1,4 @@
-"""uvicorn, extended by startup errors as exceptions, limits on heads and connections, and prompt shutdown."""
+"""uvicorn, extended by startup errors as exceptions, limits on connections, and prompt shutdown."""
 
 import asyncio
 import logging
@@ -46,7 +46,7 @@ class WebServer(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 self._app,
-                http=limited(settings.body_seconds, connections_allowed()),
+                http=limited(settings.body_seconds, connections_allowed(), settings.stall_seconds),
                 lifespan="on",
                 log_config=None,
                 log_level=logging.CRITICAL,
@@ -112,15 +112,18 @@ class _Application:
 
 
 class Limited(H11Protocol):
-    """Request-header timeout and limit of connections, which uvicorn lacks.
+    """Request-header timeout, time-out of clients that do not read, and limit of connections.
 
     Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
     or from the opening of the connection. `api.middleware.body_limit` limits the body. A connection above
     `most` is answered with 503: without a limit, connections could take all files that the process may open.
+    A client that takes nothing of its answer for `stall` seconds is disconnected: the answer is in memory.
     """
 
     timeout = 10.0
     most = OTHER_FILES
+    stall = 60.0
+    _stalled: asyncio.TimerHandle | None = None
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
@@ -135,7 +138,31 @@ class Limited(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Called by the event loop."""
         self._stop_timer()
+        self._stop_stalled()
         super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """Called by the transport when the client does not read as fast as the service writes."""
+        super().pause_writing()
+        self._watch_reader(0)
+
+    def resume_writing(self) -> None:
+        """Called by the transport when the client has read."""
+        self._stop_stalled()
+        super().resume_writing()
+
+    def _watch_reader(self, before: int) -> None:
+        """Disconnect a client for which as many bytes are waiting as `stall` seconds ago."""
+        waiting = self.transport.get_write_buffer_size()
+        if waiting == before:
+            self.transport.abort()
+        else:
+            self._stalled = self.loop.call_later(self.stall, self._watch_reader, waiting)
+
+    def _stop_stalled(self) -> None:
+        if self._stalled is not None:
+            self._stalled.cancel()
+            self._stalled = None
 
     def data_received(self, data: bytes) -> None:
         """Called by the event loop."""
@@ -164,9 +191,9 @@ class Limited(H11Protocol):
             self.transport.close()
 
 
-def limited(seconds: float, most: int) -> type[H11Protocol]:
-    """The protocol class for uvicorn's `http` option, with this timeout and this many connections."""
-    return type("Limited", (Limited,), {"timeout": seconds, "most": most})
+def limited(timeout: float, most: int, stall: float = Limited.stall) -> type[H11Protocol]:
+    """The protocol class for uvicorn's `http` option, with these limits."""
+    return type("Limited", (Limited,), {"timeout": timeout, "most": most, "stall": stall})
 
 
 def raise_file_limit() -> None:

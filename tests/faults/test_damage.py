@@ -4,6 +4,7 @@ import contextlib
 import os
 import random
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -152,6 +153,36 @@ def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path, spec
             if files(service.store(here)) != intact:  # in an array that no response reads
                 assert address.startswith("end_state")
                 (service.store(here) / address).write_bytes(intact[address])
+
+
+def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
+    """Also those that need nothing of the damaged chunk; the job says that it is being repaired."""
+    repair = threading.Event()
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+        right = [answer.json() for answer in service.answers(here, SWEEP)]
+        assert all(answer["complete"] for answer in right)
+        service.executor.before = lambda: repair.wait(60)
+        address = stored.key("flight_time", 5, (0, 0, 0, 0))
+        (service.store(here) / address).unlink()
+        found = service.client.get(f"{here}/diagram", params={"omega": 0.5, "xi": 0.05})
+        assert found.status_code == 503
+        view = service.client.get(here).json()
+        assert (view["state"], view["repairing"], view["finished"]) == ("running", True, None)
+        answers = service.answers(here, SWEEP)
+        assert [answer.status_code for answer in answers] == [200] * len(answers)
+        assert not any(answer.json()["complete"] for answer in answers)
+        same = [answer.json() | {"complete": True} == was for answer, was in zip(answers, right, strict=True)]
+        assert any(same)
+        for query in ({"format": "png"}, {"format": "csv"}):
+            drawn = service.client.get(f"{here}/diagram", params={"omega": 0.7, "xi": 0.26, **query})
+            assert (drawn.status_code, drawn.headers["Bounce-Complete"]) == (200, "false")
+            assert "ETag" not in drawn.headers
+        assert service.client.get(f"{here}/modes", params={"xi": 0.26}).headers["Bounce-Complete"] == "false"
+        repair.set()
+        service.wait(here)
+        assert service.client.get(here).json()["repairing"] is False
+        assert [answer.json() for answer in service.answers(here, SWEEP)] == right
 
 
 @pytest.mark.parametrize("spec", [SWEEP, RAMP], ids=["rest", "ramp"])

@@ -14,7 +14,7 @@ import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import DEADLINE, Held
-from served import RAMP, computing, finished, get, occupied, service
+from served import RAMP, computing, finished, get, occupied, service, taken
 
 from kernel.params import Outcome
 from service import formats
@@ -44,7 +44,7 @@ class Done:
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
     folder = tmp_path_factory.mktemp("data")
-    with computing(folder) as client:
+    with computing(folder, turn_seconds=0.01) as client:
         yield Done(client, folder)
 
 
@@ -138,8 +138,7 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
-    service_ = done.client.app.state.service  # type: ignore[attr-defined]
-    with service_.export_limit.slot(), service_.export_limit.slot():
+    with taken(done.client, "export", slots=2):
         answer = done.client.get(f"{done.here}/export?format=nc")
     assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
     assert done.client.get(f"{done.here}/export?format=nc").status_code == 200

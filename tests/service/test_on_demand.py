@@ -12,10 +12,13 @@ from worker.executors.errors import ClusterLost, WorkerDied
 
 
 class Pool:
-    """An executor whose calls the test completes."""
+    """An executor of 8 workers whose calls the test completes."""
 
     def __init__(self) -> None:
         self.futures: list[Future[Any]] = []
+
+    def workers(self) -> int:
+        return 8
 
     def call(self, *_: Any) -> Future[Any]:
         self.futures.append(Future())
@@ -24,7 +27,7 @@ class Pool:
 
 def submit(executor: Any) -> list[Future[Any]]:
     """A result of two parts."""
-    return [executor.call(), executor.call()]
+    return [executor.call(print), executor.call(print)]
 
 
 def test_a_request_that_gives_up_waiting_loses_nothing():
@@ -100,3 +103,51 @@ def test_closing_cancels_what_is_being_computed():
         cache.get("key", submit)
     cache.close()
     assert all(future.cancelled() for future in pool.futures)
+
+
+@pytest.mark.parametrize(("workers", "share"), [(0, 1), (1, 1), (2, 1), (5, 2), (8, 4)])
+def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers: int, share: int):
+    pool = Pool()
+    monkeypatch.setattr(pool, "workers", lambda: workers)
+    cache = OnDemandCache(pool, timeout=0.01)
+    with pytest.raises(Pending):
+        cache.get("many", lambda executor: [executor.call(print) for _ in range(9)])
+    with pytest.raises(Pending):
+        cache.get("more", submit)
+    assert len(pool.futures) == share
+    for number in range(11):
+        pool.futures[number].set_result(number)
+        assert len(pool.futures) == min(number + 1 + share, 11)
+    assert cache.get("many", submit) == list(range(9))
+    assert cache.get("more", submit) == [9, 10]
+
+
+def test_a_part_that_fails_leaves_its_turn_to_the_next():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    with pytest.raises(Pending):
+        cache.get("many", lambda executor: [executor.call(print) for _ in range(6)])
+    pool.futures[0].set_exception(ValueError())
+    pool.futures[1].cancel()
+    assert len(pool.futures) == 6
+
+
+def test_a_cluster_lost_before_its_turn_fails_the_part():
+    class Lost(Pool):
+        def call(self, *_: Any) -> Future[Any]:
+            if self.futures:
+                raise ClusterLost("gone")
+            return super().call()
+
+        def workers(self) -> int:
+            return 1
+
+    pool = Lost()
+    cache = OnDemandCache(pool, timeout=0.01)
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    pool.futures[0].set_result(0)
+    with pytest.raises(NotComputed, match="gone"):
+        cache.get("key", submit)
+    with pytest.raises(NotComputed, match=r"^no worker can compute it now \(gone\)"):
+        cache.get("other", submit)

@@ -16,7 +16,8 @@ from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.api import schemas
 from service.client import BadRequest, Client
-from service.results import orbits
+from service.results import orbits, thresholds
+from worker.spec import SweepSpec
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -114,10 +115,10 @@ def test_a_branch_that_leaves_gamma_max_is_several_pieces(service: TestClient):
     ("query", "rule"),
     [
         ({"modes": "2-2"}, "of one bounce, as 1-1 and 1-2"),
-        ({"modes": "1"}, "must be like 1-1,1-2"),
+        ({"modes": "1"}, "must be like 1-2 (bounces-periods), not text"),
         ({"modes": "1-99"}, "at most 12 periods, not 99"),
-        ({"modes": "1-1,1-1"}, "names a mode twice"),
-        ({"modes": "1-1,1-2,1-3,1-4,1-5,1-6,1-7"}, "at most 6, not 7"),
+        ({"modes": "1-1,1-1"}, "must not name a mode twice"),
+        ({"modes": "1-1,1-2,1-3,1-4,1-5,1-6,1-7"}, "must be 1 to 6 modes, not 7"),
         ({"points": 5}, "points: should be greater than or equal to 10"),
         ({"omega": 0}, "omega: should be greater than 0"),
         ({"omega": 1, "xi": 0}, "xi: must be > 0 at omega = 1"),
@@ -207,3 +208,147 @@ def test_the_client_has_labelled_datasets(client: Client):
         client.orbits(0.6, 0.05, "2-2")
     with pytest.raises(BadRequest, match="give xi, omega_start"):
         client.curves(omega=0.5, xi=0.05)
+
+
+# Words continued from the cells of a sweep
+
+FIGURE_2: dict[str, Any] = {
+    "gamma": [1.5, 1.8, 2.2, 2.3, 2.4, 2.52], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
+    "settle": 400, "observe": 100,
+}  # fmt: skip
+
+
+def _job_orbits(client: Client, spec: dict[str, Any], **query: Any) -> Any:
+    job = client.submit(spec).wait(progress=False)
+    return job, job.orbits(progress=False, **query)
+
+
+def test_words_are_continued_from_settled_cells(client: Client):
+    job, found = _job_orbits(client, FIGURE_2)
+    assert found.sizes["cell"] == 0  # every cell lies on a branch that was followed
+    assert sorted(found.word.values.tolist()) == ["s", "ss", "ssss"]
+    double = found.isel(branch=found.word.values.tolist().index("ss"))
+    assert (int(double.bounces), int(double.periods)) == (2, 2)
+    on_it = (found.event_branch == found.word.values.tolist().index("ss")) & (found.event_kind == "flip")
+    flips = found.event_gamma.values[on_it.values]
+    assert sorted(flips) == pytest.approx([2.5045676620, 3.6325483800], abs=1e-9)
+    # it begins at the flip of the single flight, and is not gone through twice
+    gamma = double.gamma.values[: int(double.points)]
+    assert gamma.min() == pytest.approx(2.07516, abs=0.01)
+    assert (np.diff(gamma) > 0).all() or (np.diff(gamma) < 0).all()
+    # the branch passes through the sweep's own cells
+    diagram = job.diagram()
+    near = int(np.nanargmin(np.abs(double.gamma.values - 2.3)))
+    settled = np.sort(diagram.flight_time.sel(gamma=2.3).values[-2:])
+    assert np.sort(double.flight_time.values[near][:2]) == pytest.approx(settled, abs=0.05)
+    assert bool(double.stable[near])
+    assert int(double.admissible[near]) == 0
+    assert np.isnan(double.flight_time.values[:, 2:]).all()
+
+
+def test_cells_without_words_are_told(client: Client):
+    short = FIGURE_2 | {"gamma": 2.3, "keep": 3}
+    _, found = _job_orbits(client, short)
+    assert found.sizes["branch"] == 0
+    assert found.skipped_gamma.values.tolist() == [2.3]
+    assert "do not show two rounds" in str(found.skipped_reason.values[0])
+
+
+def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):
+    job = client.submit(FIGURE_2 | {"omega": [0.5, 0.51], "gamma": 1.5}).wait(progress=False)
+    here = f"/v1/jobs/{job.id}/orbits"
+    assert "omega: is required: the sweep has 2 values" in refused(service, here, 422)
+    assert "direction: must be 'rest'" in refused(service, here, 422, omega=0.5, direction="up")
+    wait_for(lambda: service.get(here, params={"omega": 0.507}).status_code != 202)
+    answer = get(service, here, omega=0.507)
+    assert set(answer) == set(schemas.WordOrbitsView.model_fields)
+    assert (answer["omega"], answer["complete"]) == (0.51, True)
+    assert set(answer["branches"][0]) == set(schemas.WordView.model_fields)
+    assert set(answer["events"][0]) == set(schemas.WordEventView.model_fields)
+
+
+# Predictions beside the thresholds of a sweep
+
+RAMP: dict[str, Any] = {
+    "gamma": {"start": 0.5, "stop": 0.9, "num": 101}, "omega": [0.6, 0.9], "xi": 0.05,
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}, "model": {"kind": "rigid"},
+    "settle": 60, "observe": 20, "keep": 4,
+}  # fmt: skip
+
+
+def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
+    job = client.submit(RAMP).wait(progress=False)
+    found = job.threshold()
+    assert float(found.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
+    assert float(found.predicted_jump[0]) == pytest.approx(JUMP_060, abs=1e-6)
+    assert found.cause.values.tolist()[0] == "fold (1,1)"
+    assert found.attrs["prediction"].startswith("rigid, restitution 0: the contact of the sweep")
+    for down, predicted, difference in zip(
+        found.down.values, found.predicted_down.values, found.difference.values, strict=True
+    ):
+        agrees = -1e-9 <= down - predicted <= 0.004 + 1e-9
+        assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
+
+
+def test_a_difference_from_the_prediction_is_explained():
+    spec = SweepSpec.parse(RAMP)
+    fold = orbits.thresholds(0.6, 0.05)
+    gamma = spec.axis_values("gamma")
+    texts = {}
+    for name, down in {"as predicted": fold.down + 0.001, "ghost": fold.down - 1e-5, "early": 0.62,
+                       "other": fold.down - 0.03}.items():  # fmt: skip
+        coarse = thresholds.Thresholds(
+            xi=0.05, omega=np.array([0.6]), analytic=np.array([fold.gamma_th]), up=np.array([np.nan]),
+            down=np.array([down]), up_status=["not ramped"], down_status=["found"],
+            predicted_jump=np.array([fold.jump]), predicted_down=np.array([fold.down]), cause=[fold.cause],
+            difference=[""], prediction="", complete=True,
+        )  # fmt: skip
+        texts[name] = thresholds._compared(spec, coarse).difference[0]
+    assert gamma[1] - gamma[0] == pytest.approx(0.004)
+    assert texts["as predicted"] == ""
+    assert "bouncing lives about 1,1" in texts["ghost"]
+    assert "longer than the window of 80" in texts["ghost"]
+    assert "steps of 0.004 excite the spring" in texts["early"]
+    assert "another cycle" in texts["other"]
+
+
+def test_another_contact_is_told_from_the_one_predicted(client: Client):
+    job = client.submit(RAMP | {"model": {"kind": "soft"}, "omega": 0.9, "gamma": [0.5, 0.6]})
+    assert "not the contact of the sweep, which is soft" in job.wait(progress=False).threshold().prediction
+
+
+def test_the_motion_of_a_cycle_has_its_energy(client: Client):
+    cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 300}
+    motion = client.trajectory(cell)
+    # BRANCHES: Γ = 1.5 of Fig. 2
+    for name, value in {"plate_contact": 5.360202674, "plate_impact": 2.322874748, "dashpot": 4.026176359,
+                        "impact": 3.656901063}.items():  # fmt: skip
+        assert float(motion[name]) == pytest.approx(value, abs=1e-8)
+    assert "plate_contact" not in client.trajectory(cell | {"gamma": 2.3})  # (2,2)
+    assert "plate_contact" not in client.trajectory(cell | {"model": {"kind": "soft"}})
+
+
+# The study
+
+GRID: dict[str, Any] = {
+    "name": "folds", "protocol": {"kind": "orbits"}, "omega": {"start": 0.55, "stop": 0.65, "num": 3},
+    "xi": [0.05, 0.1], "points": 40,
+}  # fmt: skip
+
+
+def test_a_grid_of_springs_is_a_job(service: TestClient, client: Client):
+    estimate = client.estimate(GRID)
+    assert (estimate.cells, estimate.chunks > 1) == (6, True)
+    job = client.submit(GRID).wait(progress=False)
+    assert job.progress.cells_done == 6
+    assert job.spec["modes"] == ["1-1", "1-2"]
+    stored = job.open().load()
+    assert stored.gamma.dims == ("xi", "omega", "branch", "point")
+    assert stored.event_gamma.dims == ("xi", "omega", "event")
+    cell = stored.sel(xi=0.05).sel(omega=0.6, method="nearest")
+    fold = (cell.event_kind.values == 1) & (cell.event_periods.values == 1)
+    assert cell.event_gamma.values[fold].min() == pytest.approx(FOLD_060, abs=1e-9)
+    assert "must be a sweep; the protocol of this job is orbits" in refused(
+        service, f"/v1/jobs/{job.id}/diagram", 422
+    )
+    assert client.submit(GRID | {"name": "the same"}).id == job.id

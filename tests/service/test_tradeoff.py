@@ -2,14 +2,21 @@
 
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
+from paths import CACHE
+from scripted import DEADLINE
 
 from service.api.app import create_app
 from service.cli.main import main
@@ -141,3 +148,21 @@ def test_a_request_before_the_end_gets_the_progress(tmp_path: Path, monkeypatch:
         assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
     executor.close()
     assert executor.futures[1].cancelled()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_folder_and_no_process(tmp_path: Path, number: signal.Signals):
+    """The service of its own that `bounce tradeoff` computes with."""
+    env = os.environ | {"TMPDIR": str(tmp_path), "NUMBA_CACHE_DIR": str(CACHE)}
+    command = [sys.executable, "-m", "service.cli.main", "tradeoff", "--workers", "1"]
+    with subprocess.Popen(command, env=env, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+        assert process.stderr
+        lines = iter(process.stderr.readline, b"")
+        assert next(line for line in lines if line.startswith(b"measuring"))
+        family = psutil.Process(process.pid).children(recursive=True)
+        assert family
+        assert any(tmp_path.iterdir())
+        process.send_signal(number)
+        assert process.wait(DEADLINE) == 128 + number
+    assert list(tmp_path.iterdir()) == []
+    assert psutil.wait_procs(family, DEADLINE)[1] == []

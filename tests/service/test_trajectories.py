@@ -10,7 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 from kernel_runs import Model, run_line, sample
 from scripted import Held
-from served import service
+from served import service, taken
 
 from kernel.branches.starts import cycles_at
 from kernel.params import Cell, KernelInputError
@@ -205,8 +205,8 @@ def test_the_kernel_names_what_it_cannot_sample():
 
 
 def test_more_trajectories_at_a_time_than_allowed_are_told_to_wait(tmp_path: Path):
-    with service(tmp_path, Held(), max_trajectories=1) as client:
-        with client.app.state.service.trajectory_limit.slot():  # type: ignore[attr-defined]
+    with service(tmp_path, Held(), max_trajectories=1, turn_seconds=0.01) as client:
+        with taken(client, "trajectory"):
             answer = client.post("/v1/trajectories", json=CELL)
         assert answer.status_code == 429
 

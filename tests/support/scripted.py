@@ -30,12 +30,14 @@ class Scripted(Inline):
         super().__init__()
         self.script = defaultdict(list, {chunk: list(errors) for chunk, errors in (script or {}).items()})
         self.tried: list[int] = []
+        self.before: Callable[[], object] = lambda: None  # runs before each chunk
 
     def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
         return self._thread.submit(self._run, spec, chunk, store_url)
 
     def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
         self.tried.append(chunk.index)
+        self.before()
         if self.script[chunk.index]:
             raise self.script[chunk.index].pop(0)
         return run_chunk(spec, chunk, store_url)
@@ -60,6 +62,10 @@ class Held:
             self.chunks.append((future, spec, chunk, store_url))
             self.order.append((spec.name, chunk.index))
         return future
+
+    def call(self, *_: Any) -> "Future[Any]":
+        """A call that is never computed."""
+        return Future()
 
     def ready(self) -> bool:
         return self.capacity > 0

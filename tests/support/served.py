@@ -72,6 +72,19 @@ def finished(client: TestClient, spec: dict[str, Any]) -> str:
     return here
 
 
+@contextmanager
+def taken(client: TestClient, activity: str, *, slots: int = 1, memory: int = 0) -> Iterator[None]:
+    """Hold so many slots of an activity of costly requests, and so much memory, during the block."""
+    capacity, loop = client.app.state.service.capacity, client.portal  # type: ignore[attr-defined]
+    assert loop is not None
+    leases = [loop.call(capacity.acquire, activity, memory) for _ in range(slots)]
+    try:
+        yield
+    finally:
+        for lease in leases:
+            loop.call(lease.release)
+
+
 def get(client: TestClient, path: str, **query: Any) -> Any:
     answer = client.get(path, params=query)
     assert answer.status_code == 200, answer.text

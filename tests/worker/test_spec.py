@@ -138,8 +138,8 @@ RULES = [
     ({"name": "two\nlines"}, "name: must be one line of printable characters"),
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
     ({"protocol": "rest"}, 'protocol: must be an object such as {"kind": "rest"}, not text \'rest\''),
-    ({"protocol": {}}, "protocol.kind: is required: 'rest' or 'ramp'"),
-    ({"protocol": {"kind": "rump"}}, "protocol.kind: must be 'rest' or 'ramp', not text 'rump'"),
+    ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp' or 'orbits'"),
+    ({"protocol": {"kind": "rump"}}, "protocol.kind: must be 'rest', 'ramp' or 'orbits', not text 'rump'"),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
     ({"protocol": ramp(axis="g")}, "protocol.axis: must be 'gamma', 'omega' or 'xi', not text 'g'"),
@@ -242,8 +242,12 @@ RULES = [
     ({"settle_tolerance": -1e-6}, "settle_tolerance: must be at least 0, not -1e-06"),
     ({"settle_tolerance": 1e-7}, "settle_tolerance: must be at most 1e-09, not 1e-07"),
     (
-        {"settle_until": 299},
-        "settle_until: must be at least settle + observe, 300, or null; it has an effect from 400 on",
+        {"settle_until": 399},
+        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 400 or null works",
+    ),
+    (
+        {"settle_until": 10**7, "settle": 9_999_900},
+        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; null works",
     ),
     ({"settle_until": 0}, "settle_until: must be at least 1, not 0"),
     ({"settle_until": 10**8}, "settle_until: must be at most 1e+07, not 100000000"),
@@ -679,6 +683,12 @@ def test_number_too_large_for_json_readers_is_not_finite():
         ("a.yaml", b"", "a specification file ends in .json or .toml"),
         ("a.toml", b"gamma = ", "the text is not TOML: "),
         ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
+        ("a.toml", b"gamma = 1.5.1", "the text is not TOML: "),
+        (
+            "a.toml",
+            b" " * 1_000_001,
+            "a TOML file must be at most 1000000 bytes; give long axes as ranges, or",
+        ),
         ("a.json", b" " * 4_000_001, "must be at most 4000000 bytes; give long axes as ranges"),
     ],
 )
@@ -687,6 +697,46 @@ def test_unreadable_file_says(tmp_path, name, content, expected):
     with pytest.raises(SpecUnreadable) as caught:
         SweepSpec.from_file(tmp_path / name)
     assert expected in str(caught.value)
+
+
+LONG_KEY = ".".join("a" * 20_000)  # tomllib alone takes half a minute for it
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (f"{LONG_KEY} = 1", 1),
+        (f"\n[{LONG_KEY}]", 2),
+        (f"x = {{{LONG_KEY} = 1}}", 1),
+        (f'# "\nx = """\n#""" # \n{LONG_KEY} = 1', 4),
+        (f"x = {3 * chr(39)}\n{chr(92)}{chr(39)}\n{3 * chr(39)}\n{LONG_KEY} = 1", 4),
+        (f'x = "{chr(92)}"" # "\n{LONG_KEY} = 1', 2),
+        ("\t.\t".join(["'a b'", '"c.d"'] * 9) + " = 1", 1),
+    ],
+    ids=["key", "table", "inline", "strings", "literals", "escapes", "quoted"],
+)
+def test_long_dotted_keys_are_refused_before_they_are_parsed(tmp_path, text, line):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(SpecUnreadable, match=f"^a key of more than 16 parts at line {line}; a specification"):
+        SweepSpec.from_file(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("name", [LONG_KEY[:199], "a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s # x"])
+@pytest.mark.parametrize("quote", ['"', "'", 3 * '"', 3 * "'"])
+def test_dots_in_strings_and_comments_are_no_keys(tmp_path, name, quote):
+    line = f"name = {quote}{name}{quote}  # {LONG_KEY}"
+    (tmp_path / "a.toml").write_text(f"{line}\ngamma = 1.5\nomega = 1.0\nxi = 0.5\nmodel.kind = 'rigid'\n")
+    spec = SweepSpec.from_file(tmp_path / "a.toml")
+    assert (spec.name, spec.model.kind) == (name, "rigid")
+
+
+def test_a_pile_of_combining_marks_is_refused():
+    fields = {"gamma": 1.0, "omega": 1.0, "xi": 0.5}
+    for name in ("Vie\u0302\u0323t e\u0301\u0302\u0323\u0324", "\u0915\u094d\u0937\u093f", "s\u0336t\u0336"):
+        assert SweepSpec(**fields, name=name).name == name
+    for name in ("e" + "\u0301" * 5, "\u0301" * 200, "ok \u20dd\u20dd\u20dd\u20dd\u20dd"):
+        with pytest.raises(SpecInvalid, match=r"^name: must have at most 4 combining marks in a row$"):
+            SweepSpec(**fields, name=name)
 
 
 def test_missing_file_says_its_name(tmp_path):

@@ -1,16 +1,14 @@
 """Thresholds in closed form, of the rigid plate without restitution: what a sweep is compared with."""
 
 import math
-from typing import Final
+
+import numpy as np
 
 from kernel.branches.events import flight_times
 from kernel.branches.thresholds import UNRESOLVED, Thresholds, thresholds
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
-
-#: Points of the grid on which a branch is looked at, at most: below Omega = 0.04 or so a branch needs more,
-#: and the cost grows with their square, to 0.4 s at this limit.
-MAX_GRID: Final = 2_000
+from worker.orbits import MAX_GRID
 
 
 def predict(omega: float, xi: float) -> Thresholds:
@@ -25,7 +23,8 @@ def predict(omega: float, xi: float) -> Thresholds:
         )
         return _undecided(omega, xi, reason)
     try:
-        return thresholds(omega, xi)
+        with np.errstate(all="ignore"):  # an undamped spring may have poles
+            return thresholds(omega, xi)
     except KernelInputError as error:
         return _undecided(omega, xi, str(error))
 

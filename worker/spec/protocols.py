@@ -69,6 +69,9 @@ class Ramp(Strict):
 #: The protocols of a sweep by kind.
 PROTOCOLS: Final[dict[str, type[Strict]]] = {"rest": Rest, "ramp": Ramp}
 
+#: Every kind of protocol: those of other studies have specifications of their own (`worker.studies`).
+KINDS: Final = (*PROTOCOLS, "orbits")
+
 
 def _kind_of(value: object) -> object:
     return value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
@@ -78,8 +81,8 @@ def _check_protocol(value: object) -> object:
     if not isinstance(value, dict | Strict):
         raise BrokenRuleError("", f'must be an object such as {{"kind": "rest"}}, not {describe(value)}')
     if _kind_of(value) not in PROTOCOLS:
-        rule = f"must be {one_of(PROTOCOLS)}, not {describe(_kind_of(value))}"
-        raise BrokenRuleError("kind", rule if "kind" in _keys(value) else f"is required: {one_of(PROTOCOLS)}")
+        rule = f"must be {one_of(KINDS)}, not {describe(_kind_of(value))}"
+        raise BrokenRuleError("kind", rule if "kind" in _keys(value) else f"is required: {one_of(KINDS)}")
     return value
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
+from unicodedata import category
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ from worker.spec.contact_models import (
     model_fields,
     penetration_of,
 )
-from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
 from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
 from worker.spec.time_steps import check_steps, corners
 
@@ -49,6 +50,8 @@ SMALLEST: Final = 1e-6
 LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
+#: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
+MAX_MARKS: Final = 4
 
 #: Lines of a ramp that starts on cycles, each of which is looked for when the sweep is submitted (5 ms).
 MAX_STARTS: Final = 1_000
@@ -60,7 +63,16 @@ WITH_CYCLES: Final = ("rigid", "soft", "stepped")
 def _label(name: str) -> str:
     if not name.isprintable():
         raise BrokenRuleError("", "must be one line of printable characters")
+    marks = 0
+    for character in name:
+        marks = marks + 1 if category(character) in ("Mn", "Me") else 0
+        if marks > MAX_MARKS:
+            raise BrokenRuleError("", f"must have at most {MAX_MARKS} combining marks in a row")
     return name
+
+
+#: The name of a study: not part of its identity.
+Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
 
 
 class SweepSpec(Strict):
@@ -71,7 +83,7 @@ class SweepSpec(Strict):
     each field and rule.
     """
 
-    name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
+    name: Label = ""
     gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
@@ -98,10 +110,10 @@ class SweepSpec(Strict):
             remedy = f"ramp along {one_of(longer)}" if longer else f"give {self.protocol.axis} a range"
             rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {remedy}"
             raise BrokenRuleError("protocol.axis", rule)
-        if self.settle_until is not None and self.settle_until < self.settle + self.observe:
-            window = self.settle + self.observe
-            effect = window + self.observe
-            rule = f"must be at least settle + observe, {window}, or null; it has an effect from {effect} on"
+        effective = self.settle + 2 * self.observe
+        if self.settle_until is not None and self.settle_until < effective:
+            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
+            rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
             raise BrokenRuleError("settle_until", rule)
         self._check_exponents()
         self._check_depth()
@@ -178,14 +190,7 @@ class SweepSpec(Strict):
         """
         if isinstance(data, cls):
             return data
-        if not isinstance(data, dict):
-            raise SpecInvalid([Problem("", f"a specification must be an object, not {describe(data)}")])
-        invalid = [key for key in data if not isinstance(key, str) or not key.isprintable()]
-        if invalid:
-            raise SpecInvalid(
-                [Problem("", f"field names must be printable text, not {describe(invalid[0])}")]
-            )
-        return cls(**data)
+        return cls(**parsing.fields_of(data, "a specification"))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:

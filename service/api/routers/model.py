@@ -6,6 +6,7 @@ from fastapi import APIRouter, Query, Response
 
 from kernel.branches.curves import Parameter
 from service.api import parameters, schemas
+from service.api.capacity import costly
 from service.api.dependencies import JsonBody, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.errors import InvalidRequest
@@ -15,10 +16,16 @@ from service.render import text
 from service.render import work_precision as work_precision_diagram
 from service.results import orbits, work_precision
 from service.results import trajectory as trajectories
-from service.results.trajectory import TrajectorySpec
+from service.results.selection import BASE_MEMORY
+from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec
 from service.results.work_precision import Tradeoff
+from worker.orbits import MAX_GRID
 
 router = APIRouter(prefix="/v1")
+
+#: Bytes of a point of a branch, with what is computed on the way to it, and of an answer of curves.
+_PER_POINT: Final = 4_000
+_CURVES_MEMORY: Final = 16 * 2**20
 
 _TRAJECTORY_BODY: Final = {
     "requestBody": {
@@ -34,14 +41,18 @@ _TRAJECTORY_BODY: Final = {
     response_model=schemas.Threshold,
     responses=problem_responses(422, 429),
 )
+@costly(BASE_MEMORY, "trajectory")
 def threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
     """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
 
     In closed form, of the rigid contact without restitution.
     """
-    with service.trajectory_limit.slot():
-        predicted = orbits.thresholds(query.omega, query.xi)
+    predicted = orbits.thresholds(query.omega, query.xi)
     return Response(orbits_text.thresholds_json(predicted, query.delta), media_type=MEDIA_TYPES["json"])
+
+
+def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:
+    return BASE_MEMORY + (query.modes.count(",") + 1) * MAX_GRID * _PER_POINT
 
 
 @router.get(
@@ -50,6 +61,7 @@ def threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Q
     response_model=schemas.OrbitsView,
     responses=problem_responses(413, 422, 429),
 )
+@costly(_orbits_memory, "trajectory")
 def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query()]) -> Response:
     """Cycles of one bounce in k plate periods, stable and unstable, and where their branches turn or end.
 
@@ -57,9 +69,8 @@ def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query
     is several pieces.
     """
     modes = orbits.parse_modes(query.modes)
-    with service.trajectory_limit.slot():
-        found = orbits.orbits(query.omega, query.xi, modes, query.gamma_max, query.points)
-        content = orbits_text.orbits_json(found, query.energy)
+    found = orbits.orbits(query.omega, query.xi, modes, query.gamma_max, query.points)
+    content = orbits_text.orbits_json(found, query.energy)
     return Response(content, media_type=MEDIA_TYPES["json"])
 
 
@@ -69,6 +80,7 @@ def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query
     response_model=schemas.CurvesView,
     responses={**PENDING_RESPONSE, **problem_responses(413, 422, 429, 503)},
 )
+@costly(_CURVES_MEMORY, "on demand")
 def curves(service: ServiceDep, query: Annotated[parameters.CurvesQuery, Query()]) -> Response:
     """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω, and where they meet.
 
@@ -103,6 +115,7 @@ def _plane(query: parameters.CurvesQuery) -> tuple[Parameter, float, tuple[float
     responses=problem_responses(400, 408, 413, 415, 422, 429),
     openapi_extra=_TRAJECTORY_BODY,
 )
+@costly(MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
 def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """One cell from rest, after `settle` plate periods: plate, masses and contact force, sample by sample.
 
@@ -110,8 +123,7 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """
     spec = TrajectorySpec.from_json(body)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    with service.trajectory_limit.slot():
-        motion = trajectories.compute(spec)
+    motion = trajectories.compute(spec)
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 
 
@@ -125,6 +137,7 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
         **problem_responses(422, 429, 503),
     },
 )
+@costly(work_precision_diagram.MEMORY, "on demand")
 def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api import dependencies, parameters
+from service.api.capacity import costly
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import Trajectory, problem_responses
 from service.formats import MEDIA_TYPES
@@ -16,10 +17,22 @@ from service.render import binary, text
 from service.results import line as lines
 from service.results import mode_map
 from service.results import trajectory as trajectories
+from service.results.mode_map import plane_size
+from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
+from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES
 
 router = APIRouter(prefix="/v1/jobs/{job_id}")
 
+#: Bytes of memory per flight of a line, and per cell of a plane.
+_PER_FLIGHT: Final = 24
+_PER_CELL: Final = 32
+
 _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
+
+
+def _line_memory(service: ServiceDep, job: JobDep, query: parameters.LineViewQuery, request: Request) -> int:
+    flights = line_flights(dependencies.sweep(service, job).spec, query.along)
+    return BASE_MEMORY + min(flights, MAX_READ) * _PER_FLIGHT + query.width * query.height * 16
 
 
 @router.get(
@@ -27,6 +40,7 @@ _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
     summary="Read a line of cells in binary form",
     responses={200: _PACKED, **problem_responses(404, 413, 422)},
 )
+@costly(_line_memory)
 def line(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.LineViewQuery, Query()], request: Request
 ) -> Response:
@@ -53,10 +67,19 @@ def line(
         "every": flight_line.every,
         "min_flight": flight_line.min_flight,
         "missing": flight_line.missing,
+        "complete": flight_line.missing == 0 and not sweep.repairing,
         "points": len(flight_line.flights),
         "highest": flight_line.longest,
     }
     return _packed(attributes, {**flight_line.cells, **flights}, request if dense else None)
+
+
+def _plane_memory(
+    service: ServiceDep, job: JobDep, query: parameters.PlaneViewQuery, request: Request
+) -> int:
+    spec = dependencies.sweep(service, job).spec
+    cells, flights = plane_size(spec, query.min_flight, service.settings.max_points)
+    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT
 
 
 @router.get(
@@ -64,6 +87,7 @@ def line(
     summary="Read a mode map in binary form",
     responses={200: _PACKED, **problem_responses(404, 413, 422)},
 )
+@costly(_plane_memory)
 def plane(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.PlaneViewQuery, Query()], request: Request
 ) -> Response:
@@ -92,14 +116,14 @@ def plane(
     response_model=Trajectory,
     responses=problem_responses(404, 409, 413, 422, 429),
 )
+@costly(BASE_MEMORY + MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
 def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
     """One cell of the sweep in motion: as it settles from rest, or from where the ramp left it."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     sweep = dependencies.sweep(service, job)
     spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    with service.trajectory_limit.slot():
-        motion = trajectories.compute(spec, state)
+    motion = trajectories.compute(spec, state)
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 
 

@@ -1,27 +1,35 @@
 """Endpoints that read a job's results, also while the job is running."""
 
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
 
 from service.api import dependencies, parameters, schemas
+from service.api.capacity import costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.errors import NotInStore
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES, DiagramFormat
-from service.jobs.model import JobState
+from service.jobs.model import JobRecord, JobState
 from service.render import bifurcation, text
 from service.render import export as export_files
+from service.render import orbits as orbits_text
 from service.results import diagram as diagrams
-from service.results import mode_map, thresholds
+from service.results import mode_map, orbits, thresholds
 from service.results.diagram import Diagram
+from service.results.mode_map import plane_size
+from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store
 from worker.spec import SweepSpec
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
+
+#: Bytes of an answer with the branches of words.
+_WORDS_MEMORY: Final = 16 * 2**20
 
 
 def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
@@ -29,11 +37,30 @@ def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
     return {200: {"content": {MEDIA_TYPES[format]: {} for format in formats}}}
 
 
+#: Bytes of memory per flight of a diagram, and per cell of a map, with its numbers as text or as dots.
+_PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80}
+_PER_CELL: Final = 64
+#: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
+_CHUNK_COPIES: Final = 4
+#: Bytes of memory per Ω of the thresholds, with their numbers and statuses as text.
+_PER_OMEGA: Final = 1_000
+
+
+def _diagram_memory(service: ServiceDep, job: JobRecord, query: parameters.DiagramQuery) -> int:
+    spec = dependencies.sweep(service, job).spec
+    flights = line_flights(spec, query.along, query.every)
+    if query.format != "json" and query.direction is None:
+        flights *= len(spec.directions)
+    most = MAX_READ if query.format in PICTURES else service.settings.max_points
+    return BASE_MEMORY + min(flights, most) * _PER_FLIGHT[query.format]
+
+
 @router.get(
     "/diagram",
     summary="Read a bifurcation diagram",
     responses={**_content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
+@costly(_diagram_memory)
 def diagram(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.DiagramQuery, Query()]
 ) -> Response:
@@ -59,12 +86,18 @@ def diagram(
     return Response(content, media_type=MEDIA_TYPES[query.format], headers=headers)
 
 
+def _threshold_memory(service: ServiceDep, job: JobRecord, query: parameters.JobThresholdQuery) -> int:
+    omegas = len(dependencies.sweep(service, job).spec.axis_values("omega"))
+    return BASE_MEMORY + MAX_READ + min(omegas, service.settings.max_points) * _PER_OMEGA
+
+
 @router.get(
     "/threshold",
     summary="Read or refine the thresholds",
     response_model=Thresholds,
     responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 409, 413, 422, 429, 503)},
 )
+@costly(_threshold_memory, "on demand")
 def job_threshold(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobThresholdQuery, Query()]
 ) -> Response:
@@ -80,12 +113,41 @@ def job_threshold(
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
 
+def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQuery) -> int:
+    spec = dependencies.sweep(service, job).spec
+    cells, flights = plane_size(spec, query.min_flight, service.settings.max_points, query.every)
+    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT["json"]
+
+
+@router.get(
+    "/orbits",
+    summary="Continue the cycles of a sweep's cells",
+    response_model=schemas.WordOrbitsView,
+    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
+)
+@costly(_WORDS_MEMORY, "on demand")
+def job_orbits(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
+) -> Response:
+    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
+
+    A worker follows them, some tenths of a second for each; until then 202. Of the rigid contact without
+    restitution: cells of another contact are a guess from which its cycles are looked for.
+    """
+    found = orbits.words(
+        service.on_demand, job, dependencies.sweep(service, job),
+        query.omega, query.xi, query.direction, query.gamma_max,
+    )  # fmt: skip
+    return Response(orbits_text.words_json(found), media_type=MEDIA_TYPES["json"])
+
+
 @router.get(
     "/modes",
     summary="Read a mode map",
     response_model=schemas.Modes,
     responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
+@costly(_modes_memory)
 def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
@@ -94,18 +156,22 @@ def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.Mode
     return Response(text.mode_map_json(plane), media_type=MEDIA_TYPES["json"], headers=headers)
 
 
+def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> int:
+    return BASE_MEMORY + _CHUNK_COPIES * service.manager.preparer.prepare(job).layout.chunk_bytes
+
+
 @router.get(
     "/export",
     summary="Export the sweep as a file",
     responses={**_content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
 )
+@costly(_export_memory, "export")
 def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]) -> Response:
     """The whole sweep as one file: NetCDF holds the store's arrays, Parquet a row for every cell."""
     sweep = dependencies.sweep(service, job)
     export_files.check_size(sweep.spec, service.settings.max_export_bytes)
-    with service.export_limit.slot():
-        plan = service.manager.preparer.prepare(job).plan
-        file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
+    plan = service.manager.preparer.prepare(job).plan
+    file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',
@@ -115,11 +181,16 @@ def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQ
     return StreamingResponse(export_files.pieces(file), 200, headers, MEDIA_TYPES[query.format])
 
 
+def _zarr_memory(service: ServiceDep, job: JobRecord, key: str) -> int:
+    return service.manager.preparer.prepare(job).layout.chunk_bytes
+
+
 @router.get(
     "/zarr/{key:path}",
     summary="Read the zarr store",
     responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
 )
+@costly(_zarr_memory, "store")
 def zarr(service: ServiceDep, job: ResultsJob, key: str) -> Response:
     """The store, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
     prepared = service.manager.preparer.prepare(job)
@@ -128,9 +199,6 @@ def zarr(service: ServiceDep, job: ResultsJob, key: str) -> Response:
         raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
     return Response(content, media_type=media_type, headers={"Cache-Control": "no-cache"})
-
-
-router.add_api_route("/zarr/{key:path}", zarr, methods=["HEAD"], include_in_schema=False)
 
 
 def _encode(directions: list[Diagram], spec: SweepSpec, format: DiagramFormat) -> bytes:

@@ -23,6 +23,14 @@ const TOKEN_KEY = "bounce-token";
 
 export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token);
 
+/** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */
+export function takeToken() {
+  const [, token] = /^#token=(.+)$/.exec(location.hash) ?? [];
+  if (token === undefined) return;
+  setToken(decodeURIComponent(token));
+  history.replaceState(null, "", "#/");
+}
+
 /** The response to one request. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
 export async function request(path, { method = "GET", body, signal, timeout = TIMEOUT_MS, priority = "auto" } = {}) {
   const headers = {};

@@ -1,0 +1,269 @@
+"""What a burst of costly requests leaves to jobs, polls and memory.
+
+    python -m benchmarks.burst [--requests 500] [--clients 8] [--cells 100000] [--seconds 20]
+
+Runs `bounce serve` with two workers. First the jobs' throughput alone, then while `clients` connections send
+`requests` costly GETs in all: pictures, tables, lines, maps, files, thresholds, chunks of the store, of a
+sweep of `cells` cells. Then twenty diagrams of a million flights at once, and a hundred answers that nobody
+reads. Exits with 1 if a promise is broken: the service takes 1.5 GB or more, the 99th percentile of polls is
+250 ms or more, or jobs have less than 70% of their throughput alone.
+"""
+
+import argparse
+import itertools
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+
+from benchmarks.machine import describe
+from benchmarks.serving import TIMEOUT, Polls, Serving, sweep
+
+MAX_MEMORY_MB = 1_500.0
+MAX_P99 = 0.250
+MIN_THROUGHPUT = 0.70
+
+#: Jobs kept unfinished while throughput is measured; each is about a second of one core.
+UNFINISHED = 6
+KEEP = 20
+
+
+def large(cells: int) -> dict[str, Any]:
+    """A sweep of `cells` cells along Γ, of up to KEEP flights each."""
+    return {
+        "name": "large",
+        "gamma": {"start": 1.0, "stop": 8.0, "num": cells},
+        "omega": [0.5],
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": 20,
+        "observe": 2 * KEEP,
+        "keep": KEEP,
+    }
+
+
+def wide() -> dict[str, Any]:
+    """A sweep over Γ and Ω, for maps and thresholds."""
+    return {
+        **large(300),
+        "name": "wide",
+        "omega": {"start": 0.3, "stop": 1.5, "num": 100},
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    }
+
+
+class Memory:
+    """The service's memory, sampled in a thread during a block."""
+
+    def __init__(self, service: Serving) -> None:
+        self._service, self._over = service, threading.Event()
+        self._thread = threading.Thread(target=self._sample)
+        self.most, self.handles = 0.0, 0
+
+    def __enter__(self) -> "Memory":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _sample(self) -> None:
+        while not self._over.wait(0.02):
+            megabytes, handles = self._service.used()
+            self.most, self.handles = max(self.most, megabytes), max(self.handles, handles)
+
+
+class Jobs:
+    """Keeps UNFINISHED small jobs in the queue during a block, and counts the cells that are done."""
+
+    def __init__(self, service: Serving) -> None:
+        self._numbers, self._over = itertools.count(), threading.Event()
+        self._thread = threading.Thread(target=self._feed)
+        self._http = httpx2.Client(base_url=service.url, timeout=TIMEOUT)
+
+    def __enter__(self) -> "Jobs":
+        self._thread.start()
+        while not self.cells():
+            time.sleep(0.05)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        while self._left():
+            time.sleep(0.1)
+        self._http.close()
+
+    def cells(self) -> float:
+        """Cells done of all jobs."""
+        lines = self._http.get("/metrics").text.splitlines()
+        return float(next(line.split()[1] for line in lines if line.startswith("bounce_cells_done")))
+
+    def _left(self) -> int:
+        states = ("queued", "running")
+        return sum(self._http.get(f"/v1/jobs?state={state}&limit=1").json()["total"] for state in states)
+
+    def _feed(self) -> None:
+        while not self._over.wait(0.2):
+            for _ in range(UNFINISHED - self._left()):
+                self._http.post("/v1/jobs", json=sweep(next(self._numbers))).raise_for_status()
+
+
+def costly(large_job: str, wide_job: str, every: int) -> list[str]:
+    """One request of each kind; tables have a million flights."""
+    chunks = "zarr/flight_time/c/0/0/0/0/0"
+    return [
+        f"{large_job}/diagram?format=png",
+        f"{large_job}/diagram?every={every}",
+        f"{large_job}/line?most=0",
+        f"{large_job}/diagram?format=csv&every={10 * every}",
+        f"{wide_job}/modes",
+        f"{wide_job}/plane?min_flight=0.2",
+        f"{large_job}/line",
+        f"{large_job}/diagram?format=svg&every={every}",
+        f"{large_job}/export?format=nc",
+        f"{large_job}/export?format=parquet",
+        f"{wide_job}/threshold",
+        f"{wide_job}/threshold?tolerance=1e-4",
+        f"{large_job}/{chunks}",
+        f"{wide_job}/diagram?omega=0.5&format=png",
+        f"{wide_job}/trajectory?gamma=2&omega=0.5",
+        "/v1/tradeoff",
+    ]
+
+
+def burst(url: str, paths: list[str], requests: int, clients: int) -> Counter[int]:
+    """Send the requests, `clients` at a time; the statuses."""
+    numbers, lock = itertools.count(), threading.Lock()
+    statuses: Counter[int] = Counter()
+
+    def client(_: int) -> None:
+        with httpx2.Client(base_url=url, timeout=600) as http:
+            while True:
+                with lock:
+                    number = next(numbers)
+                if number >= requests:
+                    return
+                path = paths[number % len(paths)]
+                status = http.get(path).status_code
+                with lock:
+                    statuses[status] += 1
+
+    with ThreadPoolExecutor(clients) as pool:
+        list(pool.map(client, range(clients)))
+    return statuses
+
+
+@contextmanager
+def unread(port: int, path: str, count: int) -> Iterator[None]:
+    """So many connections that ask and do not read, during the block."""
+    with ExitStack() as connections:
+        for _ in range(count):
+            connection = connections.enter_context(socket.create_connection(("127.0.0.1", port)))
+            connection.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+        yield
+
+
+def rate(jobs: Jobs, work: Callable[[], Any]) -> tuple[float, Any]:
+    """Cells done per second while `work` runs, and its result."""
+    before, began = jobs.cells(), time.perf_counter()
+    result = work()
+    return (jobs.cells() - before) / (time.perf_counter() - began), result
+
+
+class Report:
+    """Prints figures and remembers broken promises."""
+
+    def __init__(self, service: Serving, path: str) -> None:
+        self._service, self._path, self.broken = service, path, False
+
+    def phase(self, what: str, work: Callable[[], Any]) -> Any:
+        """Do some work beside polls; one line about polls and memory."""
+        service = self._service
+        began = time.perf_counter()
+        with Memory(service) as memory, Polls(service.port, self._path, 8, 0.25) as polls:
+            result = work()
+        took = time.perf_counter() - began
+        time.sleep(1.0)  # for the last connections to close
+        p99, worst = float(np.percentile(polls.seconds, 99)), max(polls.seconds)
+        print(
+            f"{what}: {took:.0f} s, {len(polls.seconds)} polls, p99 {1e3 * p99:.0f} ms, "
+            f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; "
+            f"at most {memory.most:.0f} MB and {memory.handles} handles, "
+            f"then {service.used()[0]:.0f} MB and {service.used()[1]}",
+            flush=True,
+        )
+        self.broken |= p99 >= MAX_P99 or memory.most >= MAX_MEMORY_MB or bool(polls.wrong)
+        return result
+
+    def throughput(self, alone: float, beside: float) -> None:
+        """The line on jobs."""
+        print(
+            f"jobs: {alone:.0f} cells/s alone, {beside:.0f} beside the burst: {beside / alone:.0%}",
+            flush=True,
+        )
+        self.broken |= beside < MIN_THROUGHPUT * alone
+
+
+def measure(service: Serving, arguments: argparse.Namespace) -> bool:
+    """Print the figures; whether a promise is broken."""
+    large_job, wide_job = service.submit(large(arguments.cells)), service.submit(wide())
+    service.wait(large_job)
+    service.wait(wide_job)
+    paths = costly(large_job, wide_job, -(-arguments.cells * KEEP // 1_000_000))
+    report = Report(service, large_job)
+
+    def requests() -> Counter[int]:
+        return burst(service.url, paths, arguments.requests, arguments.clients)
+
+    def lines() -> None:
+        with unread(service.port, paths[6], 100):
+            time.sleep(arguments.seconds)
+
+    print(f"idle: {service.used()[0]:.0f} MB and {service.used()[1]} handles", flush=True)
+    with Jobs(service) as jobs:
+        alone, _ = report.phase("jobs alone", lambda: rate(jobs, lambda: time.sleep(arguments.seconds)))
+        what = f"{arguments.requests} GETs by {arguments.clients} clients beside jobs"
+        beside, statuses = report.phase(what, lambda: rate(jobs, requests))
+    print(f"their statuses: {dict(statuses)}")
+    report.throughput(alone, beside)
+    statuses = report.phase(
+        "20 JSON diagrams of a million flights at once", lambda: burst(service.url, paths[1:2], 20, 20)
+    )
+    print(f"their statuses: {dict(statuses)}")
+    report.phase("100 lines that nobody reads", lines)
+    return report.broken
+
+
+def main() -> int:
+    """Print the figures."""
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument("--requests", type=int, default=500)
+    options.add_argument("--clients", type=int, default=8)
+    options.add_argument("--cells", type=int, default=100_000)
+    options.add_argument("--seconds", type=float, default=20.0, help="of each phase")
+    arguments = options.parse_args()
+    print(describe("fastapi", "uvicorn", "matplotlib"))
+    with tempfile.TemporaryDirectory() as folder:
+        service = Serving(Path(folder))
+        try:
+            return int(measure(service, arguments))
+        finally:
+            service.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
