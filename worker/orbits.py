@@ -28,6 +28,7 @@ from worker.schema import COORDINATES, OUTCOME, Array, Layout
 from worker.spec import LARGEST, SMALLEST, parsing
 from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
 from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, problems_of
+from worker.spec.sweep import Label
 from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport
 
 #: Modes of one specification or answer, and plate periods of one mode.
@@ -90,12 +91,6 @@ def grid_points(omega: NDArray[np.float64], periods: int, points: int) -> NDArra
     return np.maximum(2.0 * math.pi * periods * rate / 0.2, points)
 
 
-def _label(name: str) -> str:
-    if not name.isprintable():
-        raise BrokenRuleError("", "must be one line of printable characters")
-    return name
-
-
 def _to_tuple(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
@@ -126,7 +121,7 @@ class OrbitsSpec(Strict):
     `OrbitsSpec(omega=..., xi=..., protocol=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
-    name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
+    name: Label = ""
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
     protocol: Orbits
