@@ -123,7 +123,7 @@ def _answers(url: str, token: str | None) -> bool:
 
     try:
         with Client(url, token, timeout=5.0) as client:
-            client.threshold(omega=1.0, xi=1.0)
+            client.metrics()
     except BounceError:
         return False
     return True

@@ -26,7 +26,12 @@ TOKEN = "a-token-of-thirty-two-characters"
 SWEEP = sweep().as_submitted()
 
 #: Required parameters, without which the endpoint itself would refuse the request.
-QUERIES = {"/v1/jobs/{job_id}/export": "?format=nc", "/v1/threshold": "?omega=1&xi=1"}
+QUERIES = {
+    "/v1/jobs/{job_id}/export": "?format=nc",
+    "/v1/threshold": "?omega=1&xi=1",
+    "/v1/orbits": "?omega=1&xi=1",
+    "/v1/curves": "?xi=1&omega_start=1&omega_stop=2",
+}
 
 #: Paths that require no token.
 PROBES = [("GET", "/healthz"), ("GET", "/readyz")]

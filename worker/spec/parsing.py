@@ -10,7 +10,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from worker.spec.errors import Problem, SpecUnreadable, describe
+from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
 MAX_TOML_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty
@@ -67,6 +67,16 @@ def read_json(text: str | bytes) -> object:
         raise _unreadable(f"the text is not JSON: {error.msg} at {where}") from None
     except RecursionError:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
+
+
+def fields_of(data: object, what: str) -> dict[str, Any]:
+    """The fields of an object; `what` it is, for errors. Raises `SpecInvalid`."""
+    if not isinstance(data, dict):
+        raise SpecInvalid([Problem("", f"{what} must be an object, not {describe(data)}")])
+    wrong = [key for key in data if not isinstance(key, str) or not key.isprintable()]
+    if wrong:
+        raise SpecInvalid([Problem("", f"field names must be printable text, not {describe(wrong[0])}")])
+    return data
 
 
 def read_file(path: Path) -> object:
