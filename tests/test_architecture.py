@@ -37,6 +37,7 @@ ALLOWED = {
 #: What a specification is made of: light, so that clients can hold one.
 SPECIFICATION = {
     "worker.spec", "kernel.params", "kernel.portable_math", "kernel.restitution", "kernel.step_limits",
+    "kernel.branches",
 }  # fmt: skip
 
 #: Of the project's own modules, all that these may reach.

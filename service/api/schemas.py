@@ -259,6 +259,17 @@ class FlightsView(BaseModel):
     flight_time: list[float]
 
 
+class CycleView(BaseModel):
+    """The cycle of the closed form that a trajectory starts on."""
+
+    bounces: int
+    periods: int
+    flight_time: float = Field(description="rad")
+    multipliers: list[tuple[float, float]] = Field(description="both, as real and imaginary part")
+    stable: bool
+    admissible: int = Field(description="0 if the spring has it; else the sum of the conditions that fail")
+
+
 class Trajectory(BaseModel):
     """Motion of one cell, sampled; lengths in plate amplitudes, null after the trajectory ends early."""
 
@@ -280,6 +291,7 @@ class Trajectory(BaseModel):
         description="balance of a cycle of one bounce on a rigid plate without restitution; else null"
     )
     complete: bool
+    cycle: CycleView | None = Field(description="with a start on a cycle")
 
 
 class BrokenRule(BaseModel):
@@ -299,9 +311,18 @@ class ProblemDocument(BaseModel):
 
 
 class Health(BaseModel):
-    """The service is alive, or ready to compute."""
+    """The service is alive."""
 
     status: Literal["ok"]
+
+
+class ReadinessView(BaseModel):
+    """The service accepts and computes jobs."""
+
+    status: Literal["ok"]
+    notices: list[str] = Field(
+        [], description="what an operator should know, such as stores that the ledger does not know"
+    )
 
 
 class PartsView(BaseModel):

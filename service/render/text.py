@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from kernel.branches.events import Branch
 from kernel.labels import LABELS
 from kernel.numerics.elementary import TWO_PI
 from service.results.counting import LABEL
@@ -99,8 +100,21 @@ def trajectory_json(motion: Motion) -> bytes:
             },
             "energy": None if balance is None else {name: x[0] for name, x in balance._asdict().items()},
             "complete": path.complete,
+            "cycle": None if motion.cycle is None else _cycle(motion.cycle),
         }
     )
+
+
+def _cycle(cycle: Branch) -> dict[str, Any]:
+    """A branch of one point."""
+    return {
+        "bounces": cycle.bounces,
+        "periods": cycle.periods,
+        "flight_time": float(cycle.flight_time[0]),
+        "multipliers": [[float(mu.real), float(mu.imag)] for mu in cycle.multiplier[0]],
+        "stable": bool(cycle.stable[0]),
+        "admissible": int(cycle.admissible[0]),
+    }
 
 
 def diagrams_csv(diagrams: Sequence[Diagram]) -> bytes:

@@ -40,8 +40,18 @@ def range_(start=1.0, stop=2.0, num=3, **more):
     return {"start": start, "stop": stop, "num": num, **more}
 
 
-def ramp(axis="gamma", direction="up"):
-    return {"kind": "ramp", "axis": axis, "direction": direction}
+def ramp(axis="gamma", direction="up", **more):
+    return {"kind": "ramp", "axis": axis, "direction": direction, **more}
+
+
+#: A line whose lower end lies just above the fold of (1, 1).
+SEEDED = {
+    "gamma": range_(0.555, 0.6, 4),
+    "omega": 0.6,
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "protocol": ramp(direction="down", start={"periods": 1}),
+}
 
 
 def message(**changes) -> str:
@@ -460,6 +470,51 @@ def test_range_of_one_value_where_start_equals_stop():
 
 def test_xi_may_be_zero_and_minus_zero_is_the_same():
     assert sweep(xi=0).job_id("1") == sweep(xi=-0.0).job_id("1") == sweep(xi=[-0.0]).job_id("1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (
+            {"protocol": ramp(start={"bounces": 2})},
+            "protocol.start.bounces: must be 1, not 2: cycles of one flight have a closed form",
+        ),
+        (
+            {"protocol": ramp(start={"period": 1})},
+            "protocol.start.period: is not a field here; did you mean 'periods'? the fields are bounces, "
+            "periods",
+        ),
+        ({"protocol": ramp(start=5)}, "protocol.start: must be an object, not 5"),
+        (
+            {"omega": [0.6, 0.7]},
+            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; it exists "
+            "from gamma 0.669",
+        ),
+        (
+            {"model": {"kind": "ball"}},
+            "protocol.start: needs a spring, and model.kind is 'ball'; 'rigid', 'soft' or 'stepped' works",
+        ),
+        (
+            {"omega": range_(0.5, 1.0, 1001)},
+            "protocol.start: is possible for at most 1,000 lines, and this sweep has 1,001",
+        ),
+    ],
+)
+def test_a_start_on_a_cycle_that_cannot_be_is_refused(changes, expected):
+    assert message(**(SEEDED | changes)).startswith(expected)
+
+
+def test_a_start_is_part_of_the_identity_only_where_it_is_set():
+    seeded = sweep(**SEEDED)
+    assert seeded.canonical()["protocol"]["start"] == {"bounces": 1, "periods": 1}
+    whole = sweep(**SEEDED | {"protocol": ramp(direction="down", start={"bounces": 1.0, "periods": 1})})
+    assert whole.job_id("1") == seeded.job_id("1")
+    plain = sweep(**SEEDED | {"protocol": ramp(direction="down")})
+    off = sweep(**SEEDED | {"protocol": ramp(direction="down", start=None)})
+    assert plain.job_id("1") == off.job_id("1") != seeded.job_id("1")
+    assert plain.as_submitted()["protocol"] == ramp(direction="down")
+    assert SweepSpec.parse(seeded.as_submitted()) == seeded
+    assert [tuple(cell) for cell in seeded.first_cells()] == [(0.6, 0.6, 0.05)]
 
 
 def test_shape_and_directions():

@@ -61,6 +61,18 @@ export async function requestJson(path, options) {
   return response.status === 204 ? null : read(response, "json", options?.signal);
 }
 
+const POLL_MS = 1000;
+
+/** As requestJson, for an answer that workers compute first: it is requested again while the service answers 202. */
+export async function requestComputed(path, options = {}) {
+  for (;;) {
+    const response = await request(path, options);
+    if (response.status !== 202) return read(response, "json", options.signal);
+    await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+    options.signal?.throwIfAborted();
+  }
+}
+
 const ARRAY_TYPES = {
   float64: Float64Array, float32: Float32Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array,
 };
