@@ -1,8 +1,8 @@
 """Limits on requests that hold resources for long: threads and memory of costly answers, event streams.
 
 An endpoint that reads much, computes or draws is declared `costly`. It then waits its turn without a thread,
-runs in threads that only costly requests use, and its answer counts as memory until the client has read it.
-All other requests keep the threads of the event loop's pool for themselves.
+runs in threads of lower priority that only costly requests use, and its answer counts as memory until the
+client has read it. All other requests keep the threads of the event loop's pool for themselves.
 """
 
 import asyncio
@@ -10,7 +10,6 @@ import ctypes
 import functools
 from collections import deque
 from collections.abc import Callable, Coroutine, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Final, Literal, NamedTuple
 
@@ -19,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from service.background import background_threads
 from service.errors import Busy, TooManyListeners
 
 #: What costly requests do; each has threads of its own, so that long exports do not keep diagrams waiting.
@@ -61,8 +61,7 @@ class Capacity:
         self._used = self._most_used = 0  # bytes, now and since the C library last returned memory
         self._waiting: dict[Activity, deque[_Waiter]] = {activity: deque() for activity in slots}
         self._threads = {
-            activity: ThreadPoolExecutor(count, thread_name_prefix=f"costly-{activity}")
-            for activity, count in slots.items()
+            activity: background_threads(count, f"costly-{activity}") for activity, count in slots.items()
         }
 
     @property

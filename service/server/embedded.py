@@ -8,6 +8,7 @@ import gc
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -28,6 +29,9 @@ from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
 from worker.kernel_cache import CacheRefused, claim_cache, warm
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
+
+#: Seconds after which a thread that computes lets another one run: requests wait for it.
+_SWITCH_SECONDS: Final = 0.001
 
 #: The permissions that files of a private service lack: all of group and others.
 _PRIVATE_UMASK: Final = 0o077
@@ -78,6 +82,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         announce(f"bounce listens on {url} ({_summary(settings)})")
 
     raise_file_limit()
+    sys.setswitchinterval(_SWITCH_SECONDS)
     with (
         log_to_stderr(settings.log_level),
         _umask(settings),

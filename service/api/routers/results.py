@@ -37,7 +37,7 @@ def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
 _PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80}
 _PER_CELL: Final = 64
 #: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
-_CHUNK_COPIES: Final = 4
+_CHUNK_COPIES: Final = 12
 #: Bytes of memory per Ω of the thresholds, with their numbers and statuses as text.
 _PER_OMEGA: Final = 1_000
 
