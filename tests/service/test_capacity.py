@@ -4,7 +4,10 @@ import asyncio
 import contextlib
 import socket
 import threading
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -21,7 +24,9 @@ from starlette.types import Message
 from service.api import routers
 from service.api.app import create_app
 from service.api.capacity import PIECE, Capacity, Lease
+from service.api.routers import results
 from service.errors import Busy
+from service.results.selection import BASE_MEMORY
 from service.server.web_server import limited
 from service.settings import Settings
 
@@ -245,6 +250,34 @@ def test_costly_requests_leave_the_other_threads_alone(tmp_path: Path):
             go.set()
             for thread in ask:
                 thread.join()
+
+
+def test_a_burst_of_costly_requests_stays_within_its_limits(tmp_path: Path):
+    """`benchmarks/burst.py` measures a larger one, with its times."""
+    most, threads = 0, threading.Semaphore(2)
+    with computing(tmp_path, turn_seconds=0.5, max_reads=2, answer_memory=3 * BASE_MEMORY) as client:
+        here = finished(client, FIGURE_2)
+        capacity = client.app.state.service.capacity  # type: ignore[attr-defined]
+        with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(24) as pool:
+            patch.setattr(results, "_encode", partial(_counted, results._encode, threads))
+            paths = [f"{here}/diagram?format={format}" for format in ("png", "json", "csv")] * 16
+            answers = [pool.submit(client.get, path) for path in paths]
+            while not all(answer.done() for answer in answers):
+                most = max(most, capacity.used)
+                assert client.get(here).status_code == 200
+        statuses = Counter(answer.result().status_code for answer in answers)
+        assert set(statuses) <= {200, 429}
+        assert statuses[200] >= 2
+        assert 0 < most <= 3 * BASE_MEMORY
+        wait_for(lambda: capacity.used == 0)
+
+
+def _counted(encode: Callable[..., bytes], threads: threading.Semaphore, *arguments: Any) -> bytes:
+    assert threads.acquire(blocking=False), "more threads compute than allowed"
+    try:
+        return encode(*arguments)
+    finally:
+        threads.release()
 
 
 def test_an_answer_that_nobody_reads_ends(tmp_path: Path):
