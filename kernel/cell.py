@@ -8,13 +8,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.exponents import Variations, begin_window, carry, forget
+from kernel.exponents import Variations, carry, forget
 from kernel.interface import contact, flight, replay
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
-from kernel.numerics.jit import inlined, jit
-from kernel.params import Line, Outcome
+from kernel.numerics.jit import compilable, inlined, jit
+from kernel.params import Line, Outcome, periods_followed
 
 #: Flights shorter than this (rad) are not recorded: their length is of the order of the rounding errors of
 #: take-off and landing after long contacts.
@@ -44,6 +44,8 @@ AT_REST: Final = int(Outcome.AT_REST)
 UNRESOLVED: Final = int(Outcome.UNRESOLVED)
 DIVERGED: Final = int(Outcome.DIVERGED)
 SETTLING: Final = int(Outcome.SETTLING)
+
+compilable(periods_followed)
 
 
 class Window(NamedTuple):
@@ -87,6 +89,7 @@ class Progress(NamedTuple):
     budget: int  # evaluations left
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
     settle: int  # plate periods before the window: window.settle, and more once `extend` has moved it
+    end: int  # plate periods to where the run ends: the window's end, and later once `follow` has moved it
 
 
 #: Numbers that `store_run` writes.
@@ -115,13 +118,14 @@ def start_run(state: Any, window: Window, takes_off: bool) -> Progress:
         budget,
         ROOT,
         window.settle,
+        window.settle + window.observe,
     )
 
 
 @inlined
-def horizon_of(run: Progress, window: Window) -> float:
-    """Rad from the run's phase to the window's end."""
-    return TWO_PI * (run.settle + window.observe - run.period) - run.phase
+def horizon_of(run: Progress) -> float:
+    """Rad from the run's phase to its end."""
+    return TWO_PI * (run.end - run.period) - run.phase
 
 
 @inlined
@@ -148,12 +152,12 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
             flights.period[slot] = run.takeoff_period
             recorded += 1
     ending = p.ending
-    if ending == HORIZON or (ending == ROOT and period >= run.settle + window.observe):
+    if ending == HORIZON or (ending == ROOT and period >= run.end):
         # rounding of phase + tau may leave `period` one short
-        phase, period, ending = 0.0, run.settle + window.observe, HORIZON
+        phase, period, ending = 0.0, run.end, HORIZON
     return Progress(
         phase, period, p.in_flight, p.gap, p.gap1, p.q, p.q1,
-        phase, period, recorded, flew, run.budget - p.used, ending, run.settle,
+        phase, period, recorded, flew, run.budget - p.used, ending, run.settle, run.end,
     )  # fmt: skip
 
 
@@ -173,26 +177,51 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
         return run
     return Progress(
         run.phase, run.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle,
+        run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle, run.end,
     )  # fmt: skip
 
 
 @jit
-def extend(run: Progress, window: Window, flights: Flights, first: int) -> Progress:
+def shows_no_mode(outcome: int) -> bool:
+    """Whether a window with this outcome is followed, to tell what settles from what does not."""
+    return outcome in (APERIODIC, SETTLING)
+
+
+@jit
+def follow(before: Progress, window: Window) -> Progress:
+    """A run that goes on beyond its window, from `before` the phase in which that ended.
+
+    So a flight under way at the window's end is one flight. The flights recorded so far stay.
+    """
+    added = periods_followed(window.observe)
+    return Progress(
+        before.phase, before.period, before.in_flight, before.gap, before.gap1, before.q, before.q1,
+        before.takeoff_phase, before.takeoff_period, before.recorded, before.flew,
+        before.budget + BUDGET * added, before.ending, before.settle, before.end + added,
+    )  # fmt: skip
+
+
+@jit
+def decide(outcome: int, followed: Progress, flights: Flights, first: int, window: Window) -> int:
+    """The outcome of a cell without a mode, `outcome` by its window, after the run that followed it."""
+    if followed.ending != HORIZON:
+        return outcome
+    return APERIODIC if classify(followed, flights, first, window)[0] == APERIODIC else SETTLING
+
+
+@jit
+def extend(run: Progress, outcome: int, window: Window) -> Progress:
     """`run`, which has ended, made to go on if its cell still settles and window.settle_until permits.
 
     The periods in all are doubled, up to window.settle_until; the window moves to their end. It begins where
     the old one ended or later, so that no flight is in both.
     """
-    taken = run.settle + window.observe
-    added = min(taken, window.settle_until - taken)
-    if run.ending != HORIZON or added < window.observe:
-        return run
-    if classify(run, flights, first, window)[0] != SETTLING:
+    added = min(run.end, window.settle_until - run.end)
+    if outcome != SETTLING or added < window.observe:
         return run
     return Progress(
         run.phase, run.period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added,
+        run.phase, -1, 0, False, run.budget + BUDGET * added, ROOT, run.settle + added, run.end + added,
     )  # fmt: skip
 
 
@@ -200,39 +229,35 @@ def extend(run: Progress, window: Window, flights: Flights, first: int) -> Progr
 def run_cell(
     cell: Any, run: Progress, window: Window, flights: Flights, cache: Any,
     variations: Variations | None, steps: int,
-) -> tuple[Progress, int]:  # fmt: skip
-    """Advance one cell by at most `steps` contacts and flights; returns the run and the steps left.
+) -> tuple[Progress, Progress, int]:  # fmt: skip
+    """Advance one cell by at most `steps` contacts and flights.
 
-    Its `ending` is ROOT if the run has paused before the end of its window: the next call goes on from it.
-    `cache` (CACHE_SIZE,) is zero when the cell begins. `variations`: carried along, or None.
+    Returns the run before its last phase, the run, and the steps left. Its `ending` is ROOT if it has paused
+    before its end: the next call goes on from it. `cache` (CACHE_SIZE,) is zero when the cell begins, or goes
+    on beyond a window. `variations`: carried along, or None.
     """
-    while True:
-        if run.ending != ROOT:
-            run = extend(run, window, flights, 0)
-            if run.ending != ROOT:
-                return run, steps
-            if variations is not None:
-                begin_window(variations)
-        if steps <= 0:
-            return run, 0
+    before = run
+    while run.ending == ROOT and steps > 0:
         steps -= 1
+        before = run
         if run.in_flight and run.gap == 0.0 and run.gap1 == 0.0:
-            before = run
             run = replay(cell, run, window, flights, cache)
             if variations is not None and (run.period != before.period or run.phase != before.phase):
                 forget(variations, run.period >= run.settle)
             if run.ending != ROOT:
-                continue
-        horizon = horizon_of(run, window)
+                break
+        started = run
+        horizon = horizon_of(run)
         if run.in_flight:
             p = flight(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         else:
             p = contact(cell, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
         if variations is not None:
             carry(cell, run, p, window, variations)
-        before, run = run, record(run, p, window, flights, 0)
+        run = record(started, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
-            run = end_settling(before, run, window, flights, 0)
+            run = end_settling(started, run, window, flights, 0)
+    return before, run, steps
 
 
 @jit
@@ -245,6 +270,7 @@ def store_run(run: Progress, numbers: Any) -> None:
     numbers[3], numbers[4], numbers[5], numbers[6] = run.gap, run.gap1, run.q, run.q1
     numbers[7], numbers[8], numbers[9] = run.takeoff_phase, run.takeoff_period, run.recorded
     numbers[10], numbers[11], numbers[12], numbers[13] = run.flew, run.budget, run.ending, run.settle
+    numbers[14] = run.end
 
 
 @jit
@@ -253,7 +279,7 @@ def load_run(numbers: Any) -> Progress:
     return Progress(
         numbers[0], int(numbers[1]), numbers[2] != 0.0, numbers[3], numbers[4], numbers[5], numbers[6],
         numbers[7], int(numbers[8]), int(numbers[9]), numbers[10] != 0.0, int(numbers[11]),
-        int(numbers[12]), int(numbers[13]),
+        int(numbers[12]), int(numbers[13]), int(numbers[14]),
     )  # fmt: skip
 
 
@@ -275,19 +301,19 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
     bounces, periods = find_mode(time, phase, period)
     if bounces > 0:
         return PERIODIC, bounces, periods
-    settling = _comes_to_rest(run, flights, first, window) or is_settling(time, phase)
+    settling = _comes_to_rest(run, flights, first) or is_settling(time, phase)
     return SETTLING if settling else APERIODIC, 0, 0
 
 
 @jit
-def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) -> bool:
-    """Whether a run that has ended was in contact for the last half of the window, and QUIET periods."""
+def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
+    """Whether a run was in contact for the last half of what was recorded, and for QUIET periods."""
     if run.in_flight or run.recorded == 0:
         return False
     last = first + (run.recorded - 1) % flights.size
     landing = flights.period[last] + (flights.phase[last] + flights.time[last]) * (1.0 / TWO_PI)
-    still: float = run.settle + window.observe - landing
-    return still > max(0.5 * window.observe, QUIET)
+    still: float = run.end - landing
+    return still > max(0.5 * (run.end - run.settle), QUIET)
 
 
 @jit
@@ -337,5 +363,7 @@ def write_record(
         slot = first + (run.recorded - kept + k) % flights.size
         line.flight_time[i, k] = flights.time[slot]
         line.takeoff_phase[i, k] = flights.phase[slot]
+    for k in range(kept, keep):  # of an earlier window of this cell
+        line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
     for field in range(len(state)):
         line.end_state[i, field] = state[field]

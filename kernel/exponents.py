@@ -156,7 +156,7 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
     run: `cell.Progress`; window: `cell.Window`.
     """
     vectors = variations.vectors
-    left = run.settle + window.observe - run.period  # plate periods to the window's end
+    left = run.end - run.period  # plate periods to the run's end
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
     done = 0.0
     for turn in range(1, turns + 2):

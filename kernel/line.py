@@ -18,14 +18,24 @@ from kernel.cell import (
     Flights,
     Window,
     allocate_flights,
+    decide,
+    extend,
+    follow,
     load_run,
     run_cell,
+    shows_no_mode,
     start_run,
     store_run,
     store_state,
     write_record,
 )
-from kernel.exponents import Variations, allocate_variations, start_variations, write_exponents
+from kernel.exponents import (
+    Variations,
+    allocate_variations,
+    begin_window,
+    start_variations,
+    write_exponents,
+)
 from kernel.interface import flies, prepare, rest
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
@@ -38,14 +48,20 @@ from kernel.validation import check_arrays, check_window, checked_state
 #: More steps than any line takes.
 _ALL: Final = 2**62
 
+#: Stages of a cell.
+NOT_BEGUN: Final = 0
+IN_WINDOW: Final = 1  # or before it
+FOLLOWED: Final = 2  # beyond its window
+
 
 class Walk(NamedTuple):
     """Where a line is that is computed cell by cell."""
 
-    counts: Any  # (3,) int64: cells done; 1 while a cell is under way; 1 if there is a state to carry over
+    counts: Any  # (3,) int64: cells done; stage of the cell under way; 1 if there is a state to carry over
     state: Any  # (len(STATE_FIELDS),) the state at the last cell's end
     before: Any  # (2,) gamma and omega, in whose units the state is
     run: Any  # (RUN_FIELDS,) the run of the cell under way
+    end: Any  # (RUN_FIELDS,) while it is followed, the run at its window's end
     cache: Any  # (CACHE_SIZE,) its model's
 
 
@@ -54,7 +70,7 @@ def _allocate_walk(start: Start | None) -> Walk:
     state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
     before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
     counts = np.array([0, 0, start is not None], np.int64)
-    return Walk(counts, state, before, np.zeros(RUN_FIELDS), np.zeros(CACHE_SIZE))
+    return Walk(counts, state, before, np.zeros(RUN_FIELDS), np.zeros(RUN_FIELDS), np.zeros(CACHE_SIZE))
 
 
 @jit
@@ -71,9 +87,7 @@ def _walk(
     while counts[0] < len(gamma):
         i = counts[0]
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
-        if counts[1] != 0:
-            run = load_run(walk.run)
-        else:
+        if counts[1] == NOT_BEGUN:
             if carry and counts[2] != 0:
                 _rescale(state, before, gamma[i], omega[i])
             else:
@@ -83,22 +97,45 @@ def _walk(
             takes_off = in_flight and state[1] == 0.0
             state[1] = 1.0 if in_flight else 0.0
             run = start_run(state, window, takes_off)
-            walk.cache[:] = 0.0
             if variations is not None:
                 start_variations(variations)
-        run, steps = run_cell(cell, run, window, flights, walk.cache, variations, steps)
-        if run.ending == ROOT:
+            walk.cache[:] = 0.0
+            counts[1] = IN_WINDOW
+        else:
+            run = load_run(walk.run)
+        if counts[1] == FOLLOWED:
+            _, run, steps = run_cell(cell, run, window, flights, walk.cache, None, steps)
+            if run.ending != ROOT:
+                line.outcome[i] = decide(line.outcome[i], run, flights, 0, window)
+                run = load_run(walk.end)
+        else:
+            last, run, steps = run_cell(cell, run, window, flights, walk.cache, variations, steps)
+            if run.ending != ROOT:
+                if variations is not None:
+                    write_exponents(line.lyapunov[i], run.ending, variations)
+                store_state(run, state)
+                write_record(line, i, run, flights, 0, state, window)
+                if shows_no_mode(line.outcome[i]):
+                    store_run(run, walk.end)
+                    run = follow(last, window)
+                    walk.cache[:] = 0.0
+                    counts[1] = FOLLOWED
+        if run.ending != ROOT:
+            run = extend(run, line.outcome[i], window)
+            if run.ending == ROOT:
+                if variations is not None:
+                    begin_window(variations)
+                walk.cache[:] = 0.0
+                counts[1] = IN_WINDOW
+        if run.ending != ROOT:
+            before[0], before[1] = gamma[i], omega[i]
+            counts[2] = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
+            counts[0] += 1
+            counts[1] = NOT_BEGUN
+        else:
             store_run(run, walk.run)
-            counts[1] = 1
-            return False
-        counts[1] = 0
-        if variations is not None:
-            write_exponents(line.lyapunov[i], run.ending, variations)
-        store_state(run, state)
-        write_record(line, i, run, flights, 0, state, window)
-        before[0], before[1] = gamma[i], omega[i]
-        counts[2] = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
-        counts[0] += 1
+            if steps <= 0:
+                return False
     return True
 
 

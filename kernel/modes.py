@@ -25,16 +25,15 @@ LAGS: Final = 24
 FEWEST: Final = 12
 
 #: Flights settle where their difference falls below NEAR (rad) and to less than APPROACH of itself from the
-#: first third of the window to the last. Of 1,194 cells that stay aperiodic this takes 2 in 100 for settling,
-#: of 385 that become periodic 83 in 100.
-NEAR: Final = 0.3
-APPROACH: Final = 0.9
+#: first third of the flights to the last.
+NEAR: Final = 0.1
+APPROACH: Final = 0.7
 
 #: They also settle, slowly, where it stays below CLOSE (rad) and rises or falls by more than DRIFT of itself:
 #: so close to a cycle the motion is linear, and flights that leave one go to another. On a quasi-periodic
 #: attractor the difference stays as it is.
-CLOSE: Final = 0.02
-DRIFT: Final = 0.03
+CLOSE: Final = 0.01
+DRIFT: Final = 0.05
 
 
 @jit
@@ -122,7 +121,7 @@ def is_settling(flight_time: Any, takeoff_phase: Any) -> bool:
     """Whether flights without a cycle still drift towards something, or away from it.
 
     Arrays (n,) as in `find_cycle`. Compares the root-mean-square difference of flights `lag` apart in three
-    equal parts of the window, for the lag up to LAGS, and up to n/4, at which it is smallest in the last.
+    equal parts of them, for the lag up to LAGS, and up to n/4, at which it is smallest in the last.
     """
     n = len(flight_time)
     if n < FEWEST:

@@ -14,12 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Part of every job's identity: raise it whenever any stored number may change.
-KERNEL_VERSION: Final = "2"
+KERNEL_VERSION: Final = "3"
 
 
 #: Cells that `rigid` computes side by side from rest, in lanes: two vectors of eight doubles, so that the
 #: latency of one hides behind the other.
 LANES: Final = 16
+
+
+#: A cell whose window shows no mode is followed beyond it for FOLLOW times its `observe`, and at most
+#: MOST_FOLLOWED plate periods, before it is called aperiodic or settling. Chaotic transients look like chaos
+#: until they end: nothing but time tells them apart. This much ends 1 in 4 of those that a window leaves.
+FOLLOW: Final = 2
+MOST_FOLLOWED: Final = 200
+
+
+def periods_followed(observe: int) -> int:
+    """Plate periods for which a cell without a mode is followed beyond a window of `observe` periods."""
+    return min(FOLLOW * observe, MOST_FOLLOWED)
 
 
 class Cell(NamedTuple):
@@ -35,7 +47,7 @@ class Outcome(IntEnum):
 
     MISSING = 0  # not computed yet
     PERIODIC = 1  # the flights repeat
-    APERIODIC = 2  # they do not, within the window
+    APERIODIC = 2  # they neither repeat nor settle
     AT_REST = 3  # in contact throughout the window
     UNRESOLVED = 4  # the budget of evaluations ran out
     DIVERGED = 5  # a number stopped being finite

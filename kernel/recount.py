@@ -49,7 +49,8 @@ def recount(
     flight_time, takeoff_phase: (n, keep) in rad, flights: (n,), as in `params.Line`; modes: as classified
     with `micro_flight` (rad). A cycle must be seen three times in the stored flights, of which there may be
     fewer than those of the first classification. Cells keep their outcome and mode where no other flights
-    count than before.
+    count than before, and aperiodic and settling ones their outcome where no mode is found: the kernel has
+    followed them beyond the stored flights.
 
     Plate periods of take-offs are not stored: a contact between two flights is taken to be shorter than a
     plate period, except where the first classification tells how many periods a cycle has.
@@ -72,12 +73,8 @@ def _recount(
         time, phase, period, place = _select(flight_time[cell], takeoff_phase[cell], now[cell])
         b, p = find_mode(time, phase, period)
         if b == 0:
-            settling = is_settling(time, phase)
-            if outcome[cell] == SETTLING and not settling:
-                # By the flights that counted before, or because the cell comes to rest? The latter stays.
-                time, phase, _, _ = _select(flight_time[cell], takeoff_phase[cell], before[cell])
-                settling = not is_settling(time, phase)
-            new_outcome[cell] = SETTLING if settling else APERIODIC
+            if outcome[cell] == PERIODIC:
+                new_outcome[cell] = SETTLING if is_settling(time, phase) else APERIODIC
             new_bounces[cell], new_periods[cell] = 0, 0
             continue
         if outcome[cell] == PERIODIC:

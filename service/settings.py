@@ -14,7 +14,7 @@ from pydantic import (
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from worker import store
-from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS
+from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_SECONDS
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are what the system's clocks and SQLite can represent.
@@ -99,6 +99,9 @@ class Settings(BaseSettings):
     max_bytes: Count = Field(
         DEFAULT_MAX_BYTES, description="Bytes of one sweep's stored arrays before compression."
     )
+    max_core_seconds: Positive = Field(
+        DEFAULT_MAX_CORE_SECONDS, description="Core-seconds of one sweep, by the estimate."
+    )
     max_queue: Count = Field(1_000, description="Jobs that may be queued or running.")
     max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
     max_export_bytes: Count = Field(
@@ -125,12 +128,14 @@ class Settings(BaseSettings):
     # Running jobs
 
     active_jobs: Count = Field(
-        32, description="Jobs that run at a time, their plans in memory; the others stay queued."
+        32, description="Jobs with their plans in memory; one that waits for others gives up its place."
     )
-    window: Count = Field(2, description="Chunks in flight per worker and job.")
+    window: Count = Field(
+        2, description="Chunks in flight per worker, of one job and those with less left to compute."
+    )
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
         0.5,
-        description="Core-seconds in flight per worker and job: jobs of short chunks exceed `window`.",
+        description="Core-seconds in flight per worker: where chunks are short, more than `window` are.",
     )
     chunk_tries: Count = Field(
         3, description="Tries of a chunk that fails or whose worker dies of it, before it is given up."

@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from kernel.params import LANES
+from kernel.params import LANES, periods_followed
 from worker.schema import bytes_per_cell
 from worker.spec import SweepSpec
 from worker.spec.axes import Strict
@@ -16,12 +16,17 @@ from worker.spec.errors import Problem, SpecTooLarge
 #: Limits on one sweep where the settings of a service set no others.
 DEFAULT_MAX_CELLS: Final = 20_000_000
 DEFAULT_MAX_BYTES: Final = 32 * 2**30
+#: Six days of two cores. All cells that a sweep may have, at the default window, take a hundredth of it.
+DEFAULT_MAX_CORE_SECONDS: Final = 1e6
 
 #: Share of the cells that still settle at the end of their window, and of those the share that still do each
 #: time the periods have been doubled: of 24,000 random cells 5.3% after 300 periods, 1.9% after 600, 0.7%
 #: after 1,200, 0.2% after 2,400 (`python -m benchmarks.settling`).
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
+
+#: Share of the cells whose window shows no mode, and which are followed beyond it: of 24,000 random ones.
+FOLLOWED_SHARE: Final = 0.25
 
 #: Core-microseconds per plate period that a cell in lanes costs more if it is computed alone, because every
 #: step is taken for all lanes: measured 1.5 in place of 0.14 at restitution 0, 2.2 of 1.1 at 0.3.
@@ -48,19 +53,21 @@ class Cost(Strict):
 
 
 def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
-    """Core-seconds per cell of a sweep, from the table of contact models; on average with settle_until.
+    """Core-seconds per cell of a sweep, from the table of contact models, on average.
 
     alone: as in `period_seconds`.
     """
-    periods, share = float(spec.settle + spec.observe), SETTLING_SHARE
+    followed = periods_followed(spec.observe)
+    periods, share = spec.settle + spec.observe + FOLLOWED_SHARE * followed, SETTLING_SHARE
     for added in _extensions(spec):
-        periods, share = periods + share * added, share * STILL_SETTLING_SHARE
+        periods, share = periods + share * (added + followed), share * STILL_SETTLING_SHARE
     return period_seconds(spec, alone=alone) * periods
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
     """Core-seconds of a cell of a sweep that settles until settle_until, from the table of contact models."""
-    return period_seconds(spec) * (spec.settle + spec.observe + sum(_extensions(spec)))
+    windows = [spec.settle + spec.observe, *_extensions(spec)]
+    return period_seconds(spec) * sum(added + periods_followed(spec.observe) for added in windows)
 
 
 def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
@@ -105,8 +112,14 @@ def estimate(spec: SweepSpec, chunks: int) -> Cost:
     )
 
 
-def check_size(cost: Cost, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
-    """Raise `SpecTooLarge` if there are more than `max_cells` cells or `max_bytes` stored bytes."""
+def check_size(
+    cost: Cost,
+    *,
+    max_cells: int = DEFAULT_MAX_CELLS,
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    max_core_seconds: float = DEFAULT_MAX_CORE_SECONDS,
+) -> None:
+    """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these."""
     if cost.cells > max_cells:
         raise SpecTooLarge(
             [Problem("", f"asks for {cost.cells} cells; at most {max_cells} are allowed: take fewer values")]
@@ -115,3 +128,8 @@ def check_size(cost: Cost, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int
         per_cell = cost.bytes // cost.cells
         rule = f"asks for {cost.bytes} bytes, {per_cell} per cell; at most {max_bytes} are allowed"
         raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
+    if cost.core_seconds > max_core_seconds:
+        rule = (
+            f"asks for about {cost.core_seconds:.4g} core-seconds; at most {max_core_seconds:.4g} are allowed"
+        )
+        raise SpecTooLarge([Problem("", f"{rule}: take fewer values, or fewer periods (settle, observe)")])

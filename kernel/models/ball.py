@@ -172,7 +172,7 @@ def _skip_cycles(run: Progress, cache: Any) -> Progress:
     cache[BEFORE] = period
     return Progress(
         run.phase, period, run.in_flight, run.gap, run.gap1, run.q, run.q1,
-        run.phase, period, run.recorded, run.flew, run.budget, run.ending, run.settle,
+        run.phase, period, run.recorded, run.flew, run.budget, run.ending, run.settle, run.end,
     )  # fmt: skip
 
 
@@ -192,7 +192,7 @@ def _replay(b: Ball, run: Progress, window: Window, flights: Flights, cache: Any
         for k in range(int(cache[COUNT])):
             at = FIRST + WIDTH * k
             tau, hop, flying = cache[at + TAU], cache[at + HOP], cache[at + FLIES] == 1.0
-            if tau >= horizon_of(run, window):
+            if tau >= horizon_of(run):
                 return run
             run = record(run, Phase(tau, ROOT, flying, 0.0, hop, 0.0, 0.0, 1), window, flights, 0)
             if run.ending != ROOT:

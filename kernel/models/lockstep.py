@@ -16,11 +16,14 @@ from kernel.cell import (
     Flights,
     Progress,
     Window,
+    decide,
     end_settling,
     extend,
+    follow,
     horizon_of,
     load_run,
     record,
+    shows_no_mode,
     start_run,
     store_run,
     store_state,
@@ -146,9 +149,9 @@ def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, floa
 
 
 @jit
-def _scalar_phase(s: Spring, run: Progress, window: Window) -> Phase:
+def _scalar_phase(s: Spring, run: Progress) -> Phase:
     """The run's next phase by the scalar functions of `rigid`."""
-    horizon = horizon_of(run, window)
+    horizon = horizon_of(run)
     p: Phase
     if run.in_flight:
         p = flight(s, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
@@ -158,9 +161,9 @@ def _scalar_phase(s: Spring, run: Progress, window: Window) -> Phase:
 
 
 @inlined
-def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, window: Window) -> bool:
+def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float) -> bool:
     """Put the run's next phase into lane k; False if it must be computed by the scalar functions."""
-    horizon = horizon_of(run, window)
+    horizon = horizon_of(run)
     if run.in_flight:
         loaded = _load_flight(table, k, s, run, sin, cos, horizon)
     else:
@@ -184,13 +187,17 @@ class Lanes(NamedTuple):
     runs: Any  # (LANES, RUN_FIELDS) the cells' runs
     index: Any  # (LANES,) int64, the cell in each lane; -1: none
     counts: Any  # (2,) int64: cells put into a lane so far, cells done
+    followed: Any  # (LANES,) bool, whether the cell is followed beyond its window
+    ends: Any  # (LANES, RUN_FIELDS) of cells that are, the run at the window's end
 
 
 def allocate_lanes() -> Lanes:
     """Empty lanes."""
     table = np.zeros(ROWS * LANES)
     table[K0 * LANES : (K0 + 1) * LANES] = 1.0  # F = 1 keeps the arithmetic of idle lanes finite
-    return Lanes(table, np.zeros((LANES, RUN_FIELDS)), np.full(LANES, -1), np.zeros(2, np.int64))
+    runs, ends = np.zeros((LANES, RUN_FIELDS)), np.zeros((LANES, RUN_FIELDS))
+    index, counts = np.full(LANES, -1), np.zeros(2, np.int64)
+    return Lanes(table, runs, index, counts, np.zeros(LANES, dtype=np.bool_), ends)
 
 
 @jit
@@ -203,12 +210,13 @@ def run_lockstep(
     Pauses after `steps` moves of all lanes or scalar phases, or a few more; returns whether the line is
     done. The next call goes on from `flights` and `lanes`.
     """
-    table, index, counts = lanes.table, lanes.index, lanes.counts
+    table, index, counts, followed = lanes.table, lanes.index, lanes.counts, lanes.followed
     springs = [prepare(plate, i, gamma[i], omega[i], xi[i]) for i in np.maximum(index, 0)]
     runs = [load_run(lanes.runs[k]) for k in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
     while counts[1] < len(gamma) and steps > 0:
         for k in range(LANES):
+            first, before = k * flights.size, runs[k]
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
                 steps -= 1
                 if index[k] < 0:
@@ -220,11 +228,10 @@ def run_lockstep(
                     index[k], sin, cos = i, 0.0, 1.0
                     counts[0] += 1
                 else:
-                    first = k * flights.size
                     before = runs[k]
                     scalar = _needs_scalar(table, k, before)
                     if scalar:
-                        p = _scalar_phase(springs[k], before, window)
+                        p = _scalar_phase(springs[k], before)
                     else:
                         p, sin, cos = _phase_of(table, k, springs[k], before)
                     runs[k] = record(before, p, window, flights, first)
@@ -232,16 +239,26 @@ def run_lockstep(
                         runs[k] = end_settling(before, runs[k], window, flights, first)
                     if scalar:
                         sin, cos = sincos(runs[k].phase)
-                if runs[k].ending != ROOT and window.settle_until > 0:
-                    runs[k] = extend(runs[k], window, flights, k * flights.size)
+                if runs[k].ending != ROOT:
+                    i = index[k]
+                    if followed[k]:
+                        line.outcome[i] = decide(line.outcome[i], runs[k], flights, first, window)
+                        runs[k], followed[k] = load_run(lanes.ends[k]), False
+                    else:
+                        store_state(runs[k], state)
+                        write_record(line, i, runs[k], flights, first, state, window)
+                        if shows_no_mode(line.outcome[i]):
+                            store_run(runs[k], lanes.ends[k])
+                            runs[k], followed[k] = follow(before, window), True
+                            sin, cos = sincos(before.phase)
+                if runs[k].ending != ROOT:
+                    runs[k] = extend(runs[k], line.outcome[i], window)
                     sin, cos = 0.0, 1.0  # a window ends at phase zero
                 if runs[k].ending != ROOT:
-                    store_state(runs[k], state)
-                    write_record(line, index[k], runs[k], flights, k * flights.size, state, window)
                     index[k] = -1
                     counts[1] += 1
                 else:
-                    loaded = _load(table, k, springs[k], runs[k], sin, cos, window)
+                    loaded = _load(table, k, springs[k], runs[k], sin, cos)
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
                     if not loaded and steps <= 0:  # the next call goes on with this lane
                         _store_runs(runs, lanes.runs)

@@ -98,7 +98,13 @@ class JobManager:
         study = study_of(spec)
         plan: Plan = study.plan(spec)
         cost = study.estimate(spec, plan)
-        check_size(cost, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
+        limits = self._settings
+        check_size(
+            cost,
+            max_cells=limits.max_cells,
+            max_bytes=limits.max_bytes,
+            max_core_seconds=limits.max_core_seconds,
+        )
         return plan
 
     def cancel(self, job_id: str) -> JobRecord:

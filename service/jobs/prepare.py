@@ -53,6 +53,11 @@ class PreparedJob:
         """What is stored, and how it is cut."""
         return self.study.variables(self.submitted, self.plan.chunk_shape)
 
+    @property
+    def core_seconds(self) -> float:
+        """Core-seconds that the whole job takes, by the cost table."""
+        return self._cost.core_seconds
+
     @cached_property
     def cell_seconds(self) -> float:
         """Core-seconds that a cell takes on average, by the cost table."""

@@ -5,6 +5,7 @@ Whatever it holds in memory can be rebuilt from the ledger.
 """
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,18 +20,28 @@ from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import JobPreparer
+from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
 from service.jobs.run import JobRun
+from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
+from worker.spec.errors import SpecError
 from worker.studies import Chunk
-from worker.tasks import ChunkReport
+from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport
 
 log = logging.getLogger(__name__)
 
-#: Chunks in flight of one job, however small they are.
+#: Chunks in flight, however small they are, of one job and those with less left to compute.
 MAX_IN_FLIGHT: Final = 64
+#: Times the chunks that are enough for one job, of all jobs together.
+MAX_TIMES_IN_FLIGHT: Final = 4
+#: The priority of a job's turn: above that of all other chunks, which is negative.
+TURN_PRIORITY: Final = 0.0
+#: Seconds for which a chunk that waits at the executor is passed by later ones of smaller jobs; less if its
+#: own job has less than a core-second left.
+PASSED_SECONDS: Final = 10.0
 #: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
 #: chunks soon.
 IDLE_SHARE: Final = 0.25
@@ -58,11 +69,23 @@ class Sync(NamedTuple):
 Message = ChunkFinished | ChunksInvalidated | Sync
 
 
+class Waiting(NamedTuple):
+    """An unfinished job that is not in memory; ordered by what is left of it."""
+
+    remaining_seconds: float  # core-seconds, by the cost table
+    seq: int
+    id: str
+    chunk_seconds: float  # of a chunk, on average
+
+
 class Supervisor:
     """Computes the ledger's unfinished jobs on an executor until it is stopped.
 
-    Each job has a bounded number of chunks in flight. Workers start first the waiting chunks of the job
-    with the least work in flight, so that a small job overtakes a huge one.
+    The job with the least left to compute comes first, and a share of the workers' time goes to all jobs in
+    turn (`Rotation`). What is in flight is bounded, not counting the chunks of jobs with more left: those
+    wait at the executor behind a smaller job's chunks, so that a small job overtakes huge ones at once; but
+    not for ever, since such a chunk is not passed any more after PASSED_SECONDS.
+    At most `active_jobs` jobs are in memory. One that has nothing in flight gives its place to another.
     A job accepted before this start of the service runs once `is_verified` confirms that its stored chunks
     are what the ledger has marked. Stores are created under `store_lock`.
 
@@ -85,7 +108,10 @@ class Supervisor:
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
         self._runs: dict[str, JobRun] = {}
-        self._slots = 0  # chunks that each job may have in flight
+        self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
+        self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
+        self._rotation = Rotation(SLICE_SECONDS)
+        self._slots = 0  # chunks that may be in flight
         self._next_sync = time.monotonic()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
@@ -152,6 +178,7 @@ class Supervisor:
     def _on_finished(self, finished: ChunkFinished) -> None:
         """Keep a chunk's report, or carry out what the retry policy decides about its error."""
         run, chunk = self._runs[finished.job_id], finished.chunk
+        self._account(run, finished)
         run.remove_in_flight(chunk)
         error = _error_of(finished.future)
         if error is None:
@@ -163,6 +190,20 @@ class Supervisor:
         if action is Action.PAUSE:
             self._slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
+
+    def _account(self, run: JobRun, finished: ChunkFinished) -> None:
+        """Tell the rotation how long a chunk took since it was submitted: a slice at most."""
+        error = _error_of(finished.future)
+        if error is None:
+            seconds = min(finished.future.result().seconds, SLICE_SECONDS)
+        else:
+            seconds = (
+                SLICE_SECONDS if isinstance(error, ChunkPaused) else min(run.chunk_seconds, SLICE_SECONDS)
+            )
+        if finished.chunk in run.turns:
+            self._rotation.end_turn(run.chunk_seconds, seconds)
+        else:
+            self._rotation.earn(seconds)
 
     def _save(self, run: JobRun) -> None:
         """Write what has happened to a job's chunks to the ledger, in one transaction.
@@ -195,15 +236,37 @@ class Supervisor:
         pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
         with self._ledger.reading() as ledger:
-            unfinished = ledger.unfinished(self._settings.active_jobs)
+            unfinished = ledger.unfinished(self._settings.max_queue)
         for job in unfinished:
             run = self._runs.get(job.id)
             if run is None:
-                if self._is_verified(job.id):
+                if job.cancel_requested and self._is_verified(job.id):
                     with self._store_lock:
-                        self._start_job(job.id)
+                        self._start_job(job.id)  # it ends at once
             elif run.stopping != job.cancel_requested:
                 self._set_stopping(run, job.cancel_requested)
+        self._update_waiting(unfinished)
+
+    def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
+        """Put the jobs that may start in order, and all of them in the rotation."""
+        known = self._core_seconds
+        self._core_seconds = {job.id: known.get(job.id) or self._estimate(job.id) for job in unfinished}
+        waiting = []
+        for job in unfinished:
+            if job.id not in self._runs and self._is_verified(job.id):
+                chunk_seconds = self._core_seconds[job.id] / job.chunks_total
+                remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
+                waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
+        self._waiting = {job.id: job for job in sorted(waiting)}
+        self._rotation.update({job.id: "" for job in sorted(unfinished, key=lambda job: job.seq)})
+
+    def _estimate(self, job_id: str) -> float:
+        """Core-seconds of a job as a whole; 0 for one that cannot be prepared, whose start will fail."""
+        job = self._ledger.find(job_id)
+        try:
+            return 0.0 if job is None else self._preparer.prepare(job).core_seconds
+        except SpecError:
+            return 0.0
 
     def _start_job(self, job_id: str) -> None:
         """Create a job's store and add the job to those that run; a job that cannot start fails."""
@@ -282,26 +345,94 @@ class Supervisor:
     # Chunks to compute
 
     def _submit(self) -> None:
-        """Fill the free slots, the job with the least work in flight first."""
-        while True:
-            runs = [run for run in self._runs.values() if self._has_free_slot(run)]
-            if not runs or not self._send(min(runs, key=lambda run: (run.seconds_in_flight, run.job.seq))):
+        """Submit chunks until enough are in flight: of the job whose turn is due, else of the smallest."""
+        while self._slots > 0:
+            run = self._next_in_turn()
+            is_turn = run is not None
+            run = run or self._next_smallest()
+            if run is None or not self._send(run, is_turn):
                 return
 
-    def _has_free_slot(self, run: JobRun) -> bool:
-        """Whether a job may have one more chunk in flight.
+    def _next_in_turn(self) -> JobRun | None:
+        """The job whose turn it is, if it is due. Turns take half of the workers at most."""
+        turns = sum(len(run.turns) for run in self._runs.values())
+        most = max(self._slots // (2 * self._settings.window), 1)
+        if turns >= most or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
+            return None
+        for job_id in self._rotation:
+            run, job = self._runs.get(job_id), self._waiting.get(job_id)
+            if run is not None and run.may_submit:
+                return run if self._rotation.is_due(run.chunk_seconds) else None
+            if run is None and job is not None:
+                if not self._rotation.is_due(job.chunk_seconds) or not self._make_room(math.inf):
+                    return None
+                run = self._start_waiting(job)
+                if run is not None:
+                    return run
+        return None
 
-        A job of short chunks gets more slots, up to `window_seconds` of work: with few, it would wait for
-        a chunk of a huge job again and again.
+    def _next_smallest(self) -> JobRun | None:
+        """Of the jobs that may submit a chunk, the one with the least left to compute."""
+        runs = self._runs.values()
+        all_count, all_seconds = (
+            sum(len(run.in_flight) for run in runs),
+            sum(run.seconds_in_flight for run in runs),
+        )
+        if self._is_full(all_count / MAX_TIMES_IN_FLIGHT, all_seconds / MAX_TIMES_IN_FLIGHT):
+            return None
+        count, seconds = 0, 0.0  # in flight of jobs with less left
+        for run in [*sorted(self._runs.values(), key=_order), None]:
+            while self._waiting and not (
+                run is not None and _order(run) < next(iter(self._waiting.values()))
+            ):
+                job = next(iter(self._waiting.values()))
+                if not self._make_room(job.remaining_seconds):
+                    break
+                started = self._start_waiting(job)
+                if started is not None:
+                    return started
+            if run is None:
+                break
+            count, seconds = count + len(run.in_flight), seconds + run.seconds_in_flight
+            if self._is_full(count, seconds):
+                break
+            if run.may_submit:
+                return run
+        return None
+
+    def _make_room(self, remaining_seconds: float) -> bool:
+        """Whether a job with so much left may be in memory; one with more left that is idle leaves it."""
+        if len(self._runs) + self._selector.pending < self._settings.active_jobs:
+            return True
+        idle = [run for run in self._runs.values() if run.is_idle and run.may_submit]
+        leaving = max(idle, key=_order, default=None)
+        if leaving is None or leaving.remaining_seconds <= remaining_seconds < math.inf:
+            return False
+        del self._runs[leaving.job.id]
+        self.wake()  # the next sync finds it waiting
+        return True
+
+    def _start_waiting(self, job: Waiting) -> JobRun | None:
+        """Start a job that waits; None if it cannot submit a chunk before the next sync."""
+        del self._waiting[job.id]
+        with self._store_lock:
+            self._start_job(job.id)
+        run = self._runs.get(job.id)
+        return run if run is not None and run.may_submit else None
+
+    def _is_full(self, count: float, seconds: float) -> bool:
+        """Whether so many chunks, of so many core-seconds, are enough in flight.
+
+        Of short chunks there are more, up to `window_seconds` of work, so that workers do not wait for them.
         """
-        seconds = self._settings.window_seconds * self._slots / self._settings.window
-        count = len(run.in_flight)
-        full = count >= self._slots and (run.seconds_in_flight >= seconds or count >= MAX_IN_FLIGHT)
-        return self._slots > 0 and not full and run.may_submit
+        enough = self._settings.window_seconds * self._slots / self._settings.window
+        return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
 
-    def _send(self, run: JobRun) -> bool:
+    def _send(self, run: JobRun, is_turn: bool) -> bool:
         """Submit a job's next chunk to the executor; whether it was taken."""
-        priority, chunk = -run.seconds_in_flight, run.pop()
+        waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
+        priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
+        chunk = run.pop()
         seconds = self._time_limit(run, chunk)
         try:
             future = self._executor.submit(
@@ -313,6 +444,9 @@ class Supervisor:
             self._slots = 0
             return False
         run.add_in_flight(chunk, future)
+        if is_turn:
+            run.turns.add(chunk.index)
+            self._rotation.begin_turn(run.job.id, run.chunk_seconds)
         future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
         return True
 
@@ -322,6 +456,11 @@ class Supervisor:
 
     def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
         self._inbox.put(ChunkFinished(job_id, chunk, future))
+
+
+def _order(run: JobRun) -> tuple[float, int]:
+    """The order of jobs in memory, as that of those that wait: by what is left of them."""
+    return run.remaining_seconds, run.job.seq
 
 
 def _error_of(future: "Future[ChunkReport]") -> BaseException | None:

@@ -29,6 +29,9 @@ class Unfinished(NamedTuple):
 
     id: str
     cancel_requested: bool
+    seq: int  # numbers jobs in the order they were accepted
+    chunks_done: int
+    chunks_total: int
 
 
 class Key(NamedTuple):
@@ -82,10 +85,11 @@ class ReadTransaction:
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         rows = self._sql.execute(
-            "SELECT id, cancel_requested FROM jobs WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?",
+            "SELECT id, cancel_requested, seq, chunks_done, chunks_total FROM jobs WHERE state IN (?, ?)"
+            " ORDER BY state = ?, seq LIMIT ?",
             (*UNFINISHED, JobState.QUEUED, limit),
         )
-        return [Unfinished(row["id"], bool(row["cancel_requested"])) for row in rows]
+        return [Unfinished(row[0], bool(row[1]), *row[2:]) for row in rows]
 
     def outdated_unfinished(self) -> list[JobRecord]:
         """Queued and running jobs of other kernel versions, in the order they were accepted."""

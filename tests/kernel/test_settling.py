@@ -176,6 +176,49 @@ def test_the_record_is_that_of_the_last_window():
     np.testing.assert_allclose(long.end_state, late.end_state, atol=1e-9)
 
 
+#: gamma, omega, xi of `rigid` cells, e = 0, that look aperiodic in the default window and are seen to settle
+#: in the 200 periods that follow; of cells that stay aperiodic for 20,000; and of such that seem to settle.
+TRANSIENT = ((5.1183, 0.9557, 0.1519), (4.8053, 0.3164, 0.1873), (4.6319, 0.6207, 0.3476))
+LASTING = ((5.7276, 1.0686, 0.0363), (2.3135, 0.3861, 0.1317), (4.7718, 0.8305, 0.1109))
+PASSING = ((5.1877, 1.3211, 0.5336), (4.7528, 1.1803, 0.3832), (5.4792, 1.1921, 0.6817))
+
+
+def test_a_cell_without_a_mode_is_followed_before_it_is_called_aperiodic_or_settling():
+    window = {"settle": 200, "observe": 100, "keep": 256, "micro_flight": 0.05}
+    line = run(*np.array(TRANSIENT + LASTING + PASSING).T, **window)
+    assert list(line.outcome) == [Outcome.SETTLING] * 3 + [Outcome.APERIODIC] * 6
+    by_window = [settles_by_its_flights(line, i, longer_than=0.05) for i in range(9)]
+    assert by_window == [False] * 6 + [True] * 3
+    late = run(*np.array(TRANSIENT).T, settle=600, observe=100)
+    assert list(late.outcome) == [Outcome.PERIODIC] * 3
+
+
+def settles_by_its_flights(line: Line, i: int, longer_than: float = 0.0) -> bool:
+    counted = line.flight_time[i] > longer_than
+    return is_settling(line.flight_time[i, counted], line.takeoff_phase[i, counted])
+
+
+@pytest.mark.parametrize("observe", [30, 80])
+@pytest.mark.parametrize("carry", [False, True])
+@pytest.mark.parametrize(
+    ("model", "restitution"), [(Model.RIGID, 0.0), (Model.RIGID, 0.3), (Model.SOFT, 0.01), (Model.BALL, 0.5)]
+)
+def test_the_window_and_what_follows_it_decide_as_one(model, restitution, carry, observe):
+    """Against a window of three times the length: the same flights, and the outcome that they tell."""
+    cells = {"which": model, "restitution": restitution, "settle": 100, "keep": 1024, "carry": carry}
+    lines = [np.linspace(3.8, 6.0, 12)] if not carry else np.linspace(3.8, 6.0, 12)[:, None]
+    undecided = 0
+    for gamma in lines:
+        line, long = (run(gamma, 0.5, 0.1, **cells, observe=n * observe) for n in (1, 3))
+        for i in np.flatnonzero((line.outcome == Outcome.APERIODIC) | (line.outcome == Outcome.SETTLING)):
+            flights = line.flights[i]
+            np.testing.assert_array_equal(line.flight_time[i, :flights], long.flight_time[i, :flights])
+            settles = long.outcome[i] == Outcome.PERIODIC or settles_by_its_flights(long, i)
+            assert line.outcome[i] == (Outcome.SETTLING if settles else Outcome.APERIODIC)
+            undecided += 1
+    assert undecided >= 3
+
+
 @pytest.mark.parametrize("settle_until", [300, 399])
 def test_less_than_a_window_more_changes_nothing(settle_until):
     assert_same_bytes(slow(settle_until=settle_until), slow())

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from kernel.params import LANES
 from worker.cost import (
+    FOLLOWED_SHARE,
     IDLE_LANES_US,
     SETTLING_SHARE,
     STILL_SETTLING_SHARE,
@@ -18,6 +19,7 @@ from worker.cost import (
     check_size,
     estimate,
     longest_cell_seconds,
+    period_seconds,
 )
 from worker.plan import (
     FEWEST_CHUNKS,
@@ -260,31 +262,41 @@ def test_estimate_counts_what_the_store_holds():
     assert found.chunks == len(make_plan(spec))
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
-    assert found.core_seconds == pytest.approx(found.cells * 300 * RIGID_RAMP_US * 1e-6)
+    assert found.core_seconds == pytest.approx(
+        found.cells * (300 + FOLLOWED_SHARE * 200) * RIGID_RAMP_US * 1e-6
+    )
 
 
 def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
-    assert cell_seconds(sweep()) == pytest.approx(300 * CONTACT_MODELS["rigid"].cost_us * 1e-6)
+    periods = 300 + FOLLOWED_SHARE * 200
+    assert cell_seconds(sweep()) == pytest.approx(periods * CONTACT_MODELS["rigid"].cost_us * 1e-6)
     elastic = sweep(model={"kind": "rigid", "restitution": 0.5})
-    assert cell_seconds(elastic) == pytest.approx(300 * RIGID_ELASTIC_US * 1e-6)
+    assert cell_seconds(elastic) == pytest.approx(periods * RIGID_ELASTIC_US * 1e-6)
 
 
 def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
-    """From 300 periods to 600, 1,200 and 1,500: the last does not double."""
+    """From 300 periods to 600, 1,200 and 1,500: the last does not double. Each window is followed for 200."""
     spec, without = sweep(gamma=1000, settle_until=1_500), sweep(gamma=1000)
-    extra = SETTLING_SHARE * (300 + STILL_SETTLING_SHARE * (600 + STILL_SETTLING_SHARE * 300))
-    assert cell_seconds(spec) / cell_seconds(without) == pytest.approx(1.0 + extra / 300)
-    assert longest_cell_seconds(spec) / cell_seconds(without) == pytest.approx(1_500 / 300)
+    extra = SETTLING_SHARE * (500 + STILL_SETTLING_SHARE * (800 + STILL_SETTLING_SHARE * 500))
+    period = period_seconds(spec)
+    assert cell_seconds(without) == pytest.approx(period * (300 + FOLLOWED_SHARE * 200))
+    assert cell_seconds(spec) == pytest.approx(cell_seconds(without) + period * extra)
+    assert longest_cell_seconds(spec) == pytest.approx(period * (1_500 + 4 * 200))
     assert cost_of(spec).longest_core_seconds == pytest.approx(1000 * longest_cell_seconds(spec))
     assert cost_of(without).longest_core_seconds is None
-    assert longest_cell_seconds(without) == cell_seconds(without)
-    short = sweep(gamma=1000, settle_until=399)  # less than a window more
-    assert cell_seconds(short) == longest_cell_seconds(short) == cell_seconds(without)
+    assert longest_cell_seconds(without) == pytest.approx(period * 500)
+    shortest = sweep(gamma=1000, settle_until=400)  # a window more
+    assert longest_cell_seconds(shortest) == pytest.approx(period * (400 + 2 * 200))
+
+
+def test_a_short_window_is_followed_for_twice_its_length():
+    spec = sweep(settle=100, observe=20)
+    assert longest_cell_seconds(spec) == pytest.approx(period_seconds(spec) * (120 + 40))
 
 
 def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
     alone, among = (cell_seconds(sweep(), alone=alone) for alone in (True, False))
-    assert alone - among == pytest.approx(300 * IDLE_LANES_US * 1e-6)
+    assert alone - among == pytest.approx((300 + FOLLOWED_SHARE * 200) * IDLE_LANES_US * 1e-6)
     for one_by_one in (
         sweep(gamma=2, ramp=("gamma", "up")),
         sweep(model={"kind": "soft"}),
@@ -306,8 +318,9 @@ def test_time_steps_are_counted():
     )
     assert fine / coarse == pytest.approx(5.0, rel=1e-3)
     assert coarse / deep == pytest.approx(10.0, rel=1e-2)
+    periods = 300 + FOLLOWED_SHARE * 200
     assert coarse == pytest.approx(
-        300 * 20 / (1.778 * 0.5e-3) * CONTACT_MODELS["stepped"].cost_us * 1e-6, rel=1e-2
+        periods * 20 / (1.778 * 0.5e-3) * CONTACT_MODELS["stepped"].cost_us * 1e-6, rel=1e-2
     )
 
 

@@ -232,8 +232,12 @@ RULES = [
     ({"settle_tolerance": -1e-6}, "settle_tolerance: must be at least 0, not -1e-06"),
     ({"settle_tolerance": 1e-7}, "settle_tolerance: must be at most 1e-09, not 1e-07"),
     (
-        {"settle_until": 299},
-        "settle_until: must be at least settle + observe, 300, or null; it has an effect from 400 on",
+        {"settle_until": 399},
+        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 400 or null works",
+    ),
+    (
+        {"settle_until": 10**7, "settle": 9_999_900},
+        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; null works",
     ),
     ({"settle_until": 0}, "settle_until: must be at least 1, not 0"),
     ({"settle_until": 10**8}, "settle_until: must be at most 1e+07, not 100000000"),

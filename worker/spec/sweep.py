@@ -87,10 +87,10 @@ class SweepSpec(Strict):
             remedy = f"ramp along {one_of(longer)}" if longer else f"give {self.protocol.axis} a range"
             rule = f"must name an axis of at least 2 values, and {self.protocol.axis} has 1; {remedy}"
             raise BrokenRuleError("protocol.axis", rule)
-        if self.settle_until is not None and self.settle_until < self.settle + self.observe:
-            window = self.settle + self.observe
-            effect = window + self.observe
-            rule = f"must be at least settle + observe, {window}, or null; it has an effect from {effect} on"
+        effective = self.settle + 2 * self.observe
+        if self.settle_until is not None and self.settle_until < effective:
+            nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
+            rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
             raise BrokenRuleError("settle_until", rule)
         self._check_exponents()
         self._check_depth()
