@@ -6,12 +6,12 @@ in a process that has only the client, which must not import the service.
 
 import io
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from service.background import background_threads
 from service.formats import PictureFormat
 
 FONT: Final = "STIXGeneral"
@@ -23,7 +23,7 @@ DPI: Final = 200
 GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
 
 #: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
-_THREAD: Final = background_threads(1, "pictures")
+_THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 
 
 def encode(size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat) -> bytes:

@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -19,8 +19,10 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from service.api.app import create_app
+from service.background import Processes
 from service.errors import LedgerUnavailable, NotStarted
 from service.jobs.ledger import Ledger
+from service.render import answers
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr
 from service.server.web_server import WebServer, raise_file_limit
@@ -89,9 +91,11 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         _stopped_by_signals(),
         _listening(settings) as listener,
         _computing(settings, None) as executor,
+        closing(Processes(settings.max_reads)) as background,
     ):
+        threading.Thread(target=background.run, args=[answers.warm], name="warm-answers", daemon=True).start()
         with _startup_errors():
-            server = WebServer(create_app(settings, executor), settings, listener, announce_url)
+            server = WebServer(create_app(settings, executor, background), settings, listener, announce_url)
         server.serve_until_stopped()
         with _startup_errors():
             server.wait_until_started()

@@ -24,8 +24,8 @@ from starlette.types import Message
 from service.api import routers
 from service.api.app import create_app
 from service.api.capacity import PIECE, Capacity, Lease
-from service.api.routers import results
 from service.errors import Busy
+from service.render import answers
 from service.results.selection import BASE_MEMORY
 from service.server.web_server import limited
 from service.settings import Settings
@@ -259,23 +259,23 @@ def test_a_burst_of_costly_requests_stays_within_its_limits(tmp_path: Path):
         here = finished(client, FIGURE_2)
         capacity = client.app.state.service.capacity  # type: ignore[attr-defined]
         with pytest.MonkeyPatch.context() as patch, ThreadPoolExecutor(24) as pool:
-            patch.setattr(results, "_encode", partial(_counted, results._encode, threads))
+            patch.setattr(answers, "diagram", partial(_counted, answers.diagram, threads))
             paths = [f"{here}/diagram?format={format}" for format in ("png", "json", "csv")] * 16
-            answers = [pool.submit(client.get, path) for path in paths]
-            while not all(answer.done() for answer in answers):
+            sent = [pool.submit(client.get, path) for path in paths]
+            while not all(answer.done() for answer in sent):
                 most = max(most, capacity.used)
                 assert client.get(here).status_code == 200
-        statuses = Counter(answer.result().status_code for answer in answers)
+        statuses = Counter(answer.result().status_code for answer in sent)
         assert set(statuses) <= {200, 429}
         assert statuses[200] >= 2
         assert 0 < most <= 3 * BASE_MEMORY
         wait_for(lambda: capacity.used == 0)
 
 
-def _counted(encode: Callable[..., bytes], threads: threading.Semaphore, *arguments: Any) -> bytes:
+def _counted(compute: Callable[..., Any], threads: threading.Semaphore, *arguments: Any) -> Any:
     assert threads.acquire(blocking=False), "more threads compute than allowed"
     try:
-        return encode(*arguments)
+        return compute(*arguments)
     finally:
         threads.release()
 
