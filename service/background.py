@@ -19,8 +19,8 @@ from worker.kernel_cache import claim_cache
 
 Result = TypeVar("Result")
 
-#: Added to the niceness of these processes: two of them take a sixth of two busy processors.
-NICER: Final = 7
+#: Added to the niceness of these processes: two of them take a fifth of two busy processors.
+NICER: Final = 6
 
 
 class Background(Protocol):
