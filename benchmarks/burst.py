@@ -28,7 +28,7 @@ import numpy as np
 import psutil
 
 from benchmarks.machine import describe
-from benchmarks.serving import TIMEOUT, Polls, Serving, sweep
+from benchmarks.serving import MB, TIMEOUT, Polls, Serving, sweep
 
 MAX_MEMORY_MB = 1_500.0
 MAX_P99 = 0.250

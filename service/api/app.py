@@ -41,8 +41,9 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     Answers are computed in the `background`; without one, in this process.
 
     Its startup raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
-    version wrote the ledger.
+    version wrote the ledger. Raises NotStarted for a file of tokens that cannot be used.
     """
+    tokens = settings.access_tokens()
     metrics = Metrics()
     app = FastAPI(
         title="bouncing-spring",
@@ -65,7 +66,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, settings=settings)
+    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens)
     app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app

@@ -46,6 +46,15 @@ async def _service(request: Request) -> Service:  # async, because FastAPI would
 ServiceDep = Annotated[Service, Depends(_service)]
 
 
+async def _owner(request: Request) -> str | None:
+    name: str | None = getattr(request.state, "token_name", None)
+    return name
+
+
+#: The name of the caller's access token; None if it has no name, or none is required.
+OwnerDep = Annotated[str | None, Depends(_owner)]
+
+
 def find_job(job_id: str, service: ServiceDep) -> JobRecord:
     """The job named by a path. Raises UnknownJob."""
     job = service.ledger.find(job_id)

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
@@ -69,14 +70,15 @@ class JobManager:
     def _is_verified(self, job_id: str) -> bool:
         return self._scrubber.is_verified(job_id)
 
-    def submit(self, spec: Any, key: str | None = None) -> Submission:
+    def submit(self, spec: Any, key: str | None = None, owner: str | None = None) -> Submission:
         """Accept a study, or return the job that it already is; a failed or cancelled one is resumed.
 
         `key`: an idempotency key; a repeated request with the same key changes nothing, whatever has
-        become of the job since. Raises SpecTooLarge, QueueFull, KeyReused.
+        become of the job since. `owner`: the name of the caller's access token, if it has one.
+        Raises SpecTooLarge, QueueFull, KeyReused.
         """
         plan = self.check(spec)
-        job = _new_job(spec, plan)
+        job = _new_job(spec, plan, owner)
         with self._delete_lock, self._ledger.writing() as ledger:
             new = ledger.find(job.id) is None
             accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
@@ -119,7 +121,7 @@ class JobManager:
         self._supervisor.wake()
         return record
 
-    def resume(self, job_id: str) -> Submission:
+    def resume(self, job_id: str, owner: str | None = None) -> Submission:
         """Continue a failed or cancelled job where it stopped; an unfinished one stays as it is.
 
         One of another kernel version starts anew as another job, which is the job returned.
@@ -132,9 +134,9 @@ class JobManager:
                 again = ": submit the sweep again to compute it anew" if job.outdated else ""
                 raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
             if job.outdated:
-                record, accepted = self._replace(ledger, job, from_json(job.spec), self._accept)
+                record, accepted = self._replace(ledger, job, from_json(job.spec), owner, self._accept)
             else:
-                accepted = self._accept(ledger, job)
+                accepted = self._accept(ledger, replace(job, owner=owner))
                 record = _existing(ledger.find(job_id), job_id)
         if accepted:
             self._ledger.keep_reserve()
@@ -180,7 +182,7 @@ class JobManager:
             return
         versions = f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
         try:
-            successor, _ = self._replace(ledger, job, from_json(job.spec), self._admit)
+            successor, _ = self._replace(ledger, job, from_json(job.spec), job.owner, self._admit)
             fate = f"job {successor.id} computes all of it anew"
         except SpecError as error:
             fate = f"it cannot start anew: {error}"
@@ -192,6 +194,7 @@ class JobManager:
         ledger: WriteTransaction,
         outdated: JobRecord,
         spec: Any,
+        owner: str | None,
         accept: Callable[[WriteTransaction, NewJob], bool],
     ) -> Submission:
         """The job of this kernel version for an outdated job's study, inserted or resumed by `accept`.
@@ -199,7 +202,7 @@ class JobManager:
         Raises as `accept`, and SpecTooLarge.
         """
         plan = self.check(spec)
-        job = _new_job(spec, plan)
+        job = _new_job(spec, plan, owner)
         new = ledger.find(job.id) is None
         accepted = accept(ledger, job)
         ledger.replace(outdated, job.id)
@@ -226,7 +229,7 @@ class JobManager:
         """
         known = ledger.find(job.id)
         if known is None or known.state in RESUMABLE:
-            self._check_queue(ledger)
+            self._check_queue(ledger, job.owner)
         return self._admit(ledger, job)
 
     def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
@@ -235,17 +238,25 @@ class JobManager:
         if known is None:
             ledger.insert(job, time.time())
         elif known.state in RESUMABLE:
-            ledger.queue(known)
+            ledger.queue(known, job.owner)
         elif known.cancel_requested:
             ledger.set_cancel_requested(known, False)
         else:
             return False
         return True
 
-    def _check_queue(self, ledger: WriteTransaction) -> None:
+    def _check_queue(self, ledger: WriteTransaction, owner: str | None) -> None:
         unfinished, limit = ledger.count(UNFINISHED), self._settings.max_queue
         if unfinished >= limit:
             raise QueueFull(f"{unfinished} jobs are queued or running already, at most {limit} may be")
+        if owner is None:
+            return
+        own, limit = ledger.count(UNFINISHED, owner), self._settings.max_queue_per_token
+        if own >= limit:
+            raise QueueFull(
+                f"{own} jobs of the token {owner} are queued or running already, "
+                f"at most {limit} of one token may be (max_queue_per_token)"
+            )
 
 
 def _remove(url: str) -> None:
@@ -276,7 +287,7 @@ def _fingerprint(job: NewJob) -> str:
     return hashlib.sha256(job.spec.encode()).hexdigest()
 
 
-def _new_job(spec: Any, plan: Plan) -> NewJob:
+def _new_job(spec: Any, plan: Plan, owner: str | None) -> NewJob:
     return NewJob(
         id=spec.job_id(KERNEL_VERSION),
         name=spec.name,
@@ -285,4 +296,5 @@ def _new_job(spec: Any, plan: Plan) -> NewJob:
         chunk_shape=plan.chunk_shape,
         chunks_total=len(plan),
         cells_total=plan.cells,
+        owner=owner,
     )

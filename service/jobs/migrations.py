@@ -66,4 +66,7 @@ MIGRATIONS: Final = (
     """
     ALTER TABLE jobs ADD COLUMN cells_settling INTEGER NOT NULL DEFAULT 0;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN owner TEXT;
+    """,
 )

@@ -25,7 +25,7 @@ MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Fields of a sweep with stricter rules today than under kernel version 1; no reader of results uses them.
-BOUNDED_SINCE: Final = ("settle_tolerance",)
+BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
 #: What a prepared job depends on. `seq` tells a job from a deleted one of the same id; the chunk shape and
 #: the choice change when the model of an `auto` sweep is chosen.

@@ -71,10 +71,13 @@ class ReadTransaction:
         rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", values)
         return [_record(row) for row in rows]
 
-    def count(self, states: Sequence[JobState]) -> int:
-        """Number of jobs in any of `states`."""
-        marks = ",".join("?" * len(states))
-        row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE state IN ({marks})", states).fetchone()
+    def count(self, states: Sequence[JobState], owner: str | None = None) -> int:
+        """Number of jobs in any of `states`; only those of `owner` if given."""
+        where = f"state IN ({','.join('?' * len(states))})"
+        values: list[str] = [*states]
+        if owner is not None:
+            where, values = f"{where} AND owner = ?", [*values, owner]
+        row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE {where}", values).fetchone()
         return int(row[0])
 
     def totals(self) -> tuple[int, int]:
@@ -172,16 +175,16 @@ class WriteTransaction(ReadTransaction):
         """Accept a job."""
         self._sql.execute(
             "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
-            " cells_total) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            " cells_total, owner) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
-                JobState.QUEUED, now, job.chunks_total, job.cells_total,
+                JobState.QUEUED, now, job.chunks_total, job.cells_total, job.owner,
             ),
         )  # fmt: skip
 
-    def queue(self, job: JobRecord) -> None:
-        """Resume a failed or cancelled job; its done chunks are kept."""
-        self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False)
+    def queue(self, job: JobRecord, owner: str | None) -> None:
+        """Resume a failed or cancelled job, which is `owner`'s from then on; its done chunks are kept."""
+        self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False, owner=owner)
         self._sql.execute("DELETE FROM failures WHERE job = ?", (job.seq,))
 
     def run(self, job: JobRecord, now: float) -> None:

@@ -16,13 +16,17 @@ from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord, JobState
 from service.render import answers
 from service.render import export as export_files
-from service.results import thresholds
+from service.render import orbits as orbits_text
+from service.results import orbits, thresholds
 from service.results.mode_map import plane_size
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
+
+#: Bytes of an answer with the branches of words.
+_WORDS_MEMORY: Final = 16 * 2**20
 
 
 def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
@@ -102,6 +106,28 @@ def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQu
     spec = dependencies.sweep(service, job).spec
     cells, flights = plane_size(spec, query.min_flight, service.settings.max_points, query.every)
     return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT["json"]
+
+
+@router.get(
+    "/orbits",
+    summary="Continue the cycles of a sweep's cells",
+    response_model=schemas.WordOrbitsView,
+    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
+)
+@costly(_WORDS_MEMORY, "on demand")
+def job_orbits(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
+) -> Response:
+    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
+
+    A worker follows them, some tenths of a second for each; until then 202. Of the rigid contact without
+    restitution: cells of another contact are a guess from which its cycles are looked for.
+    """
+    found = orbits.words(
+        service.on_demand, job, dependencies.sweep(service, job),
+        query.omega, query.xi, query.direction, query.gamma_max,
+    )  # fmt: skip
+    return Response(orbits_text.words_json(found), media_type=MEDIA_TYPES["json"])
 
 
 @router.get(

@@ -68,9 +68,10 @@ function axisText(axis) {
   return `${number(values[0])} – ${number(values.at(-1))} (${count(values.length)})`;
 }
 
-function protocolText({ kind, axis, direction }) {
+function protocolText({ kind, axis, direction, start }) {
   if (kind === "rest") return "from rest";
-  return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}`;
+  const from = start ? ` from the cycle (1, ${start.periods})` : "";
+  return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}${from}`;
 }
 
 const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
