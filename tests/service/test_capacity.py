@@ -35,7 +35,7 @@ MB = 2**20
 #: Endpoints that take little whatever a caller asks for: everything else is costly.
 CHEAP = {
     "/healthz", "/readyz", "/metrics", "/", "/docs", "/v1/jobs", "/v1/jobs/{job_id}", "/v1/figures",
-    "/v1/jobs/{job_id}/cancel", "/v1/jobs/{job_id}/resume", "/v1/jobs/{job_id}/events", "/v1/threshold",
+    "/v1/jobs/{job_id}/cancel", "/v1/jobs/{job_id}/resume", "/v1/jobs/{job_id}/events",
 }  # fmt: skip
 
 
