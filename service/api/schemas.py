@@ -310,9 +310,18 @@ class ProblemDocument(BaseModel):
 
 
 class Health(BaseModel):
-    """The service is alive, or ready to compute."""
+    """The service is alive."""
 
     status: Literal["ok"]
+
+
+class ReadinessView(BaseModel):
+    """The service accepts and computes jobs."""
+
+    status: Literal["ok"]
+    notices: list[str] = Field(
+        [], description="what an operator should know, such as stores that the ledger does not know"
+    )
 
 
 class PartsView(BaseModel):

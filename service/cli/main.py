@@ -5,7 +5,7 @@ Modules that take long to import are imported by the commands that need them.
 
 import click
 
-from service.cli import jobs, orbits, results
+from service.cli import data, jobs, orbits, results
 from service.cli.figure import figure
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.cli.tradeoff import tradeoff
@@ -85,7 +85,7 @@ def _handed_over(address: str) -> str:
     return file.as_uri()
 
 
-for command in (*jobs.COMMANDS, *results.COMMANDS, *orbits.COMMANDS, figure, tradeoff):
+for command in (*jobs.COMMANDS, *results.COMMANDS, *orbits.COMMANDS, *data.COMMANDS, figure, tradeoff):
     main.add_command(command)
 
 

@@ -22,7 +22,7 @@ from service import tokens
 from service.api.app import create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotStarted
-from service.jobs.ledger import Ledger
+from service.jobs.stores.adoption import open_ledger
 from service.render import answers
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr
@@ -179,7 +179,7 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
         with _startup_errors():
             if settings.private:
                 _make_private(settings.folders)
-            Ledger(settings.ledger_path).close()
+            open_ledger(settings).close()
             if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
                 for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
                     file.chmod(PRIVATE_FILE)
