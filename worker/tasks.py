@@ -28,6 +28,8 @@ from worker import schema, store
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
+from worker.spec.protocols import Ramp
+from worker.spec.sweep import start_of
 
 log = logging.getLogger(__name__)
 
@@ -289,7 +291,7 @@ def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, S
     """The start of each line of a ramp's chunk; empty if all lines start from rest."""
     layer = _layer_before(spec, chunk)
     if layer is None:
-        return {}
+        return _starts_on_cycles(spec, chunk)
     stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
     previous = {
         name: _in_visiting_order(spec, layer, array) for name, array in (stored | _cells(spec, layer)).items()
@@ -299,6 +301,18 @@ def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, S
             f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
         )
     return {index: _start_at(previous, (*index, 0)) for index in np.ndindex(previous["outcome"].shape[:2])}
+
+
+def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start | None]:
+    """The start of each line of the first chunk of a ramp, on a cycle if the specification asks for it."""
+    on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
+    if on is None:
+        return {}
+    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
+    return {
+        index: start_of(Cell(*(float(cells[name][(*index, 0)]) for name in Cell._fields)), on.periods)
+        for index in np.ndindex(cells["gamma"].shape[:2])
+    }
 
 
 def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:

@@ -32,6 +32,7 @@ class JobRun:
     ) -> None:
         self.job, self.prepared = job, prepared
         self.stopping = job.cancel_requested  # a cancel is being carried out
+        self.flagged = False  # its store has the cancel flag
         self.in_flight: dict[int, Future[ChunkReport]] = {}
         self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked

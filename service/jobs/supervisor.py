@@ -8,12 +8,13 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
@@ -27,6 +28,7 @@ from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
+from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport
 
@@ -41,6 +43,8 @@ TURN_PRIORITY: Final = 0.0
 #: Seconds for which a chunk that waits at the executor is passed by later ones of smaller jobs; less if its
 #: own job has less than a core-second left.
 PASSED_SECONDS: Final = 10.0
+#: Runs of one job that may be given up after an unforeseen error, before the job fails.
+MAX_BROKEN_RUNS: Final = 3
 #: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
 #: chunks soon.
 IDLE_SHARE: Final = 0.25
@@ -86,7 +90,8 @@ class Supervisor:
     not for ever, since such a chunk is not passed any more after PASSED_SECONDS.
     At most `active_jobs` jobs are in memory. One that has nothing in flight gives its place to another.
     A job accepted before this start of the service runs once `is_verified` confirms that its stored chunks
-    are what the ledger has marked. Stores are created under `store_lock`.
+    are what the ledger has marked; one whose address still has results of a deleted job waits for it to be
+    free. `after_writing` removes the store of a job that was deleted while the store was created.
 
     `start`, `wake`, `invalidate` and `stop` may be called from any thread; all else runs in its own.
     """
@@ -98,15 +103,17 @@ class Supervisor:
         settings: Settings,
         preparer: JobPreparer,
         is_verified: Callable[[str], bool] = lambda job_id: True,
-        store_lock: AbstractContextManager[Any] | None = None,
+        after_writing: Callable[[JobRecord], None] = lambda job: None,
     ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self._preparer, self._is_verified = preparer, is_verified
-        self._store_lock = store_lock or nullcontext()
+        self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
+        self._messages: deque[Message] = deque()  # received, and not yet taken in
         self._runs: dict[str, JobRun] = {}
+        self._broken: Counter[str] = Counter()  # runs given up after an error of this module, by job
         self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
         self._rotation = Rotation(SLICE_SECONDS)
@@ -139,11 +146,17 @@ class Supervisor:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._step(self._receive())
-            except Exception:  # such as a ledger that does not answer; the next step starts from its state
+                self._messages.extend(self._receive())
+                self._ledger.check()  # nothing is stored either while the ledger is not the one it was
+                self._step()
+            except LedgerUnavailable as error:  # the next step writes what this one could not
                 pause = self._settings.heartbeat_seconds
-                log.exception("supervisor step failed; retrying in %g s", pause)
+                log.error("supervisor step failed; retrying in %g s: %s", pause, error)
                 self._stop.wait(pause)
+                self.wake()
+            except Exception:
+                log.exception("supervisor step failed")
+                self._stop.wait(self._settings.heartbeat_seconds)
                 self.wake()
         for run in self._runs.values():
             self._abandon(run)
@@ -158,25 +171,60 @@ class Supervisor:
             messages.append(self._inbox.get())
         return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
 
-    def _step(self, messages: list[Message]) -> None:
-        for message in messages:
-            if isinstance(message, ChunkFinished):
-                self._on_finished(message)
-            elif isinstance(message, ChunksInvalidated) and message.job_id in self._runs:
-                self._runs[message.job_id].invalidate(message.chunks)
+    def _step(self) -> None:
+        """Messages change what is in memory; then the ledger gets it, now or in a later step.
+
+        Raises LedgerUnavailable. Any other error concerns the job alone that it is of.
+        """
+        sync = False
+        while self._messages:
+            message = self._messages.popleft()
+            if isinstance(message, Sync):
+                sync = True
+            elif message.job_id in self._runs:
+                run = self._runs[message.job_id]
+                with self._contained(run):
+                    self._take(run, message)
         for run in list(self._runs.values()):
-            self._save(run)
-        if any(isinstance(message, Sync) for message in messages):
+            with self._contained(run):
+                self._save(run)
+        if sync:
             self._sync()
         self._submit()
         for run in list(self._runs.values()):
-            self._end(run)
+            with self._contained(run):
+                self._end(run)
+
+    @contextmanager
+    def _contained(self, run: JobRun) -> Iterator[None]:
+        """Let an error end one job's run only. The next sync makes the run anew, from the ledger.
+
+        Raises LedgerUnavailable, which is no job's fault.
+        """
+        try:
+            yield
+        except LedgerUnavailable:
+            raise
+        except Exception as error:
+            log.exception("job %s: its run is given up and made anew from the ledger", run.job.id)
+            self._abandon(run)
+            self._runs.pop(run.job.id, None)
+            self._broken[run.job.id] += 1
+            if self._broken[run.job.id] >= MAX_BROKEN_RUNS:
+                del self._broken[run.job.id]
+                self._finish(run.job, JobState.FAILED, f"internal error: {type(error).__name__}: {error}")
 
     # Chunks that came back
 
-    def _on_finished(self, finished: ChunkFinished) -> None:
+    def _take(self, run: JobRun, message: ChunkFinished | ChunksInvalidated) -> None:
+        if isinstance(message, ChunksInvalidated):
+            run.invalidate(message.chunks)
+        elif run.in_flight.get(message.chunk) is message.future:  # not one of a run that was given up
+            self._on_finished(run, message)
+
+    def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
         """Keep a chunk's report, or carry out what the retry policy decides about its error."""
-        run, chunk = self._runs[finished.job_id], finished.chunk
+        chunk = finished.chunk
         self._account(run, finished)
         run.remove_in_flight(chunk)
         error = _error_of(finished.future)
@@ -231,19 +279,25 @@ class Supervisor:
 
     def _sync(self) -> None:
         """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
+        self._ledger.keep_reserve()
         self._slots = self._settings.window * self._executor.workers()
         pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.max_queue)
         for job in unfinished:
-            run = self._runs.get(job.id)
-            if run is None:
-                if job.cancel_requested and self._is_verified(job.id):
-                    with self._store_lock:
-                        self._start_job(job.id)  # it ends at once
-            elif run.stopping != job.cancel_requested:
-                self._set_stopping(run, job.cancel_requested)
+            if job.cancel_requested and job.id in self._runs:
+                self._runs[job.id].stopping = True
+        try:
+            for job in unfinished:
+                run = self._runs.get(job.id)
+                if run is not None:
+                    self._apply_cancel(run, job.cancel_requested)
+                elif job.cancel_requested and self._is_verified(job.id):
+                    self._start_job(job.id)  # it ends at once
+        except store.UNREACHABLE as error:
+            # The others' stores are in the same bucket: each would wait as long. The next sync tries again.
+            log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
@@ -257,7 +311,7 @@ class Supervisor:
                 remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
                 waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
         self._waiting = {job.id: job for job in sorted(waiting)}
-        self._rotation.update({job.id: "" for job in sorted(unfinished, key=lambda job: job.seq)})
+        self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
         """Core-seconds of a job as a whole; 0 for one that cannot be prepared, whose start will say why."""
@@ -268,10 +322,14 @@ class Supervisor:
             return 0.0
 
     def _start_job(self, job_id: str) -> None:
-        """Create a job's store and add the job to those that run; a job that cannot start fails."""
-        job = self._ledger.find(job_id)
-        if job is None:
-            return
+        """Create a job's store and add the job to those that run; a job that cannot start fails.
+
+        Raises one of `store.UNREACHABLE`.
+        """
+        with self._ledger.reading() as ledger:
+            job = ledger.find(job_id)
+            if job is None or ledger.is_occupied(job_id):
+                return  # deleted meanwhile, or deleted before and not removed yet
         try:
             selected = self._selector.select(job)
             if selected is None:
@@ -279,14 +337,16 @@ class Supervisor:
             run = self._open(selected)
         except store.UNREACHABLE as error:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
-            return  # the next sync tries again
+            raise
         except LedgerUnavailable:
             raise  # no fault of the job: the step is retried
         except Exception as error:
             log.exception("job %s cannot start", job_id)
-            self._finish(job_id, JobState.FAILED, f"the job cannot start: {type(error).__name__}: {error}")
+            hint = "; bounce adopt takes in what is stored there" if isinstance(error, StoreConflict) else ""
+            reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
+            self._finish(job, JobState.FAILED, reason)
             return
-        if self._mark_running(job_id):
+        if self._mark_running(job):
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
 
@@ -300,45 +360,54 @@ class Supervisor:
         store.clear_cancelled(prepared.store_url)
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy)
 
-    def _mark_running(self, job_id: str) -> bool:
-        """Whether the job may run: it may have been cancelled since the sync read the ledger."""
+    def _mark_running(self, job: JobRecord) -> bool:
+        """Whether the job may run: it may have been cancelled, or deleted, since its store was created."""
         with self._ledger.writing() as ledger:
-            job = ledger.find(job_id)
-            if job is None or job.state not in UNFINISHED:
-                return False
-            ledger.run(job, time.time())
-            return True
+            current = ledger.find(job.id)
+            if current is not None and current.seq == job.seq and current.state in UNFINISHED:
+                ledger.run(current, time.time())
+                return True
+        self._after_writing(job)
+        return False
 
-    def _set_stopping(self, run: JobRun, stopping: bool) -> None:
+    def _apply_cancel(self, run: JobRun, requested: bool) -> None:
         """Apply or revoke a cancel request, by the flag at the store that workers look at.
 
-        The job ends when every chunk in flight has come back: only then can nothing write any more.
+        The job ends when every chunk in flight has come back: only then can nothing write any more. Where
+        the flag cannot be set they are computed to their end; where it cannot be removed the job waits.
+        Raises one of `store.UNREACHABLE`.
         """
-        set_flag = store.set_cancelled if stopping else store.clear_cancelled
-        set_flag(run.prepared.store_url)
-        run.stopping = stopping
+        if run.flagged == run.stopping == requested:
+            return
+        try:
+            (store.set_cancelled if requested else store.clear_cancelled)(run.prepared.store_url)
+        except OSError as error:
+            log.warning("job %s: its cancel flag cannot be changed, trying again: %s", run.job.id, error)
+            return
+        run.flagged = run.stopping = requested
 
     def _end(self, run: JobRun) -> None:
         """End a job that has nothing in flight, nothing unsaved and nothing to submit."""
         state = run.final_state
         if state is None:
             return
-        if self._finish(run.job.id, state, run.error if state is JobState.FAILED else None):
+        if self._finish(run.job, state, run.error if state is JobState.FAILED else None):
             del self._runs[run.job.id]
+            self._broken.pop(run.job.id, None)
             log.info("job %s is %s", run.job.id, state)
         self.wake()  # a queued job may start, or a job whose cancel was revoked continue
 
-    def _finish(self, job_id: str, state: JobState, error: str | None) -> bool:
+    def _finish(self, job: JobRecord, state: JobState, error: str | None) -> bool:
         """Write a job's final state to the ledger; False if the job continues after all."""
         with self._ledger.writing() as ledger:
-            job = ledger.find(job_id)
-            if job is None or job.state not in UNFINISHED:
+            current = ledger.find(job.id)
+            if current is None or current.seq != job.seq or current.state not in UNFINISHED:
                 return True
-            if state is JobState.CANCELLED and not job.cancel_requested:
+            if state is JobState.CANCELLED and not current.cancel_requested:
                 return False
-            if state is JobState.DONE and job.chunks_done < job.chunks_total:
+            if state is JobState.DONE and current.chunks_done < current.chunks_total:
                 return False  # a damaged chunk has just been unmarked
-            ledger.finish(job, state, time.time(), error)
+            ledger.finish(current, state, time.time(), error)
             return True
 
     # Chunks to compute
@@ -349,8 +418,11 @@ class Supervisor:
             run = self._next_in_turn()
             is_turn = run is not None
             run = run or self._next_smallest()
-            if run is None or not self._send(run, is_turn):
+            if run is None:
                 return
+            with self._contained(run):
+                if not self._send(run, is_turn):
+                    return
 
     def _next_in_turn(self) -> JobRun | None:
         """The job whose turn it is, if it is due. Turns take half of the workers at most."""
@@ -414,8 +486,11 @@ class Supervisor:
     def _start_waiting(self, job: Waiting) -> JobRun | None:
         """Start a job that waits; None if it cannot submit a chunk before the next sync."""
         del self._waiting[job.id]
-        with self._store_lock:
+        try:
             self._start_job(job.id)
+        except store.UNREACHABLE:
+            self._waiting.clear()  # the others' stores are in the same bucket: until the next sync
+            return None
         run = self._runs.get(job.id)
         return run if run is not None and run.may_submit else None
 

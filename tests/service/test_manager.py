@@ -286,7 +286,7 @@ def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
 
 
 def test_a_job_deleted_while_its_store_is_made_leaves_none(
-    tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     making, go_on, real = threading.Event(), threading.Event(), store.create
 
@@ -300,13 +300,13 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
         job = service.submit(sweep())
         assert making.wait(DEADLINE)
         service.manager.cancel(job.id)
-        deleting = threading.Thread(target=service.manager.delete, args=[job.id])
-        deleting.start()
-        go_on.set()
-        deleting.join(DEADLINE)
+        service.manager.delete(job.id)
         assert service.ledger.find(job.id) is None
-        wait_for(lambda: not any(path.is_dir() for path in (tmp_path / "stores").glob("*.zarr*")))
-    assert not list(tmp_path.rglob("*.zarr"))
+        wait_for(lambda: service.pending_deletions() == 0)  # before there is anything
+        caplog.set_level("INFO")
+        go_on.set()
+        wait_for(lambda: "deleted while its store was written" in caplog.text)
+        wait_for(lambda: not list((tmp_path / "stores").iterdir()))
 
 
 def test_a_cancel_survives_the_service(tmp_path: Path, inline: Inline):
