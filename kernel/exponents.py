@@ -153,8 +153,11 @@ def _weight(period: int, settle: int, window: Any) -> float:
 def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) -> None:
     """Carry the variations over the contact or flight `p` that follows `run`, and through its end.
 
-    run: `cell.Progress`; window: `cell.Window`.
+    run: `cell.Progress`; window: `cell.Window`. Variations begin `observe` plate periods before the window:
+    for as long as they are measured they turn to the directions that they grow in.
     """
+    if run.period < run.settle - window.observe:
+        return
     vectors = variations.vectors
     left = run.end - run.period  # plate periods to the run's end
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
