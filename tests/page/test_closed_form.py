@@ -11,6 +11,7 @@ from browser import chromium, needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 
 from kernel.branches.starts import cycles_at
+from kernel.branches.thresholds import thresholds
 from kernel.params import Cell
 from service.server import embedded
 from service.settings import Settings
@@ -155,6 +156,11 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         wait_shown(page, xi=0.05, folds=True)
         assert len(branch_pixels(page)) > 200
         assert page.locator(".closed-form .note").inner_text() == ""
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")  # the middle frequency, 0.625
+        said = page.locator(".panel .readout", has_text="closed form: bouncing ends at").inner_text()
+        assert f"{thresholds(0.625, 0.05).down:.6g}" in said
+        assert "(fold (1,1))" in said
         screenshot(page, "folds")
 
 
