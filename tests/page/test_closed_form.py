@@ -35,6 +35,7 @@ LOOP: dict[str, Any] = {
 #: Positions on the plot, in CSS pixels, of pixels in the colour of a property of the style sheet.
 PIXELS = """([selector, property]) => {
     const canvas = document.querySelector(selector);
+    if (!canvas?.width) return []; // nothing is drawn yet
     const hex = getComputedStyle(document.documentElement).getPropertyValue(property).trim();
     const wanted = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
     const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -193,7 +194,7 @@ def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address
         page.locator(".cost").filter(has_text="cells in").wait_for()
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile(f"#/job/{view['id']}"))  # the same specification is the same job
-        assert "ramp down along Γ from the cycle (1, 1)" in page.locator("header.job .summary").inner_text()
+        page.locator("header.job .summary", has_text="ramp down along Γ from the cycle (1, 1)").wait_for()
 
 
 def test_a_ball_has_no_branches(browser: Any, address: str):
