@@ -131,6 +131,7 @@ class JobOrbitsQuery(Query):
     xi: Number | None = None
     direction: Direction = None
     gamma_max: GammaMax = 8.0
+    energy: bool = Field(False, description="the energy balance of every point as well")
 
 
 class ModesQuery(PlaneQuery):

@@ -197,6 +197,7 @@ class WordView(BaseModel):
     stable: list[bool]
     admissible: list[int] = Field(description="as of other branches")
     multipliers: list[list[tuple[float, float]]]
+    energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
 
 
 class WordEventView(EventView):

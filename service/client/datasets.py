@@ -236,10 +236,6 @@ def orbits_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
             for name in _PER_POINT
         }
         variables |= _stability(branches)
-        if branches and branches[0].get("energy") is not None:
-            for name in _ENERGY:
-                rows = _padded([branch["energy"][name] for branch in branches])
-                variables[name] = _cycle_variable(name, grid, rows)
         variables |= _events(answer["events"])
         coordinates = {
             "omega": _variable("omega", None, answer["omega"]),
@@ -315,7 +311,7 @@ def curves_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
 
 
 def _stability(branches: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
-    """Multipliers, stability and admissibility with dims (branch, point), and the points of each branch."""
+    """What branches of all kinds have with dims (branch, point), and the points of each."""
     grid = ("branch", "point")
     counts = np.array([len(branch["gamma"]) for branch in branches], np.intp)
     multipliers = np.full((len(branches), int(counts.max(initial=0)), 2), np.nan, np.complex128)
@@ -329,6 +325,10 @@ def _stability(branches: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
     for name, fill in (("stable", 0), ("admissible", MISSING_POINT)):
         padded = _padded([branch[name] for branch in branches])
         variables[name] = _cycle_variable(name, grid, np.where(np.isnan(padded), fill, padded))
+    if branches and branches[0].get("energy") is not None:
+        for name in _ENERGY:
+            rows = _padded([branch["energy"][name] for branch in branches])
+            variables[name] = _cycle_variable(name, grid, rows)
     return variables
 
 

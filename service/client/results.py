@@ -105,6 +105,7 @@ class Results(JobStatus):
         direction: str | None = None,
         *,
         gamma_max: float | None = None,
+        energy: bool = False,
         timeout: float = 300.0,
         progress: bool | PartsCallback = True,
     ) -> "xarray.Dataset":
@@ -115,14 +116,18 @@ class Results(JobStatus):
         `progress` as in `Client.tradeoff`. Of the rigid contact without restitution.
 
         Returns a Dataset with dims (branch, point): `gamma`, `multiplier`, `other_multiplier`, `stable`,
-        `admissible`; with dims (branch, point, flight): `flight_time`, `takeoff_phase`, `impact_velocity`;
-        coordinates `word`, `bounces`, `periods`; NaN beyond the ends. With dim event: `event_branch`,
-        `event_kind`, `event_gamma` and so on; with dim cell the periodic cells left out: `skipped_gamma`,
-        `skipped_reason`. Raises BadRequest, NotComputedYet, Busy.
+        `admissible`, with `energy` the energy balance, `plate_contact` and so on; with dims (branch, point,
+        flight): `flight_time`, `takeoff_phase`, `impact_velocity`; coordinates `word`, `bounces`, `periods`;
+        NaN beyond the ends. With dim event: `event_branch`, `event_kind`, `event_gamma` and so on; with dim
+        cell the periodic cells left out: `skipped_gamma`, `skipped_reason`. Raises BadRequest,
+        NotComputedYet, Busy.
         """
         from service.client.datasets import words_dataset
 
-        query = {"omega": omega, "xi": xi, "direction": direction, "gamma_max": gamma_max}
+        query: dict[str, str | float | None] = {
+            "omega": omega, "xi": xi, "direction": direction, "gamma_max": gamma_max,
+            "energy": "true" if energy else None,
+        }  # fmt: skip
         answer = self._transport.get_when_computed(
             self._path("orbits"), query, timeout=timeout, progress=progress
         )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.descent import lifetime
-from kernel.branches.energy import Energy
+from kernel.branches.energy import Energy, word_energy
 from kernel.branches.events import Events
 from kernel.branches.thresholds import Thresholds
 from service.render.text import to_json
@@ -30,7 +30,7 @@ def orbits_json(orbits: Orbits, energies: bool) -> bytes:
         members |= {name: getattr(branch, name).tolist() for name in _PER_POINT}
         members["multipliers"] = _multipliers(branch.multiplier)
         if energies:
-            members["energy"] = {name: values.tolist() for name, values in energy._asdict().items()}
+            members["energy"] = _lists(energy)
         branches.append(members)
     return to_json(
         {
@@ -43,7 +43,7 @@ def orbits_json(orbits: Orbits, energies: bool) -> bytes:
     )
 
 
-def words_json(orbits: WordOrbits) -> bytes:
+def words_json(orbits: WordOrbits, energies: bool) -> bytes:
     """Branches of words with a list of flights per point, their events, and the cells left out."""
     branches = [
         {
@@ -55,6 +55,7 @@ def words_json(orbits: WordOrbits) -> bytes:
             "stable": branch.stable.tolist(),
             "admissible": branch.admissible.tolist(),
             "multipliers": _multipliers(branch.multiplier),
+            **({"energy": _lists(word_energy(branch))} if energies else {}),
         }
         for branch in orbits.found.branches
     ]
@@ -132,6 +133,11 @@ def _multipliers(multiplier: NDArray[np.complex128]) -> list[Any]:
     """Of every cycle, both multipliers as [real part, imaginary part]."""
     parts: list[Any] = np.stack([multiplier.real, multiplier.imag], axis=-1).tolist()
     return parts
+
+
+def _lists(energy: Energy) -> dict[str, list[float]]:
+    """The balances of the cycles of a branch."""
+    return {name: values.tolist() for name, values in energy._asdict().items()}
 
 
 def _only(energy: Energy) -> dict[str, float]:

@@ -8,9 +8,10 @@ import gc
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -19,8 +20,10 @@ from pydantic import SecretStr, ValidationError
 
 from service import tokens
 from service.api.app import create_app
+from service.background import Processes
 from service.errors import LedgerUnavailable, NotStarted
 from service.jobs.stores.adoption import open_ledger
+from service.render import answers
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr
 from service.server.web_server import WebServer, raise_file_limit
@@ -29,6 +32,9 @@ from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
 from worker.kernel_cache import CacheRefused, claim_cache, warm
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
+
+#: Seconds after which a thread that computes lets another one run: requests wait for it.
+_SWITCH_SECONDS: Final = 0.001
 
 #: The permissions that files of a private service lack: all of group and others.
 _PRIVATE_UMASK: Final = 0o077
@@ -84,6 +90,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         announce(f"bounce listens on {url} ({_summary(settings)})")
 
     raise_file_limit()
+    sys.setswitchinterval(_SWITCH_SECONDS)
     with (
         log_to_stderr(settings.log_level),
         _umask(settings),
@@ -91,9 +98,11 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         _listening(settings) as listener,
         _with_own_token(settings, listener) as complete,
         _computing(settings, None) as executor,
+        closing(Processes(settings.max_reads)) as background,
     ):
+        threading.Thread(target=background.run, args=[answers.warm], name="warm-answers", daemon=True).start()
         with _startup_errors():
-            server = WebServer(create_app(complete, executor), settings, listener, announce_url)
+            server = WebServer(create_app(complete, executor, background), settings, listener, announce_url)
         server.serve_until_stopped()
         with _startup_errors():
             server.wait_until_started()

@@ -613,6 +613,18 @@ def test_an_empty_view_offers_no_download(browser: Any, address: str):
         assert page.locator(".panel .plot").is_visible()
 
 
+def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):
+    orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05, "points": 20}
+    job = done(address, submitted(address, orbits))
+    with opened(browser, address) as page:
+        page.locator("text=study: orbits").first.wait_for()
+        page.get_by_role("link", name="Folds").click()
+        page.locator(".panel pre", has_text='"kind": "orbits"').wait_for()
+        assert page.locator(".tabs a").all_inner_texts() == ["Details"]
+    with opened(browser, view(address, job, "diagram")) as page:  # an address made for a sweep
+        page.locator(".panel pre", has_text="open_zarr").wait_for()
+
+
 @pytest.mark.parametrize("tab", ["diagram", "modes", "thresholds"])
 def test_a_view_can_be_downloaded(browser: Any, address: str, loop: str, tab: str):
     with opened(browser, view(address, loop, tab, omega=0.6, xi=0.05)) as page:

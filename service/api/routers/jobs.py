@@ -21,7 +21,15 @@ router = APIRouter(prefix="/v1")
 _SPEC_BODY: Final = {
     "requestBody": {
         "required": True,
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/SweepSpec"}}},
+        "content": {
+            "application/json": {
+                "schema": {
+                    "oneOf": [
+                        {"$ref": f"#/components/schemas/{spec}"} for spec in ("SweepSpec", "OrbitsSpec")
+                    ]
+                }
+            }
+        },
     }
 }
 

@@ -147,5 +147,5 @@ def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Que
     if query.format == "json":
         content: str | bytes = work_precision.table(rows).model_dump_json()
     else:
-        content = work_precision_diagram.draw(rows, query.format)
+        content = service.background.run(work_precision_diagram.draw, rows, query.format)
     return Response(content, media_type=MEDIA_TYPES[query.format])
