@@ -98,9 +98,8 @@ def over_http(http: bool, grid: str | None) -> None:
                 began = time.perf_counter()
                 job = service.wait(service.submit(spec))
                 took = time.perf_counter() - began
-                print(
-                    f"a grid of {omega} x {xi} springs: {took:.0f} s, {job['progress']['cells_done']:,} cells"
-                )
+                cells = job["progress"]["cells_done"]
+                print(f"a grid of {omega} x {xi} springs: {took:.0f} s, {cells:,} cells")
         finally:
             service.end()
 
