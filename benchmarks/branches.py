@@ -8,7 +8,8 @@ each, as a sweep does. Medians over the springs of the least of the repetitions,
 and as ratios to "line".
 
 --http starts a service and asks it for the orbits (two modes, 400 points, all events) and the thresholds of
-200 springs, one at a time: median and 95th percentile of the wall time, in milliseconds. --grid computes a
+200 springs, one at a time: median and 95th percentile of the wall time, and the mean of the service's CPU
+time, in milliseconds. --grid computes a
 grid of springs (omega x xi) as a job of that service.
 """
 
@@ -63,19 +64,24 @@ def milliseconds(call: Callable[[float, float], object], repeat: int) -> float:
     return statistics.median(times)
 
 
-def requests(url: str, path: str, count: int = 200) -> tuple[float, float]:
-    """Median and 95th percentile of the wall time of a request, ms; every spring is asked for once."""
+def requests(service: Serving, path: str, count: int = 200) -> tuple[float, float, float]:
+    """Median and 95th percentile of the wall time of a request, and the service's CPU time for one; in ms.
+
+    Every spring is asked for once.
+    """
     draw = np.random.default_rng(12)
     times = []
-    with httpx2.Client(base_url=url, timeout=TIMEOUT) as client:
+    with httpx2.Client(base_url=service.url, timeout=TIMEOUT) as client:
         client.get(path, params={"omega": 0.6, "xi": 0.05})
+        before = sum(service.me.cpu_times()[:2])
         for _ in range(count):
             spring = {"omega": draw.uniform(0.26, 1.6), "xi": draw.choice([0.02, 0.05, 0.1, 0.26, 0.8])}
             spring["xi"] *= draw.uniform(0.9, 1.1)
             began = time.perf_counter()
             client.get(path, params=spring).raise_for_status()
             times.append(1e3 * (time.perf_counter() - began))
-    return float(np.percentile(times, 50)), float(np.percentile(times, 95))
+        taken = 1e3 * (sum(service.me.cpu_times()[:2]) - before) / count
+    return float(np.percentile(times, 50)), float(np.percentile(times, 95)), taken
 
 
 def over_http(http: bool, grid: str | None) -> None:
@@ -85,9 +91,9 @@ def over_http(http: bool, grid: str | None) -> None:
         try:
             if http:
                 paths = {"orbits": "/v1/orbits", "threshold": "/v1/threshold"}
-                times = {name: requests(service.url, path) for name, path in paths.items()}
+                times = {name: requests(service, path) for name, path in paths.items()}
                 rows = [[name, *(short(value) for value in both)] for name, both in times.items()]
-                print(table(["over HTTP", "median ms", "p95 ms"], rows))
+                print(table(["over HTTP", "median ms", "p95 ms", "CPU ms"], rows))
             if grid is not None:
                 omega, xi = map(int, grid.split("x"))
                 spec = {
