@@ -32,7 +32,10 @@ ENDLESS: dict[str, dict[str, Any]] = {
         "protocol": {"kind": "ramp", "axis": "gamma", "direction": "up"},
         "exponents": 4,
     },
-    "eight stepped cells": {"model": {"kind": "stepped"}, "gamma": {"start": 2.0, "stop": 5.0, "num": 8}},
+    "eight stepped cells": {
+        "model": {"kind": "stepped", "penetration": 0.05},
+        "gamma": {"start": 2.0, "stop": 5.0, "num": 8},
+    },
 }
 LONGEST = {"settle": 10_000_000, "observe": 10_000_000, "omega": 0.5, "xi": 0.26}
 
@@ -92,6 +95,8 @@ def beside_many(client: Client, jobs: int, repeat: int) -> None:
 def beside_endless(client: Client, repeat: int) -> None:
     """Small jobs beside cells that take a minute or more, and cancels of these."""
     for name, changes in ENDLESS.items():
+        brief = {"settle": 1, "observe": 10, "name": "compiles"}
+        client.submit(LONGEST | changes | brief).wait(progress=False)
         endless = client.submit(LONGEST | changes | {"name": "endless"})
         while endless.refresh().state != "running":
             time.sleep(0.05)

@@ -118,11 +118,11 @@ class Rotation:
 
     def __init__(self, slice_seconds: float) -> None:
         self._slice_seconds = slice_seconds
-        self._jobs: dict[str, dict[str, None]] = {}  # ids by owner, both in the order of their turns
-        self._owners: dict[str, str] = {}  # by job
+        self._jobs: dict[str | None, dict[str, None]] = {}  # ids by owner, both in the order of their turns
+        self._owners: dict[str, str | None] = {}  # by job
         self._credit = 0.0  # core-seconds that turns may take now
 
-    def update(self, owners: Mapping[str, str]) -> None:
+    def update(self, owners: Mapping[str, str | None]) -> None:
         """Forget jobs that have ended and add new ones at the end. `owners`: of all jobs, as accepted."""
         for job_id in self._owners.keys() - owners.keys():
             self._remove(job_id)
@@ -162,7 +162,7 @@ class Rotation:
         earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
         self._credit = min(self._credit + earned, self._slice_seconds)
 
-    def _append(self, job_id: str, owner: str) -> None:
+    def _append(self, job_id: str, owner: str | None) -> None:
         self._owners[job_id] = owner
         self._jobs.setdefault(owner, {})[job_id] = None
 

@@ -28,7 +28,6 @@ from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
-from worker.spec.errors import SpecError
 from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport
@@ -312,14 +311,14 @@ class Supervisor:
                 remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
                 waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
         self._waiting = {job.id: job for job in sorted(waiting)}
-        self._rotation.update({job.id: "" for job in sorted(unfinished, key=lambda job: job.seq)})
+        self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
 
     def _estimate(self, job_id: str) -> float:
-        """Core-seconds of a job as a whole; 0 for one that cannot be prepared, whose start will fail."""
+        """Core-seconds of a job as a whole; 0 for one that cannot be prepared, whose start will say why."""
         job = self._ledger.find(job_id)
         try:
             return 0.0 if job is None else self._preparer.prepare(job).core_seconds
-        except SpecError:
+        except Exception:  # noqa: BLE001 - whatever it is, it concerns this job alone
             return 0.0
 
     def _start_job(self, job_id: str) -> None:

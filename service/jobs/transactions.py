@@ -33,6 +33,7 @@ class Unfinished(NamedTuple):
     seq: int  # numbers jobs in the order they were accepted
     chunks_done: int
     chunks_total: int
+    owner: str | None  # the name of the access token that submitted it
 
 
 class DeletionStep(IntEnum):
@@ -106,8 +107,8 @@ class ReadTransaction:
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         rows = self._sql.execute(
-            "SELECT id, cancel_requested, seq, chunks_done, chunks_total FROM jobs WHERE state IN (?, ?)"
-            " ORDER BY state = ?, seq LIMIT ?",
+            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner FROM jobs"
+            " WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?",
             (*UNFINISHED, JobState.QUEUED, limit),
         )
         return [Unfinished(row[0], bool(row[1]), *row[2:]) for row in rows]
