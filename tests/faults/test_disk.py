@@ -65,23 +65,23 @@ def test_a_full_disk_fails_the_job_only(small_disk: Path):
         assert (service.outcomes(job) != Outcome.MISSING).all()
 
 
-def test_a_job_waits_while_the_disk_has_no_byte_left(small_disk: Path, caplog: pytest.LogCaptureFixture):
-    """Not even the ledger can record the failure until there is space again."""
+def test_the_ledger_records_what_happened_while_the_disk_has_no_byte_left(small_disk: Path):
+    """Of several jobs, one after the other: what it uses for that is its own, and nobody takes it."""
     held = Held()
     with running(small_disk / "data", held) as service:
-        job = service.submit(sweep())
-        wait_for(lambda: held.held() == 4)
-        ballast = small_disk / "ballast"
-        service.settings.ledger_path.with_suffix(".reserve").unlink()
-        fill(ballast)
-        held.let_go()
-        wait_for(lambda: "supervisor step failed" in caplog.text)
-        assert service.job(job).state is JobState.RUNNING
-        ballast.unlink()
-        held.let_go_until(lambda: service.job(job).state is JobState.FAILED)
-        assert "No space left" in (service.job(job).error or "")
-        service.submit(sweep())
-        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        specs = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
+        jobs = [service.submit(spec) for spec in specs]
+        wait_for(held.held)
+        fill(small_disk / "ballast")
+        for job in jobs:
+            held.let_go_until(lambda job=job: service.job(job).state is JobState.FAILED)
+            fill(small_disk / "ballast 2")
+            assert "No space left" in (service.job(job).error or "")
+        for ballast in small_disk.glob("ballast*"):
+            ballast.unlink()
+        for spec, job in zip(specs, jobs, strict=True):
+            service.submit(spec)
+            held.let_go_until(lambda job=job: service.job(job).state is JobState.DONE)
 
 
 def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask):
