@@ -5,7 +5,7 @@ zero of one function on such a plane, so a fold is as well-conditioned as any ot
 zero smoothly: a branch ends where a flight or a contact has shrunk to nothing, and goes on as another word.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -97,10 +97,11 @@ def _both_ways(word: Word, points: int, gamma: tuple[float, float]) -> tuple[lis
     """The unknowns along a branch, a list for each way, and its events."""
     first = start(word)
     ways = [first.tangent] if word.direction is not None else [first.tangent, -first.tangent]
-    lines, found = [], []
+    lines: list[list[Floats]] = []
+    found: list[Turn] = []
     for way in ways:
-        line, end = _walk(word, first._replace(tangent=way), points, gamma)
-        found += [turn for turn, _ in _turns(word, line)]
+        line, end = walk(word, first._replace(tangent=way), points, gamma)
+        found += turns_along(word, line)
         lines.append([point.u for point in line])
         if end is not None:
             found.append(end)
@@ -120,7 +121,7 @@ def start(word: Word) -> Point:
         raise KernelInputError("unknowns", f"must be {STATE + len(pieces(word.letters))}, got {len(u)}")
     if word.direction is not None:
         aside = u + _ASIDE * word.direction
-        found = _newton(k, word, aside, word.direction)
+        found = newton(k, word, aside, word.direction)
         if found is not None:
             return _along(found, word.direction)
     else:
@@ -128,7 +129,7 @@ def start(word: Word) -> Point:
         for _ in range(_SAME_GAMMA):
             same = np.zeros(len(u))
             same[2:4] = u[2:4] / np.hypot(u[2], u[3])
-            found = _newton(k, word, u, same, size)
+            found = newton(k, word, u, same, size)
             if found is None or (found.u[STATE:] <= 0.0).any():
                 found = None
                 break
@@ -144,7 +145,7 @@ def _along(point: Point, way: Floats) -> Point:
     return point._replace(tangent=tangent if tangent @ way > 0.0 else -tangent)
 
 
-def _newton(
+def newton(
     k: Spring, word: Word, u: Floats, direction: Floats, goal: float | None = None,
     converged: float = _CONVERGED,
 ) -> Point | None:  # fmt: skip
@@ -172,7 +173,7 @@ def _newton(
     return None
 
 
-def _walk(
+def walk(
     word: Word, first: Point, points: int, gamma: tuple[float, float], stable_only: bool = False
 ) -> tuple[list[Point], Turn | None]:
     """Orbits of a branch from `first` on, towards its tangent, and how it ends if as another word.
@@ -180,10 +181,11 @@ def _walk(
     stable_only: no further than the first orbit that is not stable.
     """
     k = spring(word.omega, word.xi)
-    line, step = [first], _FIRST
+    line, step, bend = [first], _FIRST, np.zeros(len(first.u))
     while len(line) <= points and step > _SMALLEST:
         at = line[-1]
-        found = _newton(k, word, at.u + step * at.tangent, at.tangent, converged=_NEARLY)
+        guess = at.u + step * (at.tangent + 0.5 * step * bend)
+        found = newton(k, word, guess, at.tangent, float(at.tangent @ at.u) + step, _NEARLY)
         angle = np.inf if found is None else float(np.arccos(min(1.0, float(found.tangent @ at.tangent))))
         if found is None or angle > _TURN:
             step *= 0.5
@@ -195,21 +197,23 @@ def _walk(
                 continue
             return line, end
         line.append(found)
+        bend = (found.tangent - at.tangent) / step
+        bend -= (bend @ found.tangent) * found.tangent
         if not gamma[0] <= np.hypot(found.u[2], found.u[3]) <= gamma[1]:
             break
-        if stable_only and not _stable(found):
+        if stable_only and not is_stable(found):
             break
         step = min(step * (1.5 if angle < 0.5 * _TURN else 1.0), _LARGEST)
     return line, None
 
 
-def _stable(point: Point) -> bool:
+def is_stable(point: Point) -> bool:
     """Whether both multipliers lie inside the unit circle."""
-    values, _ = _tests(point.slope)
+    values, _ = fold_flip_torus(point.slope)
     return bool(values[0] > 0.0 and values[1] > 0.0 and values[2] < 0.0)
 
 
-def _tests(slope: Floats) -> tuple[Floats, float]:
+def fold_flip_torus(slope: Floats) -> tuple[Floats, float]:
     """1 - tr + det, 1 + tr + det, det - 1; and the trace."""
     (trace,), (det,) = trace_and_det(slope[..., None])
     return np.array([1.0 - trace + det, 1.0 + trace + det, det - 1.0]), float(trace)
@@ -217,7 +221,7 @@ def _tests(slope: Floats) -> tuple[Floats, float]:
 
 def _test(which: int, point: Point) -> float:
     """One of them."""
-    return float(_tests(point.slope)[0][which])
+    return float(fold_flip_torus(point.slope)[0][which])
 
 
 def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
@@ -234,24 +238,26 @@ def _end(k: Spring, word: Word, at: Point, step: float) -> Turn | None:
 def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Point], float]) -> Point | None:
     """The orbit within a step of `at` at which a function of opposite signs there is zero (Illinois rule)."""
     low, high = 0.0, step
-    ends = [at, _newton(k, word, at.u + step * at.tangent, at.tangent)]
+    ends = [at, newton(k, word, at.u + step * at.tangent, at.tangent)]
     if ends[1] is None:
         return None
     low_value, high_value = function(at), function(ends[1])
     best, best_value = (at, low_value) if abs(low_value) < abs(high_value) else (ends[1], high_value)
+    last = np.inf
     for _ in range(_HALVINGS):
         if np.isfinite(low_value) and np.isfinite(high_value):
             middle = low - low_value * (high - low) / (high_value - low_value)
         else:
             middle = 0.5 * (low + high)
-        found = _newton(k, word, at.u + middle * at.tangent, at.tangent)
+        found = newton(k, word, at.u + middle * at.tangent, at.tangent)
         if found is None:
             return None
         value = function(found)
         if abs(value) < abs(best_value):
             best, best_value = found, value
-        if abs(value) < 1e-14 or high - low < 1e-15:
+        if abs(value) < 1e-14 or abs(middle - last) < 1e-15 + _CONVERGED * step:
             break
+        last = middle
         if (value > 0.0) == (low_value > 0.0):
             low, low_value, high_value = middle, value, 0.5 * high_value
         else:
@@ -259,20 +265,10 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
     return best
 
 
-def _turns(word: Word, line: list[Point]) -> list[tuple[Turn, int]]:
-    """The events between the orbits of a line, and after which of them."""
+def turns_along(word: Word, line: list[Point]) -> Iterator[Turn]:
+    """The events between the orbits of a line, in order; each is searched for when it is asked for."""
     k = spring(word.omega, word.xi)
-    tests = np.array([_tests(point.slope)[0] for point in line])
-    found: list[tuple[Turn, int]] = []
-    for i, which in np.argwhere(tests[:-1] * tests[1:] < 0.0):
-        at, step = line[i], _step(line[i], line[i + 1])
-        orbit = _root(k, word, at, step, partial(_test, int(which)))
-        if orbit is None:
-            continue
-        kind = _TESTS[which]
-        if kind is Kind.NEIMARK_SACKER and abs(_tests(orbit.slope)[1]) >= 2.0:
-            continue
-        found.append((Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan), int(i)))
+    tests = np.array([fold_flip_torus(point.slope)[0] for point in line])
     at_nodes = samples(k, word.periods)
 
     def held(points: list[Point]) -> Conditions:
@@ -283,15 +279,37 @@ def _turns(word: Word, line: list[Point]) -> list[tuple[Turn, int]]:
         return float(held([point]).value[row, 0])
 
     whole = held(line)
-    for i, row in np.argwhere((whole.value[:, :-1] > 0.0) != (whole.value[:, 1:] > 0.0))[:, ::-1]:
+    turned = tests[:-1] * tests[1:] < 0.0
+    broken = ((whole.value[:, :-1] > 0.0) != (whole.value[:, 1:] > 0.0)).T
+    for i in np.flatnonzero(turned.any(axis=1) | broken.any(axis=1)):
         at, step = line[i], _step(line[i], line[i + 1])
-        orbit = _root(k, word, at, step, partial(margin, int(row)))
-        if orbit is None:
-            continue
-        time = float(held([orbit]).time[row, 0])
-        turn = Turn(whole.kind[row], word._replace(unknowns=orbit.u, direction=None), whole.piece[row], time)
-        found.append((turn, int(i)))
-    return sorted(found, key=lambda x: x[1])
+        found: list[tuple[float, Turn]] = []
+        for which in np.flatnonzero(turned[i]):
+            orbit = _root(k, word, at, step, partial(_test, int(which)))
+            kind = _TESTS[which]
+            if orbit is None or (kind is Kind.NEIMARK_SACKER and abs(fold_flip_torus(orbit.slope)[1]) >= 2.0):
+                continue
+            turn = Turn(kind, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
+            found.append((_step(at, orbit), turn))
+        for row in np.flatnonzero(broken[i]):
+            orbit = _root(k, word, at, step, partial(margin, int(row)))
+            if orbit is None:
+                continue
+            time = float(held([orbit]).time[row, 0])
+            here = word._replace(unknowns=orbit.u, direction=None)
+            found.append((_step(at, orbit), Turn(whole.kind[row], here, whole.piece[row], time)))
+        yield from (turn for _, turn in sorted(found, key=lambda x: x[0]))
+
+
+def folds_along(word: Word, line: list[Point], below: float) -> Iterator[Turn]:
+    """The folds between the orbits of a line, those next to orbits below a Gamma."""
+    k = spring(word.omega, word.xi)
+    tests = np.array([_test(0, point) for point in line])
+    for i in np.flatnonzero(tests[:-1] * tests[1:] < 0.0):
+        if np.hypot(line[i].u[2], line[i].u[3]) < below:
+            orbit = _root(k, word, line[i], _step(line[i], line[i + 1]), partial(_test, 0))
+            if orbit is not None:
+                yield Turn(Kind.FOLD, word._replace(unknowns=orbit.u, direction=None), -1, np.nan)
 
 
 def _step(a: Point, b: Point) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kernel.branches.closed_form import TWO_PI, orbit
 from kernel.branches.spring import Array, Spring, spring, stuck
+from kernel.branches.words import WordBranch, go_round, pieces
 
 
 class Energy(NamedTuple):
@@ -34,44 +35,80 @@ def energy(omega: float, xi: float, periods: int, flight_time: NDArray[np.float6
     contact its integral of q'**2 is that of a free and a driven motion, each in closed form.
     """
     k = spring(omega, xi)
-    w = k.stiffness
     t = flight_time
     x = orbit(k, periods, t)
-    gamma = np.hypot(x.c, x.s)
     sin, cos = np.sin(t), np.cos(t)
-    # landing: phase phi1 = phi0 + T, sine and cosine times Gamma
-    c1, s1 = x.c * cos - x.s * sin, x.c * sin + x.s * cos
-    before = x.v_land - x.impact  # v before the impact; q does not jump
-    in_flight = 0.25 * (x.v0 * x.v0 - before * before) + 0.5 * w * (x.q0 * x.q0 - x.q_land * x.q_land)
-    # in contact q'' + b q' + w q = Gamma cos(phi) - 1, lengths in g/omega**2
-    span = TWO_PI * periods - t
-    jump_q, jump_v = x.q0 - x.q_land, x.v0 - x.v_land
-    drive = _cosine_of_velocity(k, x.q_land, x.v_land, c1, s1, span)
-    stored = 0.5 * (x.v0 * x.v0 - x.v_land * x.v_land) + 0.5 * w * (x.q0 * x.q0 - x.q_land * x.q_land)
-    in_contact = drive - stored - jump_q
+    landing = _At(x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos)
+    takeoff = _At(x.q0, x.v0, x.c, x.s)
+    parts = [_contact(k, landing, takeoff, TWO_PI * periods - t), _flight(k, takeoff, landing, x.impact)]
+    return _total(parts, np.hypot(x.c, x.s), periods)
+
+
+def word_energy(line: WordBranch) -> Energy:
+    """Of the n cycles of a word."""
+    k = spring(line.omega, line.xi)
+    u = line.unknowns.T
+    found = go_round(k, line.word, line.periods, np.ascontiguousarray(u))
+    states = [_At(*(y[0] for y in x)) for x in found.starts]
+    impacts = iter(found.impacts)
+    parts = []
+    for piece, begin, end in zip(pieces(line.word), states, [*states[1:], states[0]], strict=True):
+        if piece.flies:
+            parts.append(_flight(k, begin, end, next(impacts)))
+        else:
+            parts.append(_contact(k, begin, end, u[piece.place]))
+    return _total(parts, line.gamma, line.periods)
+
+
+class _At(NamedTuple):
+    """q, v and Gamma e^{i phi} = c + i s at a take-off or after a landing, in units of g/omega**2."""
+
+    q: Array
+    v: Array
+    c: Array
+    s: Array
+
+
+def _contact(k: Spring, begin: _At, end: _At, span: Array) -> Energy:
+    """What a contact adds, in units of g/omega**2: q'' + b q' + w q = Gamma cos(phi) - 1."""
+    drive = _cosine_of_velocity(k, begin, span)
+    stored = 0.5 * (end.v * end.v - begin.v * begin.v)
+    stored = stored + 0.5 * k.stiffness * (end.q * end.q - begin.q * begin.q)
     # n = 1 - Gamma cos(phi) - b q' - w q = 2 - 2 Gamma cos(phi) + q''. Against -Gamma sin(phi):
     # the integral of -2 sin and of 2 sin cos are of the ends; q'' (-sin) by parts is -q' sin + q' cos
-    work = 2.0 * (x.c - c1) - (x.c * x.c - c1 * c1) - (x.v0 * x.s - x.v_land * s1) + drive
-    force = 2.0 * span - 2.0 * (x.s - s1) + jump_v
+    work = 2.0 * (end.c - begin.c) - (end.c * end.c - begin.c * begin.c)
+    work = work - (end.v * end.s - begin.v * begin.s) + drive
+    force = 2.0 * span - 2.0 * (end.s - begin.s) + end.v - begin.v
+    zero = np.zeros_like(span)
+    return Energy(work, zero, drive - stored - (end.q - begin.q), zero, force, zero, zero)
+
+
+def _flight(k: Spring, begin: _At, end: _At, impact: Array) -> Energy:
+    """What a flight and its landing add, in units of g/omega**2."""
+    before = end.v - impact  # v before the impact; q does not jump
+    lost = 0.25 * (begin.v * begin.v - before * before)
+    lost = lost + 0.5 * k.stiffness * (begin.q * begin.q - end.q * end.q)
+    zero = np.zeros_like(impact)
+    return Energy(zero, impact * end.s, lost, 0.5 * impact * impact, zero, -impact, zero)
+
+
+def _total(parts: list[Energy], gamma: Array, periods: int) -> Energy:
+    """Their sum in m A**2 omega**2 and m A omega."""
+    e = Energy(*(np.sum(x, axis=0) for x in zip(*parts, strict=True)))
     square = 1.0 / (gamma * gamma)
     return Energy(
-        plate_contact=work * square,
-        plate_impact=x.impact * s1 * square,
-        dashpot=(in_flight + in_contact) * square,
-        impact=0.5 * x.impact * x.impact * square,
-        force=force / gamma,
-        impulse=-x.impact / gamma,
-        weight=2.0 * TWO_PI * periods / gamma,
-    )
+        e.plate_contact * square, e.plate_impact * square, e.dashpot * square, e.impact * square,
+        e.force / gamma, e.impulse / gamma, 2.0 * TWO_PI * periods / gamma,
+    )  # fmt: skip
 
 
-def _cosine_of_velocity(k: Spring, q: Array, v: Array, c: Array, s: Array, span: Array) -> Array:
-    """Integral of q' Gamma cos(phi) over a contact that begins with q, v at Gamma e^{i phi} = c + i s."""
+def _cosine_of_velocity(k: Spring, begin: _At, span: Array) -> Array:
+    """Integral of q' Gamma cos(phi) over a contact."""
     b, w = k.dashpot, k.stiffness
-    z = c + 1j * s
+    z = begin.c + 1j * begin.s
     response = k.q_re + 1j * k.q_im
-    h = q + 1.0 / w - (response * z).real
-    h1 = v - (1j * response * z).real
+    h = begin.q + 1.0 / w - (response * z).real
+    h1 = begin.v - (1j * response * z).real
     f = stuck(k, span)
     turn = np.exp(1j * span)
     end, end1 = h * f.c + h1 * f.s, h * f.c1 + h1 * f.s1

@@ -43,6 +43,9 @@ MAX_POINTS: Final = 20_000
 #: rate * spacing of the grid. A cubic between neighbours is then good to 0.2**4/384 = 4e-6.
 _RESOLUTION: Final = 0.2
 
+#: The same for samples of a flight or contact, 2e-4: minima near zero are followed to rounding anyway.
+_SAMPLED: Final = 0.5
+
 #: Spacing over distance from the ends, where a stiff dashpot's motion decays within a small part of the grid.
 _GRADING: Final = 0.1
 
@@ -133,22 +136,24 @@ def check_spring(omega: float, xi: float, periods: int) -> None:
         raise KernelInputError("xi", "must be > 0 at omega = 1: the driven amplitude is infinite")
 
 
-def flight_times(omega: float, xi: float, periods: int, points: int = POINTS) -> Floats:
+def flight_times(
+    omega: float, xi: float, periods: int, points: int = POINTS, resolution: float = _RESOLUTION
+) -> Floats:
     """A grid (n,) of flight times in (0, 2 pi periods), rad, with n >= points, that resolves the branch.
 
-    Even spacing below 2 pi periods/points and below 0.2 over the sum of the frequencies of the plate, of the
-    flight and of the contact; finer towards both ends where the dashpot relaxes faster than that. Raises
-    KernelInputError if this takes more than MAX_POINTS.
+    Even spacing below 2 pi periods/points and below `resolution` over the sum of the frequencies of the
+    plate, of the flight and of the contact; finer towards both ends where the dashpot relaxes faster than
+    that. Raises KernelInputError if this takes more than MAX_POINTS.
     """
     check_spring(omega, xi, periods)
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     rate = 1.0 + np.sqrt(max(2.0 * w - b * b, 0.0)) + np.sqrt(max(w - 0.25 * b * b, 0.0))
     whole = TWO_PI * periods
-    h = min(whole / points, _RESOLUTION / rate)
+    h = min(whole / points, resolution / rate)
     if whole / h > MAX_POINTS:
         raise KernelInputError("omega", f"{omega} needs more than {MAX_POINTS} points for {periods} periods")
     fastest = b + np.sqrt(max(b * b - 2.0 * w, 0.0))
-    finest = min(h, _RESOLUTION / max(fastest, 1e-300))
+    finest = min(h, resolution / max(fastest, 1e-300))
     steps = [finest]
     at = finest
     while (step := max(finest, _GRADING * at)) < h:
@@ -170,7 +175,7 @@ def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
-    at = _sampled(k, omega, xi, periods)
+    at = samples(k, sample_times(omega, xi, periods))
     return _branch(k, periods, flight_time, x, check(k, periods, flight_time, x, at, tolerance))
 
 
@@ -183,7 +188,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
     k = spring(omega, xi)
     with np.errstate(all="ignore"):  # poles of Gamma(T)
         value, slope, x = _tests(k, periods, t)
-        at = _sampled(k, omega, xi, periods)
+        at = samples(k, sample_times(omega, xi, periods))
         found = check(k, periods, t, x, at)
         zeros = roots(lambda which, at: _selected(k, periods, which, at), t, value, slope)
         f = floquet(k, periods, zeros.x)
@@ -211,7 +216,9 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         at = at[np.hypot(x.c, x.s) < below]
         if not len(at):
             return join_events([])
-        return _events(k, periods, np.zeros(len(at), np.intp), at, _sampled(k, omega, xi, periods))
+        return _events(
+            k, periods, np.zeros(len(at), np.intp), at, samples(k, sample_times(omega, xi, periods))
+        )
 
 
 def join_events(parts: Sequence[Events]) -> Events:
@@ -223,9 +230,9 @@ def join_events(parts: Sequence[Events]) -> Events:
     return Events(*(np.concatenate(fields) for fields in zip(empty, *parts, strict=True)))
 
 
-def _sampled(k: Spring, omega: float, xi: float, periods: int) -> Samples:
-    """Where gap and n are sampled: from zero, as finely as a flight and a contact need."""
-    return samples(k, np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES)]))
+def sample_times(omega: float, xi: float, periods: int) -> Floats:
+    """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need."""
+    return np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES, _SAMPLED)])
 
 
 def _branch(k: Spring, periods: int, t: Floats, x: Orbit, found: Check) -> Branch:

@@ -29,6 +29,9 @@ _EXTREMUM_STEPS: Final = 8
 #: A sign change is a root if the function falls below this part of its values beside it. At a pole it grows.
 _SMALL: Final = 1e-6
 
+#: and is given up as a pole above this many times those values.
+_LARGE: Final = 1e3
+
 
 class Roots(NamedTuple):
     """m roots: the function's index and where it is zero, by function and then by x."""
@@ -108,6 +111,7 @@ def solve(
         x = np.where((x > low) & (x < high), x, 0.5 * (low + high))
         f = np.full_like(x, np.inf)
         width = high - low
+        pole = _LARGE * np.maximum(np.abs(f_low), np.abs(f_high))
         active = np.ones(len(x), np.bool_)
         for _ in range(_STEPS):
             i = np.flatnonzero(active)
@@ -122,7 +126,7 @@ def solve(
             inside = (guess >= low[i]) & (guess <= high[i]) & (np.abs(step) < 0.5 * width[i])
             guess = np.where(inside, guess, 0.5 * (low[i] + high[i]))
             width[i] = np.abs(guess - x[i])
-            done = (value == 0.0) | (width[i] <= 2e-16 * np.abs(x[i]))
+            done = (value == 0.0) | (width[i] <= 2e-16 * np.abs(x[i])) | (np.abs(value) > pole[i])
             x[i] = np.where(value == 0.0, x[i], guess)
             active[i] = ~done
             if done.all():

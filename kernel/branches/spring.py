@@ -9,6 +9,7 @@ Phase phi = omega t in rad. Lengths in this package's closed forms are in units 
 """
 
 import math
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -131,6 +132,7 @@ def flight(k: Spring, t: Array) -> Flight:
     return Flight(f, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine, sin, cos)
 
 
+@lru_cache(maxsize=64)
 def _response_series(b: Number, w: Number) -> Array:
     """Coefficients (m, 3) of t**2, t**3, ... in s - t and its first and second integral."""
     before, last, factorial = 0.0 * b, 1.0 + 0.0 * b, 1.0

@@ -5,20 +5,28 @@ cycle does. If that is a (1,k) cycle it ends at a fold, a minimum of Gamma along
 
     Gamma_down = min(Gamma_th, the lowest admissible fold whose other multiplier is inside the unit circle).
 
-The branches themselves show where this does not decide: a branch turns below the answer at a fold that is
-not stable on either side (a torus lives near it), or not admissible (the branch goes on as another word), or
-a stable cycle ends below the answer otherwise than at a fold. Then the answer is `unresolved`.
+A stable cycle that ends below the answer otherwise than at a fold is followed through the words that it
+becomes, and at a flip below Gamma_th the branch of the doubled word to its own folds, which may be lower
+than those of the branch that flips. The branches themselves show where this does not decide: a branch turns
+below the answer at a fold that is not stable on either side (a torus lives near it), or not admissible (the
+branch goes on as another word), or a cycle that was followed ends as no fold. Then the answer is
+`unresolved`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kernel.branches.closed_form import floquet, gamma_slope, orbit, stable
-from kernel.branches.energy import Energy, energy
+from kernel.branches.closed_form import floquet, orbit, stable
+from kernel.branches.descent import End, Fold, descend, lowest_cycles, minima
+from kernel.branches.energy import Energy
 from kernel.branches.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
+from kernel.branches.roots import Ints
 from kernel.branches.spring import Spring, spring
+from kernel.branches.words import Word, doubled, from_branch, with_hop
 from kernel.threshold import threshold
 
 #: Branches (1,1) to (1,k) are looked at.
@@ -28,23 +36,8 @@ PERIODS: Final = 6
 #: Gamma_th has a neighbour on the grid that is higher by Gamma'' h**2/2 at most, some 1e-3.
 _MARGIN: Final = 1.05
 
-#: Step of the second derivative of Gamma, relative to T; its square is the relative error.
-_DIFFERENCE: Final = 1e-4
-
 EQ_25: Final = "Eq. 25"
 UNRESOLVED: Final = "unresolved"
-
-
-class Fold(NamedTuple):
-    """A minimum of Gamma along a (1, periods) branch."""
-
-    periods: int
-    flight_time: float  # rad
-    gamma: float
-    other_multiplier: float  # the one that is not 1
-    curvature: float  # d2Gamma/dT2, > 0
-    slope: float  # d/dT of the multiplier that is 1
-    admissible: int  # 0, or the bits of a Reason
 
 
 class Thresholds(NamedTuple):
@@ -55,51 +48,88 @@ class Thresholds(NamedTuple):
     gamma_th: float  # Eq. 25: rest ends on the way up
     jump: float  # the fold at which flights leap on the way up; NaN if there is none
     down: float  # bouncing ends on the way down; NaN if unresolved
-    cause: str  # "Eq. 25", "fold (1,k)" or "unresolved"
+    cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, or "unresolved"
     reason: str  # why it is unresolved, or empty
     fold: Fold | None  # at `down`
     energy: Energy | None  # of the cycle at the fold
 
 
-def thresholds(omega: float, xi: float, periods: int = PERIODS) -> Thresholds:
-    """The thresholds, from the branches (1,1) to (1, periods). Raises KernelInputError."""
+def thresholds(
+    omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
+    bouncing: float = math.inf,
+) -> Thresholds:  # fmt: skip
+    """The thresholds, from the branches (1,1) to (1, periods). Raises KernelInputError.
+
+    words: stable cycles of settled cells of this spring, as `words.from_flights` gives them; each is followed
+    down, too. bouncing: the lowest Gamma at which a simulation bounces. With words, folds that are not
+    admissible or not stable leave the answer unresolved no longer: what lives below them has been looked
+    for; but a simulation that bounces below the answer does.
+    """
     gamma_th = float(threshold(omega, xi))
+    found = _known(omega, xi, periods, gamma_th)
+    folds = [*found.folds, *(end.fold for end in found.ends if end.fold is not None)]
+    ends = found.ends
+    if words is not None:
+        ends = [*ends, *(end for end in map(descend, words) if end.gamma < gamma_th)]
+        folds += [end.fold for end in ends if end.fold is not None]
+    lowest = min(folds, key=lambda fold: fold.gamma, default=None)
+    down = gamma_th if lowest is None else lowest.gamma
+    reasons = [end.reason for end in ends if end.reason and end.gamma < down]
+    if words is None:
+        reasons += [_why(fold) for fold in found.open if fold.gamma < down]
+    if bouncing < down:
+        reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
+    if reasons:
+        text = "; ".join(dict.fromkeys(reasons))
+        return Thresholds(omega, xi, gamma_th, found.jump, math.nan, UNRESOLVED, text, None, None)
+    if lowest is None:
+        return Thresholds(omega, xi, gamma_th, found.jump, gamma_th, EQ_25, "", None, None)
+    return Thresholds(omega, xi, gamma_th, found.jump, down, lowest.name, "", lowest, lowest.energy)
+
+
+class _Known(NamedTuple):
+    """What the (1,k) branches show below Gamma_th."""
+
+    jump: float
+    folds: list[Fold]  # at which stable cycles end
+    open: list[Fold]  # that do not decide
+    ends: list[End]  # where stable cycles end otherwise, followed as far as it may matter
+
+
+def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
+    """Of the branches (1,1) to (1, periods)."""
     k = spring(omega, xi)
-    jump, folds, ends = math.nan, [], []
+    jump = math.nan
+    folds: list[Fold] = []
+    cycles: list[_LastCycle] = []
+    flips: list[Word] = []
     for n in range(1, periods + 1):
-        if n > 1 and not _reaches(k, omega, xi, n, gamma_th):
-            folds += _minima(k, fold_events(omega, xi, n, gamma_th), gamma_th)
+        if n > 1 and not _reaches(k, omega, xi, n, below):
+            folds += minima(k, fold_events(omega, xi, n, below), below)
             continue
         line, events = branch_and_events(omega, xi, n)
-        folds += _minima(k, events, gamma_th)
-        ends += _ends(line, events, gamma_th)
+        folds += minima(k, events, below)
+        last = _last_cycles(line, events, below)
+        cycles += last
+        here = (events.kind == Kind.FLIP) & (events.gamma < below) & (events.admissible == 0)
+        followed = [cycle.flight_time for cycle in last]
+        flips += [from_branch(omega, xi, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
-    holding = [fold for fold in folds if not fold.admissible and abs(fold.other_multiplier) < 1.0]
-    lowest = min(holding, key=lambda fold: fold.gamma, default=None)
-    down = lowest.gamma if lowest else gamma_th
-    reasons = [_why(fold) for fold in folds if fold not in holding and fold.gamma < down]
-    reasons += [text for gamma, text in ends if gamma < down]
-    if reasons:
-        return Thresholds(
-            omega, xi, gamma_th, jump, math.nan, UNRESOLVED, "; ".join(dict.fromkeys(reasons)), None, None
-        )
-    if lowest is None:
-        return Thresholds(omega, xi, gamma_th, jump, gamma_th, EQ_25, "", None, None)
-    balance = energy(omega, xi, lowest.periods, np.array([lowest.flight_time]))
-    cause = f"fold (1,{lowest.periods})"
-    return Thresholds(omega, xi, gamma_th, jump, down, cause, "", lowest, balance)
-
-
-def lifetime(fold: Fold, below: float) -> float:
-    """Plate periods that bouncing lives at Gamma = fold.gamma - below, below > 0: the ghost of the fold.
-
-    Near a fold the slow coordinate x (a flight time) moves by lambda' x per cycle to lowest order in x, and
-    delta below it by -delta lambda'/Gamma'' + lambda' x**2/2 with |lambda'| = |d lambda/dT|, which it crosses
-    in N = (pi/|lambda'|) sqrt(2 Gamma''/delta) cycles. The law holds for delta -> 0.
-    """
-    cycles = math.pi / abs(fold.slope) * math.sqrt(2.0 * fold.curvature / below)
-    return cycles * fold.periods
+    holds = [not fold.admissible and abs(fold.other_multiplier) < 1.0 for fold in folds]
+    holding = [fold for fold, held in zip(folds, holds, strict=True) if held]
+    undecided = [fold for fold, held in zip(folds, holds, strict=True) if not held]
+    holding += [fold for flip in flips for fold in lowest_cycles(doubled(flip), below)]
+    lowest = min((fold.gamma for fold in holding), default=below)
+    cycles = [cycle for cycle in cycles if cycle.gamma < lowest]
+    ends = [_follow(omega, xi, cycle) for cycle in cycles]
+    decided = [cycle for cycle, end in zip(cycles, ends, strict=True) if end.fold is not None]
+    return _Known(
+        jump,
+        holding,
+        [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)],
+        ends,
+    )
 
 
 def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> bool:
@@ -110,25 +140,6 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
     return len(t) > 0 and bool((branch(omega, xi, periods, t).admissible == 0).any())
 
 
-def _minima(k: Spring, events: Events, below: float) -> list[Fold]:
-    """The folds below a Gamma that are minima of it."""
-    found = []
-    for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
-        t, n = float(events.flight_time[i]), int(events.periods[i])
-        step = _DIFFERENCE * t
-        before, after = gamma_slope(k, n, np.array([t - step, t + step]))
-        f = floquet(k, n, np.array([t]))
-        other = float(f.det[0])  # the product of both
-        slope = float((f.trace1[0] - f.det1[0]) / (1.0 - other))
-        fold = Fold(
-            n, t, float(events.gamma[i]), other, float(after - before) / (2.0 * step), slope,
-            int(events.admissible[i]),
-        )  # fmt: skip
-        if fold.curvature > 0.0:
-            found.append(fold)
-    return found
-
-
 def _why(fold: Fold) -> str:
     """Why a fold below the answer does not decide."""
     name = f"the fold of (1,{fold.periods}) at Gamma = {fold.gamma:.6f}"
@@ -137,8 +148,24 @@ def _why(fold: Fold) -> str:
     return f"{name} is unstable on both sides: a torus may live near it"
 
 
-def _ends(line: Branch, events: Events, below: float) -> list[tuple[float, str]]:
-    """Where stable cycles end below a Gamma, on the way down, otherwise than at a fold: Gamma and how."""
+class _LastCycle(NamedTuple):
+    """Where stable cycles of a branch end on the way down, otherwise than at a fold."""
+
+    kind: Kind
+    gamma: float
+    periods: int
+    flight_time: float  # rad
+    within: float  # rad, of a stable cycle beside it
+    beyond: tuple[float, float]  # rad, between which the orbits that follow are not admissible
+
+    def leads_to(self, fold: Fold) -> bool:
+        """Whether a fold that is not admissible lies beyond."""
+        low, high = self.beyond
+        return fold.periods == self.periods and bool(fold.admissible) and low <= fold.flight_time <= high
+
+
+def _last_cycles(line: Branch, events: Events, below: float) -> list[_LastCycle]:
+    """Those below a Gamma."""
     lives = line.stable & (line.admissible == 0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lives, [False]])))
     found = []
@@ -150,10 +177,34 @@ def _ends(line: Branch, events: Events, below: float) -> list[tuple[float, str]]
             here = (events.flight_time >= low) & (events.flight_time <= high)
             if line.gamma[outside] > line.gamma[inside] or (here & (events.kind == Kind.FOLD)).any():
                 continue
+            after = line.flight_time[_stretch(line.admissible != 0, outside, outside - inside)]
+            beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
             for i in np.flatnonzero(here & (events.gamma < below)):
-                text = f"(1,{line.periods}) ends at a {events.kind[i]} at Gamma = {events.gamma[i]:.6f}"
-                found.append((float(events.gamma[i]), text))
+                found.append(
+                    _LastCycle(
+                        Kind(str(events.kind[i])), float(events.gamma[i]), line.periods,
+                        float(events.flight_time[i]), float(line.flight_time[inside]), beyond,
+                    )
+                )  # fmt: skip
     return found
+
+
+def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
+    """The indices from a start on, in a direction, as long as they are inside."""
+    side = np.arange(start, len(inside) if direction > 0 else -1, direction)
+    return side[: int(np.argmin(np.append(inside[side], False)))]
+
+
+def _follow(omega: float, xi: float, end: _LastCycle) -> End:
+    """What becomes of it."""
+    at = from_branch(omega, xi, end.periods, end.flight_time)
+    if end.kind is Kind.IMMEDIATE_TAKEOFF:
+        return descend(with_hop(at, 0))
+    if end.kind is Kind.FLIP:
+        return descend(doubled(at))
+    if end.kind is Kind.GRAZE_CONTACT:
+        return descend(from_branch(omega, xi, end.periods, end.within))
+    return End(end.gamma, None, f"(1,{end.periods}) ends at a {end.kind} at Gamma = {end.gamma:.6f}")
 
 
 def _jump(line: Branch, events: Events) -> float:

@@ -25,7 +25,7 @@ from kernel.branches.admissibility import (
 )
 from kernel.branches.closed_form import TWO_PI, multipliers, orbit
 from kernel.branches.closed_form import stable as is_stable
-from kernel.branches.events import GRAZES, SAMPLES, Kind, check_spring, flight_times
+from kernel.branches.events import GRAZES, Kind, check_spring, sample_times
 from kernel.branches.roots import Floats
 from kernel.branches.spring import Array, Flight, Free, Spring, flight, spring, stuck
 from kernel.params import KernelInputError
@@ -231,7 +231,7 @@ class Conditions(NamedTuple):
 def samples(k: Spring, periods: int) -> Samples:
     """Of flights and contacts of a word, to be made once for a spring."""
     omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
-    t = np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES)])
+    t = sample_times(omega, xi, periods)
     return Samples(t, _gap_terms(k, t)[:2], force_terms(k, t)[:2])
 
 
@@ -402,8 +402,15 @@ def with_split_contact(word: Word, piece: int, time: float) -> Word:
     return _inserted(word, letters, part.place, part.place + 1, rest, time)
 
 
+def with_contact(word: Word, piece: int) -> Word:
+    """The word that begins where n = 0 at the start of a flight after a "z": it sticks shortly before."""
+    part = pieces(word.letters)[piece]
+    letters = word.letters[: part.letter - 1] + "s" + word.letters[part.letter :]
+    return _inserted(word, letters, part.place, part.place, word.unknowns[part.place :])
+
+
 def _inserted(word: Word, letters: str, keep: int, place: int, rest: Floats, *times: float) -> Word:
-    """With a flight of no time at `place` among the unknowns, the first step towards a longer one."""
+    """With a piece of no time at `place` among the unknowns, the first step towards a longer one."""
     u = np.concatenate([word.unknowns[:keep], times, [0.0], rest])
     direction = np.zeros(len(u))
     direction[place] = 1.0

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from paths import GOLDEN
 
-from kernel.branches.thresholds import EQ_25, UNRESOLVED, lifetime, thresholds
+from kernel.branches.descent import descend, lifetime
+from kernel.branches.thresholds import EQ_25, UNRESOLVED, thresholds
+from kernel.branches.words import from_branch, from_flights
 from kernel.threshold import threshold
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
@@ -59,11 +61,60 @@ def test_unresolved_between_bogdanov_takens_points():
     assert thresholds(bt[2] - 0.01, 0.05).cause == "fold (1,1)"
 
 
-def test_unresolved_where_the_branch_becomes_another_word():
-    """At Omega = 1.26 the lowest orbit is of two flights, the second of an immediate take-off."""
+def test_a_fold_of_a_word():
+    """At Omega = 1.26 the lowest orbit is of two flights, the first of an immediate take-off."""
+    expected = REFERENCE["immediate_takeoff"]
     found = thresholds(1.26, 0.05)
+    assert found.cause == "fold of word zs (2,2)"
+    assert found.down == pytest.approx(expected["fold"], abs=1e-9)
+    balance = found.energy
+    given = balance.plate_contact + balance.plate_impact
+    assert given == pytest.approx(balance.dashpot + balance.impact, abs=1e-9)
+    assert balance.force + balance.impulse == pytest.approx(balance.weight, abs=1e-9)
+
+
+def test_unresolved_where_a_word_becomes_a_torus():
+    """At Omega = 1.28 it turns into one 2e-6 above its fold."""
+    found = thresholds(1.28, 0.05)
     assert found.cause == UNRESOLVED
-    assert "immediate-takeoff" in found.reason
+    assert "zs (2,2) ends at a neimark-sacker at Gamma = 2.710437" in found.reason
+
+
+def test_a_doubled_cycle_reaches_below_the_fold():
+    """A flip next to the fold of (1,1): its (2,2), unstable there, turns at a lower fold of its own."""
+    expected = REFERENCE["doubled_below_a_fold"]
+    found = thresholds(expected["omega"], expected["xi"])
+    assert found.cause == "fold of word ss (2,2)"
+    assert found.down == pytest.approx(expected["simulated"], abs=2e-6)
+    assert found.down < expected["fold of (1,1)"]
+
+
+def test_words_of_settled_cells():
+    """With the cycle of a settled cell the answer at Omega = 1.26 is the same; a lower cell contradicts."""
+    reference = REFERENCE["immediate_takeoff"]
+    word = from_flights(
+        1.26, 0.05, reference["gamma"], np.array(reference["takeoff_phase"]),
+        np.array(reference["flight_time"]), 2,
+    )  # fmt: skip
+    found = thresholds(1.26, 0.05, words=[word], bouncing=reference["gamma"])
+    assert found.cause == "fold of word zs (2,2)"
+    assert found.down == pytest.approx(reference["fold"], abs=1e-9)
+    lower = thresholds(1.26, 0.05, words=[word], bouncing=2.2)
+    assert lower.cause == UNRESOLVED
+    assert "2.200000" in lower.reason
+
+
+def test_ghost_of_a_word():
+    """The one law, whatever the coordinate along the branch: (1,1) as the word "s"."""
+    closed = thresholds(0.6, 0.05).fold
+    beside = from_branch(0.6, 0.05, 1, closed.flight_time + 0.05)
+    end = descend(beside)
+    assert end.fold.name == closed.name == "fold (1,1)"
+    assert end.gamma == pytest.approx(closed.gamma, abs=1e-12)
+    assert end.fold.other_multiplier == pytest.approx(closed.other_multiplier, abs=1e-7)
+    assert lifetime(end.fold, 1e-6) == pytest.approx(lifetime(closed, 1e-6), rel=1e-4)
+    for ours, known in zip(end.fold.energy, closed.energy, strict=True):
+        assert ours == pytest.approx(known, abs=1e-7)
 
 
 def test_ghost():
@@ -85,3 +136,11 @@ def test_hysteresis_with_rest_ends():
     assert thresholds(end["omega"], end["xi"] - 5e-4).cause == "fold (1,1)"
     omegas = end["omega"] + np.linspace(-0.01, 0.01, 9)
     assert {thresholds(float(omega), end["xi"] + 5e-4).cause for omega in omegas} == {EQ_25}
+
+
+@pytest.mark.parametrize(("omega", "xi"), [(0.28, 0.03), (0.22, 0.02)])
+def test_several_folds_of_one_branch(omega, xi):
+    """Some hold, others do not: each is judged by itself."""
+    found = thresholds(omega, xi)
+    assert found.cause in (EQ_25, UNRESOLVED) or found.cause.startswith("fold")
+    assert (found.reason != "") == (found.cause == UNRESOLVED) == math.isnan(found.down)
