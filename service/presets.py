@@ -19,10 +19,6 @@ Light to import: the service lists `FIGURES` for the page, `service.figures` dra
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple, TypeAlias
 
-from kernel.branches.starts import start_on_stable_cycle
-from kernel.branches.thresholds import thresholds
-from kernel.params import Cell
-
 Sweep: TypeAlias = Mapping[str, Any]
 
 SOFT: Final[Sweep] = {"kind": "soft", "restitution": 0.0, "penetration": 1e-3, "adhesive": True}
@@ -210,6 +206,10 @@ def _hysteresis() -> tuple[Sweep, ...]:
 
 def seeded(omega: float, xi: float) -> tuple[Sweep, ...]:
     """The ramp down to the fold at which bouncing ends; none where it does not end at a fold of (1, k)."""
+    from kernel.branches.starts import start_on_stable_cycle
+    from kernel.branches.thresholds import thresholds
+    from kernel.params import Cell
+
     found = thresholds(omega, xi)
     fold = found.fold
     if fold is None or not found.cause.startswith("fold (1,"):

@@ -19,9 +19,10 @@ from PIL import Image
 
 from benchmarks.contacts import CONTACTS, end_of_bouncing
 from kernel.branches.curves import Parameter, curves
+from kernel.branches.descent import lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
 from kernel.branches.starts import start_on_stable_cycle
-from kernel.branches.thresholds import Thresholds, lifetime, thresholds
+from kernel.branches.thresholds import Thresholds, thresholds
 from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
 from kernel.params import Cell
 from kernel.threshold import threshold
@@ -37,7 +38,7 @@ CHOSEN = {"0.01", "0.02", "0.05", "0.1", "0.2", "0.46", "0.26", "0.82", "1.24", 
 CHOSEN |= {f"{omega:.2f}" for omega in TABLE_OMEGAS}
 
 #: The measured rows of other contacts.
-LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000\d \|.*$", SECTIONS["Other contacts"], re.MULTILINE)
+LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000 \|.*$", SECTIONS["Other contacts"], re.MULTILINE)
 
 Texts = list[str]
 
@@ -176,7 +177,7 @@ def tori() -> Texts:
 def other_contacts() -> Texts:
     """The row of one frequency; `test_other_contacts` computes the others."""
     moved = [end_of_bouncing(0.60, contact, 1e-4) - at(0.60).down for contact in ("e = 0.1", "e = 0.5")]
-    return [f"| {moved[0]:.4f} | {moved[1]:.4f} |", *LONG_ROWS]
+    return [f"| {moved[0]:.3f} | {moved[1]:.3f} |", *LONG_ROWS]
 
 
 def not_known() -> Texts:
@@ -225,7 +226,7 @@ def test_other_contacts():
     assert len(LONG_ROWS) == len(TABLE_OMEGAS)
     for row, omega in zip(LONG_ROWS, TABLE_OMEGAS, strict=True):
         moved = [end_of_bouncing(omega, contact, 1e-4) - at(omega).down for contact in CONTACTS]
-        cells = ["–" if math.isnan(value) else f"{value:.4f}" for value in moved]
+        cells = ["–" if math.isnan(value) else f"{value:.3f}" for value in moved]
         assert row == f"| {omega:.2f} | {' | '.join(cells)} |"
 
 

@@ -44,6 +44,7 @@ CANCEL_SECONDS: Final = 0.25
 #: Contacts and flights between two looks at the clock, at first, and the seconds that they may take: the
 #: number is doubled or halved until they do. A cell takes about two for each plate period.
 FIRST_STEPS: Final = 4096
+MOST_STEPS: Final = 2**40
 LOOK_SECONDS: Final = (0.02, 0.1)
 
 #: Why a checkpoint may not be written, which is no reason to fail.
@@ -179,7 +180,8 @@ class _Work:
         took = time.perf_counter() - before
         self._kernel_seconds += took
         low, high = LOOK_SECONDS
-        self._steps = max(self._steps * (2 if took < low else 1) // (2 if took > high else 1), 1)
+        steps = self._steps * (2 if took < low else 1) // (2 if took > high else 1)
+        self._steps = min(max(steps, 1), MOST_STEPS)
         return done
 
     def _pause_if_due(self, under_way: _Arrays) -> None:

@@ -11,6 +11,7 @@ from browser import chromium, needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 
 from kernel.branches.starts import cycles_at
+from kernel.branches.thresholds import thresholds
 from kernel.params import Cell
 from service.server import embedded
 from service.settings import Settings
@@ -34,6 +35,7 @@ LOOP: dict[str, Any] = {
 #: Positions on the plot, in CSS pixels, of pixels in the colour of a property of the style sheet.
 PIXELS = """([selector, property]) => {
     const canvas = document.querySelector(selector);
+    if (!canvas?.width) return []; // nothing is drawn yet
     const hex = getComputedStyle(document.documentElement).getPropertyValue(property).trim();
     const wanted = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
     const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -155,6 +157,11 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         wait_shown(page, xi=0.05, folds=True)
         assert len(branch_pixels(page)) > 200
         assert page.locator(".closed-form .note").inner_text() == ""
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")  # the middle frequency, 0.625
+        said = page.locator(".panel .readout", has_text="closed form: bouncing ends at").inner_text()
+        assert f"{thresholds(0.625, 0.05).down:.6g}" in said
+        assert "(fold (1,1))" in said
         screenshot(page, "folds")
 
 
@@ -187,7 +194,7 @@ def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address
         page.locator(".cost").filter(has_text="cells in").wait_for()
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile(f"#/job/{view['id']}"))  # the same specification is the same job
-        assert "ramp down along Γ from the cycle (1, 1)" in page.locator("header.job .summary").inner_text()
+        page.locator("header.job .summary", has_text="ramp down along Γ from the cycle (1, 1)").wait_for()
 
 
 def test_a_ball_has_no_branches(browser: Any, address: str):

@@ -195,6 +195,17 @@ def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
     assert [run_chunk(spec, chunk, url).checksum for chunk in reversed(plan)] == first[::-1]
 
 
+def test_many_lines_that_take_no_time(tmp_path, small_spec):
+    """Steps between two looks at the clock are doubled after each of them: they must not outgrow an int64."""
+    spec = small_spec(
+        gamma=[0.1, 0.2], omega={"start": 0.5, "stop": 0.9, "num": 100}, xi=0.05, settle=0, observe=1,
+        protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}, model={"kind": "rigid"},
+    )  # fmt: skip
+    plan, url = stored(tmp_path, spec, (1, 100, 2))
+    report = run_chunk(spec, plan[0], url)
+    assert report.outcomes[Outcome.AT_REST] == 200
+
+
 def test_cancelled_chunk_writes_nothing(tmp_path, small_spec):
     spec = small_spec()
     plan, url = stored(tmp_path, spec)

@@ -180,7 +180,14 @@ export class Thresholds extends PlotView {
       const value = this.thresholds[key][index];
       parts.push(`${name}: ${value === null ? REASONS[this.thresholds[`${key}_status`][index]](this.grid.gamma) : number(value, 4)}`);
     }
-    return parts.join(" · ");
+    return [...parts, ...this.#predictionText(index)].join(" · ");
+  }
+
+  /** Where the closed form says that bouncing ends and why, and why the sweep differs. */
+  #predictionText(index) {
+    const { predicted_down: down, cause, difference } = this.thresholds;
+    if (!this.closedForm || down[index] === null) return [];
+    return [`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, ...(difference[index] ? [difference[index]] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
@@ -193,9 +200,9 @@ export class Thresholds extends PlotView {
   }
 
   table() {
-    const { omega, xi, analytic, up, down, up_status, down_status } = this.thresholds;
-    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status"],
-      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i]]));
+    const { omega, xi, analytic, up, down, up_status, down_status, predicted_jump: jump, predicted_down: end, cause } = this.thresholds;
+    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause"],
+      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i], jump[i], end[i], cause[i]]));
   }
 }
 
