@@ -123,3 +123,40 @@ def test_points_of_curves_are_events(plane):
             near = np.abs(time - curve.flight_time[i]) < 1e-7
             assert near.any(), (curve.kind, curve.omega[i])
             assert gamma[near] == pytest.approx(curve.gamma[i], rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "fixed", "low", "high", "periods"),
+    [(Parameter.OMEGA, 0.05, 0.42, 0.56, 1), (Parameter.OMEGA, 0.05, 1.2, 1.4, 2),
+     (Parameter.XI, 0.44, 0.03, 0.3, 1)],
+)  # fmt: skip
+def test_curves_of_grazes(parameter, fixed, low, high, periods):
+    """Each point is an orbit that grazes, found by itself: an event of the branch of its own spring."""
+    kinds = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT, Kind.IMMEDIATE_TAKEOFF)
+    found = curves(parameter, fixed, low, high, periods, kinds, lines=6)
+    assert {curve.kind for curve in found.curves} >= {Kind.GRAZE_FLIGHT, Kind.IMMEDIATE_TAKEOFF}
+    seen = 0
+    for curve in found.curves:
+        assert (np.ptp(curve.omega) == 0.0) == (parameter is Parameter.XI)
+        at = curve.xi if parameter is Parameter.XI else curve.omega
+        for i in range(5, len(curve.gamma) - 5, 20):
+            # curves end where two grazes meet; a gap beside that dips below zero by less than rounding
+            if curve.admissible[i] or np.abs(at[i] - at[[0, -1]]).min() < 2e-3:
+                continue
+            _, events = branch_and_events(float(curve.omega[i]), float(curve.xi[i]), periods)
+            near = np.isin(events.kind, kinds) & (np.abs(events.flight_time - curve.flight_time[i]) < 1e-8)
+            assert near.any(), (curve.kind, curve.omega[i], curve.xi[i])
+            assert events.gamma[near] == pytest.approx(curve.gamma[i], rel=1e-8)
+            seen += curve.kind in kinds[:2]
+    assert seen >= 2
+
+
+def test_bogdanov_takens_and_fold_flip_points_of_other_planes():
+    """Over xi at Omega = 0.6: the cusp at which folds of (1,1) meet, and a fold-flip, by their conditions."""
+    found = curves(Parameter.XI, 0.6, 0.01, 0.3, 1, (Kind.FOLD, Kind.FLIP), lines=6)
+    assert set(found.points.kind) == {Kind.CUSP, Kind.FOLD_FLIP}
+    for kind, xi, t in zip(found.points.kind, found.points.xi, found.points.flight_time, strict=True):
+        f = floquet(spring(0.6, float(xi)), 1, np.array([float(t)]))
+        assert 1.0 - f.trace[0] + f.det[0] == pytest.approx(0.0, abs=1e-11)
+        other = f.det1 - f.trace1 if kind == Kind.CUSP else f.det + 1.0
+        assert other[0] == pytest.approx(0.0, abs=1e-11)
