@@ -1,21 +1,30 @@
 """CPU time of branches with their events, and of thresholds, beside the simulation of one sweep line.
 
-    python -m benchmarks.branches [--repeat 9]
+    python -m benchmarks.branches [--repeat 9] [--http] [--grid 200x50]
 
 "branches" is (1,1) and (1,2) on 400 points with every event, "threshold" is Gamma_down with its cause; each
 at 20 springs spread over Omega and xi. "line" simulates 400 cells of one such spring for 100 plate periods
 each, as a sweep does. Medians over the springs of the least of the repetitions, in milliseconds of CPU time,
 and as ratios to "line".
+
+--http starts a service and asks it for the orbits (two modes, 400 points, all events) and the thresholds of
+200 springs, one at a time: median and 95th percentile of the wall time, and the mean of the service's CPU
+time, in milliseconds. --grid computes a
+grid of springs (omega x xi) as a job of that service.
 """
 
 import argparse
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
+import httpx2
 import numpy as np
 
 from benchmarks.machine import describe
+from benchmarks.serving import TIMEOUT, Serving
 from benchmarks.tables import short, table
 from kernel.branches.events import branch_and_events
 from kernel.branches.thresholds import thresholds
@@ -55,13 +64,62 @@ def milliseconds(call: Callable[[float, float], object], repeat: int) -> float:
     return statistics.median(times)
 
 
+def requests(service: Serving, path: str, count: int = 200) -> tuple[float, float, float]:
+    """Median and 95th percentile of the wall time of a request, and the service's CPU time for one; in ms.
+
+    Every spring is asked for once.
+    """
+    draw = np.random.default_rng(12)
+    times = []
+    with httpx2.Client(base_url=service.url, timeout=TIMEOUT) as client:
+        client.get(path, params={"omega": 0.6, "xi": 0.05})
+        before = sum(service.me.cpu_times()[:2])
+        for _ in range(count):
+            spring = {"omega": draw.uniform(0.26, 1.6), "xi": draw.choice([0.02, 0.05, 0.1, 0.26, 0.8])}
+            spring["xi"] *= draw.uniform(0.9, 1.1)
+            began = time.perf_counter()
+            client.get(path, params=spring).raise_for_status()
+            times.append(1e3 * (time.perf_counter() - began))
+        taken = 1e3 * (sum(service.me.cpu_times()[:2]) - before) / count
+    return float(np.percentile(times, 50)), float(np.percentile(times, 95)), taken
+
+
+def over_http(http: bool, grid: str | None) -> None:
+    """Print what requests and a grid take in a service."""
+    with tempfile.TemporaryDirectory() as folder:
+        service = Serving(Path(folder))
+        try:
+            if http:
+                paths = {"orbits": "/v1/orbits", "threshold": "/v1/threshold"}
+                times = {name: requests(service, path) for name, path in paths.items()}
+                rows = [[name, *(short(value) for value in both)] for name, both in times.items()]
+                print(table(["over HTTP", "median ms", "p95 ms", "CPU ms"], rows))
+            if grid is not None:
+                omega, xi = map(int, grid.split("x"))
+                spec = {
+                    "protocol": {"kind": "orbits"},
+                    "omega": {"start": 0.26, "stop": 1.6, "num": omega},
+                    "xi": {"start": 0.02, "stop": 0.8, "num": xi},
+                }
+                began = time.perf_counter()
+                job = service.wait(service.submit(spec))
+                took = time.perf_counter() - began
+                cells = job["progress"]["cells_done"]
+                print(f"a grid of {omega} x {xi} springs: {took:.0f} s, {cells:,} cells")
+        finally:
+            service.end()
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--repeat", type=int, default=9)
-    repeat = parser.parse_args().repeat
+    parser.add_argument("--http", action="store_true")
+    parser.add_argument("--grid", metavar="OMEGASxXIS")
+    options = parser.parse_args()
+    repeat = options.repeat
     simulated(0.6, 0.05)  # compiles
     rows = {"branches": both, "threshold": thresholds, "line": simulated}
     times = {name: milliseconds(call, repeat) for name, call in rows.items()}
@@ -72,6 +130,8 @@ def main() -> None:
             [[name, short(value), short(value / times["line"])] for name, value in times.items()],
         )
     )
+    if options.http or options.grid:
+        over_http(options.http, options.grid)
 
 
 if __name__ == "__main__":

@@ -19,15 +19,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import numpy as np
+import psutil
 
 from benchmarks.machine import describe
-from benchmarks.serving import TIMEOUT, Polls, Serving, sweep
+from benchmarks.serving import MB, TIMEOUT, Polls, Serving, sweep
 
 MAX_MEMORY_MB = 1_500.0
 MAX_P99 = 0.250
@@ -62,6 +63,14 @@ def wide() -> dict[str, Any]:
     }
 
 
+def used(service: Serving) -> tuple[float, int]:
+    """Megabytes of the service with the processes that compute its answers, and its file handles."""
+    megabytes, handles = service.used()
+    with suppress(psutil.NoSuchProcess):
+        megabytes += sum(process.memory_info().rss for process in service.answer_processes()) / MB
+    return megabytes, handles
+
+
 class Memory:
     """The service's memory, sampled in a thread during a block."""
 
@@ -80,7 +89,7 @@ class Memory:
 
     def _sample(self) -> None:
         while not self._over.wait(0.02):
-            megabytes, handles = self._service.used()
+            megabytes, handles = used(self._service)
             self.most, self.handles = max(self.most, megabytes), max(self.handles, handles)
 
 
@@ -201,7 +210,7 @@ class Report:
             f"{what}: {took:.0f} s, {len(polls.seconds)} polls, p99 {1e3 * p99:.0f} ms, "
             f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; "
             f"at most {memory.most:.0f} MB and {memory.handles} handles, "
-            f"then {service.used()[0]:.0f} MB and {service.used()[1]}",
+            f"then {used(service)[0]:.0f} MB and {used(service)[1]}",
             flush=True,
         )
         self.broken |= p99 >= MAX_P99 or memory.most >= MAX_MEMORY_MB or bool(polls.wrong)
@@ -231,7 +240,7 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
         with unread(service.port, paths[6], 100):
             time.sleep(arguments.seconds)
 
-    print(f"idle: {service.used()[0]:.0f} MB and {service.used()[1]} handles", flush=True)
+    print(f"idle: {used(service)[0]:.0f} MB and {used(service)[1]} handles", flush=True)
     with Jobs(service) as jobs:
         alone, _ = report.phase("jobs alone", lambda: rate(jobs, lambda: time.sleep(arguments.seconds)))
         what = f"{arguments.requests} GETs by {arguments.clients} clients beside jobs"

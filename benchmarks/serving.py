@@ -68,6 +68,10 @@ class Serving:
         """Megabytes and file handles of the service's own process."""
         return self.me.memory_info().rss / MB, self.me.num_fds()
 
+    def answer_processes(self) -> list[psutil.Process]:
+        """The processes in which it computes answers: those of lower priority."""
+        return [child for child in self.me.children() if child.nice() > self.me.nice()]
+
     def submit(self, spec: dict[str, Any]) -> str:
         """The path of the job."""
         return str(httpx2.post(f"{self.url}/v1/jobs", json=spec, timeout=TIMEOUT).headers["Location"])

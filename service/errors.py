@@ -20,6 +20,7 @@
     ├── NoSpace                no disk space for an export
     ├── ExportFailed           the process that writes an export has died
     ├── LedgerUnavailable      the ledger cannot be read or written at the moment
+    ├── NotAdoptable           a store cannot be taken in as a job
     └── NotStarted             the service cannot start; the text says why
         ├── DataFolderBusy     another service uses the data folder
         └── LedgerUnusable     a newer version wrote the ledger, or the file is no ledger
@@ -124,6 +125,10 @@ class ExportFailed(ServiceError):
 
 class LedgerUnavailable(ServiceError):
     """The ledger cannot be read or written at the moment."""
+
+
+class NotAdoptable(ServiceError):
+    """A store cannot be taken in as a job."""
 
 
 class NotStarted(ServiceError):

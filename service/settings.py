@@ -13,8 +13,10 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from service import tokens
+from service.errors import NotStarted
 from worker import store
-from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS
+from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_SECONDS
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are what the system's clocks and SQLite can represent.
@@ -23,9 +25,6 @@ Count = Annotated[int, Field(ge=1, le=2**62)]
 
 #: Host names and addresses of this machine's loopback interface.
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-
-#: Characters of an access token; a shorter one could be guessed.
-MIN_TOKEN_LENGTH: Final = 16
 
 
 class Settings(BaseSettings):
@@ -40,7 +39,12 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: Port = Field(8000, description="Port to listen on; 0 takes any free one.")
     token: SecretStr | None = Field(
-        None, description="Access token that callers must send; required to listen beyond loopback."
+        None,
+        description="Access token that callers must send, or `auto` to make one and keep it in `data`; "
+        "required to listen beyond loopback.",
+    )
+    token_file: Path | None = Field(
+        None, description="File of more access tokens, one `NAME: TOKEN` per line, for this user alone."
     )
     allowed_hosts: Annotated[frozenset[str], NoDecode] = Field(
         frozenset(),
@@ -99,7 +103,13 @@ class Settings(BaseSettings):
     max_bytes: Count = Field(
         DEFAULT_MAX_BYTES, description="Bytes of one sweep's stored arrays before compression."
     )
+    max_core_seconds: Positive = Field(
+        DEFAULT_MAX_CORE_SECONDS, description="Core-seconds of one sweep, by the estimate."
+    )
     max_queue: Count = Field(1_000, description="Jobs that may be queued or running.")
+    max_queue_per_token: Count = Field(
+        500, description="Jobs submitted with one named token that may be queued or running."
+    )
     max_points: Count = Field(1_000_000, description="Flights, or cells of a mode map, in one answer.")
     max_export_bytes: Count = Field(
         2 * 2**30, description="Bytes of a sweep that may be exported as one file, before compression."
@@ -125,12 +135,14 @@ class Settings(BaseSettings):
     # Running jobs
 
     active_jobs: Count = Field(
-        32, description="Jobs that run at a time, their plans in memory; the others stay queued."
+        32, description="Jobs with their plans in memory; one that waits for others gives up its place."
     )
-    window: Count = Field(2, description="Chunks in flight per worker and job.")
+    window: Count = Field(
+        2, description="Chunks in flight per worker, of one job and those with less left to compute."
+    )
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
         0.5,
-        description="Core-seconds in flight per worker and job: jobs of short chunks exceed `window`.",
+        description="Core-seconds in flight per worker: where chunks are short, more than `window` are.",
     )
     chunk_tries: Count = Field(
         3, description="Tries of a chunk that fails or whose worker dies of it, before it is given up."
@@ -159,11 +171,20 @@ class Settings(BaseSettings):
         names = value.split(",") if isinstance(value, str) else value
         return frozenset(str(name).strip().lower() for name in names) - {""}
 
+    @field_validator("scheduler")
+    @classmethod
+    def _check_scheduler(cls, value: str | None) -> str | None:
+        if value is not None and "@" in value:
+            raise ValueError(
+                "must not contain credentials: scheduler_cert and scheduler_key identify the service"
+            )
+        return value
+
     @field_validator("stores")
     @classmethod
     def _check_stores(cls, value: str | None) -> str | None:
         if value is not None:
-            if "@" in urlsplit(value).netloc:
+            if "@" in urlsplit(value).netloc or (value.startswith("s3:") and "@" in value):
                 raise ValueError(
                     "must not contain credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, "
                     "for the workers too"
@@ -182,16 +203,17 @@ class Settings(BaseSettings):
     @field_validator("token")
     @classmethod
     def _check_token(cls, value: SecretStr | None) -> SecretStr | None:
-        text = value.get_secret_value() if value else "x" * MIN_TOKEN_LENGTH
-        if len(text) < MIN_TOKEN_LENGTH or not (text.isascii() and text.isprintable()) or " " in text:
-            raise ValueError(f"must be at least {MIN_TOKEN_LENGTH} ASCII characters without spaces")
+        text = value.get_secret_value() if value else tokens.AUTO
+        if text != tokens.AUTO and not tokens.is_valid(text):
+            raise ValueError(f"{tokens.RULE}, or auto")
         return value
 
     @model_validator(mode="after")
     def _require_token_beyond_loopback(self) -> Self:
-        if self.token is None and not is_loopback(self.host):
+        if self.token is None and self.token_file is None and not is_loopback(self.host):
             raise ValueError(
-                f"to listen on {self.host}, where others can reach it, needs a token: set BOUNCE_TOKEN"
+                f"to listen on {self.host}, where others can reach it, needs a token: "
+                "set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"
             )
         return self
 
@@ -207,6 +229,29 @@ class Settings(BaseSettings):
         if any(files) and not all(files):
             raise ValueError("TLS to the scheduler needs scheduler_ca, scheduler_cert and scheduler_key")
         return self
+
+    @property
+    def makes_token(self) -> bool:
+        """Whether the service makes its token itself."""
+        return self.token is not None and self.token.get_secret_value() == tokens.AUTO
+
+    def access_tokens(self) -> dict[str, str | None]:
+        """The names of all tokens that callers may send, by token; empty if none is required.
+
+        Reads `token_file`. `auto` must have been replaced by the token that was made. Raises NotStarted.
+        """
+        if self.makes_token:
+            raise NotStarted("token: auto is not replaced by a token")
+        found: dict[str, str | None] = {}
+        if self.token_file is not None:
+            try:
+                named = tokens.read_tokens(self.token_file, private=self.private)
+            except tokens.TokenFileUnusable as error:
+                raise NotStarted(f"token_file: {error}") from error
+            found |= {token: name for name, token in named.items()}
+        if self.token is not None:
+            found.setdefault(self.token.get_secret_value(), None)
+        return found
 
     @property
     def hosts(self) -> frozenset[str]:

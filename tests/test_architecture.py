@@ -37,13 +37,15 @@ ALLOWED = {
 #: What a specification is made of: light, so that clients can hold one.
 SPECIFICATION = {
     "worker.spec", "kernel.params", "kernel.portable_math", "kernel.restitution", "kernel.step_limits",
+    "kernel.branches",
 }  # fmt: skip
 
 #: Of the project's own modules, all that these may reach.
 REACHABLE = {
     "worker.spec": SPECIFICATION,
     "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
-    "service.client": SPECIFICATION | {"kernel.labels", "service.client", "service.formats"},
+    "service.client": SPECIFICATION
+    | {"kernel.labels", "service.client", "service.formats", "service.tokens"},
 }
 
 #: Packages whose face is their __init__; all others are empty.

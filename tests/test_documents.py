@@ -413,3 +413,33 @@ def test_changelog_has_this_version():
 
 def project_version() -> str:
     return str(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"])
+
+
+# Promises
+
+#: A command in a table: a run of tests, perhaps with variables before it and an expression, or a benchmark.
+COMMAND = re.compile(r"`(?:\w+=\S+ )*(?:pytest ([^`]*)|python -m benchmarks\.(\w+)[^`]*)`")
+
+
+@pytest.mark.parametrize("heading", ["## What survives what", "## Who gets in"])
+def test_every_promise_names_a_test_or_a_benchmark_that_can_be_run(heading: str):
+    rows = table("docs/reliability.md", heading)
+    assert len(rows) > 10
+    for row in rows:
+        assert len(row) == 4, row
+        assert all(row), row
+        assert row[-1].startswith("the same") or runnable(row[-1]), row
+
+
+def runnable(cell: str) -> bool:
+    """Whether the command is a benchmark that exists, or its expression names tests of its files."""
+    command = COMMAND.search(cell)
+    if command is None:
+        return False
+    options, benchmark = command.groups()
+    if benchmark:
+        return (ROOT / "benchmarks" / f"{benchmark}.py").is_file()
+    files = [ROOT / name for name in re.findall(r"tests/\S+\.py", options)]
+    names = "".join(name for file in files for name in re.findall(r"def (test_\w+)", file.read_text()))
+    words = re.search(r'-k (?:"([^"]+)"|(\S+))', options)
+    return bool(files) and (words is None or all(w in names for w in (words[1] or words[2]).split(" or ")))

@@ -16,6 +16,8 @@ from worker.spec.errors import Problem, SpecTooLarge
 #: Limits on one sweep where the settings of a service set no others.
 DEFAULT_MAX_CELLS: Final = 20_000_000
 DEFAULT_MAX_BYTES: Final = 32 * 2**30
+#: Six days of two cores. All cells that a sweep may have, at the default window, take a hundredth of it.
+DEFAULT_MAX_CORE_SECONDS: Final = 1e6
 
 #: Share of the cells that still settle at the end of their window, and of those the share that still do each
 #: time the periods have been doubled: of 24,000 random cells 5.3% after 300 periods, 1.9% after 600, 0.7%
@@ -110,8 +112,14 @@ def estimate(spec: SweepSpec, chunks: int) -> Cost:
     )
 
 
-def check_size(cost: Cost, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
-    """Raise `SpecTooLarge` if there are more than `max_cells` cells or `max_bytes` stored bytes."""
+def check_size(
+    cost: Cost,
+    *,
+    max_cells: int = DEFAULT_MAX_CELLS,
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    max_core_seconds: float = DEFAULT_MAX_CORE_SECONDS,
+) -> None:
+    """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these."""
     if cost.cells > max_cells:
         raise SpecTooLarge(
             [Problem("", f"asks for {cost.cells} cells; at most {max_cells} are allowed: take fewer values")]
@@ -120,3 +128,8 @@ def check_size(cost: Cost, *, max_cells: int = DEFAULT_MAX_CELLS, max_bytes: int
         per_cell = cost.bytes // cost.cells
         rule = f"asks for {cost.bytes} bytes, {per_cell} per cell; at most {max_bytes} are allowed"
         raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
+    if cost.core_seconds > max_core_seconds:
+        rule = (
+            f"asks for about {cost.core_seconds:.4g} core-seconds; at most {max_core_seconds:.4g} are allowed"
+        )
+        raise SpecTooLarge([Problem("", f"{rule}: take fewer values, or fewer periods (settle, observe)")])

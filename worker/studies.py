@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 
 from worker import schema, tasks
 from worker.cost import Cost, estimate
+from worker.orbits import ORBITS
 from worker.plan import Chunk as SweepChunk
 from worker.plan import Plan as SweepPlan
 from worker.plan import make_plan
@@ -131,7 +132,7 @@ class SweepStudy:
 SWEEP: Final = SweepStudy()
 
 #: Every kind of study by the `kind` of its specification's `protocol`.
-STUDIES: Final[dict[str, Study]] = {"rest": SWEEP, "ramp": SWEEP}
+STUDIES: Final[dict[str, Study]] = {"rest": SWEEP, "ramp": SWEEP, "orbits": ORBITS}
 
 
 def study_of(spec: Spec) -> Study:

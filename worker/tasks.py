@@ -28,11 +28,14 @@ from worker import schema, store
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
+from worker.spec.protocols import Ramp
+from worker.spec.sweep import start_of
 
 log = logging.getLogger(__name__)
 
-#: Seconds that a task computes before it pauses; the longest that another job's chunk waits for a worker.
-#: Twice the target of a chunk, so that few chunks pause that are harder than their estimate.
+#: Core-seconds that a task computes before it pauses: the longest that another job's chunk waits for a worker
+#: with a core of its own. Twice the target of a chunk, so that few pause that are harder than their estimate.
+#: By the core's clock: on a busy machine, pauses would otherwise take what time a worker gets.
 SLICE_SECONDS: Final = 1.5
 
 #: Seconds between two checks of the cancel flag, which may be in a distant bucket.
@@ -41,6 +44,7 @@ CANCEL_SECONDS: Final = 0.25
 #: Contacts and flights between two looks at the clock, at first, and the seconds that they may take: the
 #: number is doubled or halved until they do. A cell takes about two for each plate period.
 FIRST_STEPS: Final = 4096
+MOST_STEPS: Final = 2**40
 LOOK_SECONDS: Final = (0.02, 0.1)
 
 #: Why a checkpoint may not be written, which is no reason to fail.
@@ -90,8 +94,8 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Goes on from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` once
-    `slice_seconds` are over, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells
-    stay missing and the chunk can be run again.
+    `slice_seconds` core-seconds are over, `PredecessorMissing`, or a `store.StoreError`. In each case the
+    chunk's cells stay missing and the chunk can be run again.
     """
     began = time.perf_counter()
     store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
@@ -128,6 +132,7 @@ class _Work:
     ) -> None:
         self._url, self._chunk, self._record, self._lines = store_url, chunk, record, lines
         self._began, self._slice_seconds = began, slice_seconds
+        self._slice_began = time.thread_time()
         self._next_check = -math.inf  # of the cancel flag
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
         self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
@@ -175,7 +180,8 @@ class _Work:
         took = time.perf_counter() - before
         self._kernel_seconds += took
         low, high = LOOK_SECONDS
-        self._steps = max(self._steps * (2 if took < low else 1) // (2 if took > high else 1), 1)
+        steps = self._steps * (2 if took < low else 1) // (2 if took > high else 1)
+        self._steps = min(max(steps, 1), MOST_STEPS)
         return done
 
     def _pause_if_due(self, under_way: _Arrays) -> None:
@@ -183,7 +189,7 @@ class _Work:
 
         Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
         """
-        if time.perf_counter() - self._began <= self._slice_seconds:
+        if time.thread_time() - self._slice_began <= self._slice_seconds:
             return
         arrays = {_DONE: np.array(self.lines_done), _SECONDS: np.array(self.seconds)}
         arrays |= {_LINE + name: array for name, array in under_way.items()}
@@ -287,7 +293,7 @@ def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, S
     """The start of each line of a ramp's chunk; empty if all lines start from rest."""
     layer = _layer_before(spec, chunk)
     if layer is None:
-        return {}
+        return _starts_on_cycles(spec, chunk)
     stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
     previous = {
         name: _in_visiting_order(spec, layer, array) for name, array in (stored | _cells(spec, layer)).items()
@@ -297,6 +303,18 @@ def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, S
             f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
         )
     return {index: _start_at(previous, (*index, 0)) for index in np.ndindex(previous["outcome"].shape[:2])}
+
+
+def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start | None]:
+    """The start of each line of the first chunk of a ramp, on a cycle if the specification asks for it."""
+    on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
+    if on is None:
+        return {}
+    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
+    return {
+        index: start_of(Cell(*(float(cells[name][(*index, 0)]) for name in Cell._fields)), on.periods)
+        for index in np.ndindex(cells["gamma"].shape[:2])
+    }
 
 
 def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:

@@ -116,7 +116,9 @@ def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
         flips += [from_branch(omega, xi, n, float(t)) for t in events.flight_time[here] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
-    holding = [fold for fold in folds if not fold.admissible and abs(fold.other_multiplier) < 1.0]
+    holds = [not fold.admissible and abs(fold.other_multiplier) < 1.0 for fold in folds]
+    holding = [fold for fold, held in zip(folds, holds, strict=True) if held]
+    undecided = [fold for fold, held in zip(folds, holds, strict=True) if not held]
     holding += [fold for flip in flips for fold in lowest_cycles(doubled(flip), below)]
     lowest = min((fold.gamma for fold in holding), default=below)
     cycles = [cycle for cycle in cycles if cycle.gamma < lowest]
@@ -125,7 +127,7 @@ def _known(omega: float, xi: float, periods: int, below: float) -> _Known:
     return _Known(
         jump,
         holding,
-        [fold for fold in folds if fold not in holding and not any(c.leads_to(fold) for c in decided)],
+        [fold for fold in undecided if not any(cycle.leads_to(fold) for cycle in decided)],
         ends,
     )
 

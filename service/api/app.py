@@ -19,13 +19,16 @@ from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, model, page, page_data, results
 from service.api.schemas import ProblemDocument
+from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import MAX_PENDING, OnDemandCache
+from service.jobs.stores.adoption import open_ledger
 from service.render import export
 from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
 from worker.executors.base import Executor
+from worker.orbits import OrbitsSpec
 from worker.spec import SweepSpec
 
 #: Chunks of stores read at a time.
@@ -34,12 +37,15 @@ CHUNKS: Final = 4
 SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
 
 
-def create_app(settings: Settings, executor: Executor) -> FastAPI:
-    """The service as an ASGI application that computes on `executor`; the caller closes the executor.
+def create_app(settings: Settings, executor: Executor, background: Background | None = None) -> FastAPI:
+    """The service as an ASGI application that computes jobs on `executor`; the caller closes both.
+
+    Answers are computed in the `background`; without one, in this process.
 
     Its startup raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
-    version wrote the ledger.
+    version wrote the ledger. Raises NotStarted for a file of tokens that cannot be used.
     """
+    tokens = settings.access_tokens()
     metrics = Metrics()
     app = FastAPI(
         title="bouncing-spring",
@@ -48,7 +54,13 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
         dependencies=[Depends(reject_repeated_parameters)],
-        lifespan=partial(_lifespan, settings=settings, executor=executor, metrics=metrics),
+        lifespan=partial(
+            _lifespan,
+            settings=settings,
+            executor=executor,
+            background=background or InThisProcess(),
+            metrics=metrics,
+        ),
     )
     for module in (jobs, results, model, health, docs, page, page_data):
         app.include_router(module.router)
@@ -56,7 +68,7 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, settings=settings)
+    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens)
     app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
     app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
     return app
@@ -64,12 +76,12 @@ def create_app(settings: Settings, executor: Executor) -> FastAPI:
 
 @asynccontextmanager
 async def _lifespan(
-    app: FastAPI, *, settings: Settings, executor: Executor, metrics: Metrics
+    app: FastAPI, *, settings: Settings, executor: Executor, background: Background, metrics: Metrics
 ) -> AsyncIterator[None]:
     """Open the ledger and compute its unfinished jobs until the application stops."""
-    with Ledger(settings.ledger_path) as ledger:
+    with open_ledger(settings) as ledger:
         export.remove_unfinished(settings.exports_path)
-        service = _service(settings, ledger, executor, metrics)
+        service = _service(settings, ledger, executor, background, metrics)
         app.state.service = service
         service.manager.start()
         try:
@@ -80,8 +92,10 @@ async def _lifespan(
             service.manager.stop()
 
 
-def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Metrics) -> Service:
-    readiness = Readiness(executor)
+def _service(
+    settings: Settings, ledger: Ledger, executor: Executor, background: Background, metrics: Metrics
+) -> Service:
+    readiness = Readiness(executor, ledger_fault=ledger.fault)
     metrics.add_jobs(ledger, readiness)
     return Service(
         settings=settings,
@@ -99,6 +113,7 @@ def _service(settings: Settings, ledger: Ledger, executor: Executor, metrics: Me
             settings.answer_memory,
             timeout=settings.turn_seconds,
         ),
+        background=background,
         listener_limit=ListenerLimit(settings.max_listeners),
         progress_stream=ProgressStream(ledger),
         readiness=readiness,
@@ -111,7 +126,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for body_model in (SweepSpec, TrajectorySpec, ProblemDocument):
+        for body_model in (SweepSpec, OrbitsSpec, TrajectorySpec, ProblemDocument):
             schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
         app.openapi_schema = document

@@ -1,12 +1,11 @@
 """Limits on requests that hold resources for long: threads and memory of costly answers, event streams.
 
 An endpoint that reads much, computes or draws is declared `costly`. It then waits its turn without a thread,
-runs in threads that only costly requests use, and its answer counts as memory until the client has read it.
-All other requests keep the threads of the event loop's pool for themselves.
+runs in threads that only costly requests use, and its answer counts as memory until the
+client has read it. All other requests keep the threads of the event loop's pool for themselves.
 """
 
 import asyncio
-import ctypes
 import functools
 from collections import deque
 from collections.abc import Callable, Coroutine, Iterator, Mapping
@@ -19,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from service.background import return_memory
 from service.errors import Busy, TooManyListeners
 
 #: What costly requests do; each has threads of its own, so that long exports do not keep diagrams waiting.
@@ -106,7 +106,7 @@ class Capacity:
             self._free[activity] += 1
         if self._used == 0 and self._most_used > MUCH:
             self._most_used = 0
-            asyncio.get_running_loop().run_in_executor(None, _return_memory)
+            asyncio.get_running_loop().run_in_executor(None, return_memory)
         self._admit()
 
     def _fits(self, activity: Activity, memory: int) -> bool:
@@ -233,10 +233,3 @@ class ListenerLimit:
             yield
         finally:
             self._listeners -= 1
-
-
-def _return_memory() -> None:
-    """Give what the C library keeps for later allocations back to the system, where it can."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)

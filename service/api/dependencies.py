@@ -8,12 +8,15 @@ from fastapi import Depends, Request
 
 from service.api.capacity import Capacity, ListenerLimit
 from service.api.monitoring import Metrics, Readiness
+from service.api.parameters import LineQuery
 from service.api.progress_stream import ProgressStream
+from service.background import Background
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
+from service.render.answers import Line
 from service.results.selection import Sweep
 from service.settings import Settings
 from worker.spec import SweepSpec
@@ -28,6 +31,7 @@ class Service:
     manager: JobManager
     on_demand: OnDemandCache
     capacity: Capacity
+    background: Background
     listener_limit: ListenerLimit
     progress_stream: ProgressStream
     readiness: Readiness
@@ -40,6 +44,15 @@ async def _service(request: Request) -> Service:  # async, because FastAPI would
 
 
 ServiceDep = Annotated[Service, Depends(_service)]
+
+
+async def _owner(request: Request) -> str | None:
+    name: str | None = getattr(request.state, "token_name", None)
+    return name
+
+
+#: The name of the caller's access token; None if it has no name, or none is required.
+OwnerDep = Annotated[str | None, Depends(_owner)]
 
 
 def find_job(job_id: str, service: ServiceDep) -> JobRecord:
@@ -61,6 +74,12 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
     done = job.state is JobState.DONE
     return Sweep(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing)
+
+
+def line(query: LineQuery) -> Line:
+    """The line that a query asks for."""
+    values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
+    return Line(query.along, values, query.direction, query.min_flight)
 
 
 async def reject_repeated_parameters(request: Request) -> None:

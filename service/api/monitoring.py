@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
@@ -18,15 +18,33 @@ _METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "OPTIONS", "PUT", 
 
 
 class Readiness:
-    """Whether the scheduler answers. Caches the executor's answer for `max_age` seconds; thread-safe."""
+    """Whether the ledger can be used and the scheduler answers; thread-safe.
 
-    def __init__(self, executor: Executor, max_age: float = 1.0) -> None:
-        self._executor, self._max_age = executor, max_age
+    Caches the executor's answer for `max_age` seconds. `ledger_fault` says why the ledger cannot be used.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        max_age: float = 1.0,
+        ledger_fault: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        self._executor, self._max_age, self._ledger_fault = executor, max_age, ledger_fault
         self._lock = threading.Lock()
         self._checked = float("-inf")
         self._ready = False
 
+    def fault(self) -> str | None:
+        """Why no jobs are accepted or computed; None if they are."""
+        if (fault := self._ledger_fault()) is not None:
+            return fault
+        return None if self._answers() else "the Dask scheduler does not answer; jobs wait until it does"
+
     def ready(self) -> bool:
+        """Whether jobs are accepted and computed."""
+        return self.fault() is None
+
+    def _answers(self) -> bool:
         """Whether the executor could compute at most `max_age` seconds ago."""
         with self._lock:
             if time.monotonic() - self._checked > self._max_age:
@@ -83,7 +101,9 @@ class _JobsCollector(Collector):
         yield jobs
         yield GaugeMetricFamily("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks)
         yield GaugeMetricFamily("bounce_cells_done", "Cells marked done, of jobs in the ledger.", cells)
-        yield GaugeMetricFamily("bounce_ready", "Whether the scheduler answers.", self._readiness.ready())
+        yield GaugeMetricFamily(
+            "bounce_ready", "Whether jobs are accepted and computed.", self._readiness.ready()
+        )
 
     def describe(self) -> list[Metric]:
         return []

@@ -4,9 +4,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from kernel.branches.curves import CURVES
 from service.formats import DiagramFormat, ExportFormat, TradeoffFormat
 from service.jobs.model import JobState
 from service.results.trajectory import MAX_SAMPLES
+from worker.orbits import MAX_POINTS
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="n: return every n-th value only")]
@@ -62,11 +64,47 @@ class DiagramQuery(LineQuery):
     every: Every = 1
 
 
-class ThresholdQuery(Query):
-    """Point at which to evaluate Eq. 25."""
+Omega = Annotated[Number, Field(gt=0, le=1e6)]
+Xi = Annotated[Number, Field(ge=0, le=1e6)]
+Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
+GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
 
-    omega: Annotated[Number, Field(gt=0, le=1e6)]
-    xi: Annotated[Number, Field(ge=0, le=1e6)]
+
+class ThresholdQuery(Query):
+    """A spring, and how far below the fold it bounces."""
+
+    omega: Omega
+    xi: Xi
+    delta: Annotated[
+        Number, Field(ge=1e-15, le=0.1, description="Γ below `down` for which the lifetime is told")
+    ] = 1e-6
+
+
+class OrbitsQuery(Query):
+    """A spring, and which of its branches to compute."""
+
+    omega: Omega
+    xi: Xi
+    modes: Modes = "1-1,1-2"
+    gamma_max: GammaMax = 8.0
+    points: Annotated[int, Field(ge=10, le=MAX_POINTS, description="of each branch, at least")] = 400
+    energy: bool = Field(False, description="the energy balance of every point as well")
+
+
+class CurvesQuery(Query):
+    """A range of Ω at one ξ, or of ξ at one Ω."""
+
+    omega: Omega | None = None
+    xi: Xi | None = None
+    omega_start: Omega | None = None
+    omega_stop: Omega | None = None
+    xi_start: Xi | None = None
+    xi_stop: Xi | None = None
+    modes: Modes = "1-1,1-2"
+    kinds: Annotated[
+        str, Field(max_length=200, description="fold, flip, neimark-sacker, immediate-takeoff; default: all")
+    ] = ",".join(CURVES)
+    gamma_max: GammaMax = 8.0
 
 
 class JobThresholdQuery(Query):
@@ -84,6 +122,16 @@ class PlaneQuery(Query):
     xi: Number | None = None
     direction: Direction = None
     min_flight: MinFlight = None
+
+
+class JobOrbitsQuery(Query):
+    """The spring of the sweep nearest to the given values, and the direction whose cells are continued."""
+
+    omega: Number | None = None
+    xi: Number | None = None
+    direction: Direction = None
+    gamma_max: GammaMax = 8.0
+    energy: bool = Field(False, description="the energy balance of every point as well")
 
 
 class ModesQuery(PlaneQuery):

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from kernel.branches.events import Kind
 from kernel.params import Outcome
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
@@ -59,6 +60,9 @@ class JobView(BaseModel):
     replaced_by: str | None = Field(
         description="id of the job that computes the sweep anew, with this release's kernel version"
     )
+    owner: str | None = Field(
+        description="name of the access token that submitted it, or resumed it last; null if that has none"
+    )
     created: datetime
     started: datetime | None
     finished: datetime | None
@@ -98,12 +102,153 @@ class Modes(BaseModel):
     every: int = Field(1, description="every n-th value of both axes; left out if 1")
 
 
+class EnergyView(BaseModel):
+    """Of one cycle: energies in mA²ω², momentum in mAω."""
+
+    plate_contact: float = Field(description="work of the plate in contact")
+    plate_impact: float = Field(description="work of the plate at the impact")
+    dashpot: float = Field(description="what the dashpot takes")
+    impact: float = Field(description="what the impact takes")
+    force: float = Field(description="integral of the contact force")
+    impulse: float = Field(description="of the impact")
+    weight: float = Field(description="4π periods/Γ, the impulse of gravity")
+
+
+class Lifetime(BaseModel):
+    """How long bouncing lives just below the fold at which it ends."""
+
+    delta: float = Field(description="Γ below `down`")
+    periods: float = Field(description="plate periods, (π/|λ'|)√(2Γ''/delta) cycles")
+
+
 class Threshold(BaseModel):
-    """Γ_th of Eq. 25 at one point."""
+    """The thresholds of one spring, of the rigid contact without restitution."""
 
     omega: float
     xi: float
-    threshold: float | None = Field(description="the lowest Γ that bounces from rest; null if none does")
+    threshold: float | None = Field(description="Γ_th of Eq. 25: rest ends; null if it never does")
+    jump: float | None = Field(description="the fold at which flights leap on the way up; null if none does")
+    down: float | None = Field(description="bouncing ends on the way down; null if unresolved")
+    cause: str = Field(description="of `down`: Eq. 25, fold (1,k), or unresolved")
+    reason: str | None = Field(description="why it is unresolved")
+    lifetime: Lifetime | None = Field(description="null unless the cause is a fold")
+    energy: EnergyView | None = Field(description="of the cycle at the fold")
+
+
+class BranchView(BaseModel):
+    """A connected piece of the branch of one mode, in the order of its flight times.
+
+    Lengths in plate amplitudes, phases and times in rad.
+    """
+
+    bounces: int
+    periods: int
+    gamma: list[float]
+    flight_time: list[float]
+    takeoff_phase: list[float]
+    elongation: list[float] = Field(description="at take-off")
+    elongation_velocity: list[float] = Field(description="at take-off")
+    impact_velocity: list[float] = Field(description="of the gap before landing, < 0")
+    stable: list[bool] = Field(description="both multipliers are inside the unit circle")
+    admissible: list[int] = Field(
+        description="0, or the sum of 1 (gap < 0 in flight), 2 (force < 0 in contact), "
+        "4 (no take-off where one should be)"
+    )
+    multipliers: list[list[tuple[float, float]]] = Field(
+        description="of every cycle both, the larger in modulus first: real and imaginary part"
+    )
+    energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
+
+
+class EventView(BaseModel):
+    """A cycle at which a branch turns, loses stability or ends."""
+
+    kind: Kind
+    gamma: float
+    omega: float
+    xi: float
+    bounces: int
+    periods: int
+    flight_time: float = Field(description="rad")
+    admissible: int = Field(description="as of a branch; a cycle that grazes is admissible")
+    multipliers: list[tuple[float, float]]
+
+
+class OrbitsView(BaseModel):
+    """Branches of one spring with all their events."""
+
+    omega: float
+    xi: float
+    gamma_max: float
+    branches: list[BranchView]
+    events: list[EventView]
+
+
+class WordView(BaseModel):
+    """The branch of a cycle of several flights, in order along it; lists of flights in the word's order."""
+
+    word: str = Field(description="per landing: s, it sticks; z, it takes off again at once")
+    bounces: int
+    periods: int
+    gamma: list[float]
+    flight_time: list[list[float]]
+    takeoff_phase: list[list[float]]
+    impact_velocity: list[list[float]]
+    stable: list[bool]
+    admissible: list[int] = Field(description="as of other branches")
+    multipliers: list[list[tuple[float, float]]]
+    energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
+
+
+class WordEventView(EventView):
+    """An event of the branch with this index; `flight_time` is that of the first flight."""
+
+    branch: int
+
+
+class SkippedView(BaseModel):
+    """A periodic cell from which no branch was followed."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    reason: str
+
+
+class WordOrbitsView(BaseModel):
+    """Branches of the cycles that the cells of a sweep settled to, of the rigid contact."""
+
+    omega: float
+    xi: float
+    direction: str
+    gamma_max: float
+    branches: list[WordView]
+    events: list[WordEventView]
+    skipped: list[SkippedView]
+    complete: bool
+
+
+class CurveView(BaseModel):
+    """A connected piece of a curve of events; `omega` or `xi` is the parameter that varies."""
+
+    kind: Kind
+    bounces: int
+    periods: int
+    omega: list[float] | None = None
+    xi: list[float] | None = None
+    gamma: list[float]
+    flight_time: list[float] = Field(description="rad")
+    admissible: list[int]
+
+
+class CurvesView(BaseModel):
+    """Curves of events over Ω at one ξ, or over ξ at one Ω."""
+
+    omega: float | None = None
+    xi: float | None = None
+    along: Literal["omega", "xi"]
+    curves: list[CurveView]
+    points: list[EventView] = Field(description="cusps, Bogdanov-Takens and fold-flip points")
 
 
 class FlightsView(BaseModel):
@@ -112,6 +257,17 @@ class FlightsView(BaseModel):
     takeoff: list[float] = Field(description="since the first sample")
     takeoff_phase: list[float] = Field(description="of the plate, modulo 2π")
     flight_time: list[float]
+
+
+class CycleView(BaseModel):
+    """The cycle of the closed form that a trajectory starts on."""
+
+    bounces: int
+    periods: int
+    flight_time: float = Field(description="rad")
+    multipliers: list[tuple[float, float]] = Field(description="both, as real and imaginary part")
+    stable: bool
+    admissible: int = Field(description="0 if the spring has it; else the sum of the conditions that fail")
 
 
 class Trajectory(BaseModel):
@@ -131,7 +287,11 @@ class Trajectory(BaseModel):
     force: list[float | None] = Field(description="of the plate on the lower mass, in mAω²")
     in_flight: list[bool]
     flights: FlightsView
+    energy: EnergyView | None = Field(
+        description="balance of a cycle of one bounce on a rigid plate without restitution; else null"
+    )
     complete: bool
+    cycle: CycleView | None = Field(description="with a start on a cycle")
 
 
 class BrokenRule(BaseModel):
@@ -151,9 +311,18 @@ class ProblemDocument(BaseModel):
 
 
 class Health(BaseModel):
-    """The service is alive, or ready to compute."""
+    """The service is alive."""
 
     status: Literal["ok"]
+
+
+class ReadinessView(BaseModel):
+    """The service accepts and computes jobs."""
+
+    status: Literal["ok"]
+    notices: list[str] = Field(
+        [], description="what an operator should know, such as stores that the ledger does not know"
+    )
 
 
 class PartsView(BaseModel):
@@ -191,6 +360,7 @@ def job_view(
         kernel_version=job.kernel_version,
         notice=notice or job.notice,
         replaced_by=job.replaced_by,
+        owner=job.owner,
         created=_time(job.created),
         started=_time(job.started),
         finished=None if job.repairing else _time(job.finished),
@@ -203,7 +373,7 @@ def job_view(
 
 
 #: Resources of a job.
-_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "export", "zarr")
+_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "orbits", "export", "zarr")
 
 
 def _links(job_id: str) -> dict[str, str]:

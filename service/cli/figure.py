@@ -1,4 +1,4 @@
-"""The command `bounce figure`: a figure of the paper from submission to picture."""
+"""The command `bounce figure`: a figure from submission to picture."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -20,7 +20,7 @@ COMPILE_SECONDS: Final = 300.0
 
 
 @click.command()
-@click.argument("number", metavar="N|all")
+@click.argument("number", metavar="N|NAME|all")
 @click.option("-o", "--output", type=click.Path(allow_dash=True),
               help="File, .png or .svg; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
 @click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
@@ -39,6 +39,9 @@ def figure(
 ) -> None:
     """Make figure N of the paper, or all of them, from start to end.
 
+    The figures hysteresis, branches, curves and energy explain the hysteresis of Fig. 9 by cycles in closed
+    form.
+
     Starts a local service with two worker processes, submits the sweeps of the figures, draws the results and
     prints how they compare with the paper. A second run finds the finished jobs in the data folder and only
     draws. If another service uses ./bounce-data, that service is used.
@@ -55,8 +58,8 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = output_format(targets[0], PICTURES)
-    service = persistent_service(workers, data, token) if url is None else nullcontext(url)
-    with service as address, Client(address, token, timeout=COMPILE_SECONDS) as client:
+    service = persistent_service(workers, data, token) if url is None else nullcontext((url, token))
+    with service as address, Client(*address, timeout=COMPILE_SECONDS) as client:
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)
             click.echo(f"{target}\n{picture.caption}\n", err=True)

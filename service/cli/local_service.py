@@ -1,6 +1,10 @@
-"""A service inside the command's own process, for `bounce figure` and `bounce tradeoff`."""
+"""A service inside the command's own process, for `bounce figure` and `bounce tradeoff`.
+
+It requires a token that only this process knows: other users of the machine reach its port as well.
+"""
 
 import os
+import secrets
 import signal
 import sys
 import tempfile
@@ -8,11 +12,18 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from types import FrameType
-from typing import Final
+from typing import Final, NamedTuple
 
 import click
 
 from service.cli.options import DEFAULT_URL
+
+
+class Address(NamedTuple):
+    """Where a service answers, and the access token for it."""
+
+    url: str
+    token: str | None
 
 
 def claim_kernel_cache() -> None:
@@ -34,19 +45,19 @@ _SIGNALS: Final = (signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
-def temporary_service(workers: int | None) -> Iterator[str]:
-    """The address of a service whose data is removed at the end of the block."""
+def temporary_service(workers: int | None) -> Iterator[Address]:
+    """A service whose data is removed at the end of the block."""
     with (
         _ended_by_signals(),
         tempfile.TemporaryDirectory(prefix="bounce-") as folder,
-        _local_service(workers=workers, data=folder) as url,
+        _local_service(workers=workers, data=folder) as address,
     ):
-        yield url
+        yield address
 
 
 @contextmanager
-def persistent_service(workers: int | None, data: str | None, token: str | None) -> Iterator[str]:
-    """The address of a service that keeps its results in the folder `data`, by default ./bounce-data.
+def persistent_service(workers: int | None, data: str | None, token: str | None) -> Iterator[Address]:
+    """A service that keeps its results in the folder `data`, by default ./bounce-data.
 
     A folder has one service at a time. If another one uses the default folder, as beside `bounce serve`, that
     service is used if it answers at BOUNCE_URL or the default address, and a temporary one otherwise. A
@@ -57,29 +68,30 @@ def persistent_service(workers: int | None, data: str | None, token: str | None)
     with ExitStack() as stack:
         stack.enter_context(_ended_by_signals())
         try:
-            url = stack.enter_context(_local_service(workers=workers, data=data))
+            address = stack.enter_context(_local_service(workers=workers, data=data))
         except DataFolderBusy:
             if data is not None:
                 raise
             running = os.environ.get("BOUNCE_URL") or DEFAULT_URL
             if _answers(running, token):
                 click.echo(f"another service uses the data folder: using the service at {running}", err=True)
-                url = running
+                address = Address(running, token)
             else:
                 click.echo("another service uses the data folder: using a temporary one", err=True)
-                url = stack.enter_context(temporary_service(workers))
-        yield url
+                address = stack.enter_context(temporary_service(workers))
+        yield address
 
 
 @contextmanager
-def _local_service(**options: str | int | None) -> Iterator[str]:
+def _local_service(**options: str | int | None) -> Iterator[Address]:
     claim_kernel_cache()
     from service.server import embedded
 
-    settings = embedded.settings(**options, host="127.0.0.1", port=0)
+    token = secrets.token_urlsafe()
+    settings = embedded.settings(**options, host="127.0.0.1", port=0, token=token)
     click.echo("starting a local service (compiling for the first time takes a minute)", err=True)
     with embedded.running(settings) as url:
-        yield url
+        yield Address(url, token)
 
 
 @contextmanager
@@ -111,7 +123,7 @@ def _answers(url: str, token: str | None) -> bool:
 
     try:
         with Client(url, token, timeout=5.0) as client:
-            client.threshold(omega=1.0, xi=1.0)
+            client.metrics()
     except BounceError:
         return False
     return True

@@ -5,10 +5,11 @@ Modules that take long to import are imported by the commands that need them.
 
 import click
 
-from service.cli import jobs, results
+from service.cli import data, jobs, orbits, results
 from service.cli.figure import figure
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.cli.tradeoff import tradeoff
+from service.tokens import AUTO, data_folder, write_private
 
 
 @click.group(
@@ -31,11 +32,15 @@ def main() -> None:
 @click.option("--scheduler", help="Address of a Dask scheduler to use instead of an embedded cluster.")
 @click.option("--scheduler-file", type=click.Path(), help="File with the address of a Dask scheduler.")
 @click.option("--cluster", metavar="MODULE:FUNCTION", help="Function that creates the Dask cluster to use.")
+@click.option("--token", type=click.Choice([AUTO]), help="Make an access token that your own clients find. "
+              "One of your own is set as BOUNCE_TOKEN: others can see the options of a command.")  # fmt: skip
+@click.option("--token-file", type=click.Path(), help="File of access tokens, one NAME: TOKEN per line.")
 def serve(**options: str | int | None) -> None:
     """Run the service until SIGINT or SIGTERM.
 
-    Every option can also be set as BOUNCE_HOST, BOUNCE_PORT and so on. To listen on an address that other
-    machines can reach, set BOUNCE_TOKEN to an access token of 16 characters or more.
+    Every option can also be set as BOUNCE_HOST, BOUNCE_PORT and so on. On a machine with other users, use
+    --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
+    of 16 characters or more, or give a file of tokens.
     """
     from service.cli.local_service import claim_kernel_cache
 
@@ -53,7 +58,34 @@ def metrics(url: str, token: str | None) -> None:
         click.echo(client.metrics(), nl=False)
 
 
-for command in (*jobs.COMMANDS, *results.COMMANDS, figure, tradeoff):
+@main.command("open")
+@click.option("--print", "print_only", is_flag=True, help="Print the address, with the token, instead.")
+@service_options
+def open_page(print_only: bool, url: str, token: str | None) -> None:
+    """Open the page in a browser; the access token of a service with --token auto is filled in."""
+    import webbrowser
+
+    with open_client(url, token) as client:
+        address = client.page
+    if print_only or not webbrowser.open(_handed_over(address)):
+        click.echo(address)
+
+
+def _handed_over(address: str) -> str:
+    """The address of a file that leads to this one: every user can see the options of a browser's process."""
+    from html import escape
+
+    if "#" not in address:
+        return address
+    folder = data_folder().absolute()
+    if not folder.is_dir():
+        raise click.ClickException(f"there is no folder {folder}: use --print, or set BOUNCE_DATA")
+    file = folder / "open.html"
+    write_private(file, f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(address)}">')
+    return file.as_uri()
+
+
+for command in (*jobs.COMMANDS, *results.COMMANDS, *orbits.COMMANDS, *data.COMMANDS, figure, tradeoff):
     main.add_command(command)
 
 

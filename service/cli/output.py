@@ -33,7 +33,10 @@ def job_report(job: "Job") -> str:
         "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
         f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
         "settling": settling_note(job),
-        **{member: job.view.get(member) for member in ("notice", "created", "started", "finished", "error")},
+        **{
+            member: job.view.get(member)
+            for member in ("owner", "notice", "created", "started", "finished", "error")
+        },
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
 
@@ -68,10 +71,12 @@ def threshold_view(thresholds: "xarray.Dataset") -> dict[str, Any]:
     """Thresholds as plain values, null unless the status is `found`."""
     plain = {
         name: [value if isfinite(value) else None for value in thresholds[name].values.tolist()]
-        for name in ("omega", "analytic", "up", "down")
+        for name in ("omega", "analytic", "up", "down", "predicted_jump", "predicted_down")
     }
-    statuses = {name: thresholds[name].values.tolist() for name in ("up_status", "down_status")}
+    texts = ("up_status", "down_status", "cause", "difference")
+    statuses = {name: thresholds[name].values.tolist() for name in texts}
     return {"xi": float(thresholds.xi), **plain, **statuses,
+            "prediction": thresholds.attrs["prediction"],
             "tolerance": thresholds.attrs.get("tolerance"),
             "complete": bool(thresholds.attrs["complete"])}  # fmt: skip
 
@@ -140,6 +145,12 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
         )
         return [text(value, status, name, grid) for value, status, grid in rows]
 
+    predicted = [
+        f"{value:.{digits}f}" if isfinite(value) else cause.split()[0]
+        for value, cause in zip(
+            thresholds.predicted_down.values.tolist(), thresholds.cause.values.tolist(), strict=True
+        )
+    ]
     columns = [
         [f"{value:.{digits}f}" for value in thresholds.omega.values],
         [
@@ -148,15 +159,23 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
         ],
         column("up"),
         column("down"),
+        predicted,
     ]
     precision = f"to {tolerance:g} in gamma" if tolerance else "on the grid of gamma"
     lines = [f"xi = {float(thresholds.xi):g}, {precision}"]
     lines += [
         "".join(f"{text:>{width}}" for text in row)
-        for row in (("OMEGA", "EQ. 25", "UP", "DOWN"), *zip(*columns, strict=True))
+        for row in (("OMEGA", "EQ. 25", "UP", "DOWN", "PREDICTED"), *zip(*columns, strict=True))
     ]
     incomplete = [] if thresholds.attrs["complete"] else ["the job is not done: thresholds may be missing"]
-    return "\n".join([*lines, *notes, *incomplete])
+    return "\n".join([*lines, *notes, *_differences(thresholds), *incomplete])
+
+
+def _differences(thresholds: "xarray.Dataset") -> list[str]:
+    """What PREDICTED is of, and where DOWN differs from it."""
+    texts = zip(thresholds.omega.values.tolist(), thresholds.difference.values.tolist(), strict=True)
+    differing = [f"omega {omega:g}: {text}" for omega, text in texts if text]
+    return [f"PREDICTED: DOWN by the closed form, {thresholds.attrs['prediction']}", *differing]
 
 
 # Tables of cells and samples

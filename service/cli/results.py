@@ -46,19 +46,41 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
 
 
 @click.command()
-@job_argument
-@click.option("--xi", type=float, help="ξ; the nearest grid value is used.")
+@click.argument("job_id", metavar="[ID]", required=False)
+@click.option("--omega", type=float, help="Ω, without ID.")
+@click.option("--xi", type=float, help="ξ; of a job, the nearest grid value is used.")
+@click.option(
+    "--delta",
+    type=float,
+    default=1e-6,
+    show_default=True,
+    help="Without ID: Γ below the fold for which the lifetime of bouncing is told.",
+)
 @click.option("--tolerance", type=float, help="Refine to this tolerance in Γ, from the stored states.")
 @json_option
 @service_options
 def threshold(
-    job_id: str, xi: float | None, tolerance: float | None, as_json: bool, url: str, token: str | None
+    job_id: str | None,
+    omega: float | None,
+    xi: float | None,
+    delta: float,
+    tolerance: float | None,
+    as_json: bool,
+    url: str,
+    token: str | None,
 ) -> None:
-    """Print a job's bouncing thresholds per Ω.
+    """Print the bouncing thresholds of a job per Ω, or of one spring in closed form.
 
-    The sweep starts from rest or is ramped along gamma. A threshold is the lowest Γ that bounces, on the way
-    up (or from rest) and on the way down.
+    With the ID of a sweep from rest or ramped along gamma, the lowest Γ that bounces, on the way up (or from
+    rest) and on the way down, beside the predictions. Without ID, the predictions at one Ω and ξ:
+
+      bounce threshold --omega 0.6 --xi 0.05
     """
+    if job_id is None:
+        _spring(omega, xi, delta, as_json, url, token)
+        return
+    if omega is not None:
+        raise click.UsageError("--omega is for one spring, without ID; a job's thresholds are of all its Ω")
     from service.cli import output
 
     with open_client(url, token) as client:
@@ -158,6 +180,19 @@ def trajectory(
     with open_client(url, token) as client:
         motion = client.trajectory({**_without_none(cell), "model": _without_none(contact)})
     write_file(output, trajectory_json(motion) if format == "json" else trajectory_csv(motion))
+
+
+def _spring(
+    omega: float | None, xi: float | None, delta: float, as_json: bool, url: str, token: str | None
+) -> None:
+    """Print the thresholds of one spring."""
+    from service.cli import orbits, output
+
+    if omega is None or xi is None:
+        raise click.UsageError("give --omega and --xi, or the ID of a sweep")
+    with open_client(url, token) as client:
+        found = client.threshold(omega, xi, delta=delta)
+    click.echo(output.as_json(orbits.plain(found)) if as_json else orbits.threshold_text(found))
 
 
 COMMANDS: Final = (diagram, threshold, modes, export, trajectory)

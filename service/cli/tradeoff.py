@@ -40,8 +40,8 @@ def tradeoff(
     from service.cli.local_service import temporary_service
 
     format = output_format(output, PICTURES) if output else None
-    service = temporary_service(workers) if url is None else nullcontext(url)
-    with service as address, open_client(address, token) as client:
+    service = temporary_service(workers) if url is None else nullcontext((url, token))
+    with service as address, open_client(*address) as client:
         click.echo("measuring, unless the service has done so already (a minute or two)", err=True)
         measurements = client.tradeoff()
         if output and format:

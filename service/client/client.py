@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Iterator
-from math import inf
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
+from urllib.parse import quote
 
 from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
@@ -33,9 +33,11 @@ class Client:
             diagram = job.wait().diagram()
 
     `url` is the address of the service; `token` is its access token, which it requires unless it listens on
-    loopback only; `timeout` is the time limit of one request in seconds. `http` sends the requests instead of
-    a connection of the client's own (for proxies, certificates, or an application in this process); closing
-    the client does not close it. Every exception raised on purpose is a `BounceError`.
+    loopback only. Without one, the client looks for the token that a service of the same user has made
+    (`bounce serve --token auto`) in the data folder BOUNCE_DATA, by default ./bounce-data. `timeout` is the
+    time limit of one request in seconds. `http` sends the requests instead of a connection of the client's
+    own (for proxies, certificates, or an application in this process); closing the client does not close it.
+    Every exception raised on purpose is a `BounceError`.
     """
 
     def __init__(
@@ -52,6 +54,12 @@ class Client:
     def url(self) -> str:
         """The address of the service."""
         return self._transport.url
+
+    @property
+    def page(self) -> str:
+        """The address of the service's page, with the access token, if there is one, in its fragment."""
+        token = self._transport.token
+        return f"{self.url}/" if token is None else f"{self.url}/#token={quote(token, safe='')}"
 
     def submit(self, spec: Specification, *, key: str | None = None) -> Job:
         """Submit a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
@@ -91,22 +99,88 @@ class Client:
                 return
             query["cursor"] = page["next"]
 
-    def threshold(self, omega: float, xi: float) -> float:
-        """Γ_th, above which a spring at rest begins to bounce (Eq. 25); infinite if it never does.
+    def threshold(self, omega: float, xi: float, *, delta: float = 1e-6) -> "xarray.Dataset":
+        """The thresholds of one spring in closed form, as scalars.
 
+        `threshold`: Γ_th of Eq. 25, above which a spring at rest begins to bounce, infinite if it never does;
+        `jump`: the fold at which flights leap on the way up; `down`: where bouncing ends on the way down;
+        `cause` of `down`: "Eq. 25", "fold (1,k)", or "unresolved" with a `reason`; `lifetime`: the plate
+        periods that bouncing lives at Γ = down - delta, below a fold; `plate_contact` and so on: the energy
+        balance of the cycle at the fold. NaN where there is none. Of the rigid contact without restitution.
         Raises BadRequest.
         """
-        answer = json_object(self._transport.get("/v1/threshold", {"omega": omega, "xi": xi}))
-        gamma = answer.get("threshold")
-        return inf if gamma is None else float(gamma)
+        from service.client.datasets import thresholds_dataset
+
+        query = {"omega": omega, "xi": xi, "delta": delta}
+        return thresholds_dataset(json_object(self._transport.get("/v1/threshold", query)))
+
+    def orbits(
+        self,
+        omega: float,
+        xi: float,
+        modes: str = "1-1,1-2",
+        *,
+        gamma_max: float | None = None,
+        points: int | None = None,
+        energy: bool = False,
+    ) -> "xarray.Dataset":
+        """Branches of cycles of one spring in closed form, stable and unstable, and their events.
+
+        `modes` as bounces-periods, of one bounce; the branches are cut above `gamma_max` (default 8) and have
+        at least `points` points (default 400) before that. Returns a Dataset with dims (branch, point):
+        `gamma`, `flight_time`, `takeoff_phase`, `elongation`, `elongation_velocity`, `impact_velocity`,
+        `multiplier`, `other_multiplier`, `stable`, `admissible`, with `energy` the energy balance; NaN beyond
+        a branch's `points`; coordinates `bounces`, `periods`. With dim event: `event_kind`, `event_gamma` and
+        so on. Of the rigid contact without restitution. Raises BadRequest, TooLarge, Busy.
+        """
+        from service.client.datasets import orbits_dataset
+
+        query: dict[str, str | float | None] = {
+            "omega": omega, "xi": xi, "modes": modes, "gamma_max": gamma_max, "points": points,
+            "energy": "true" if energy else None,
+        }  # fmt: skip
+        return orbits_dataset(json_object(self._transport.get("/v1/orbits", query)))
+
+    def curves(
+        self,
+        *,
+        omega: "float | tuple[float, float]",
+        xi: "float | tuple[float, float]",
+        modes: str = "1-1,1-2",
+        kinds: str | None = None,
+        gamma_max: float | None = None,
+        timeout: float = 300.0,
+        progress: bool | PartsCallback = True,
+    ) -> "xarray.Dataset":
+        """Curves of folds, flips and other events, over a range of Ω at one ξ or of ξ at one Ω.
+
+        One of `omega` and `xi` is a pair, the ends of the range. `kinds` such as "fold,flip" (default: all).
+        The service's workers compute them; this waits up to `timeout` seconds, with `progress` as in
+        `tradeoff`. Returns a Dataset with dims (curve, point): `omega` or `xi`, `gamma`, `flight_time`,
+        `admissible`, NaN beyond the end of a curve; coordinates `kind`, `bounces`, `periods`. With dim event
+        the points at which curves meet or turn: `event_kind`, `event_gamma` and so on. Raises BadRequest,
+        TooLarge, NotComputedYet, Busy.
+        """
+        from service.client.datasets import curves_dataset
+
+        query: dict[str, str | float | None] = {"modes": modes, "kinds": kinds, "gamma_max": gamma_max}
+        for name, value in (("omega", omega), ("xi", xi)):
+            if isinstance(value, tuple):
+                query |= {f"{name}_start": value[0], f"{name}_stop": value[1]}
+            else:
+                query[name] = value
+        answer = self._transport.get_when_computed("/v1/curves", query, timeout=timeout, progress=progress)
+        return curves_dataset(json_object(answer))
 
     def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
         """The motion of one cell, computed during the request.
 
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
-        periods) and `samples` per period. Returns a Dataset with dim phase: `plate`, `z1`, `z2` in plate
-        amplitudes, `force`, `in_flight`; with dim flight: `takeoff`, `takeoff_phase`, `flight_time` in rad;
-        attribute `rest_length` in plate amplitudes. Raises BadRequest naming the field, TooLarge, Busy.
+        periods), `samples` per period, and `start`, a cycle of the closed form. Returns a Dataset with dim
+        phase: `plate`, `z1`, `z2` in plate amplitudes, `force`, `in_flight`; with dim flight: `takeoff`,
+        `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate amplitudes; of a cycle of one
+        bounce on a rigid plate without restitution the energy balance, `plate_contact` and so on. Raises
+        BadRequest naming the field, TooLarge, Busy.
         """
         from service.client.datasets import trajectory_dataset
 

@@ -125,6 +125,11 @@ class JobStatus:
         return self.view.get("replaced_by")
 
     @property
+    def owner(self) -> str | None:
+        """Name of the access token that submitted the job, or resumed it last; None if that has none."""
+        return self.view.get("owner")
+
+    @property
     def links(self) -> dict[str, str]:
         """Paths of the job's resources by name."""
         return dict(self.view.get("links") or {})

@@ -26,6 +26,7 @@ from service.client.errors import (
 )
 from service.client.models import Problem
 from service.client.output_file import complete_file
+from service.tokens import AUTO, find_token
 
 CONNECT_SECONDS: Final = 5.0
 
@@ -59,7 +60,10 @@ class Transport:
             trust_env=not _is_loopback(self.url),  # a proxy cannot reach this machine's own loopback
         )
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
-        if token:  # as in the service, an empty variable means no token
+        if token in (None, "", AUTO):  # an empty variable means no token
+            token = None if credentials else _own_token(self.url)
+        self.token = token
+        if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
         elif credentials:
             self._headers["Authorization"] = f"Basic {b64encode(credentials.encode()).decode()}"
@@ -252,10 +256,17 @@ def _valid_url(url: str) -> str:
     try:
         parsed = httpx2.URL(url)
     except httpx2.InvalidURL as error:
-        raise ServiceUnreachable(_hide_credentials(url), f"not an address: {error}") from None
+        raise ServiceUnreachable(_hide_all_before_at(url), _why_invalid(url, error)) from None
     if parsed.scheme not in ("http", "https") or not parsed.host:
-        raise ServiceUnreachable(_hide_credentials(url), "expected an address like http://HOST:PORT")
+        raise ServiceUnreachable(_hide_all_before_at(url), "expected an address like http://HOST:PORT")
     return url.rstrip("/")
+
+
+def _why_invalid(url: str, error: Exception) -> str:
+    """The reason, unless it may quote a part of a password, as the port of `http://me:pass/word@host`."""
+    if "@" in url:
+        return "not an address; write / ? # and @ of a password as %2F %3F %23 and %40"
+    return f"not an address: {error}"
 
 
 def _split_credentials(url: str) -> tuple[str, str]:
@@ -268,12 +279,24 @@ def _hide_credentials(url: str) -> str:
     return re.sub(r"(?<=//)[^/?#]*@", "", url, count=1)
 
 
+def _hide_all_before_at(text: str) -> str:
+    """A text that is no address, without what may be a password in it."""
+    before, at, after = text.rpartition("@")
+    return f"...@{after}" if at else before + after
+
+
 def _is_loopback(url: str) -> bool:
     host = httpx2.URL(url).host
     try:
         return ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def _own_token(url: str) -> str | None:
+    """The token of this user's service at a loopback address, if it has made one."""
+    port = httpx2.URL(url).port
+    return find_token(port) if port is not None and _is_loopback(url) else None
 
 
 def _reason(error: Exception) -> str:

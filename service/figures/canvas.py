@@ -58,11 +58,13 @@ STYLE: Final[Any] = {
     "svg.hashsalt": "bouncing-spring",  # the same drawing gives the same bytes
 }
 
-_SUPERSCRIPTS: Final = re.compile("[⁺⁻³⁴⁶]+")
+_SUPERSCRIPTS: Final = re.compile("[⁺⁻³⁴⁵⁶]+")
 _UNBREAKABLE: Final = re.compile(
     r"(?<=[=≈]) | (?=[=≈])|(?<=\d) (?=[A%])|(?<=[⁻³⁶]) (?=A)|(?<=\d) (?=rad)|(?<=\(\d,) (?=\d)"
 )
-_PLAIN: Final = str.maketrans("⁺⁻³⁴⁶", "+-346")
+_SUBSCRIPTS: Final = re.compile(r"([ΓΩ])_(\w+)")
+_GREEK: Final = {"Γ": "Gamma", "Ω": "Omega"}
+_PLAIN: Final = str.maketrans("⁺⁻³⁴⁵⁶", "+-3456")
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -153,9 +155,9 @@ def _indent(heading: str) -> float:
 
 
 def _with_mathtext(word: str) -> str:
-    """The word with mathtext for what the font lacks: superscripts and Γ_th."""
+    """The word with mathtext for what the font lacks: superscripts, and subscripts of Γ and Ω."""
     raised = _SUPERSCRIPTS.sub(lambda match: f"$^{{{match[0].translate(_PLAIN)}}}$", word)
-    return raised.replace("Γ_th", r"$\Gamma_{\mathrm{th}}$")
+    return _SUBSCRIPTS.sub(lambda match: rf"$\{_GREEK[match[1]]}_{{\mathrm{{{match[2]}}}}}$", raised)
 
 
 @lru_cache

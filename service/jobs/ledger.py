@@ -2,12 +2,16 @@
 
 With WAL and synchronous=FULL, what a transaction has changed is on the disk when it returns.
 One connection writes and one reads, each behind its lock, so that a poll never waits for a commit.
+
+Nothing is written to a file that is damaged, or that is no longer the one at its path: see `ledger_files`.
 """
 
 import fcntl
+import logging
 import sqlite3
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Final, Self
@@ -16,37 +20,69 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import DataFolderBusy, LedgerUnavailable, LedgerUnusable
+from service.jobs.ledger_files import (
+    OpenFiles,
+    as_found,
+    copies_of,
+    lock_of,
+    network_file_system,
+    size_of,
+    wal_of,
+)
 from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import JobRecord
 from service.jobs.transactions import ReadTransaction, WriteTransaction
 
+log = logging.getLogger(__name__)
+
 #: Rows of the chunks table read at once: other readers wait for no more than this.
 PAGE: Final = 50_000
-#: Bytes of a file that is removed when the disk is full, so that the ledger can record what happened.
+#: Free bytes inside the ledger's files, so that it can record what happened when the disk is full.
 RESERVE: Final = 1 << 18
+#: Seconds that a transaction waits for one of this process, and as long again for one of another.
+BUSY_SECONDS: Final = 10.0
+#: Seconds that the check of the file may take at the start; what a larger file holds is met when it is read.
+CHECK_SECONDS: Final = 10.0
 
 
 class Ledger:
     """The ledger of one data folder; used by one process at a time, by any of its threads.
 
-    Raises DataFolderBusy if another process has it open, LedgerUnusable if a newer version wrote it or if
-    the file is no ledger; the data folder is unlocked then.
+    `has_stores` says whether results are stored beside it: a file of 0 bytes is then no new ledger.
+    Raises DataFolderBusy if another process has it open, LedgerUnusable if a newer version wrote it, or if
+    the file is damaged or no ledger; the data folder is unlocked then.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, has_stores: Callable[[], bool] = lambda: False) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
+        self.path = path
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
-        self._reserve = path.with_suffix(".reserve")
+        self._damage: str | None = None  # why nothing is written until the next start
+        self._refused: str | None = None  # why the last transaction could not begin
         with ExitStack() as opened:
-            opened.enter_context(_locked(path.with_suffix(".lock")))
-            self.keep_reserve()
+            opened.enter_context(locked(path))
+            self._connections = opened.enter_context(ExitStack())
+            with as_found(path):
+                _check_not_emptied(path, has_stores)
+                self._connect()
+            self._opened = opened.pop_all()
+        path.with_suffix(".reserve").unlink(missing_ok=True)  # of release 0.1.0
+        self.keep_reserve()
+        if kind := network_file_system(path.parent):
+            log.warning("%s is on a network file system (%s): %s", path.parent, kind, NOT_LOCAL)
+
+    def _connect(self) -> None:
+        """Open the file, check it, and bring it to this version. Raises LedgerUnusable."""
+        with ExitStack() as opened:
             try:
-                self._writer = opened.enter_context(_connected(path))
-                self._reader = opened.enter_context(_connected(path))
+                self._writer = opened.enter_context(_connected(self.path))
+                self._reader = opened.enter_context(_connected(self.path))
+                check(self._reader, self.path)
                 _migrate(self._writer)
             except sqlite3.DatabaseError as error:
-                raise LedgerUnusable(f"the data folder's {path.name} cannot be used: {error}") from error
-            self._opened = opened.pop_all()
+                raise LedgerUnusable(f"{self.path} cannot be used: {error}: {MEND}") from error
+            self._files = OpenFiles(self.path)
+            self._connections.push(opened.pop_all())
 
     def __enter__(self) -> Self:
         return self
@@ -62,32 +98,145 @@ class Ledger:
     @contextmanager
     def reading(self) -> Iterator[ReadTransaction]:
         """Read the ledger; never waits for a writer. Raises LedgerUnavailable."""
-        with self._read_lock, _available():
+        with self._read_lock, self._available():
             yield ReadTransaction(self._reader)
 
     @contextmanager
     def writing(self) -> Iterator[WriteTransaction]:
         """Change the ledger, all or nothing; the changes are on the disk when the block has ended.
 
-        Raises LedgerUnavailable.
+        Raises LedgerUnavailable, also as `check` does.
         """
-        with self._write_lock, _available():
-            self._writer.execute("BEGIN IMMEDIATE")
+        with self._exclusive(), self._available():
+            self._check_files()
             try:
+                self._begin()
                 yield WriteTransaction(self._writer)
                 self._writer.execute("COMMIT")
             except BaseException as error:
-                if self._writer.in_transaction:
-                    self._writer.execute("ROLLBACK")
-                if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
-                    self._reserve.unlink(missing_ok=True)  # the next try has space to record the failure
+                self._roll_back(error)
                 raise
+            finally:
+                self._files.note_written()
+
+    def check(self) -> None:
+        """Raise LedgerUnavailable while the file must not be written: it is damaged, or another one.
+
+        Called at every heartbeat, and before anything is stored.
+        """
+        with self._exclusive(), self._available():
+            self._check_files()
+            if self._refused:
+                self._begin()
+                self._writer.execute("ROLLBACK")
+
+    def fault(self) -> str | None:
+        """Why the ledger could not be read or written when it was last tried; waits for no writer.
+
+        It names no path: whoever asks for the service's readiness gets it.
+        """
+        try:
+            if self._damage is None:
+                with self.reading() as ledger:
+                    ledger.newest_seq()
+            if self._write_lock.acquire(blocking=False):
+                try:
+                    self._check_files()
+                finally:
+                    self._write_lock.release()
+        except LedgerUnavailable as error:
+            return str(error)
+        return self._refused
+
+    def _begin(self) -> None:
+        """Begin to write; keeps the reason if that is refused, as by a lock of another program."""
+        try:
+            self._writer.execute("BEGIN IMMEDIATE")
+        except sqlite3.Error as error:
+            self._refused = f"the ledger cannot be written: {error}"
+            raise
+        self._refused = None
+
+    @contextmanager
+    def _exclusive(self) -> Iterator[None]:
+        if not self._write_lock.acquire(timeout=BUSY_SECONDS):
+            raise LedgerUnavailable("the ledger does not answer: other transactions take too long")
+        try:
+            yield
+        finally:
+            self._write_lock.release()
+
+    def _check_files(self) -> None:
+        """Raises LedgerUnavailable."""
+        if self._damage is None and self._files.changed_from_outside():
+            self._damage = (
+                f"another program has written to the data folder's {self.path.name} while the service runs"
+            )
+        if self._damage is not None:
+            raise self._damaged()
+        if reason := self._files.replaced():
+            self._rescue()
+            raise LedgerUnavailable(reason)
+        if self._files.lost_wal():
+            self._reopen()
+
+    def _rescue(self) -> None:
+        """Copy what the open file has, once, if its folder is there: the file itself may be unlinked."""
+        copy = self._files.rescue_path()
+        if copy is None:
+            return
+        try:
+            copy_to(self._writer, copy)
+        except (sqlite3.Error, OSError) as error:
+            log.error("what the ledger held cannot be copied to %s: %s", copy, error)
+        else:
+            log.error("%s was removed or replaced; what it held is in %s", self.path, copy)
+
+    def _reopen(self) -> None:
+        """Move what the write-ahead log holds to the main file, and begin with another log."""
+        log.error("%s was removed or replaced: its contents go to %s now", wal_of(self.path), self.path)
+        with self._read_lock:
+            self._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._files.set_logs_aside()
+            self._connections.close()
+            try:
+                self._connect()
+            except LedgerUnusable as error:
+                self._damage = str(error)
+                raise self._damaged() from error
+
+    def _roll_back(self, error: BaseException) -> None:
+        if self._writer.in_transaction:
+            self._writer.execute("ROLLBACK")
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+            # The log is as long as the disk lets it be. Once its contents are in the main file, it is
+            # written from its beginning again.
+            with suppress(sqlite3.Error):
+                self._writer.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def keep_reserve(self) -> None:
-        """Set disk space aside, if there is any, that the ledger can use when the disk is full."""
-        if not self._reserve.exists():
-            with suppress(OSError), self._reserve.open("wb") as file:
-                file.write(bytes(RESERVE))
+        """Keep free pages in the main file and room in its log, if the disk has space.
+
+        Nothing else can take them when the disk is full, as others could take the space of a file removed.
+        """
+        with suppress(LedgerUnavailable, sqlite3.Error), self._exclusive():
+            self._check_files()
+            try:
+                pages, size = (self._number(f"PRAGMA {name}") for name in ("freelist_count", "page_size"))
+                if pages * size < RESERVE or size_of(wal_of(self.path)) < RESERVE:
+                    # Two transactions: pages that are freed in the one that made them are never written.
+                    self._writer.executescript(
+                        "BEGIN IMMEDIATE; DROP TABLE IF EXISTS reserve; CREATE TABLE reserve (content BLOB);"
+                        f"INSERT INTO reserve VALUES (zeroblob({RESERVE + (1 << 16)})); COMMIT;"
+                        "PRAGMA wal_checkpoint(PASSIVE); DROP TABLE reserve; PRAGMA wal_checkpoint(PASSIVE);"
+                    )
+            finally:
+                if self._writer.in_transaction:
+                    self._writer.execute("ROLLBACK")
+                self._files.note_written()
+
+    def _number(self, query: str) -> int:
+        return int(self._writer.execute(query).fetchone()[0])
 
     def find(self, job_id: str) -> JobRecord | None:
         """The job, if there is one."""
@@ -102,42 +251,116 @@ class Ledger:
                 mask[ledger.done_chunks(job, first, first + PAGE)] = True
         return mask
 
+    @contextmanager
+    def _available(self) -> Iterator[None]:
+        """Turn SQLite's errors about the file into LedgerUnavailable, and remember that it is damaged."""
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            raise LedgerUnavailable(f"the ledger does not answer: {error}") from error
+        except sqlite3.DatabaseError as error:
+            if getattr(error, "sqlite_errorcode", 0) & 0xFF not in _DAMAGE:
+                raise
+            self._damage = f"the data folder's {self.path.name} is damaged ({error})"
+            raise self._damaged() from error
 
-@contextmanager
-def _available() -> Iterator[None]:
-    """Turn SQLite's errors about the file into LedgerUnavailable."""
-    try:
-        yield
-    except sqlite3.OperationalError as error:
-        raise LedgerUnavailable(f"the ledger does not answer: {error}") from error
+    def _damaged(self) -> LedgerUnavailable:
+        self._refused = f"{self._damage}: stop the service; {MEND}"
+        return LedgerUnavailable(self._refused)
+
+
+#: What an operator can do about a ledger that cannot be used.
+MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
+
+NOT_LOCAL: Final = (
+    "it must not be used from two machines; keep the ledger on a local disk (BOUNCE_DATA), "
+    "stores may be there (BOUNCE_STORES)"
+)
+
+#: SQLite's codes of a file whose contents are not what SQLite wrote.
+_DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 
 
 @contextmanager
 def _connected(path: Path) -> Iterator[sqlite3.Connection]:
     with closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False)) as connection:
         connection.row_factory = sqlite3.Row
-        for pragma in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=10000", "foreign_keys=ON"):
+        busy = f"busy_timeout={int(1000 * BUSY_SECONDS)}"
+        for pragma in (busy, "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
             connection.execute(f"PRAGMA {pragma}")
         yield connection
+
+
+def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SECONDS) -> None:
+    """Check a ledger, for `seconds` at most. Raises LedgerUnusable, or sqlite3.DatabaseError."""
+    deadline = time.monotonic() + seconds
+    connection.set_progress_handler(lambda: int(time.monotonic() > deadline), 100_000)
+    try:
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        if version > len(MIGRATIONS):
+            raise LedgerUnusable(
+                f"the ledger is of version {version}, this service knows up to {len(MIGRATIONS)}: "
+                "use a newer one"
+            )
+        # Not `quick_check`: with a log of another copy, indices can name rows that the tables do not have.
+        [first, *_] = connection.execute("PRAGMA integrity_check(1)").fetchone()
+        if first != "ok":
+            raise LedgerUnusable(f"{path} is damaged ({' '.join(first.split())}): {MEND}")
+        wrong = connection.execute(_CONTRADICTION).fetchone() if version else None
+        if wrong is not None:
+            raise LedgerUnusable(
+                f"{path} contradicts itself: job {wrong[0]} counts {wrong[1]} chunks and has {wrong[2]}: "
+                f"it may have the write-ahead log of another copy; {MEND}"
+            )
+    except sqlite3.OperationalError as error:
+        if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_INTERRUPT:
+            raise
+        log.warning("%s is large: its check ended after %g s", path, seconds)
+    finally:
+        connection.set_progress_handler(None, 0)
+
+
+_CONTRADICTION: Final = """
+    SELECT id, chunks_done, counted FROM (
+        SELECT id, chunks_done, (SELECT count(*) FROM chunks WHERE job = seq) AS counted FROM jobs
+    ) WHERE chunks_done != counted LIMIT 1
+"""
 
 
 def _migrate(connection: sqlite3.Connection) -> None:
     """Bring the file to this version, each step whole or not at all."""
     version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if version > len(MIGRATIONS):
-        raise LedgerUnusable(
-            f"the ledger is of version {version}, this service knows up to {len(MIGRATIONS)}: use a newer one"
-        )
     for number, script in enumerate(MIGRATIONS[version:], version + 1):
         connection.executescript(f"BEGIN IMMEDIATE; {script}; PRAGMA user_version = {number}; COMMIT;")
 
 
-def _locked(path: Path) -> IO[str]:
-    """A file that is locked while it is open; the system unlocks it when the process dies."""
-    file = path.open("w")
+@contextmanager
+def locked(path: Path) -> Iterator[IO[str]]:
+    """Lock the folder of a ledger; the system unlocks it when the process dies. Raises DataFolderBusy."""
+    with lock_of(path).open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise DataFolderBusy(f"another service uses the data folder {path.parent}") from error
+        yield file
+
+
+def copy_to(source: sqlite3.Connection, path: Path) -> None:
+    """Copy a ledger as it is now, whole or not at all; may run beside the service. Raises sqlite3.Error."""
+    partial = path.with_name(f"{path.name}.partial")
+    partial.unlink(missing_ok=True)
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        file.close()
-        raise DataFolderBusy(f"another service uses the data folder {path.parent}") from error
-    return file
+        with closing(sqlite3.connect(partial)) as target:
+            source.backup(target)
+            check(target, partial)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _check_not_emptied(path: Path, has_stores: Callable[[], bool]) -> None:
+    """Raise LedgerUnusable where a new ledger would take the place of one that is lost."""
+    if not path.exists() and (copies := copies_of(path)):
+        raise LedgerUnusable(f"{path} is missing: restore {copies[-1]} with bounce restore, or move it away")
+    if path.exists() and not size_of(path) and (size_of(wal_of(path)) or has_stores()):
+        raise LedgerUnusable(f"{path} is empty (0 bytes) beside what it should know: {MEND}")

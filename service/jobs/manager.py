@@ -3,22 +3,23 @@
 import hashlib
 import json
 import logging
-import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
-from service.jobs.ledger import Ledger
+from service.jobs.ledger import NOT_LOCAL, Ledger
+from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
-from service.jobs.repair import Repairer
-from service.jobs.scrub import Scrubber
+from service.jobs.stores.deletion import Deleter
+from service.jobs.stores.repair import Repairer
+from service.jobs.stores.scrub import Scrubber
 from service.jobs.supervisor import Supervisor
 from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
-from worker import store
 from worker.cost import check_size
 from worker.executors.base import Executor
 from worker.spec.errors import SpecError
@@ -42,13 +43,12 @@ class JobManager:
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._settings = ledger, settings
-        self._delete_lock = threading.Lock()  # a sweep is not accepted again while its results are deleted
-        self._store_lock = threading.Lock()  # no store is created while results are deleted
         self.preparer = JobPreparer(settings)
+        self._deleter = Deleter(ledger, settings, self._wake)
         self._supervisor = Supervisor(
-            ledger, executor, settings, self.preparer, self._is_verified, self._store_lock
+            ledger, executor, settings, self.preparer, self._is_verified, self._deleter.repeat
         )
-        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate)
+        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate, self._deleter.repeat)
         self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self._supervisor.wake)
 
     def start(self) -> None:
@@ -58,26 +58,49 @@ class JobManager:
         """
         self._replace_outdated()
         self._scrubber.start()
+        self._deleter.start()
         self._supervisor.start()
 
     def stop(self) -> None:
         """Stop computing; unfinished jobs continue at the next start."""
         deadline = time.monotonic() + STOP_SECONDS
         self._scrubber.stop(STOP_SECONDS)
-        self._supervisor.stop(max(deadline - time.monotonic(), 0.1))
+        for part in (self._supervisor, self._deleter):
+            part.stop(max(deadline - time.monotonic(), 0.1))
+
+    @property
+    def unknown_stores(self) -> list[str]:
+        """Addresses of stores that the ledger does not know, as found at the start."""
+        return sorted({*self._scrubber.unknown_stores, *self._deleter.kept})
+
+    def notices(self) -> list[str]:
+        """What an operator should know, although jobs are computed."""
+        notices = []
+        if unknown := len(self.unknown_stores):
+            notices.append(
+                f"stores that the ledger does not know: {unknown}; bounce doctor names them, "
+                "bounce adopt takes them in"
+            )
+        if network := network_file_system(self._settings.data):
+            notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
+        return notices
 
     def _is_verified(self, job_id: str) -> bool:
         return self._scrubber.is_verified(job_id)
 
-    def submit(self, spec: Any, key: str | None = None) -> Submission:
+    def _wake(self) -> None:
+        self._supervisor.wake()
+
+    def submit(self, spec: Any, key: str | None = None, owner: str | None = None) -> Submission:
         """Accept a study, or return the job that it already is; a failed or cancelled one is resumed.
 
         `key`: an idempotency key; a repeated request with the same key changes nothing, whatever has
-        become of the job since. Raises SpecTooLarge, QueueFull, KeyReused.
+        become of the job since. `owner`: the name of the caller's access token, if it has one.
+        Raises SpecTooLarge, QueueFull, KeyReused.
         """
         plan = self.check(spec)
-        job = _new_job(spec, plan)
-        with self._delete_lock, self._ledger.writing() as ledger:
+        job = _new_job(spec, plan, owner)
+        with self._ledger.writing() as ledger:
             new = ledger.find(job.id) is None
             accepted = not self._is_repeated(ledger, job, key) and self._accept(ledger, job)
             record = _existing(ledger.find(job.id), job.id)
@@ -89,7 +112,6 @@ class JobManager:
             if key is not None and ledger.key(key) is None:
                 ledger.remember_key(key, _fingerprint(job), record, time.time())
         if accepted:
-            self._ledger.keep_reserve()
             self._supervisor.wake()
         return Submission(record, accepted)
 
@@ -98,7 +120,13 @@ class JobManager:
         study = study_of(spec)
         plan: Plan = study.plan(spec)
         cost = study.estimate(spec, plan)
-        check_size(cost, max_cells=self._settings.max_cells, max_bytes=self._settings.max_bytes)
+        limits = self._settings
+        check_size(
+            cost,
+            max_cells=limits.max_cells,
+            max_bytes=limits.max_bytes,
+            max_core_seconds=limits.max_core_seconds,
+        )
         return plan
 
     def cancel(self, job_id: str) -> JobRecord:
@@ -113,51 +141,40 @@ class JobManager:
         self._supervisor.wake()
         return record
 
-    def resume(self, job_id: str) -> Submission:
+    def resume(self, job_id: str, owner: str | None = None) -> Submission:
         """Continue a failed or cancelled job where it stopped; an unfinished one stays as it is.
 
         One of another kernel version starts anew as another job, which is the job returned.
         Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for one that starts anew also
         as `submit`, and SpecError if this release does not accept its specification.
         """
-        with self._delete_lock, self._ledger.writing() as ledger:
+        with self._ledger.writing() as ledger:
             job = _existing(ledger.find(job_id), job_id)
             if job.state is JobState.DONE:
                 again = ": submit the sweep again to compute it anew" if job.outdated else ""
                 raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
             if job.outdated:
-                record, accepted = self._replace(ledger, job, from_json(job.spec), self._accept)
+                record, accepted = self._replace(ledger, job, from_json(job.spec), owner, self._accept)
             else:
-                accepted = self._accept(ledger, job)
+                accepted = self._accept(ledger, replace(job, owner=owner))
                 record = _existing(ledger.find(job_id), job_id)
         if accepted:
-            self._ledger.keep_reserve()
             self._supervisor.wake()
         return Submission(record, accepted)
 
     def delete(self, job_id: str) -> None:
-        """Remove a job and its results; the files are removed in the background.
+        """Remove a job; its results are removed in the background, if need be after the next start.
 
         Raises UnknownJob, and IllegalTransition while workers may write: cancel the job first.
         """
-        with self._delete_lock, self._store_lock:
-            renamed = self._forget(job_id)
-        threading.Thread(target=_remove, args=[renamed], name="remove", daemon=True).start()
-
-    def _forget(self, job_id: str) -> str:
-        """Remove a job from the ledger and rename its store for deletion; returns the store's new address."""
         with self._ledger.writing() as ledger:
             job = _existing(ledger.find(job_id), job_id)
             if job.state in UNFINISHED:
                 raise IllegalTransition(
                     f"the job is {job.state}: cancel it first, and wait until it is cancelled"
                 )
-            ledger.delete(job)
-        # A worker that lost its connection may still be computing: the cancel flag stops it, and without
-        # its metadata the store accepts no chunk.
-        url = self._settings.store_of(job_id)
-        store.set_cancelled(url)
-        return store.rename_for_deletion(url)
+            ledger.delete(job, time.time())
+        self._deleter.wake()
 
     def _replace_outdated(self) -> None:
         """End the unfinished jobs of other kernel versions, and accept their studies as jobs of this one."""
@@ -174,7 +191,7 @@ class JobManager:
             return
         versions = f"kernel version {job.kernel_version} began it, this release computes {KERNEL_VERSION}"
         try:
-            successor, _ = self._replace(ledger, job, from_json(job.spec), self._admit)
+            successor, _ = self._replace(ledger, job, from_json(job.spec), job.owner, self._admit)
             fate = f"job {successor.id} computes all of it anew"
         except SpecError as error:
             fate = f"it cannot start anew: {error}"
@@ -186,6 +203,7 @@ class JobManager:
         ledger: WriteTransaction,
         outdated: JobRecord,
         spec: Any,
+        owner: str | None,
         accept: Callable[[WriteTransaction, NewJob], bool],
     ) -> Submission:
         """The job of this kernel version for an outdated job's study, inserted or resumed by `accept`.
@@ -193,7 +211,7 @@ class JobManager:
         Raises as `accept`, and SpecTooLarge.
         """
         plan = self.check(spec)
-        job = _new_job(spec, plan)
+        job = _new_job(spec, plan, owner)
         new = ledger.find(job.id) is None
         accepted = accept(ledger, job)
         ledger.replace(outdated, job.id)
@@ -220,7 +238,7 @@ class JobManager:
         """
         known = ledger.find(job.id)
         if known is None or known.state in RESUMABLE:
-            self._check_queue(ledger)
+            self._check_queue(ledger, job.owner)
         return self._admit(ledger, job)
 
     def _admit(self, ledger: WriteTransaction, job: NewJob) -> bool:
@@ -229,25 +247,25 @@ class JobManager:
         if known is None:
             ledger.insert(job, time.time())
         elif known.state in RESUMABLE:
-            ledger.queue(known)
+            ledger.queue(known, job.owner)
         elif known.cancel_requested:
             ledger.set_cancel_requested(known, False)
         else:
             return False
         return True
 
-    def _check_queue(self, ledger: WriteTransaction) -> None:
+    def _check_queue(self, ledger: WriteTransaction, owner: str | None) -> None:
         unfinished, limit = ledger.count(UNFINISHED), self._settings.max_queue
         if unfinished >= limit:
             raise QueueFull(f"{unfinished} jobs are queued or running already, at most {limit} may be")
-
-
-def _remove(url: str) -> None:
-    """Remove a deleted job's store; the scrub of the next start removes what cannot be removed now."""
-    try:
-        store.remove(url)
-    except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that is gone
-        log.warning("%s cannot be removed now: %s", url, error)
+        if owner is None:
+            return
+        own, limit = ledger.count(UNFINISHED, owner), self._settings.max_queue_per_token
+        if own >= limit:
+            raise QueueFull(
+                f"{own} jobs of the token {owner} are queued or running already, "
+                f"at most {limit} of one token may be (max_queue_per_token)"
+            )
 
 
 def _cancel(ledger: WriteTransaction, job: JobRecord) -> None:
@@ -270,7 +288,7 @@ def _fingerprint(job: NewJob) -> str:
     return hashlib.sha256(job.spec.encode()).hexdigest()
 
 
-def _new_job(spec: Any, plan: Plan) -> NewJob:
+def _new_job(spec: Any, plan: Plan, owner: str | None) -> NewJob:
     return NewJob(
         id=spec.job_id(KERNEL_VERSION),
         name=spec.name,
@@ -279,4 +297,5 @@ def _new_job(spec: Any, plan: Plan) -> NewJob:
         chunk_shape=plan.chunk_shape,
         chunks_total=len(plan),
         cells_total=plan.cells,
+        owner=owner,
     )

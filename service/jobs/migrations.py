@@ -66,4 +66,16 @@ MIGRATIONS: Final = (
     """
     ALTER TABLE jobs ADD COLUMN cells_settling INTEGER NOT NULL DEFAULT 0;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN owner TEXT;
+    """,
+    """
+    CREATE TABLE deletions (
+        job TEXT NOT NULL,
+        seq INTEGER NOT NULL,
+        created REAL NOT NULL,
+        step INTEGER NOT NULL DEFAULT 0,
+        PRIMARY KEY (job, seq)
+    ) WITHOUT ROWID;
+    """,
 )

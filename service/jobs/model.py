@@ -1,7 +1,7 @@
 """A job, its states, the transitions between them, and its progress. Pure."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, NamedTuple
 
@@ -85,6 +85,8 @@ class NewJob:
     chunk_shape: tuple[int, ...]  # how the study is cut; of a sweep, cells of a chunk along xi, omega, gamma
     chunks_total: int
     cells_total: int
+    #: Name of the access token with which it was submitted, or last resumed; None if that has no name.
+    owner: str | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class JobRecord(NewJob):
     def revision(self) -> tuple[object, ...]:
         """Changes whenever what the job shows changes, except the estimated time left."""
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
-        return (self.id, *facts, self.notice)
+        return (self.id, *facts, self.notice, self.owner)
 
     def progress(self, now: float) -> Progress:
         """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""

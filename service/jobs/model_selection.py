@@ -37,6 +37,11 @@ class ModelSelector:
         self._pending: dict[str, Future[ModelChoice]] = {}  # by job id
         self._worker_deaths: Counter[str] = Counter()
 
+    @property
+    def pending(self) -> int:
+        """Jobs for which a worker is choosing."""
+        return len(self._pending)
+
     def select(self, job: JobRecord) -> JobRecord | None:
         """The job, its model chosen; None until a worker has chosen one.
 

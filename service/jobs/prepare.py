@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
+from kernel.params import KERNEL_VERSION
 from service.jobs.model import JobRecord
 from service.settings import Settings
 from worker.analysis.model_selection import ModelChoice, resolved
@@ -25,7 +26,7 @@ MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Fields of a sweep with stricter rules today than under kernel version 1; no reader of results uses them.
-BOUNDED_SINCE: Final = ("settle_tolerance",)
+BOUNDED_SINCE: Final = ("settle_tolerance", "name")
 
 #: What a prepared job depends on. `seq` tells a job from a deleted one of the same id; the chunk shape and
 #: the choice change when the model of an `auto` sweep is chosen.
@@ -52,6 +53,11 @@ class PreparedJob:
     def layout(self) -> Layout:
         """What is stored, and how it is cut."""
         return self.study.variables(self.submitted, self.plan.chunk_shape)
+
+    @property
+    def core_seconds(self) -> float:
+        """Core-seconds that the whole job takes, by the cost table."""
+        return self._cost.core_seconds
 
     @cached_property
     def cell_seconds(self) -> float:
@@ -91,7 +97,7 @@ class JobPreparer:
             if known is not None:
                 self._jobs.move_to_end(_key(job))
                 return known[0]
-            return self._keep(job, _parse(job), None)
+            return self._keep(job, parse_stored(job.spec, job.kernel_version), None)
 
     def seed(self, job: JobRecord, submitted: Any, plan: Plan) -> None:
         """Keep what the caller has made of the job already.
@@ -129,11 +135,14 @@ def _key(job: JobRecord) -> _Key:
     return job.id, job.seq, job.chunk_shape, job.choice
 
 
-def _parse(job: JobRecord) -> Any:
-    """The specification; of an outdated job by the rules of its time: its results are to be read."""
-    if not job.outdated:
-        return from_json(job.spec)
-    fields = json.loads(job.spec)
+def parse_stored(text: str, kernel_version: str) -> Any:
+    """A job's specification; of an outdated job by the rules of its time: its results are to be read.
+
+    Raises SpecError.
+    """
+    if kernel_version == KERNEL_VERSION:
+        return from_json(text)
+    fields = json.loads(text)
     kept = {name: fields.pop(name) for name in BOUNDED_SINCE if name in fields}
     spec = parse(fields)
     return spec.model_copy(update=kept) if kept else spec

@@ -1,10 +1,10 @@
-"""Which chunks of one job can be computed next, each after its predecessor on a ramp. Pure.
+"""What is computed next: of one job, which chunk; of all jobs, which one. Pure.
 
-Holds a few numbers per chunk, so that a job of a million chunks fits in memory.
+A `ReadyQueue` holds a few numbers per chunk, so that a job of a million chunks fits in memory.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 #: The predecessor of a chunk that depends on no other.
 NONE: Final = -1
+
+#: The share of the workers' time that goes to all jobs in turn; the rest goes to the job with the least left.
+ROTATION_SHARE: Final = 0.25
 
 
 class ReadyQueue:
@@ -39,6 +42,11 @@ class ReadyQueue:
     def finished(self) -> bool:
         """Whether every chunk is done."""
         return self._remaining == 0
+
+    @property
+    def remaining(self) -> int:
+        """Chunks that are not done."""
+        return self._remaining
 
     @property
     def ready(self) -> bool:
@@ -96,3 +104,70 @@ class ReadyQueue:
         successors = self._by_predecessor[low:high]
         pending = ~self._done[successors]
         return (int(chunk) for chunk in successors[pending] if chunk not in self._popped)
+
+
+class Rotation:
+    """The unfinished jobs in the order of their turns, and when the next turn is due.
+
+    The owners of jobs come in turn, and each owner's jobs among themselves. A turn is one chunk, or one time
+    slice of a long one. Whatever else is computed, `ROTATION_SHARE` of the workers' time goes to turns, so
+    that every job goes on, however many smaller ones follow it.
+
+    `slice_seconds`: what a turn costs at most.
+    """
+
+    def __init__(self, slice_seconds: float) -> None:
+        self._slice_seconds = slice_seconds
+        self._jobs: dict[str | None, dict[str, None]] = {}  # ids by owner, both in the order of their turns
+        self._owners: dict[str, str | None] = {}  # by job
+        self._credit = 0.0  # core-seconds that turns may take now
+
+    def update(self, owners: Mapping[str, str | None]) -> None:
+        """Forget jobs that have ended and add new ones at the end. `owners`: of all jobs, as accepted."""
+        for job_id in self._owners.keys() - owners.keys():
+            self._remove(job_id)
+        for job_id, owner in owners.items():
+            if job_id not in self._owners:
+                self._append(job_id, owner)
+
+    def __len__(self) -> int:
+        return len(self._owners)
+
+    def __iter__(self) -> Iterator[str]:
+        """Job ids, the one whose turn it is first."""
+        for jobs in self._jobs.values():
+            yield from jobs
+
+    def is_due(self, seconds: float) -> bool:
+        """Whether the workers have time for a turn of about so many core-seconds."""
+        return self._credit >= min(seconds, self._slice_seconds)
+
+    def begin_turn(self, job_id: str, seconds: float) -> None:
+        """A job has its turn, of about so many core-seconds; the next one is after all other jobs'."""
+        self._credit -= min(seconds, self._slice_seconds)
+        owner = self._owners[job_id]
+        self._remove(job_id)
+        self._append(job_id, owner)
+        self._jobs[owner] = self._jobs.pop(owner)
+
+    def end_turn(self, estimate: float, taken: float) -> None:
+        """A turn has taken so many core-seconds, in place of its estimate."""
+        self._credit += min(estimate, self._slice_seconds) - taken
+
+    def earn(self, seconds: float) -> None:
+        """Chunks outside the rotation have taken so many core-seconds.
+
+        The credit is at most one turn's: turns that could not be taken are not made up for.
+        """
+        earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
+        self._credit = min(self._credit + earned, self._slice_seconds)
+
+    def _append(self, job_id: str, owner: str | None) -> None:
+        self._owners[job_id] = owner
+        self._jobs.setdefault(owner, {})[job_id] = None
+
+    def _remove(self, job_id: str) -> None:
+        owner = self._owners.pop(job_id)
+        del self._jobs[owner][job_id]
+        if not self._jobs[owner]:
+            del self._jobs[owner]

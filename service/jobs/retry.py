@@ -3,7 +3,7 @@
 A chunk can come back for five reasons, which count differently:
 
 - its time slice is over: it goes on before others of its job begin, and nothing is counted;
-- it was cancelled, or the cluster was lost: the chunk is requeued and nothing is counted;
+- it was cancelled, or the cluster or the bucket was lost: the chunk is requeued and nothing is counted;
 - its worker died while computing another chunk: a collateral loss, counted on its own;
 - it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
 - no chunk of the job can be stored, as on a full disk: the job stops at once.
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
+from worker import store
 from worker.executors.errors import ClusterLost, WorkerLost
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
@@ -50,6 +51,7 @@ UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
     CancelledError: Action.REQUEUE,
     ChunkPaused: Action.CONTINUE,
     ClusterLost: Action.PAUSE,
+    **dict.fromkeys(store.UNREACHABLE, Action.PAUSE),
 }
 
 

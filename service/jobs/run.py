@@ -32,11 +32,14 @@ class JobRun:
     ) -> None:
         self.job, self.prepared = job, prepared
         self.stopping = job.cancel_requested  # a cancel is being carried out
+        self.flagged = False  # its store has the cancel flag
         self.in_flight: dict[int, Future[ChunkReport]] = {}
+        self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
         self._ready_queue = ReadyQueue(predecessors(prepared.plan), done)
         self._cell_seconds = prepared.cell_seconds
+        self.chunk_seconds = prepared.core_seconds / len(prepared.plan)  # on average, by the cost table
         self._cells_in_flight = 0
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
@@ -68,11 +71,23 @@ class JobRun:
     def remove_in_flight(self, chunk: int) -> None:
         """A chunk has come back from the executor, with or without a report."""
         del self.in_flight[chunk]
+        self.turns.discard(chunk)
         self._cells_in_flight -= self.prepared.plan[chunk].cells
 
     def longest_seconds(self, chunk: Chunk) -> float:
         """Core-seconds that a chunk takes if all cells settle for as long as they may, by the cost table."""
         return chunk.cells * self.prepared.longest_cell_seconds
+
+    @property
+    def remaining_seconds(self) -> float:
+        """Core-seconds of the chunks that are not done, by the cost table."""
+        return self._ready_queue.remaining * self.chunk_seconds
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the run can be made again from the ledger without a loss: it has nothing in memory."""
+        counted = any(self._tries.values()) or any(self._collateral_losses.values())
+        return not (self.in_flight or self.has_unsaved or self.stopping or self._failures or counted)
 
     @property
     def seconds_in_flight(self) -> float:

@@ -5,32 +5,46 @@ Whatever it holds in memory can be rebuilt from the ledger.
 """
 
 import logging
+import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import JobPreparer
+from service.jobs.ready_queue import Rotation
 from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
 from service.jobs.run import JobRun
+from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.executors.base import Executor
+from worker.store import StoreConflict
 from worker.studies import Chunk
-from worker.tasks import ChunkReport
+from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport
 
 log = logging.getLogger(__name__)
 
-#: Chunks in flight of one job, however small they are.
+#: Chunks in flight, however small they are, of one job and those with less left to compute.
 MAX_IN_FLIGHT: Final = 64
+#: Times the chunks that are enough for one job, of all jobs together.
+MAX_TIMES_IN_FLIGHT: Final = 4
+#: The priority of a job's turn: above that of all other chunks, which is negative.
+TURN_PRIORITY: Final = 0.0
+#: Seconds for which a chunk that waits at the executor is passed by later ones of smaller jobs; less if its
+#: own job has less than a core-second left.
+PASSED_SECONDS: Final = 10.0
+#: Runs of one job that may be given up after an unforeseen error, before the job fails.
+MAX_BROKEN_RUNS: Final = 3
 #: Without workers the ledger is synced after this share of a heartbeat, so that those that connect get
 #: chunks soon.
 IDLE_SHARE: Final = 0.25
@@ -58,13 +72,26 @@ class Sync(NamedTuple):
 Message = ChunkFinished | ChunksInvalidated | Sync
 
 
+class Waiting(NamedTuple):
+    """An unfinished job that is not in memory; ordered by what is left of it."""
+
+    remaining_seconds: float  # core-seconds, by the cost table
+    seq: int
+    id: str
+    chunk_seconds: float  # of a chunk, on average
+
+
 class Supervisor:
     """Computes the ledger's unfinished jobs on an executor until it is stopped.
 
-    Each job has a bounded number of chunks in flight. Workers start first the waiting chunks of the job
-    with the least work in flight, so that a small job overtakes a huge one.
+    The job with the least left to compute comes first, and a share of the workers' time goes to all jobs in
+    turn (`Rotation`). What is in flight is bounded, not counting the chunks of jobs with more left: those
+    wait at the executor behind a smaller job's chunks, so that a small job overtakes huge ones at once; but
+    not for ever, since such a chunk is not passed any more after PASSED_SECONDS.
+    At most `active_jobs` jobs are in memory. One that has nothing in flight gives its place to another.
     A job accepted before this start of the service runs once `is_verified` confirms that its stored chunks
-    are what the ledger has marked. Stores are created under `store_lock`.
+    are what the ledger has marked; one whose address still has results of a deleted job waits for it to be
+    free. `after_writing` removes the store of a job that was deleted while the store was created.
 
     `start`, `wake`, `invalidate` and `stop` may be called from any thread; all else runs in its own.
     """
@@ -76,16 +103,21 @@ class Supervisor:
         settings: Settings,
         preparer: JobPreparer,
         is_verified: Callable[[str], bool] = lambda job_id: True,
-        store_lock: AbstractContextManager[Any] | None = None,
+        after_writing: Callable[[JobRecord], None] = lambda job: None,
     ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self._preparer, self._is_verified = preparer, is_verified
-        self._store_lock = store_lock or nullcontext()
+        self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
+        self._messages: deque[Message] = deque()  # received, and not yet taken in
         self._runs: dict[str, JobRun] = {}
-        self._slots = 0  # chunks that each job may have in flight
+        self._broken: Counter[str] = Counter()  # runs given up after an error of this module, by job
+        self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
+        self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
+        self._rotation = Rotation(SLICE_SECONDS)
+        self._slots = 0  # chunks that may be in flight
         self._next_sync = time.monotonic()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="supervisor", daemon=True)
@@ -114,11 +146,17 @@ class Supervisor:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._step(self._receive())
-            except Exception:  # such as a ledger that does not answer; the next step starts from its state
+                self._messages.extend(self._receive())
+                self._ledger.check()  # nothing is stored either while the ledger is not the one it was
+                self._step()
+            except LedgerUnavailable as error:  # the next step writes what this one could not
                 pause = self._settings.heartbeat_seconds
-                log.exception("supervisor step failed; retrying in %g s", pause)
+                log.error("supervisor step failed; retrying in %g s: %s", pause, error)
                 self._stop.wait(pause)
+                self.wake()
+            except Exception:
+                log.exception("supervisor step failed")
+                self._stop.wait(self._settings.heartbeat_seconds)
                 self.wake()
         for run in self._runs.values():
             self._abandon(run)
@@ -133,25 +171,61 @@ class Supervisor:
             messages.append(self._inbox.get())
         return messages if time.monotonic() < self._next_sync else [*messages, Sync()]
 
-    def _step(self, messages: list[Message]) -> None:
-        for message in messages:
-            if isinstance(message, ChunkFinished):
-                self._on_finished(message)
-            elif isinstance(message, ChunksInvalidated) and message.job_id in self._runs:
-                self._runs[message.job_id].invalidate(message.chunks)
+    def _step(self) -> None:
+        """Messages change what is in memory; then the ledger gets it, now or in a later step.
+
+        Raises LedgerUnavailable. Any other error concerns the job alone that it is of.
+        """
+        sync = False
+        while self._messages:
+            message = self._messages.popleft()
+            if isinstance(message, Sync):
+                sync = True
+            elif message.job_id in self._runs:
+                run = self._runs[message.job_id]
+                with self._contained(run):
+                    self._take(run, message)
         for run in list(self._runs.values()):
-            self._save(run)
-        if any(isinstance(message, Sync) for message in messages):
+            with self._contained(run):
+                self._save(run)
+        if sync:
             self._sync()
         self._submit()
         for run in list(self._runs.values()):
-            self._end(run)
+            with self._contained(run):
+                self._end(run)
+
+    @contextmanager
+    def _contained(self, run: JobRun) -> Iterator[None]:
+        """Let an error end one job's run only. The next sync makes the run anew, from the ledger.
+
+        Raises LedgerUnavailable, which is no job's fault.
+        """
+        try:
+            yield
+        except LedgerUnavailable:
+            raise
+        except Exception as error:
+            log.exception("job %s: its run is given up and made anew from the ledger", run.job.id)
+            self._abandon(run)
+            self._runs.pop(run.job.id, None)
+            self._broken[run.job.id] += 1
+            if self._broken[run.job.id] >= MAX_BROKEN_RUNS:
+                del self._broken[run.job.id]
+                self._finish(run.job, JobState.FAILED, f"internal error: {type(error).__name__}: {error}")
 
     # Chunks that came back
 
-    def _on_finished(self, finished: ChunkFinished) -> None:
+    def _take(self, run: JobRun, message: ChunkFinished | ChunksInvalidated) -> None:
+        if isinstance(message, ChunksInvalidated):
+            run.invalidate(message.chunks)
+        elif run.in_flight.get(message.chunk) is message.future:  # not one of a run that was given up
+            self._on_finished(run, message)
+
+    def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
         """Keep a chunk's report, or carry out what the retry policy decides about its error."""
-        run, chunk = self._runs[finished.job_id], finished.chunk
+        chunk = finished.chunk
+        self._account(run, finished)
         run.remove_in_flight(chunk)
         error = _error_of(finished.future)
         if error is None:
@@ -163,6 +237,20 @@ class Supervisor:
         if action is Action.PAUSE:
             self._slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
+
+    def _account(self, run: JobRun, finished: ChunkFinished) -> None:
+        """Tell the rotation how long a chunk took since it was submitted: a slice at most."""
+        error = _error_of(finished.future)
+        if error is None:
+            seconds = min(finished.future.result().seconds, SLICE_SECONDS)
+        else:
+            seconds = (
+                SLICE_SECONDS if isinstance(error, ChunkPaused) else min(run.chunk_seconds, SLICE_SECONDS)
+            )
+        if finished.chunk in run.turns:
+            self._rotation.end_turn(run.chunk_seconds, seconds)
+        else:
+            self._rotation.earn(seconds)
 
     def _save(self, run: JobRun) -> None:
         """Write what has happened to a job's chunks to the ledger, in one transaction.
@@ -191,25 +279,57 @@ class Supervisor:
 
     def _sync(self) -> None:
         """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
+        self._ledger.keep_reserve()
         self._slots = self._settings.window * self._executor.workers()
         pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
         with self._ledger.reading() as ledger:
-            unfinished = ledger.unfinished(self._settings.active_jobs)
+            unfinished = ledger.unfinished(self._settings.max_queue)
         for job in unfinished:
-            run = self._runs.get(job.id)
-            if run is None:
-                if self._is_verified(job.id):
-                    with self._store_lock:
-                        self._start_job(job.id)
-            elif run.stopping != job.cancel_requested:
-                self._set_stopping(run, job.cancel_requested)
+            if job.cancel_requested and job.id in self._runs:
+                self._runs[job.id].stopping = True
+        try:
+            for job in unfinished:
+                run = self._runs.get(job.id)
+                if run is not None:
+                    self._apply_cancel(run, job.cancel_requested)
+                elif job.cancel_requested and self._is_verified(job.id):
+                    self._start_job(job.id)  # it ends at once
+        except store.UNREACHABLE as error:
+            # The others' stores are in the same bucket: each would wait as long. The next sync tries again.
+            log.warning("the bucket of the stores does not answer: %s", error)
+        self._update_waiting(unfinished)
+
+    def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
+        """Put the jobs that may start in order, and all of them in the rotation."""
+        known = self._core_seconds
+        self._core_seconds = {job.id: known.get(job.id) or self._estimate(job.id) for job in unfinished}
+        waiting = []
+        for job in unfinished:
+            if job.id not in self._runs and self._is_verified(job.id):
+                chunk_seconds = self._core_seconds[job.id] / job.chunks_total
+                remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
+                waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
+        self._waiting = {job.id: job for job in sorted(waiting)}
+        self._rotation.update({job.id: job.owner for job in sorted(unfinished, key=lambda job: job.seq)})
+
+    def _estimate(self, job_id: str) -> float:
+        """Core-seconds of a job as a whole; 0 for one that cannot be prepared, whose start will say why."""
+        job = self._ledger.find(job_id)
+        try:
+            return 0.0 if job is None else self._preparer.prepare(job).core_seconds
+        except Exception:  # noqa: BLE001 - whatever it is, it concerns this job alone
+            return 0.0
 
     def _start_job(self, job_id: str) -> None:
-        """Create a job's store and add the job to those that run; a job that cannot start fails."""
-        job = self._ledger.find(job_id)
-        if job is None:
-            return
+        """Create a job's store and add the job to those that run; a job that cannot start fails.
+
+        Raises one of `store.UNREACHABLE`.
+        """
+        with self._ledger.reading() as ledger:
+            job = ledger.find(job_id)
+            if job is None or ledger.is_occupied(job_id):
+                return  # deleted meanwhile, or deleted before and not removed yet
         try:
             selected = self._selector.select(job)
             if selected is None:
@@ -217,14 +337,16 @@ class Supervisor:
             run = self._open(selected)
         except store.UNREACHABLE as error:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
-            return  # the next sync tries again
+            raise
         except LedgerUnavailable:
             raise  # no fault of the job: the step is retried
         except Exception as error:
             log.exception("job %s cannot start", job_id)
-            self._finish(job_id, JobState.FAILED, f"the job cannot start: {type(error).__name__}: {error}")
+            hint = "; bounce adopt takes in what is stored there" if isinstance(error, StoreConflict) else ""
+            reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
+            self._finish(job, JobState.FAILED, reason)
             return
-        if self._mark_running(job_id):
+        if self._mark_running(job):
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)
 
@@ -238,70 +360,153 @@ class Supervisor:
         store.clear_cancelled(prepared.store_url)
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy)
 
-    def _mark_running(self, job_id: str) -> bool:
-        """Whether the job may run: it may have been cancelled since the sync read the ledger."""
+    def _mark_running(self, job: JobRecord) -> bool:
+        """Whether the job may run: it may have been cancelled, or deleted, since its store was created."""
         with self._ledger.writing() as ledger:
-            job = ledger.find(job_id)
-            if job is None or job.state not in UNFINISHED:
-                return False
-            ledger.run(job, time.time())
-            return True
+            current = ledger.find(job.id)
+            if current is not None and current.seq == job.seq and current.state in UNFINISHED:
+                ledger.run(current, time.time())
+                return True
+        self._after_writing(job)
+        return False
 
-    def _set_stopping(self, run: JobRun, stopping: bool) -> None:
+    def _apply_cancel(self, run: JobRun, requested: bool) -> None:
         """Apply or revoke a cancel request, by the flag at the store that workers look at.
 
-        The job ends when every chunk in flight has come back: only then can nothing write any more.
+        The job ends when every chunk in flight has come back: only then can nothing write any more. Where
+        the flag cannot be set they are computed to their end; where it cannot be removed the job waits.
+        Raises one of `store.UNREACHABLE`.
         """
-        set_flag = store.set_cancelled if stopping else store.clear_cancelled
-        set_flag(run.prepared.store_url)
-        run.stopping = stopping
+        if run.flagged == run.stopping == requested:
+            return
+        try:
+            (store.set_cancelled if requested else store.clear_cancelled)(run.prepared.store_url)
+        except OSError as error:
+            log.warning("job %s: its cancel flag cannot be changed, trying again: %s", run.job.id, error)
+            return
+        run.flagged = run.stopping = requested
 
     def _end(self, run: JobRun) -> None:
         """End a job that has nothing in flight, nothing unsaved and nothing to submit."""
         state = run.final_state
         if state is None:
             return
-        if self._finish(run.job.id, state, run.error if state is JobState.FAILED else None):
+        if self._finish(run.job, state, run.error if state is JobState.FAILED else None):
             del self._runs[run.job.id]
+            self._broken.pop(run.job.id, None)
             log.info("job %s is %s", run.job.id, state)
         self.wake()  # a queued job may start, or a job whose cancel was revoked continue
 
-    def _finish(self, job_id: str, state: JobState, error: str | None) -> bool:
+    def _finish(self, job: JobRecord, state: JobState, error: str | None) -> bool:
         """Write a job's final state to the ledger; False if the job continues after all."""
         with self._ledger.writing() as ledger:
-            job = ledger.find(job_id)
-            if job is None or job.state not in UNFINISHED:
+            current = ledger.find(job.id)
+            if current is None or current.seq != job.seq or current.state not in UNFINISHED:
                 return True
-            if state is JobState.CANCELLED and not job.cancel_requested:
+            if state is JobState.CANCELLED and not current.cancel_requested:
                 return False
-            if state is JobState.DONE and job.chunks_done < job.chunks_total:
+            if state is JobState.DONE and current.chunks_done < current.chunks_total:
                 return False  # a damaged chunk has just been unmarked
-            ledger.finish(job, state, time.time(), error)
+            ledger.finish(current, state, time.time(), error)
             return True
 
     # Chunks to compute
 
     def _submit(self) -> None:
-        """Fill the free slots, the job with the least work in flight first."""
-        while True:
-            runs = [run for run in self._runs.values() if self._has_free_slot(run)]
-            if not runs or not self._send(min(runs, key=lambda run: (run.seconds_in_flight, run.job.seq))):
+        """Submit chunks until enough are in flight: of the job whose turn is due, else of the smallest."""
+        while self._slots > 0:
+            run = self._next_in_turn()
+            is_turn = run is not None
+            run = run or self._next_smallest()
+            if run is None:
                 return
+            with self._contained(run):
+                if not self._send(run, is_turn):
+                    return
 
-    def _has_free_slot(self, run: JobRun) -> bool:
-        """Whether a job may have one more chunk in flight.
+    def _next_in_turn(self) -> JobRun | None:
+        """The job whose turn it is, if it is due. Turns take half of the workers at most."""
+        turns = sum(len(run.turns) for run in self._runs.values())
+        most = max(self._slots // (2 * self._settings.window), 1)
+        if turns >= most or len(self._rotation) == 1 or not self._rotation.is_due(0.0):
+            return None
+        for job_id in self._rotation:
+            run, job = self._runs.get(job_id), self._waiting.get(job_id)
+            if run is not None and run.may_submit:
+                return run if self._rotation.is_due(run.chunk_seconds) else None
+            if run is None and job is not None:
+                if not self._rotation.is_due(job.chunk_seconds) or not self._make_room(math.inf):
+                    return None
+                run = self._start_waiting(job)
+                if run is not None:
+                    return run
+        return None
 
-        A job of short chunks gets more slots, up to `window_seconds` of work: with few, it would wait for
-        a chunk of a huge job again and again.
+    def _next_smallest(self) -> JobRun | None:
+        """Of the jobs that may submit a chunk, the one with the least left to compute."""
+        runs = self._runs.values()
+        all_count, all_seconds = (
+            sum(len(run.in_flight) for run in runs),
+            sum(run.seconds_in_flight for run in runs),
+        )
+        if self._is_full(all_count / MAX_TIMES_IN_FLIGHT, all_seconds / MAX_TIMES_IN_FLIGHT):
+            return None
+        count, seconds = 0, 0.0  # in flight of jobs with less left
+        for run in [*sorted(self._runs.values(), key=_order), None]:
+            while self._waiting and not (
+                run is not None and _order(run) < next(iter(self._waiting.values()))
+            ):
+                job = next(iter(self._waiting.values()))
+                if not self._make_room(job.remaining_seconds):
+                    break
+                started = self._start_waiting(job)
+                if started is not None:
+                    return started
+            if run is None:
+                break
+            count, seconds = count + len(run.in_flight), seconds + run.seconds_in_flight
+            if self._is_full(count, seconds):
+                break
+            if run.may_submit:
+                return run
+        return None
+
+    def _make_room(self, remaining_seconds: float) -> bool:
+        """Whether a job with so much left may be in memory; one with more left that is idle leaves it."""
+        if len(self._runs) + self._selector.pending < self._settings.active_jobs:
+            return True
+        idle = [run for run in self._runs.values() if run.is_idle and run.may_submit]
+        leaving = max(idle, key=_order, default=None)
+        if leaving is None or leaving.remaining_seconds <= remaining_seconds < math.inf:
+            return False
+        del self._runs[leaving.job.id]
+        self.wake()  # the next sync finds it waiting
+        return True
+
+    def _start_waiting(self, job: Waiting) -> JobRun | None:
+        """Start a job that waits; None if it cannot submit a chunk before the next sync."""
+        del self._waiting[job.id]
+        try:
+            self._start_job(job.id)
+        except store.UNREACHABLE:
+            self._waiting.clear()  # the others' stores are in the same bucket: until the next sync
+            return None
+        run = self._runs.get(job.id)
+        return run if run is not None and run.may_submit else None
+
+    def _is_full(self, count: float, seconds: float) -> bool:
+        """Whether so many chunks, of so many core-seconds, are enough in flight.
+
+        Of short chunks there are more, up to `window_seconds` of work, so that workers do not wait for them.
         """
-        seconds = self._settings.window_seconds * self._slots / self._settings.window
-        count = len(run.in_flight)
-        full = count >= self._slots and (run.seconds_in_flight >= seconds or count >= MAX_IN_FLIGHT)
-        return self._slots > 0 and not full and run.may_submit
+        enough = self._settings.window_seconds * self._slots / self._settings.window
+        return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
 
-    def _send(self, run: JobRun) -> bool:
+    def _send(self, run: JobRun, is_turn: bool) -> bool:
         """Submit a job's next chunk to the executor; whether it was taken."""
-        priority, chunk = -run.seconds_in_flight, run.pop()
+        waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
+        priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
+        chunk = run.pop()
         seconds = self._time_limit(run, chunk)
         try:
             future = self._executor.submit(
@@ -313,6 +518,9 @@ class Supervisor:
             self._slots = 0
             return False
         run.add_in_flight(chunk, future)
+        if is_turn:
+            run.turns.add(chunk.index)
+            self._rotation.begin_turn(run.job.id, run.chunk_seconds)
         future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
         return True
 
@@ -322,6 +530,11 @@ class Supervisor:
 
     def _post_finished(self, job_id: str, chunk: int, future: "Future[ChunkReport]") -> None:
         self._inbox.put(ChunkFinished(job_id, chunk, future))
+
+
+def _order(run: JobRun) -> tuple[float, int]:
+    """The order of jobs in memory, as that of those that wait: by what is left of them."""
+    return run.remaining_seconds, run.job.seq
 
 
 def _error_of(future: "Future[ChunkReport]") -> BaseException | None:

@@ -7,6 +7,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
+from enum import IntEnum
 from typing import Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION, Outcome
@@ -29,6 +30,27 @@ class Unfinished(NamedTuple):
 
     id: str
     cancel_requested: bool
+    seq: int  # numbers jobs in the order they were accepted
+    chunks_done: int
+    chunks_total: int
+    owner: str | None  # the name of the access token that submitted it
+
+
+class DeletionStep(IntEnum):
+    """How far a deletion is."""
+
+    RECORDED = 0  # the job is forgotten, its results are where they were
+    FREED = 1  # nothing of it is left at the job's address: the same study may be stored there again
+    COMPLETE = 2  # all is removed; kept until the next start of the service
+
+
+class Deletion(NamedTuple):
+    """A job that was deleted, and whose stored results are not all removed yet."""
+
+    job_id: str
+    seq: int  # the job's
+    created: float  # when it was deleted, in seconds since 1970
+    step: DeletionStep
 
 
 class Key(NamedTuple):
@@ -68,10 +90,13 @@ class ReadTransaction:
         rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", values)
         return [_record(row) for row in rows]
 
-    def count(self, states: Sequence[JobState]) -> int:
-        """Number of jobs in any of `states`."""
-        marks = ",".join("?" * len(states))
-        row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE state IN ({marks})", states).fetchone()
+    def count(self, states: Sequence[JobState], owner: str | None = None) -> int:
+        """Number of jobs in any of `states`; only those of `owner` if given."""
+        where = f"state IN ({','.join('?' * len(states))})"
+        values: list[str] = [*states]
+        if owner is not None:
+            where, values = f"{where} AND owner = ?", [*values, owner]
+        row = self._sql.execute(f"SELECT count(*) FROM jobs WHERE {where}", values).fetchone()
         return int(row[0])
 
     def totals(self) -> tuple[int, int]:
@@ -82,10 +107,11 @@ class ReadTransaction:
     def unfinished(self, limit: int) -> list[Unfinished]:
         """Running jobs, then queued ones, each in the order they were accepted."""
         rows = self._sql.execute(
-            "SELECT id, cancel_requested FROM jobs WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?",
+            "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner FROM jobs"
+            " WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?",
             (*UNFINISHED, JobState.QUEUED, limit),
         )
-        return [Unfinished(row["id"], bool(row["cancel_requested"])) for row in rows]
+        return [Unfinished(row[0], bool(row[1]), *row[2:]) for row in rows]
 
     def outdated_unfinished(self) -> list[JobRecord]:
         """Queued and running jobs of other kernel versions, in the order they were accepted."""
@@ -122,16 +148,38 @@ class ReadTransaction:
     def paces(self, jobs: int, max_spec_chars: int) -> list[Pace]:
         """How long done chunks took, for each of the last `jobs` with a specification of limited length.
 
-        Of this release's kernel alone: another version's speed says nothing of it.
+        Of this release's kernel alone: another version's speed says nothing of it. Of adopted chunks it is
+        not known.
         """
         rows = self._sql.execute(
             "SELECT recent.*, sum(seconds) AS seconds, sum(cells) AS cells FROM chunks JOIN ("
             "SELECT * FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? AND kernel_version = ?"
             " ORDER BY seq DESC LIMIT ?"
-            ") AS recent ON job = recent.seq GROUP BY job",
+            ") AS recent ON job = recent.seq WHERE chunks.seconds > 0 GROUP BY job",
             (max_spec_chars, KERNEL_VERSION, jobs),
         )
         return [Pace(_record(row), row["seconds"], row["cells"]) for row in rows]
+
+    def ids(self) -> set[str]:
+        """The ids of all jobs."""
+        return {row[0] for row in self._sql.execute("SELECT id FROM jobs")}
+
+    # Deletions
+
+    def deletions(self) -> list[Deletion]:
+        """The deletions that are not complete, in the order they were recorded."""
+        rows = self._sql.execute(
+            "SELECT job, seq, created, step FROM deletions WHERE step < ? ORDER BY created, seq",
+            (DeletionStep.COMPLETE,),
+        )
+        return [Deletion(row["job"], row["seq"], row["created"], DeletionStep(row["step"])) for row in rows]
+
+    def is_occupied(self, job_id: str) -> bool:
+        """Whether results of a deleted job are still to be removed from this job's address."""
+        row = self._sql.execute(
+            "SELECT 1 FROM deletions WHERE job = ? AND step = ?", (job_id, DeletionStep.RECORDED)
+        ).fetchone()
+        return row is not None
 
     # Chunks
 
@@ -168,16 +216,16 @@ class WriteTransaction(ReadTransaction):
         """Accept a job."""
         self._sql.execute(
             "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
-            " cells_total) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            " cells_total, owner) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
-                JobState.QUEUED, now, job.chunks_total, job.cells_total,
+                JobState.QUEUED, now, job.chunks_total, job.cells_total, job.owner,
             ),
         )  # fmt: skip
 
-    def queue(self, job: JobRecord) -> None:
-        """Resume a failed or cancelled job; its done chunks are kept."""
-        self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False)
+    def queue(self, job: JobRecord, owner: str | None) -> None:
+        """Resume a failed or cancelled job, which is `owner`'s from then on; its done chunks are kept."""
+        self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False, owner=owner)
         self._sql.execute("DELETE FROM failures WHERE job = ?", (job.seq,))
 
     def run(self, job: JobRecord, now: float) -> None:
@@ -208,9 +256,49 @@ class WriteTransaction(ReadTransaction):
         """Record the job that computes an outdated job's study anew."""
         self._update(job, replaced_by=successor)
 
-    def delete(self, job: JobRecord) -> None:
-        """Forget a job, its chunks, its keys, and that it replaces others."""
+    def adopt(
+        self, job: NewJob, reports: Sequence[ChunkReport], choice: str | None, now: float, error: str
+    ) -> None:
+        """Insert a job whose results are stored already: done if `reports` has every chunk, else failed."""
+        self.insert(job, now)
+        complete = len(reports) == job.chunks_total
+        self._sql.execute(
+            "UPDATE jobs SET state = ?, started = ?, finished = ?, choice = ?, error = ? WHERE id = ?",
+            (
+                JobState.DONE if complete else JobState.FAILED, now, now, choice,
+                None if complete else error, job.id,
+            ),
+        )  # fmt: skip
+        record = self.find(job.id)
+        if record is not None:
+            self.mark_done(record, reports)
+
+    def delete(self, job: JobRecord, now: float) -> None:
+        """Forget a job, its chunks, its keys, and that it replaces others; record that its store is to go."""
         self._sql.execute("DELETE FROM jobs WHERE seq = ?", (job.seq,))
+        self._sql.execute(
+            "INSERT OR REPLACE INTO deletions VALUES (?, ?, ?, ?)",
+            (job.id, job.seq, now, DeletionStep.RECORDED),
+        )
+
+    def repeat_deletion(self, job: JobRecord, now: float) -> bool:
+        """Have a deleted job's results removed once more; False if no deletion of this job is recorded."""
+        updated = self._sql.execute(
+            "UPDATE deletions SET created = ?, step = ? WHERE job = ? AND seq = ?",
+            (now, DeletionStep.RECORDED, job.id, job.seq),
+        )
+        return updated.rowcount == 1
+
+    def advance_deletion(self, deletion: Deletion, step: DeletionStep) -> None:
+        """Record how far a deletion is, unless it was repeated meanwhile."""
+        self._sql.execute(
+            "UPDATE deletions SET step = ? WHERE job = ? AND seq = ? AND created = ?",
+            (step, deletion.job_id, deletion.seq, deletion.created),
+        )
+
+    def forget_deletions(self, step: DeletionStep = DeletionStep.RECORDED) -> int:
+        """Forget the deletions that have come as far as `step`, by default all; returns their number."""
+        return self._sql.execute("DELETE FROM deletions WHERE step >= ?", (step,)).rowcount
 
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Remember what an idempotency key was used for."""

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from kernel.branches.events import Branch
 from kernel.labels import LABELS
 from kernel.numerics.elementary import TWO_PI
 from service.results.counting import LABEL
 from service.results.diagram import Diagram
 from service.results.mode_map import Plane
-from service.results.trajectory import Motion
+from service.results.trajectory import Motion, cycle_energy
 from worker import schema
 from worker.spec import AXES
 
@@ -77,6 +78,7 @@ def mode_map_json(plane: Plane) -> bytes:
 def trajectory_json(motion: Motion) -> bytes:
     """A sampled trajectory as a JSON document; null beyond where it could be followed."""
     path, spec = motion.trajectory, motion.spec
+    balance = cycle_energy(motion)
     z2 = path.plate + path.gap
     return to_json(
         {
@@ -96,9 +98,23 @@ def trajectory_json(motion: Motion) -> bytes:
                 "takeoff_phase": (path.takeoff % TWO_PI).tolist(),
                 "flight_time": path.flight_time.tolist(),
             },
+            "energy": None if balance is None else {name: x[0] for name, x in balance._asdict().items()},
             "complete": path.complete,
+            "cycle": None if motion.cycle is None else _cycle(motion.cycle),
         }
     )
+
+
+def _cycle(cycle: Branch) -> dict[str, Any]:
+    """A branch of one point."""
+    return {
+        "bounces": cycle.bounces,
+        "periods": cycle.periods,
+        "flight_time": float(cycle.flight_time[0]),
+        "multipliers": [[float(mu.real), float(mu.imag)] for mu in cycle.multiplier[0]],
+        "stable": bool(cycle.stable[0]),
+        "admissible": int(cycle.admissible[0]),
+    }
 
 
 def diagrams_csv(diagrams: Sequence[Diagram]) -> bytes:

@@ -7,18 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
+from kernel.branches.descent import lifetime
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.mode_map import plane
-from service.results.selection import MAX_READ, Sweep, check_kernel, check_points, nearest_index
+from service.results.orbits import thresholds as predicted_thresholds
+from service.results.selection import MAX_READ, ROUNDING, Sweep, check_kernel, check_points, nearest_index
 from worker.analysis import thresholds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
+from worker.spec import SweepSpec
+from worker.spec.contact_models import Rigid
 
 #: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
 BLOCK: Final = 16
+
+#: Values of omega for which one answer holds predictions, some 20 ms each.
+MAX_PREDICTED: Final = 200
 
 #: Core-seconds that one answer may take.
 MAX_SECONDS: Final = 60.0
@@ -30,6 +37,8 @@ Numbers = Annotated[NDArray[np.float64], PlainSerializer(np.ndarray.tolist), Wit
 
 class Thresholds(BaseModel):
     """Per Ω of a sweep, at one ξ: where bouncing begins and ends; null unless the status is `found`.
+
+    Beside it, where it would begin and end by the closed form of the rigid contact without restitution.
 
     `below the grid`: the lowest Γ bounces already. `above the grid`: every cell is at rest. `never bounces`:
     of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may have; of `down`, no
@@ -47,6 +56,11 @@ class Thresholds(BaseModel):
     down: Numbers = Field(description="lowest Γ that bounces, descending")
     up_status: list[Status]
     down_status: list[Status]
+    predicted_jump: Numbers = Field(description="the fold at which flights leap on the way up")
+    predicted_down: Numbers = Field(description="where bouncing ends on the way down")
+    cause: list[str] = Field(description="of predicted_down: Eq. 25, fold (1,k), unresolved; not predicted")
+    difference: list[str] = Field(description="why `down` and predicted_down differ; empty where they do not")
+    prediction: str = Field(description="the contact that is predicted, and whether it is the sweep's")
     tolerance: float | None = Field(None, description="of up and down, in Γ; null: the spacing of the grid")
     complete: bool
 
@@ -73,7 +87,11 @@ def on_grid(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
         name = "down" if direction == "down" else "up"
         results[name], results[f"{name}_status"], computed = _of_direction(sweep, value, direction)
         complete = complete and computed
-    return Thresholds(xi=value, omega=omega, analytic=threshold(omega, value), complete=complete, **results)
+    coarse = Thresholds(
+        xi=value, omega=omega, analytic=threshold(omega, value), complete=complete,
+        **results, **_predicted(spec, omega, value),
+    )  # fmt: skip
+    return _compared(spec, coarse)
 
 
 def refined(
@@ -92,7 +110,8 @@ def refined(
             name: [Status.MISSING if status is Status.FOUND else status for status in getattr(coarse, name)]
             for name in ("up_status", "down_status")
         }
-        return coarse.model_copy(update={**unknown, **statuses, "tolerance": tolerance})
+        updated = coarse.model_copy(update={**unknown, **statuses, "tolerance": tolerance})
+        return _compared(sweep.spec, updated)
     _check_cost(sweep, omegas)
     xi = int(np.searchsorted(sweep.spec.axis_values("xi"), coarse.xi))
 
@@ -105,7 +124,7 @@ def refined(
         name: [value for part in parts for value in getattr(part, name)] for name in Refined._fields
     }
     numbers = {name: np.array(joined[name]) for name in ("up", "down")}
-    return coarse.model_copy(update={**joined, **numbers, "tolerance": tolerance})
+    return _compared(sweep.spec, coarse.model_copy(update={**joined, **numbers, "tolerance": tolerance}))
 
 
 def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.float64], list[Status], bool]:
@@ -123,6 +142,66 @@ def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.f
             if found.status is Status.FOUND:
                 lowest[i] = gamma[found.bouncing]
     return lowest, statuses, complete
+
+
+def _predicted(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> dict[str, Any]:
+    """The fields that the closed form fills in."""
+    own = isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
+    prediction = "rigid, restitution 0: the contact of the sweep"
+    if not own:
+        prediction = f"rigid, restitution 0: not the contact of the sweep, which is {spec.model.kind}"
+    if len(omega) > MAX_PREDICTED:
+        none, cause = np.full(len(omega), np.nan), [f"not predicted above {MAX_PREDICTED} values of omega"]
+        fields = {"predicted_jump": none, "predicted_down": none, "cause": cause * len(omega)}
+    else:
+        found = [predicted_thresholds(float(value), xi) for value in omega]
+        fields = {
+            "predicted_jump": np.array([each.jump for each in found]),
+            "predicted_down": np.array([each.down for each in found]),
+            "cause": [each.cause for each in found],
+        }
+    return {**fields, "difference": [""] * len(omega), "prediction": prediction}
+
+
+def _compared(spec: SweepSpec, found: Thresholds) -> Thresholds:
+    """With the reasons why what the sweep found differs from what is predicted."""
+    texts = [_difference(spec, found, i) for i in range(len(found.omega))]
+    return found.model_copy(update={"difference": texts})
+
+
+def _difference(spec: SweepSpec, found: Thresholds, i: int) -> str:
+    """Why `down` and predicted_down differ at one omega; empty where they agree or one is missing."""
+    down, predicted = float(found.down[i]), float(found.predicted_down[i])
+    if not np.isfinite(down - predicted):
+        return ""
+    spacing = found.tolerance
+    if spacing is None:
+        gamma = spec.axis_values("gamma")
+        at = int(np.searchsorted(gamma, down))
+        spacing = float(gamma[at] - gamma[at - 1]) if at else 0.0
+    above = down - predicted
+    slack = ROUNDING * predicted
+    if -slack <= above <= spacing + slack:
+        return ""
+    if above < 0.0:
+        return _below(float(found.omega[i]), found.xi, -above, spec.settle + spec.observe)
+    if found.cause[i].startswith("fold"):
+        return (
+            f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
+            "spring; take smaller ones, or start on the cycle"
+        )
+    return f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
+
+
+def _below(omega: float, xi: float, delta: float, window: int) -> str:
+    """Why a sweep bounces below the prediction by delta."""
+    fold = predicted_thresholds(omega, xi).fold
+    if fold is not None and (periods := lifetime(fold, delta)) > window:
+        return (
+            f"bouncing lives about {periods:,.0f} plate periods {delta:.3g} below the fold, longer than the "
+            f"window of {window:,}"
+        )
+    return f"another cycle than those of one bounce lives {delta:.3g} below the prediction"
 
 
 def _check_cost(sweep: Sweep, omegas: int) -> None:

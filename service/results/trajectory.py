@@ -6,9 +6,12 @@ from typing import Annotated, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
-from kernel.params import Cell, Outcome
+from kernel.branches.energy import Energy, energy
+from kernel.branches.events import Branch, branch
+from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_cycle
+from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.results.selection import Sweep, check_kernel, nearest_index, read, resolve_direction
@@ -16,14 +19,19 @@ from worker import schema
 from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
-from worker.spec.contact_models import Contact, Soft, model_fields, penetration_of
-from worker.spec.errors import Problem, SpecInvalid, describe, problems_of
+from worker.spec.contact_models import Contact, Rigid, Soft, model_fields, penetration_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
+from worker.spec.protocols import MAX_START_PERIODS, OnCycle
+from worker.spec.sweep import WITH_CYCLES, no_cycle
 from worker.tasks import plate_of, run_cells
 
 #: Samples in one answer.
 MAX_SAMPLES: Final = 20_000
 #: Bytes of memory that a sample takes, with its numbers as text.
 BYTES_PER_SAMPLE: Final = 1_000
+
+#: A motion whose take-offs are this near to a period apart, rad, is a cycle.
+SETTLED: Final = 1e-6
 
 #: Plate periods before the first sample.
 MAX_SETTLE: Final = 1_000_000
@@ -32,8 +40,25 @@ MAX_SETTLE: Final = 1_000_000
 DEPTH_OVER_LENGTH: Final = 1e-4
 
 
+#: Flight times of cycles are below this, rad.
+_LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
+
+
+class CyclePoint(OnCycle):
+    """A cycle of the closed form to start on.
+
+    `flight_time`, rad: of the cell's cycles the one whose flight takes nearest to it, unstable ones too.
+    Null: the stable one with the longest flight.
+    """
+
+    flight_time: Annotated[float, Field(gt=0.0, lt=_LONGEST), NUMBER] | None = None
+
+
 class TrajectorySpec(Strict):
-    """One cell, the plate periods before and during the samples, and the samples per period."""
+    """One cell, the plate periods before and during the samples, and the samples per period.
+
+    With a `start` the samples begin on a cycle, and `settle` is 0.
+    """
 
     gamma: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
     omega: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
@@ -42,24 +67,34 @@ class TrajectorySpec(Strict):
     settle: Annotated[int, Field(ge=0, le=MAX_SETTLE), WHOLE] = 200
     periods: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 200
+    start: Annotated[
+        Annotated[CyclePoint, Tag("<start>")] | Annotated[None, Tag("<rest>")],
+        Discriminator(lambda value: "<rest>" if value is None else "<start>"),
+    ] = None
 
     def __init__(self, /, **data: object) -> None:
+        if data.get("start") is not None:
+            data = {"settle": 0} | data
         try:
             super().__init__(**data)
         except ValidationError as error:
             raise SpecInvalid(problems_of(error, _fields())) from None
 
+    @model_validator(mode="after")
+    def _starts_on_a_cycle(self) -> Self:
+        if self.start is None:
+            return self
+        if self.settle:
+            raise BrokenRuleError("settle", f"must be 0 with a start on a cycle, not {self.settle}")
+        if self.model.kind not in WITH_CYCLES:
+            rule = f"needs a spring, and model.kind is {self.model.kind!r}; {one_of(WITH_CYCLES)} works"
+            raise BrokenRuleError("start", rule)
+        return self
+
     @classmethod
     def from_json(cls, text: bytes) -> Self:
         """From JSON text. Raises SpecUnreadable or SpecInvalid."""
-        data = parsing.read_json(text)
-        if not isinstance(data, dict):
-            raise SpecInvalid([Problem("", f"a trajectory must be an object, not {describe(data)}")])
-        unprintable = [name for name in data if not name.isprintable()]
-        if unprintable:
-            name = describe(unprintable[0])
-            raise SpecInvalid([Problem("", f"field names must be printable text, not {name}")])
-        return cls(**data)
+        return cls(**parsing.fields_of(parsing.read_json(text), "a trajectory"))
 
     def sweep(self) -> SweepSpec:
         """The sweep of this one cell that ends where the samples begin. Raises SpecInvalid."""
@@ -70,7 +105,11 @@ class TrajectorySpec(Strict):
 
 
 def _fields() -> dict[str, tuple[str, ...]]:
-    return {"": tuple(TrajectorySpec.model_fields), **model_fields()}
+    return {
+        "": tuple(TrajectorySpec.model_fields),
+        "<start>": tuple(CyclePoint.model_fields),
+        **model_fields(),
+    }
 
 
 @dataclass(frozen=True)
@@ -80,6 +119,7 @@ class Motion:
     spec: TrajectorySpec
     trajectory: Trajectory
     rest_length: float
+    cycle: Branch | None = None  # of one point: the cycle that it starts on
 
 
 def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
@@ -102,12 +142,16 @@ def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
 
 
 def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> Motion:
-    """The motion after `settle` periods from rest, or on from a state in the cell's own units.
+    """The motion after `settle` periods from rest, on a cycle, or on from a state in the cell's own units.
 
-    Raises InvalidRequest where the cell has no answer to settle to.
+    Raises InvalidRequest where the cell has no answer to settle to, or no such cycle.
     """
     gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
     depth = penetration_of(spec.model, gamma, omega)
+    cycle = None
+    if spec.start is not None:
+        start, cycle = _on_cycle(Cell(spec.gamma, spec.omega, spec.xi), spec.start)
+        state = start.state
     if state is None and spec.settle:
         state = _settled(spec.sweep(), gamma, omega, xi)
     trajectory = sample(
@@ -117,7 +161,29 @@ def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> M
         periods=spec.periods,
         samples=spec.samples,
     )
-    return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH)
+    return Motion(spec, trajectory, float(depth[0]) / DEPTH_OVER_LENGTH, cycle)
+
+
+def cycle_energy(motion: Motion) -> Energy | None:
+    """The balance of a cycle, if the samples show one of one bounce on a rigid plate without restitution.
+
+    In closed form; None for any other motion.
+    """
+    spec, path = motion.spec, motion.trajectory
+    model = spec.model
+    if not (isinstance(model, Rigid) and model.restitution == 0.0 and len(path.takeoff) > 1):
+        return None
+    spans, flight_time = np.diff(path.takeoff), path.flight_time[-1]
+    periods = round(float(spans[-1]) / (2.0 * np.pi))
+    if periods < 1 or np.abs(spans - 2.0 * np.pi * periods).max() > SETTLED:
+        return None
+    try:
+        cycle = branch(spec.omega, spec.xi, periods, np.array([flight_time]))
+        if abs(float(cycle.gamma[0]) - spec.gamma) > SETTLED * spec.gamma:
+            return None
+        return energy(spec.omega, spec.xi, periods, np.array([flight_time]))
+    except KernelInputError:
+        return None
 
 
 def of_cell(
@@ -149,6 +215,20 @@ def of_cell(
         samples=samples,
     )
     return trajectory, state
+
+
+def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:
+    """The start on a cycle. Raises InvalidRequest."""
+    periods, time = point.periods, point.flight_time
+    try:
+        found = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
+    except KernelInputError as error:
+        raise InvalidRequest.of(error.argument, error.rule) from error
+    if found is None:
+        at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
+        rule = f"there is no cycle (1, {periods}) at {at}" if time is not None else no_cycle(cell, periods)
+        raise InvalidRequest.of("start", rule)
+    return found
 
 
 def _settled(

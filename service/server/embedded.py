@@ -8,18 +8,22 @@ import gc
 import os
 import signal
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from pydantic import ValidationError
+from pydantic import SecretStr, ValidationError
 
+from service import tokens
 from service.api.app import create_app
+from service.background import Processes
 from service.errors import LedgerUnavailable, NotStarted
-from service.jobs.ledger import Ledger
+from service.jobs.stores.adoption import open_ledger
+from service.render import answers
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr
 from service.server.web_server import WebServer, raise_file_limit
@@ -29,8 +33,12 @@ from worker.executors.errors import ClusterLost
 from worker.kernel_cache import CacheRefused, claim_cache, warm
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
+#: Seconds after which a thread that computes lets another one run: requests wait for it.
+_SWITCH_SECONDS: Final = 0.001
+
 #: The permissions that files of a private service lack: all of group and others.
 _PRIVATE_UMASK: Final = 0o077
+_TOKEN_VARIABLE: Final = "BOUNCE_TOKEN"
 
 
 def settings(**overrides: Any) -> Settings:
@@ -57,9 +65,13 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
     an embedded cluster import the main module: a script that calls this needs `if __name__ == "__main__"`.
     Raises NotStarted, for example if another service uses the data folder or the port.
     """
-    with _listening(settings) as listener, _computing(settings, executor) as chosen:
+    with (
+        _listening(settings) as listener,
+        _with_own_token(settings, listener) as complete,
+        _computing(settings, executor) as chosen,
+    ):
         with _startup_errors():
-            server = WebServer(create_app(settings, chosen), settings, listener)
+            server = WebServer(create_app(complete, chosen), settings, listener)
         thread = threading.Thread(target=server.serve_until_stopped, name="bounce-server")
         thread.start()
         try:
@@ -78,15 +90,19 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         announce(f"bounce listens on {url} ({_summary(settings)})")
 
     raise_file_limit()
+    sys.setswitchinterval(_SWITCH_SECONDS)
     with (
         log_to_stderr(settings.log_level),
         _umask(settings),
         _stopped_by_signals(),
         _listening(settings) as listener,
+        _with_own_token(settings, listener) as complete,
         _computing(settings, None) as executor,
+        closing(Processes(settings.max_reads)) as background,
     ):
+        threading.Thread(target=background.run, args=[answers.warm], name="warm-answers", daemon=True).start()
         with _startup_errors():
-            server = WebServer(create_app(settings, executor), settings, listener, announce_url)
+            server = WebServer(create_app(complete, executor, background), settings, listener, announce_url)
         server.serve_until_stopped()
         with _startup_errors():
             server.wait_until_started()
@@ -144,7 +160,8 @@ def _startup_errors() -> Iterator[None]:
 def _summary(settings: Settings) -> str:
     cluster = settings.scheduler or settings.scheduler_file or settings.cluster
     workers = f"cluster {cluster}" if cluster else f"{settings.workers} worker processes"
-    return f"data in {settings.data}, {workers}"
+    token = f", token in {settings.data / tokens.FILE_NAME}" if settings.makes_token else ""
+    return f"data in {settings.data}, {workers}{token}"
 
 
 @contextmanager
@@ -162,7 +179,7 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
         with _startup_errors():
             if settings.private:
                 _make_private(settings.folders)
-            Ledger(settings.ledger_path).close()
+            open_ledger(settings).close()
             if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
                 for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
                     file.chmod(PRIVATE_FILE)
@@ -176,6 +193,29 @@ def _make_private(folders: Iterable[Path]) -> None:
             make_private(folder)
         except NotOurs as error:
             raise NotStarted(f"{error}; name another folder with BOUNCE_DATA or BOUNCE_STORES") from error
+
+
+@contextmanager
+def _with_own_token(settings: Settings, listener: socket.socket) -> Iterator[Settings]:
+    """The settings with the token that the service makes, if it shall; clients find it during the block.
+
+    No process that is started meanwhile inherits a token: workers need none. Raises NotStarted.
+    """
+    inherited = os.environ.pop(_TOKEN_VARIABLE, None)
+    try:
+        if not settings.makes_token:
+            yield settings
+            return
+        with _startup_errors():
+            token = tokens.own_token(settings.data, port=listener.getsockname()[1])
+        try:
+            yield settings.model_copy(update={"token": SecretStr(token)})
+        finally:
+            with suppress(OSError):  # the folder may be gone
+                tokens.own_token(settings.data, port=None)
+    finally:
+        if inherited is not None:
+            os.environ[_TOKEN_VARIABLE] = inherited
 
 
 @contextmanager

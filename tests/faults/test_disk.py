@@ -5,6 +5,8 @@ import resource
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -16,22 +18,31 @@ from kernel.params import Outcome
 from service.jobs.model import JobState
 from service.render import export, netcdf
 from worker.executors.dask import Dask
+from worker.executors.inline import Inline
 
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 2 MB; skips where none can be mounted."""
-    folder = tmp_path / "small"
+    with mounted(tmp_path / "small", "size=2m") as folder:
+        yield folder
+
+
+@contextmanager
+def mounted(folder: Path, options: str) -> Iterator[Path]:
+    """A file system in memory; skips where none can be mounted."""
     folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
+    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
     try:
         mounted = subprocess.run(command, capture_output=True, check=False).returncode == 0
     except FileNotFoundError:
         mounted = False
     if not mounted:
         pytest.skip("file systems cannot be mounted here")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 def fill(path: Path) -> None:
@@ -43,6 +54,12 @@ def fill(path: Path) -> None:
                     file.write(b"x" * size)
             except OSError:
                 continue
+
+
+def use_up_inodes(folder: Path) -> None:
+    """Make files until the file system refuses: OSError."""
+    for number in count():
+        (folder / f"file {number}").touch()
 
 
 def test_a_full_disk_fails_the_job_only(small_disk: Path):
@@ -65,23 +82,40 @@ def test_a_full_disk_fails_the_job_only(small_disk: Path):
         assert (service.outcomes(job) != Outcome.MISSING).all()
 
 
-def test_a_job_waits_while_the_disk_has_no_byte_left(small_disk: Path, caplog: pytest.LogCaptureFixture):
-    """Not even the ledger can record the failure until there is space again."""
+def test_the_ledger_records_what_happened_while_the_disk_has_no_byte_left(small_disk: Path):
+    """Of several jobs, one after the other: what it uses for that is its own, and nobody takes it."""
     held = Held()
     with running(small_disk / "data", held) as service:
-        job = service.submit(sweep())
-        wait_for(lambda: held.held() == 4)
-        ballast = small_disk / "ballast"
-        service.settings.ledger_path.with_suffix(".reserve").unlink()
-        fill(ballast)
-        held.let_go()
-        wait_for(lambda: "supervisor step failed" in caplog.text)
-        assert service.job(job).state is JobState.RUNNING
-        ballast.unlink()
-        held.let_go_until(lambda: service.job(job).state is JobState.FAILED)
-        assert "No space left" in (service.job(job).error or "")
-        service.submit(sweep())
-        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        specs = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
+        jobs = [service.submit(spec) for spec in specs]
+        wait_for(held.held)
+        fill(small_disk / "ballast")
+        for job in jobs:
+            held.let_go_until(lambda job=job: service.job(job).state is JobState.FAILED)
+            fill(small_disk / "ballast 2")
+            assert "No space left" in (service.job(job).error or "")
+        for ballast in small_disk.glob("ballast*"):
+            ballast.unlink()
+        for spec, job in zip(specs, jobs, strict=True):
+            service.submit(spec)
+            held.let_go_until(lambda job=job: service.job(job).state is JobState.DONE)
+
+
+def test_a_disk_without_inodes_can_be_emptied(tmp_path: Path):
+    """Not even the cancel flag of the store can be written."""
+    with (
+        mounted(tmp_path / "few", "size=64m,nr_inodes=600") as folder,
+        closing(Inline()) as executor,
+        running(folder / "data", executor) as service,
+    ):
+        jobs = [service.until(service.submit(sweep(omega=omega)), JobState.DONE) for omega in (0.5, 0.6)]
+        with pytest.raises(OSError, match="No space left"):
+            use_up_inodes(folder)
+        for job in jobs:
+            service.manager.delete(job.id)
+        wait_for(lambda: service.pending_deletions() == 0)
+        assert list((folder / "data" / "stores").iterdir()) == []
+        service.until(service.submit(sweep()), JobState.DONE)
 
 
 def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask):

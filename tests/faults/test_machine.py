@@ -100,13 +100,12 @@ class Machine(RuleBasedStateMachine):
             assert job is not None
         else:
             assert self._find(number) is None
-            assert not Path(self._url(number)).exists()
             self.marked.pop(SWEEPS[number].job_id(KERNEL_VERSION), None)
 
     def _stop(self) -> None:
         """Stop as at the end of a process, with all threads."""
         self.manager.stop()
-        for part in (self.manager._scrubber, self.manager._supervisor):
+        for part in (self.manager._scrubber, self.manager._supervisor, self.manager._deleter):
             part._thread.join()
 
     @rule()

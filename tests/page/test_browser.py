@@ -4,6 +4,7 @@ import json
 import os
 import re
 import statistics
+import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -24,8 +25,10 @@ from browser import (
     wait_shown,
     watch_tasks,
 )
+from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 
+from service.cli.main import main
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -610,6 +613,18 @@ def test_an_empty_view_offers_no_download(browser: Any, address: str):
         assert page.locator(".panel .plot").is_visible()
 
 
+def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):
+    orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05, "points": 20}
+    job = done(address, submitted(address, orbits))
+    with opened(browser, address) as page:
+        page.locator("text=study: orbits").first.wait_for()
+        page.get_by_role("link", name="Folds").click()
+        page.locator(".panel pre", has_text='"kind": "orbits"').wait_for()
+        assert page.locator(".tabs a").all_inner_texts() == ["Details"]
+    with opened(browser, view(address, job, "diagram")) as page:  # an address made for a sweep
+        page.locator(".panel pre", has_text="open_zarr").wait_for()
+
+
 @pytest.mark.parametrize("tab", ["diagram", "modes", "thresholds"])
 def test_a_view_can_be_downloaded(browser: Any, address: str, loop: str, tab: str):
     with opened(browser, view(address, loop, tab, omega=0.6, xi=0.05)) as page:
@@ -803,3 +818,32 @@ def test_the_page_asks_for_an_access_token(browser: Any, tmp_path: Path):
         screenshot(page, "token")
         dialog.get_by_role("button").click()
         page.get_by_text("No sweeps yet").wait_for()
+
+
+def test_the_page_takes_the_token_of_the_opened_address(
+    browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """As `bounce open` hands it over: through a file that only this user can read."""
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    with serving(tmp_path, 0, token="auto") as address:
+        opened_by: list[str] = []
+        monkeypatch.setattr(webbrowser, "open", lambda url: opened_by.append(url) or True)
+        done = CliRunner().invoke(main, ["open", "--url", address])
+        assert (done.exit_code, done.output) == (0, "")
+        assert (tmp_path / "open.html").stat().st_mode & 0o077 == 0
+        token = json.loads((tmp_path / "token.json").read_text())["token"]
+        assert token not in opened_by[0]
+        with opened(browser, opened_by[0]) as page:
+            page.get_by_text("No sweeps yet").wait_for()
+            assert page.url == f"{address}/#/"
+            page.get_by_role("navigation").get_by_role("link", name="New sweep").click()
+            page.locator(".cost", has_text="cells in").wait_for()
+            page.reload()  # the tab keeps it
+            page.locator(".cost", has_text="cells in").wait_for()
+            assert token not in page.content()
+            assert page.evaluate("Object.values(localStorage)") == []
+        with opened(browser, address, expected=("401",)) as page:  # another tab does not
+            page.get_by_role("dialog", name="Access token").wait_for()
+            page.goto(f"{address}/#token={token}")  # an address that is pasted
+            page.evaluate("location.reload()")
+            page.get_by_text("No sweeps yet").wait_for()

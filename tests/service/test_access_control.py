@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from distributed import LocalCluster, Security
 from fastapi.testclient import TestClient
-from scripted import Held, sweep
+from scripted import Held, sweep, wait_for
 
 from service.api.app import create_app
 from service.cli.main import main
@@ -26,7 +26,12 @@ TOKEN = "a-token-of-thirty-two-characters"
 SWEEP = sweep().as_submitted()
 
 #: Required parameters, without which the endpoint itself would refuse the request.
-QUERIES = {"/v1/jobs/{job_id}/export": "?format=nc", "/v1/threshold": "?omega=1&xi=1"}
+QUERIES = {
+    "/v1/jobs/{job_id}/export": "?format=nc",
+    "/v1/threshold": "?omega=1&xi=1",
+    "/v1/orbits": "?omega=1&xi=1",
+    "/v1/curves": "?xi=1&omega_start=1&omega_stop=2",
+}
 
 #: Paths that require no token.
 PROBES = [("GET", "/healthz"), ("GET", "/readyz")]
@@ -109,6 +114,82 @@ def test_path_traversal_does_not_bypass_the_token(guarded: TestClient, path: str
     request = guarded.build_request("GET", "http://localhost/")
     request.url = request.url.copy_with(raw_path=path.encode())
     assert guarded.send(request).status_code in (401, 404)
+
+
+# Named tokens
+
+ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
+
+
+@pytest.fixture
+def named(tmp_path: Path) -> Iterator[TestClient]:
+    """A service with two named tokens and one without a name; three jobs of one token may be unfinished.
+
+    It runs one job at a time, and runs one that never ends: submitted jobs stay queued.
+    """
+    file = tmp_path / "tokens"
+    file.write_text(f"# who may compute\nana: {ANA}\n\nben@lab : {BEN}\n")
+    file.chmod(0o600)
+    limits = {"max_queue_per_token": 3, "active_jobs": 1}
+    settings = Settings(data=tmp_path / "data", token=TOKEN, token_file=file, **limits)
+    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+        endless = submitted(client, TOKEN, 0.123).json()["links"]["self"]
+        wait_for(lambda: client.get(endless, headers=bearer(TOKEN)).json()["state"] == "running")
+        yield client
+
+
+def submitted(client: TestClient, token: str, omega: float) -> Any:
+    return client.post("/v1/jobs", json={**SWEEP, "omega": omega}, headers=bearer(token))
+
+
+def test_a_job_names_who_submitted_it(named: TestClient):
+    jobs = {token: submitted(named, token, 0.3 + i / 10).json() for i, token in enumerate((ANA, BEN, TOKEN))}
+    assert [job["owner"] for job in jobs.values()] == ["ana", "ben@lab", None]
+    listed = named.get("/v1/jobs", headers=bearer(BEN)).json()["jobs"]
+    assert [job["owner"] for job in listed] == [None, "ben@lab", "ana", None]
+    assert submitted(named, BEN, 0.3).json()["owner"] == "ana"  # the same sweep is the same job
+    assert ANA not in json.dumps(listed)
+
+
+@pytest.mark.parametrize("sent", [ANA[:-1], ANA + "x", f"ana: {ANA}", "ana", "", "auto"])
+def test_nothing_but_a_token_of_the_file_is_accepted(named: TestClient, sent: str):
+    assert submitted(named, sent, 0.3).status_code == 401
+
+
+def test_whoever_resumes_a_job_owns_it(named: TestClient):
+    job = submitted(named, ANA, 0.3).json()["links"]
+    assert named.post(job["cancel"], headers=bearer(ANA)).json()["state"] == "cancelled"
+    etag = named.get(job["self"], headers=bearer(ANA)).headers["ETag"]
+    assert named.post(job["resume"], headers=bearer(BEN)).json()["owner"] == "ben@lab"
+    now = named.get(job["self"], headers={**bearer(ANA), "If-None-Match": etag})
+    assert (now.status_code, now.json()["owner"]) == (200, "ben@lab")
+
+
+def test_a_token_can_fill_its_own_part_of_the_queue_only(named: TestClient):
+    jobs = [submitted(named, ANA, 0.3 + i / 10) for i in range(3)]
+    assert [job.status_code for job in jobs] == [202, 202, 202]
+    refused = submitted(named, ANA, 0.9)
+    assert refused.status_code == 429
+    assert "3 jobs of the token ana are queued or running already" in refused.json()["detail"]
+    assert "max_queue_per_token" in refused.json()["detail"]
+    assert submitted(named, ANA, 0.3).status_code == 200  # nothing new
+    assert submitted(named, BEN, 0.9).status_code == 202
+    assert [submitted(named, TOKEN, 1 + i / 10).status_code for i in range(5)] == [202] * 5
+    here = jobs[0].json()["links"]["self"]
+    assert named.post(here + "/cancel", headers=bearer(ANA)).json()["state"] == "cancelled"
+    assert submitted(named, ANA, 2.0).status_code == 202
+    assert named.post(here + "/resume", headers=bearer(ANA)).status_code == 429
+    assert named.post(here + "/resume", headers=bearer(BEN)).status_code == 202
+
+
+def test_a_file_of_tokens_suffices_beyond_loopback(tmp_path: Path):
+    file = tmp_path / "tokens"
+    file.write_text(f"ana: {ANA}")
+    file.chmod(0o600)
+    settings = Settings(data=tmp_path / "data", token_file=file, host="0.0.0.0")
+    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+        assert client.get("/v1/jobs").status_code == 401
+        assert client.get("/v1/jobs", headers=bearer(ANA)).status_code == 200
 
 
 # Settings

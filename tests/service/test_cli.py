@@ -33,8 +33,8 @@ from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "cancel", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "resume",
-    "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
+    "cancel", "curves", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "open",
+    "orbits", "resume", "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}
@@ -206,12 +206,14 @@ def test_a_threshold_outside_the_grid_is_printed_as_a_bound(
 ):
     with Client(url) as client:
         job = client.submit({**RAMPED, "gamma": gamma, "settle": 300, "observe": 60}).wait(progress=False)
-        eq_25 = client.threshold(0.5, 0.26)
+        eq_25 = float(client.threshold(0.5, 0.26).threshold)
     result = bounce("threshold", job.id, *tolerance, url=url)
     _, heading, line, *rest = result.stdout.splitlines()
-    assert heading.split() == ["OMEGA", "EQ.", "25", "UP", "DOWN"]
-    omega, analytic, *bounds = re.split(r" {2,}", line.strip())
-    assert (float(omega), bounds, rest) == (0.5, row, notes)
+    assert heading.split() == ["OMEGA", "EQ.", "25", "UP", "DOWN", "PREDICTED"]
+    omega, analytic, *bounds, predicted = re.split(r" {2,}", line.strip())
+    assert (float(omega), bounds, rest[:-1]) == (0.5, row, notes)
+    assert float(predicted) == pytest.approx(eq_25, abs=1e-6)  # no hysteresis here
+    assert rest[-1] == "PREDICTED: DOWN by the closed form, rigid, restitution 0: the contact of the sweep"
     assert float(analytic) == pytest.approx(eq_25, abs=1e-6)
 
 

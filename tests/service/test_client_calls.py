@@ -269,3 +269,63 @@ def test_bad_command(running: Running, case: str, tmp_path: Path, monkeypatch: p
     assert message in " ".join(done.stderr.split())
     assert "Traceback" not in done.output
     assert list(tmp_path.iterdir()) == []
+
+
+# Cycles in closed form
+
+
+def test_the_thresholds_of_a_spring_are_printed(running: Running):
+    text = output_of(running, "threshold", "--omega", "0.6", "--xi", "0.05")
+    assert "0.553244593  fold (1,1)" in text
+    assert "1e-06 below the fold bouncing lives 3,485 periods" in text
+    plain = json.loads(output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05", "--json"))
+    assert (plain["down"], plain["cause"]) == (None, "unresolved")
+    assert plain["reason"] in output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05")
+    assert "give --omega and --xi" in bounce(running, "threshold").stderr
+    assert "--omega is for one spring" in bounce(running, "threshold", running.job.id, "--omega", "1").stderr
+
+
+def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
+    words = ("orbits", "--omega", "0.6", "--xi", "0.05", "--modes", "1-1")
+    folds = [line for line in output_of(running, *words).splitlines() if line.startswith("fold")]
+    assert "(1,1)  0.5532445" in folds[0] + folds[-1]
+    assert bounce(running, *words, "-o", str(tmp_path / "a.csv")).exit_code == 0
+    header, *rows = (tmp_path / "a.csv").read_text().splitlines()
+    names = header.split(",")
+    assert names[:3] == ["branch", "bounces", "periods"]
+    found = running.client.orbits(0.6, 0.05, "1-1")
+    assert len(rows) == int(found.points.sum())
+    first = dict(zip(names, rows[0].split(","), strict=True))
+    assert float(first["gamma"]) == float(found.gamma[0, 0])
+    assert complex(float(first["multiplier_re"]), float(first["multiplier_im"])) == found.multiplier[0, 0]
+    assert bounce(running, *words, "-o", str(tmp_path / "a.json")).exit_code == 0
+    plain = json.loads((tmp_path / "a.json").read_text())
+    assert plain["event_kind"] == found.event_kind.values.tolist()
+    assert plain["gamma"][0] == found.gamma[0].values[~np.isnan(found.gamma[0])].tolist() + [None] * int(
+        np.isnan(found.gamma[0]).sum()
+    )
+    assert "give --omega and --xi" in bounce(running, "orbits", "--omega", "0.6").stderr
+    assert "of one bounce" in bounce(running, *words[:-1], "2-2").stderr
+
+
+def test_orbits_of_a_job_are_written(running: Running, tmp_path: Path):
+    place = ("--omega", "0.5", "--direction", "up")
+    words = ("orbits", running.job.id, *place, "-o", str(tmp_path / "words.csv"))
+    done = bounce(running, *words)
+    assert done.exit_code == 0, done.output
+    header, *rows = (tmp_path / "words.csv").read_text().splitlines()
+    assert {"word", "flight_time_1", "gamma"} <= set(header.split(","))
+    assert rows
+
+
+def test_curves_are_printed_and_written(running: Running, tmp_path: Path):
+    span = ("--start", "0.6", "--stop", "0.62")
+    words = ("curves", "--xi", "0.05", *span, "--modes", "1-1", "--kinds", "fold")
+    assert output_of(running, *words).startswith("EVENT")
+    assert bounce(running, *words, "-o", str(tmp_path / "c.csv")).exit_code == 0
+    header, *rows = (tmp_path / "c.csv").read_text().splitlines()
+    names = header.split(",")
+    assert {"kind", "omega", "gamma", "flight_time"} <= set(names)
+    omegas = [float(row.split(",")[names.index("omega")]) for row in rows]
+    assert (min(omegas), max(omegas)) == (pytest.approx(0.6), pytest.approx(0.62))
+    assert "give one of --omega and --xi" in bounce(running, "curves", "--start", "1", "--stop", "2").stderr

@@ -18,6 +18,7 @@ from paths import ROOT
 from PIL import Image
 from scripted import DEADLINE
 
+from kernel.branches.thresholds import thresholds
 from kernel.params import Outcome
 from kernel.restitution import restitution_of
 from kernel.threshold import threshold
@@ -47,6 +48,8 @@ SMALL: Mapping[int, Mapping[str, Any]] = {
     8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
     9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
 }
+#: Frequencies of ramps that start on a cycle.
+SEEDED = (0.33, 0.44, 0.6, 0.62, 0.7)
 NEAR_TWO = {"gamma": {**presets.GAMMA_NEAR_TWO, "num": 9}}
 
 
@@ -122,7 +125,9 @@ def test_the_parameters_are_the_papers():
 
 @pytest.mark.parametrize("which", ["10", "0", "-1", "one", "ALL", ""])
 def test_an_unknown_figure_names_those_there_are(which: str):
-    with pytest.raises(catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
+    with pytest.raises(
+        catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, hysteresis, branches"
+    ):
         catalogue.figures(which)
 
 
@@ -286,6 +291,64 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int,
         assert float(loop.down.sel(omega=omega)) == pytest.approx(gamma, abs=0.006)
     np.testing.assert_allclose(loop.up, loop.analytic, atol=0.006)
     assert "Ω = 0.62: down to Γ = 0.5" in agreeing(pictures[9].caption)
+
+
+@pytest.fixture(scope="module")
+def explanations(client: Client) -> dict[str, Picture]:
+    """The figures of docs/hysteresis.md, from fewer sweeps and cells."""
+    small = {name: catalogue.explanation(name) for name in catalogue.EXPLANATIONS}
+    loop, *seeded = small["hysteresis"].sweeps
+    few = [sweep for sweep in seeded if sweep["omega"] in SEEDED]
+    small["hysteresis"] = replace(small["hysteresis"], sweeps=({**loop, **SMALL[9]}, *few))
+    (branches,) = small["branches"].sweeps
+    fewer = {"gamma": {"start": 0.45, "stop": 1.1, "num": 66}}
+    small["branches"] = replace(small["branches"], sweeps=({**branches, **fewer},))
+    made = catalogue.make(list(small.values()), client, "png", progress=False)
+    return dict(zip(small, made, strict=True))
+
+
+def computed(caption: Caption) -> str:
+    return caption.claims_that(Verdict.COMPUTED)
+
+
+def test_explanations_have_ink_and_captions(explanations: dict[str, Picture]):
+    for name, picture in explanations.items():
+        image = Image.open(io.BytesIO(picture.content))
+        assert image.text["Description"] == str(picture.caption)
+        assert str(picture.caption).startswith(f"{name.capitalize()}. ")
+        assert 0.01 < np.mean(np.asarray(image.convert("L")) < 128) < 0.4
+        assert np.all(np.asarray(image.convert("L"))[:, -2:] == 255)  # nothing is cut off on the right
+
+
+def test_ramps_from_the_cycle_end_at_the_predicted_folds(explanations: dict[str, Picture]):
+    text = computed(explanations["hysteresis"].caption)
+    assert text.startswith(
+        f"{len(SEEDED)} of {len(SEEDED)} ramps from the cycle end within 2·10⁻⁵ of the fold"
+    )
+    same, known = map(int, re.findall(r"at (\d+) of (\d+) frequencies", text)[0])
+    assert same == known == len(DESCENDING) + 2  # 0.46 is unresolved
+
+
+def test_simulated_cycles_lie_on_the_branches(explanations: dict[str, Picture]):
+    text = computed(explanations["branches"].caption)
+    found = thresholds(0.6, 0.05)
+    begins = f"begins at Γ_th = {found.gamma_th:.6f}, leaps at {found.jump:.6f} and ends at {found.down:.6f}"
+    assert begins in text
+    counts = [int(n) for n in re.findall(r"(\d+) at Ω", text.split("in cells")[1])]
+    assert min(counts) > 10
+    assert float(f"1e-{'⁰¹²³⁴⁵⁶'.index(text.split('10⁻')[1][0])}") <= 1e-3
+
+
+def test_curves_and_energy_name_their_points(explanations: dict[str, Picture]):
+    text = computed(explanations["curves"].caption)
+    assert "cusps at Ω = 0.28383, 0.41681, 0.80087" in text
+    assert "Bogdanov–Takens points at Ω = 0.34552, 0.35267, 0.44840, 0.46723" in text
+    assert "the minima end at ξ = 0.10631, 0.08716, 0.07032, 0.05825" in text
+    text = computed(explanations["energy"].caption)
+    assert text == (
+        "the impact takes least, 24 %, at Ω = 0.620 next to Ω_11; "
+        "the impact takes least, 40 %, at Ω = 0.435 next to Ω_21."
+    )
 
 
 @pytest.mark.parametrize(

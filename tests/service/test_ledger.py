@@ -112,7 +112,7 @@ def test_a_resumed_job_keeps_its_chunks_and_loses_its_error(ledger: Ledger):
         writing.mark_done(job, reports(0, 1))
         writing.finish(job, JobState.FAILED, 300.0, "because")
     with ledger.writing() as writing:
-        writing.queue(current(ledger))
+        writing.queue(current(ledger), None)
     job = run(ledger, current(ledger), now=400.0)
     assert (job.error, job.finished, job.chunks_done) == (None, None, 2)
     assert (job.started, job.run_started, job.run_cells) == (200.0, 400.0, 20)

@@ -88,6 +88,40 @@ def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatc
     assert len(pool.futures) == 8
 
 
+def test_a_result_requested_again_is_kept_before_those_that_were_not(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(on_demand, "MAX_RESULTS", 2)
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+
+    def compute(key: str) -> None:
+        with pytest.raises(Pending):
+            cache.get(key, submit)
+        for future in pool.futures[-2:]:
+            future.set_result(key)
+
+    compute("one")
+    compute("two")
+    assert cache.get("one", submit) == ["one", "one"]
+    compute("three")
+    assert cache.get("one", submit) == ["one", "one"]
+    assert len(pool.futures) == 6
+    compute("two")  # it was let go
+    assert len(pool.futures) == 8
+
+
+def test_a_result_that_is_being_computed_is_kept(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(on_demand, "MAX_RESULTS", 1)
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    for key in ("slow", "fast"):
+        with pytest.raises(Pending):
+            cache.get(key, submit)
+    for future in pool.futures:
+        future.set_result(None)
+    assert cache.get("slow", submit) == [None, None]
+    assert len(pool.futures) == 4
+
+
 def test_without_workers_nothing_is_computed():
     def refused(_: Any) -> list[Future[Any]]:
         raise ClusterLost("gone")

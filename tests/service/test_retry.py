@@ -7,7 +7,7 @@ import pytest
 
 from service.jobs.retry import MAX_COLLATERAL_LOSSES, Action, Decision, History, RetryPolicy
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
-from worker.store import StoreDamaged, StoreMissing
+from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
 from worker.tasks import ChunkCancelled, PredecessorMissing
 
 POLICY = RetryPolicy(chunk_tries=3, failed_chunks=8)
@@ -35,6 +35,8 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (ClusterLost("gone"), FRESH, Action.PAUSE),
     (ClusterLost("gone"), LAST_TRY, Action.PAUSE),
     (ClusterLost("gone"), STOPPING, Action.PAUSE),
+    # the bucket does not answer
+    *((kind("gone"), history, Action.PAUSE) for kind in UNREACHABLE for history in (FRESH, LAST_TRY, FATAL)),
     # the worker died on another chunk
     (WorkerLost("gone"), FRESH, Action.COLLATERAL),
     (WorkerLost("gone"), LAST_TRY, Action.COLLATERAL),

@@ -19,8 +19,8 @@ def test_every_setting_is_described_in_one_sentence(name: str):
 @pytest.mark.parametrize(("given", "rule"), [
     ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_file"),
     ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
-    ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN"),
-    ({"token": "short"}, "must be at least 16 ASCII characters without spaces"),
+    ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
+    ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
     ({"stores": "ftp://somewhere"}, "stores"),
     ({"cluster": "no colon"}, "cluster"),
     ({"port": 65536}, "port"),
@@ -41,6 +41,18 @@ def test_an_error_does_not_show_a_secret(given: dict[str, Any]):
     with pytest.raises(ValidationError) as refused:
         Settings(**given)
     assert "token" in str(refused.value)
+    assert "s3cret" not in str(refused.value)
+
+
+def test_a_password_in_the_address_of_the_scheduler_is_refused():
+    with pytest.raises(ValidationError, match="must not contain credentials: scheduler_cert") as refused:
+        Settings(scheduler="tls://name:s3cret@host:8786")
+    assert "s3cret" not in str(refused.value)
+
+
+def test_an_address_of_stores_without_its_slashes_is_no_folder():
+    with pytest.raises(ValidationError, match="must not contain credentials") as refused:
+        Settings(stores="s3:name:s3cret@bucket")
     assert "s3cret" not in str(refused.value)
 
 

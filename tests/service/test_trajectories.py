@@ -12,6 +12,7 @@ from kernel_runs import Model, run_line, sample
 from scripted import Held
 from served import service, taken
 
+from kernel.branches.starts import cycles_at
 from kernel.params import Cell, KernelInputError
 from kernel.trajectory import Trajectory
 from service.api import schemas
@@ -56,6 +57,52 @@ def test_lengths_fit_together(client: TestClient, model: dict[str, Any]):
     assert np.all(np.array(path["force"])[flies] == 0)
     assert np.any(flies)
     assert path["complete"]
+
+
+def test_a_start_on_a_cycle(client: TestClient):
+    """Where stable and unstable cycles exist: each flies as its point of the branch says."""
+    cell = {"gamma": 0.7, "omega": 0.6, "xi": 0.05, "model": {"kind": "rigid"}}
+    plain = {key: value for key, value in CELL.items() if key not in ("settle", *cell)}
+    unstable, stable = cycles_at(Cell(0.7, 0.6, 0.05), 1).flight_time
+    for start, expected in (
+        ({}, stable),
+        ({"flight_time": 3.0}, unstable),
+        ({"flight_time": stable + 0.1, "bounces": 1, "periods": 1}, stable),
+    ):
+        answer = client.post("/v1/trajectories", json={**plain, **cell, "start": start})
+        assert answer.status_code == 200, answer.text
+        document = answer.json()
+        assert document["flights"]["flight_time"] == pytest.approx([expected] * 3, abs=1e-9)
+        assert document["cycle"]["flight_time"] == pytest.approx(expected, abs=1e-12)
+        largest = max(abs(complex(*mu)) for mu in document["cycle"]["multipliers"])
+        assert document["cycle"]["stable"] == (expected == stable) == (largest < 1.0)
+        assert document["cycle"]["admissible"] == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "rule"),
+    [
+        (
+            {"start": {"periods": 2}},
+            "start",
+            "there is no stable cycle (1, 2) at gamma 0.7, omega 0.6, xi 0.05",
+        ),
+        ({"gamma": 0.3, "start": {"flight_time": 4.0}}, "start", "there is no cycle (1, 1) at gamma 0.3"),
+        ({"start": {"flight": 4.0}}, "start.flight", "is not a field here; did you mean 'flight_time'?"),
+        ({"start": {}, "settle": 10}, "settle", "must be 0 with a start on a cycle, not 10"),
+        ({"start": {}, "model": {"kind": "ball"}}, "start", "needs a spring"),
+        ({"omega": 1.0, "xi": 0.0, "start": {"flight_time": 2.0}}, "xi", "must be > 0 at omega = 1"),
+    ],
+)
+def test_a_start_that_cannot_be_names_the_rule(
+    client: TestClient, changes: dict[str, Any], field: str, rule: str
+):
+    cell = {"gamma": 0.7, "omega": 0.6, "xi": 0.05, "model": {"kind": "rigid"}}
+    answer = client.post("/v1/trajectories", json={**cell, **changes})
+    assert answer.status_code == 422, answer.text
+    (problem,) = answer.json()["errors"]
+    assert problem["field"] == field
+    assert problem["rule"].startswith(rule)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))

@@ -2,13 +2,17 @@
 
 import io
 import json
+import os
+import pickle
 import socket
 import threading
 import time
+import traceback
 from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -490,3 +494,87 @@ def test_a_store_of_zarrs_version_2_is_not_looked_for():
     answers = (Answer(body=view()), Answer(404, {"detail": "nothing"}))
     with scripted(*answers) as (_, client), pytest.raises(StoreUnreachable):
         client.job(ID).open()
+
+
+class Marks:
+    """Makes a folder where it is unpickled."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.folder),)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_hostile_store_runs_no_code(tmp_path: Path, version: int):
+    """A real one, whose chunk is a pickle, which runs what is in it, as the control shows."""
+    marker, control = tmp_path / "ran", tmp_path / "control"
+    pickle.loads(pickle.dumps(Marks(control)))
+    assert control.is_dir()
+    hostile = array("numcodecs.pickle", dimension_names=["evil"])
+    old = {"zarr_format": 2, "shape": [1], "chunks": [1], "dtype": "|O", "compressor": None, "order": "C",
+           "fill_value": 0, "filters": [{"id": "pickle"}]}  # fmt: skip
+    attributes = {"_ARRAY_DIMENSIONS": ["evil"]}
+    metadata = {".zgroup": {"zarr_format": 2}, ".zattrs": {}, "evil/.zarray": old, "evil/.zattrs": attributes}
+    files: dict[str, Any] = {
+        2: metadata | {".zmetadata": {"zarr_consolidated_format": 1, "metadata": metadata}},
+        3: {"zarr.json": group(evil=hostile), "evil/zarr.json": hostile},
+    }[version]
+    chunks = dict.fromkeys(("evil/0", "evil/c/0"), pickle.dumps(Marks(marker)))
+    served = {f"/v1/jobs/{ID}/zarr/{key}": content for key, content in {**files, **chunks}.items()}
+    with serving(served | {f"/v1/jobs/{ID}": view("done")}) as (url, asked), Client(url) as client:
+        job = client.job(ID)
+        with pytest.raises((UnexpectedAnswer, StoreUnreachable)):
+            job.open().load()
+    assert not marker.exists()
+    assert any("/zarr/" in path for path in asked)
+    assert [path for path in asked if path.endswith(("evil/0", "evil/c/0"))] == []
+
+
+@contextmanager
+def serving(contents: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    """A server that has these contents by path, and the paths that it was asked for."""
+    asked: list[str] = []
+
+    class Static(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            content = contents.get(self.path)
+            body = content if isinstance(content, bytes) else json.dumps(content).encode()
+            self.send_response(404 if content is None else 200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None: ...
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Static) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}", asked
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        *("http://me:s3cret@host:bad", "http://me:s3cret@[::1", "me:s3cret@host", "//me:s3cret@host"),
+        *("ftp://me:s3cret@host", "http:me:s3cret@host", "http:\\\\me:s3cret@host", "http://me:s3cret@h\n"),
+        *("http://me:s3/cret@host", "http://me:s3?cret@host", "http://me:s3#cret@host", "http://me:s3@cret@"),
+        "http://me:s3cret@127.0.0.1:1",
+    ],
+)
+def test_no_error_shows_a_password_of_the_address(url: str):
+    def ask() -> None:
+        with Client(url, timeout=5) as client:
+            assert "s3" not in repr(client) + client.url + client.page
+            client.metrics()
+
+    with pytest.raises(ServiceUnreachable) as refused:
+        ask()
+    assert "s3" not in "".join(traceback.format_exception_only(refused.value))
+    assert "cret" not in str(refused.value)

@@ -35,6 +35,10 @@ class Running:
         assert current is not None
         return current
 
+    def pending_deletions(self) -> int:
+        with self.ledger.reading() as ledger:
+            return len(ledger.deletions())
+
     def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
         wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
         return self.job(job)

@@ -150,6 +150,23 @@ def test_cancel_reaches_workers_through_the_bucket(bucket: str, tmp_path: Path):
         assert not store.is_cancelled(url)
 
 
+def test_a_bucket_that_fails_in_mid_chunk_costs_no_try(
+    bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    held = Held(capacity=1)
+    monkeypatch.setattr(backend, "_RETRY_TIMEOUT", backend._RETRY_TIMEOUT / 30)
+    with service(tmp_path, held, stores=f"{BUCKET_URL}/middle", chunk_tries=1) as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        wait_for(held.held)
+        with monkeypatch.context() as away:
+            away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+            backend._bucket.cache_clear()
+            held.let_go()
+            backend._bucket.cache_clear()
+        held.let_go_until(lambda: get(client, here)["state"] not in ("queued", "running"))
+        assert get(client, here)["state"] == "done"
+
+
 def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
     executor = Inline()
     with service(tmp_path, executor, stores=f"{BUCKET_URL}/delete") as client:

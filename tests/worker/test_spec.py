@@ -40,8 +40,18 @@ def range_(start=1.0, stop=2.0, num=3, **more):
     return {"start": start, "stop": stop, "num": num, **more}
 
 
-def ramp(axis="gamma", direction="up"):
-    return {"kind": "ramp", "axis": axis, "direction": direction}
+def ramp(axis="gamma", direction="up", **more):
+    return {"kind": "ramp", "axis": axis, "direction": direction, **more}
+
+
+#: A line whose lower end lies just above the fold of (1, 1).
+SEEDED = {
+    "gamma": range_(0.555, 0.6, 4),
+    "omega": 0.6,
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "protocol": ramp(direction="down", start={"periods": 1}),
+}
 
 
 def message(**changes) -> str:
@@ -128,8 +138,8 @@ RULES = [
     ({"name": "two\nlines"}, "name: must be one line of printable characters"),
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
     ({"protocol": "rest"}, 'protocol: must be an object such as {"kind": "rest"}, not text \'rest\''),
-    ({"protocol": {}}, "protocol.kind: is required: 'rest' or 'ramp'"),
-    ({"protocol": {"kind": "rump"}}, "protocol.kind: must be 'rest' or 'ramp', not text 'rump'"),
+    ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp' or 'orbits'"),
+    ({"protocol": {"kind": "rump"}}, "protocol.kind: must be 'rest', 'ramp' or 'orbits', not text 'rump'"),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
     ({"protocol": ramp(axis="g")}, "protocol.axis: must be 'gamma', 'omega' or 'xi', not text 'g'"),
@@ -462,6 +472,51 @@ def test_xi_may_be_zero_and_minus_zero_is_the_same():
     assert sweep(xi=0).job_id("1") == sweep(xi=-0.0).job_id("1") == sweep(xi=[-0.0]).job_id("1")
 
 
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (
+            {"protocol": ramp(start={"bounces": 2})},
+            "protocol.start.bounces: must be 1, not 2: cycles of one flight have a closed form",
+        ),
+        (
+            {"protocol": ramp(start={"period": 1})},
+            "protocol.start.period: is not a field here; did you mean 'periods'? the fields are bounces, "
+            "periods",
+        ),
+        ({"protocol": ramp(start=5)}, "protocol.start: must be an object, not 5"),
+        (
+            {"omega": [0.6, 0.7]},
+            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; it exists "
+            "from gamma 0.669",
+        ),
+        (
+            {"model": {"kind": "ball"}},
+            "protocol.start: needs a spring, and model.kind is 'ball'; 'rigid', 'soft' or 'stepped' works",
+        ),
+        (
+            {"omega": range_(0.5, 1.0, 1001)},
+            "protocol.start: is possible for at most 1,000 lines, and this sweep has 1,001",
+        ),
+    ],
+)
+def test_a_start_on_a_cycle_that_cannot_be_is_refused(changes, expected):
+    assert message(**(SEEDED | changes)).startswith(expected)
+
+
+def test_a_start_is_part_of_the_identity_only_where_it_is_set():
+    seeded = sweep(**SEEDED)
+    assert seeded.canonical()["protocol"]["start"] == {"bounces": 1, "periods": 1}
+    whole = sweep(**SEEDED | {"protocol": ramp(direction="down", start={"bounces": 1.0, "periods": 1})})
+    assert whole.job_id("1") == seeded.job_id("1")
+    plain = sweep(**SEEDED | {"protocol": ramp(direction="down")})
+    off = sweep(**SEEDED | {"protocol": ramp(direction="down", start=None)})
+    assert plain.job_id("1") == off.job_id("1") != seeded.job_id("1")
+    assert plain.as_submitted()["protocol"] == ramp(direction="down")
+    assert SweepSpec.parse(seeded.as_submitted()) == seeded
+    assert [tuple(cell) for cell in seeded.first_cells()] == [(0.6, 0.6, 0.05)]
+
+
 def test_shape_and_directions():
     axes = {"gamma": range_(num=5), "omega": [0.5, 0.6], "xi": 0.1}
     assert sweep(**axes).shape == (1, 1, 2, 5)
@@ -628,6 +683,12 @@ def test_number_too_large_for_json_readers_is_not_finite():
         ("a.yaml", b"", "a specification file ends in .json or .toml"),
         ("a.toml", b"gamma = ", "the text is not TOML: "),
         ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
+        ("a.toml", b"gamma = 1.5.1", "the text is not TOML: "),
+        (
+            "a.toml",
+            b" " * 1_000_001,
+            "a TOML file must be at most 1000000 bytes; give long axes as ranges, or",
+        ),
         ("a.json", b" " * 4_000_001, "must be at most 4000000 bytes; give long axes as ranges"),
     ],
 )
@@ -636,6 +697,46 @@ def test_unreadable_file_says(tmp_path, name, content, expected):
     with pytest.raises(SpecUnreadable) as caught:
         SweepSpec.from_file(tmp_path / name)
     assert expected in str(caught.value)
+
+
+LONG_KEY = ".".join("a" * 20_000)  # tomllib alone takes half a minute for it
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (f"{LONG_KEY} = 1", 1),
+        (f"\n[{LONG_KEY}]", 2),
+        (f"x = {{{LONG_KEY} = 1}}", 1),
+        (f'# "\nx = """\n#""" # \n{LONG_KEY} = 1', 4),
+        (f"x = {3 * chr(39)}\n{chr(92)}{chr(39)}\n{3 * chr(39)}\n{LONG_KEY} = 1", 4),
+        (f'x = "{chr(92)}"" # "\n{LONG_KEY} = 1', 2),
+        ("\t.\t".join(["'a b'", '"c.d"'] * 9) + " = 1", 1),
+    ],
+    ids=["key", "table", "inline", "strings", "literals", "escapes", "quoted"],
+)
+def test_long_dotted_keys_are_refused_before_they_are_parsed(tmp_path, text, line):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(SpecUnreadable, match=f"^a key of more than 16 parts at line {line}; a specification"):
+        SweepSpec.from_file(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("name", [LONG_KEY[:199], "a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s # x"])
+@pytest.mark.parametrize("quote", ['"', "'", 3 * '"', 3 * "'"])
+def test_dots_in_strings_and_comments_are_no_keys(tmp_path, name, quote):
+    line = f"name = {quote}{name}{quote}  # {LONG_KEY}"
+    (tmp_path / "a.toml").write_text(f"{line}\ngamma = 1.5\nomega = 1.0\nxi = 0.5\nmodel.kind = 'rigid'\n")
+    spec = SweepSpec.from_file(tmp_path / "a.toml")
+    assert (spec.name, spec.model.kind) == (name, "rigid")
+
+
+def test_a_pile_of_combining_marks_is_refused():
+    fields = {"gamma": 1.0, "omega": 1.0, "xi": 0.5}
+    for name in ("Vie\u0302\u0323t e\u0301\u0302\u0323\u0324", "\u0915\u094d\u0937\u093f", "s\u0336t\u0336"):
+        assert SweepSpec(**fields, name=name).name == name
+    for name in ("e" + "\u0301" * 5, "\u0301" * 200, "ok \u20dd\u20dd\u20dd\u20dd\u20dd"):
+        with pytest.raises(SpecInvalid, match=r"^name: must have at most 4 combining marks in a row$"):
+            SweepSpec(**fields, name=name)
 
 
 def test_missing_file_says_its_name(tmp_path):

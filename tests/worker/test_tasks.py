@@ -10,11 +10,14 @@ from kernel_runs import Model, run_line
 from scripted import DEADLINE
 from stores import is_sound
 
+from kernel.branches.starts import cycles_at
+from kernel.branches.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store, tasks
 from worker.plan import Plan, make_plan
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
+from worker.spec.sweep import start_of
 from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, PredecessorMissing, run_chunk
 
 RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
@@ -114,6 +117,30 @@ def test_ramp_carries_its_state_across_chunks(tmp_path, small_spec, axis, direct
             assert np.array_equal(found[name][where][order], getattr(expected, name), equal_nan=True), name
 
 
+def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path, small_spec):
+    """Two lines in two chunks each: both bounce down to their folds, in steps of 1e-5."""
+    folds = {omega: thresholds(omega, 0.05).down for omega in (0.60, 0.6001)}
+    low = min(folds.values())
+    spec = small_spec(
+        gamma={"start": low - 1e-4, "stop": low + 9e-4, "num": 101}, omega=list(folds), xi=0.05,
+        model={"kind": "rigid"}, settle=400, observe=100, settle_until=8000,
+        protocol={**ramp("gamma", "down"), "start": {"periods": 1}},
+    )  # fmt: skip
+    plan, url = stored(tmp_path, spec, (1, 1, 51))
+    assert len(plan) == 4
+    for chunk in plan:
+        run_chunk(spec, chunk, url)
+    found = store.read_slice(url, ("flight_time", "outcome"), direction=0, xi=0)
+    for i, (omega, fold) in enumerate(folds.items()):
+        top = start_of(Cell(float(spec.axis_values("gamma")[-1]), omega, 0.05), 1)
+        assert top is not None
+        bounces = found["outcome"][i] != Outcome.AT_REST
+        last = spec.axis_values("gamma")[bounces].min()
+        assert abs(last - fold) < 2e-5  # just below the fold, bouncing outlives the window
+        cycle = cycles_at(top.cell, 1).flight_time[-1]
+        assert found["flight_time"][i, -1, 0] == pytest.approx(cycle, abs=1e-9)
+
+
 def test_down_after_up_goes_on_from_the_top(tmp_path, small_spec):
     spec = small_spec(omega=0.6, xi=0.05, protocol=ramp("gamma", "both"))
     plan, url = stored(tmp_path, spec, (1, 1, 4))
@@ -166,6 +193,17 @@ def test_running_a_chunk_again_writes_the_same_bytes(tmp_path, small_spec):
     plan, url = stored(tmp_path, spec, (1, 3, 5))
     first = [run_chunk(spec, chunk, url).checksum for chunk in plan]
     assert [run_chunk(spec, chunk, url).checksum for chunk in reversed(plan)] == first[::-1]
+
+
+def test_many_lines_that_take_no_time(tmp_path, small_spec):
+    """Steps between two looks at the clock are doubled after each of them: they must not outgrow an int64."""
+    spec = small_spec(
+        gamma=[0.1, 0.2], omega={"start": 0.5, "stop": 0.9, "num": 100}, xi=0.05, settle=0, observe=1,
+        protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}, model={"kind": "rigid"},
+    )  # fmt: skip
+    plan, url = stored(tmp_path, spec, (1, 100, 2))
+    report = run_chunk(spec, plan[0], url)
+    assert report.outcomes[Outcome.AT_REST] == 200
 
 
 def test_cancelled_chunk_writes_nothing(tmp_path, small_spec):

@@ -5,14 +5,28 @@ length. These functions reject all of it with `SpecUnreadable`.
 """
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from worker.spec.errors import Problem, SpecUnreadable, describe
+from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
+MAX_TOML_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty
 MAX_DIGITS: Final = 400  # a double has at most 309 before the point
+#: Names in one dotted key, `model.kind`; tomllib takes quadratic time for them.
+MAX_KEY_PARTS: Final = 16
+
+#: What a TOML text is made of, as far as dotted keys go: comments and strings, whose dots do not count, parts
+#: of keys, dots, and blanks. A string that does not end reaches to the end of its line, or of the text.
+_TOML_TOKEN: Final = re.compile(
+    r"""(?P<comment>\#[^\n]*)
+    |(?P<part>"{3}(?:\\[\s\S]|[^\\])*?(?:"{3}|\Z) | '{3}[\s\S]*?(?:'{3}|\Z)
+             |"(?:\\.|[^"\\\n])*(?:"|$) | '[^'\n]*(?:'|$) | [A-Za-z0-9_-]+)
+    |(?P<dot>\.) | (?P<blank>[ \t]+) | (?P<other>[\s\S])""",
+    re.VERBOSE | re.MULTILINE,
+)
 
 
 def _unreadable(rule: str) -> SpecUnreadable:
@@ -55,6 +69,16 @@ def read_json(text: str | bytes) -> object:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
 
 
+def fields_of(data: object, what: str) -> dict[str, Any]:
+    """The fields of an object; `what` it is, for errors. Raises `SpecInvalid`."""
+    if not isinstance(data, dict):
+        raise SpecInvalid([Problem("", f"{what} must be an object, not {describe(data)}")])
+    wrong = [key for key in data if not isinstance(key, str) or not key.isprintable()]
+    if wrong:
+        raise SpecInvalid([Problem("", f"field names must be printable text, not {describe(wrong[0])}")])
+    return data
+
+
 def read_file(path: Path) -> object:
     """Read and parse a .json or .toml file. Raises `SpecUnreadable`, also for a missing file."""
     if path.suffix not in (".json", ".toml"):
@@ -69,11 +93,31 @@ def read_file(path: Path) -> object:
 
 
 def _read_toml(content: bytes) -> object:
+    if len(content) > MAX_TOML_BYTES:
+        raise _unreadable(
+            f"a TOML file must be at most {MAX_TOML_BYTES} bytes; give long axes as ranges, or write JSON"
+        )
     try:
-        return tomllib.loads(content.decode("utf-8"))
+        text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+    _check_keys(text)
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _unreadable(f"the text is not TOML: {error}") from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the TOML cannot be read: {error}") from None
+
+
+def _check_keys(text: str) -> None:
+    """Refuse long dotted keys before tomllib reads them. Takes linear time."""
+    dots = 0
+    for token in _TOML_TOKEN.finditer(text):
+        dots = dots + 1 if token.lastgroup == "dot" else dots if token.lastgroup in ("part", "blank") else 0
+        if dots >= MAX_KEY_PARTS:
+            line = text.count("\n", 0, token.start()) + 1
+            raise _unreadable(
+                f"a key of more than {MAX_KEY_PARTS} parts at line {line}; a specification needs two, "
+                "as model.kind"
+            )

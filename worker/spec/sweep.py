@@ -5,9 +5,14 @@ can build a specification without loading kernels, Dask or zarr.
 """
 
 import hashlib
+import itertools
 import json
+import math
+from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
+from unicodedata import category
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +23,8 @@ from pydantic import (
     model_validator,
 )
 
-from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE
+from kernel.branches.starts import stable_ranges, start_on_stable_cycle
+from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, Cell, KernelInputError, Start
 from worker.spec import parsing
 from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
 from worker.spec.contact_models import (
@@ -31,8 +37,8 @@ from worker.spec.contact_models import (
     model_fields,
     penetration_of,
 )
-from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe, one_of, problems_of
-from worker.spec.protocols import Protocol, Ramp, Rest
+from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
+from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
 from worker.spec.time_steps import check_steps, corners
 
 #: The axes of a sweep in the order of the store's dimensions, slowest first.
@@ -44,12 +50,29 @@ SMALLEST: Final = 1e-6
 LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
+#: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
+MAX_MARKS: Final = 4
+
+#: Lines of a ramp that starts on cycles, each of which is looked for when the sweep is submitted (5 ms).
+MAX_STARTS: Final = 1_000
+
+#: Contact models that can start on a cycle of the spring.
+WITH_CYCLES: Final = ("rigid", "soft", "stepped")
 
 
 def _label(name: str) -> str:
     if not name.isprintable():
         raise BrokenRuleError("", "must be one line of printable characters")
+    marks = 0
+    for character in name:
+        marks = marks + 1 if category(character) in ("Mn", "Me") else 0
+        if marks > MAX_MARKS:
+            raise BrokenRuleError("", f"must have at most {MAX_MARKS} combining marks in a row")
     return name
+
+
+#: The name of a study: not part of its identity.
+Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
 
 
 class SweepSpec(Strict):
@@ -60,7 +83,7 @@ class SweepSpec(Strict):
     each field and rule.
     """
 
-    name: Annotated[str, Field(max_length=200), AfterValidator(_label)] = ""
+    name: Label = ""
     gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
@@ -94,6 +117,7 @@ class SweepSpec(Strict):
             raise BrokenRuleError("settle_until", rule)
         self._check_exponents()
         self._check_depth()
+        self._check_start()
         if isinstance(self.model, Stepped):
             axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
             check_steps(self.model, corners(*axes), max(self.settle + self.observe, self.settle_until or 0))
@@ -129,6 +153,35 @@ class SweepSpec(Strict):
             rule = f"{depths}, {allowed}; {remedy}"
             raise BrokenRuleError("model.rest_length", rule)
 
+    def _check_start(self) -> None:
+        """Every line of a ramp that starts on a cycle has that cycle in its first cell."""
+        ramp = self.protocol
+        if not isinstance(ramp, Ramp) or ramp.start is None:
+            return
+        start = ramp.start
+        if self.model.kind not in WITH_CYCLES:
+            rule = f"needs a spring, and model.kind is {self.model.kind!r}; {one_of(WITH_CYCLES)} works"
+            raise BrokenRuleError("protocol.start", rule)
+        lines = math.prod(self.shape[1:]) // len(self.axis_values(ramp.axis))
+        if lines > MAX_STARTS:
+            rule = f"is possible for at most {MAX_STARTS:,} lines, and this sweep has {lines:,}"
+            raise BrokenRuleError("protocol.start", rule)
+        for cell in self.first_cells():
+            if start_of(cell, start.periods) is None:
+                rule = f"{no_cycle(cell, start.periods)}; every line of the ramp begins on one"
+                raise BrokenRuleError("protocol.start", rule)
+
+    def first_cells(self) -> Iterator[Cell]:
+        """The cell that each line of a ramp begins with."""
+        axis = self.ramp_axis
+        if axis is None:
+            return
+        last = -1 if self.directions[0] == "down" else 0
+        values = [self.axis_values(name) for name in AXES]
+        values[AXES.index(axis)] = values[AXES.index(axis)][[last]]
+        for xi, omega, gamma in itertools.product(*(each.tolist() for each in values)):
+            yield Cell(gamma, omega, xi)
+
     @classmethod
     def parse(cls, data: object) -> Self:
         """A specification from the plain values of JSON or TOML.
@@ -137,14 +190,7 @@ class SweepSpec(Strict):
         """
         if isinstance(data, cls):
             return data
-        if not isinstance(data, dict):
-            raise SpecInvalid([Problem("", f"a specification must be an object, not {describe(data)}")])
-        invalid = [key for key in data if not isinstance(key, str) or not key.isprintable()]
-        if invalid:
-            raise SpecInvalid(
-                [Problem("", f"field names must be printable text, not {describe(invalid[0])}")]
-            )
-        return cls(**data)
+        return cls(**parsing.fields_of(data, "a specification"))
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
@@ -200,6 +246,30 @@ class SweepSpec(Strict):
         return hashlib.sha256(f"{kernel_version}\n{text}".encode()).hexdigest()[:32]
 
 
+@lru_cache(maxsize=2 * MAX_STARTS)
+def start_of(cell: Cell, periods: int) -> Start | None:
+    """The start of a ramp on the stable cycle (1, periods) of its first cell; None if there is none."""
+    try:
+        found = start_on_stable_cycle(cell, periods)
+    except KernelInputError:
+        return None
+    return found.start if found else None
+
+
+def no_cycle(cell: Cell, periods: int) -> str:
+    """The rule that a cell without a stable cycle breaks, with the nearest range of Gamma that has one."""
+    at = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
+    rule = f"there is no stable cycle (1, {periods}) at {at}"
+    try:
+        ranges = stable_ranges(cell.omega, cell.xi, periods)
+    except KernelInputError as error:
+        return f"{rule} ({error})"
+    if not ranges:
+        return f"{rule}, nor at any other gamma"
+    low, high = min(ranges, key=lambda r: max(r.low - cell.gamma, cell.gamma - r.high))
+    return f"{rule}; it exists from gamma {low:.6g} to {high:.6g}"
+
+
 def _length(axis: AxisValue) -> int:
     if isinstance(axis, Range):
         return axis.num
@@ -213,5 +283,6 @@ def _fields() -> dict[str, tuple[str, ...]]:
         "<range>": tuple(Range.model_fields),
         "<rest>": tuple(Rest.model_fields),
         "<ramp>": tuple(Ramp.model_fields),
+        "<start>": tuple(OnCycle.model_fields),
         **model_fields(),
     }

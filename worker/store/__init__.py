@@ -3,10 +3,19 @@
 Code outside this package uses only the names listed here. In worker, only this package imports zarr.
 """
 
-from worker.store.backend import UNREACHABLE, check_address, in_bucket, read_key, remove, rename_for_deletion
+from worker.store.backend import (
+    UNREACHABLE,
+    check_address,
+    created_at,
+    in_bucket,
+    names_in,
+    read_key,
+    remove,
+    rename_for_deletion,
+)
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
 from worker.store.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
-from worker.store.chunks import discard, find_corrupt
+from worker.store.chunks import checksum_of, discard, find_corrupt
 from worker.store.errors import (
     ChunkCoords,
     PlaceUnusable,
@@ -37,13 +46,16 @@ __all__ = [
     "StoreMissing",
     "check_address",
     "check_chunk",
+    "checksum_of",
     "chunk_shape",
     "clear_cancelled",
     "create",
+    "created_at",
     "discard",
     "find_corrupt",
     "in_bucket",
     "is_cancelled",
+    "names_in",
     "read_attrs",
     "read_checkpoint",
     "read_chunk",

@@ -7,7 +7,7 @@ distinguishes the two kinds of address.
 
 import shutil
 from contextlib import suppress
-from datetime import timedelta
+from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -30,6 +30,8 @@ with suppress(ImportError):  # obstore comes with the extra `s3`
     UNREACHABLE = (BaseError,)
 
 _BUCKET: Final = "s3://"
+#: Key of a store's root metadata, written last when the store is created.
+ROOT: Final = "zarr.json"
 
 #: Requests to a bucket that does not respond are retried for so long before they fail.
 _RETRY_TIMEOUT: Final = timedelta(seconds=15)
@@ -101,14 +103,39 @@ def delete(url: str, key: str) -> None:
         pass
 
 
-def rename_for_deletion(url: str) -> str:
-    """Rename a folder, so that its address is free at once, and return where it is to be removed from.
+def rename_for_deletion(url: str, renamed: str) -> None:
+    """Rename a folder, so that its address is free at once; what `renamed` held before is removed.
 
-    Prefixes of a bucket cannot be renamed: returns `url`, as for a folder that does not exist.
+    Prefixes of a bucket cannot be renamed: everything under `url` is removed.
     """
-    if in_bucket(url) or not Path(url).exists():
-        return url
-    return str(Path(url).rename(f"{url}.deleted-{uuid4().hex}"))
+    if in_bucket(url):
+        remove(url)
+    elif Path(url).exists():
+        remove(renamed)  # a deletion that was interrupted here
+        Path(url).rename(renamed)
+
+
+def created_at(url: str) -> float | None:
+    """When the store at an address was created, in seconds since 1970; None if there is none."""
+    try:
+        if in_bucket(url):
+            modified: datetime = _bucket(url).head(ROOT)["last_modified"]
+            return modified.timestamp()
+        return Path(url, ROOT).stat().st_mtime
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def names_in(url: str) -> list[str]:
+    """Names of what is directly in a folder, or under a prefix of a bucket, sorted; none if it is missing."""
+    if in_bucket(url):
+        listed = _bucket(url).list_with_delimiter()
+        paths = [*listed["common_prefixes"], *(entry["path"] for entry in listed["objects"])]
+        return sorted(path.rstrip("/").rsplit("/", 1)[-1] for path in paths)
+    try:
+        return sorted(path.name for path in Path(url).iterdir())
+    except FileNotFoundError:
+        return []
 
 
 def remove(url: str) -> None:

@@ -60,6 +60,11 @@ def checksum(url: str, names: Names, coords: ChunkCoords) -> str:
     return digest.hexdigest()
 
 
+def checksum_of(url: str, layout: Layout, chunk: HasSlices) -> str:
+    """The checksum of a chunk's stored bytes, as `find_corrupt` expects it."""
+    return checksum(url, names_of(layout), layout.coords(chunk.slices))
+
+
 def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) -> Iterator[Chunk]:
     """The chunks whose stored bytes differ from their expected checksums."""
     names = names_of(layout)

@@ -10,7 +10,7 @@ from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.storage import MemoryStore
 
 from worker.schema import Array, Layout
-from worker.store.reader import ROOT
+from worker.store.backend import ROOT
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
 

@@ -15,11 +15,10 @@ import numpy as np
 from numcodecs.zstd import decompress
 from numpy.typing import NDArray
 
-from worker.store.backend import in_bucket, read_key
+from worker.store.backend import ROOT, in_bucket, read_key
 from worker.store.chunks import Index, key, threads
 from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
 
-ROOT: Final = "zarr.json"
 OUTCOME: Final = "outcome"
 
 

@@ -16,11 +16,11 @@ from zarr.errors import GroupNotFoundError
 
 from worker.schema import Layout
 from worker.store import chunks
-from worker.store.backend import open_store, read_key
+from worker.store.backend import ROOT, open_store, read_key
 from worker.store.chunks import HasSlices, Index, fsync_files, key
 from worker.store.errors import ChunkCoords, StoreConflict, StoreDamaged, StoreMissing
 from worker.store.metadata import empty_store
-from worker.store.reader import OUTCOME, ROOT, read_cells
+from worker.store.reader import OUTCOME, read_cells
 
 
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:

@@ -6,6 +6,7 @@ other machines can reach requires a token (`settings`).
 """
 
 import hmac
+from collections.abc import Mapping, Set
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -14,7 +15,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import problem_response
 from service.errors import CrossOriginRefused, HostNotAllowed, ServiceError, Unauthenticated
-from service.settings import Settings
 
 #: Paths that need no token: health checks, and pages that contain no data.
 OPEN_PATHS: Final = frozenset({"/", "/docs", "/openapi.json", "/healthz", "/readyz"})
@@ -37,12 +37,14 @@ _RAW_HEADERS: Final = [(name.lower().encode(), value.encode()) for name, value i
 
 
 class AccessControl:
-    """Middleware: refuses requests with the wrong Host, Origin or token; adds security headers."""
+    """Middleware: refuses requests with the wrong Host, Origin or token; adds security headers.
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self._app = app
-        self._hosts = settings.hosts
-        self._token = settings.token.get_secret_value().encode() if settings.token else None
+    `tokens` are the names of the tokens that are accepted, by token; if there are none, none is required.
+    """
+
+    def __init__(self, app: ASGIApp, hosts: Set[str], tokens: Mapping[str, str | None]) -> None:
+        self._app, self._hosts = app, hosts
+        self._tokens = [(token.encode(), name) for token, name in tokens.items()]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -52,13 +54,14 @@ class AccessControl:
         if "content-length" in headers and "transfer-encoding" in headers:
             send = _closing(send)
         try:
-            self._check(scope["method"], scope["path"], headers)
+            scope.setdefault("state", {})["token_name"] = self._check(scope["method"], scope["path"], headers)
         except ServiceError as error:
             await problem_response(error)(scope, receive, _with_headers(send))
         else:
             await self._app(scope, receive, _with_headers(send))
 
-    def _check(self, method: str, path: str, headers: Headers) -> None:
+    def _check(self, method: str, path: str, headers: Headers) -> str | None:
+        """The name of the token that a request carries, if one is required and has a name."""
         self._check_host(headers.getlist("host"))
         if method not in SAFE:
             _check_origin(headers)
@@ -66,8 +69,9 @@ class AccessControl:
             raise CrossOriginRefused(
                 "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
             )
-        if self._token is not None and path not in OPEN_PATHS and not path.startswith(OPEN_FOLDER):
-            self._check_token(headers.getlist("authorization"))
+        if self._tokens and path not in OPEN_PATHS and not path.startswith(OPEN_FOLDER):
+            return self._check_token(headers.getlist("authorization"))
+        return None
 
     def _check_host(self, values: list[str]) -> None:
         name = _host_name(values[0]) if len(values) == 1 else ""
@@ -76,15 +80,18 @@ class AccessControl:
                 f"the Host {name[:80]!a} is not allowed; the operator can add it to BOUNCE_ALLOWED_HOSTS"
             )
 
-    def _check_token(self, values: list[str]) -> None:
+    def _check_token(self, values: list[str]) -> str | None:
         scheme, _, token = values[0].partition(" ") if len(values) == 1 else ("", "", "")
-        expected = self._token or b""
-        if not hmac.compare_digest(token.strip().encode(), expected) or scheme.lower() != "bearer":
+        sent = token.strip().encode()
+        # All are compared, each in constant time: how long it takes says nothing of any of them.
+        names = [name for accepted, name in self._tokens if hmac.compare_digest(sent, accepted)]
+        if not names or scheme.lower() != "bearer":
             raise Unauthenticated(
                 "The access token is wrong."
                 if values
                 else "This service requires an access token. Send the header Authorization: Bearer TOKEN."
             )
+        return names[0]
 
 
 def _check_origin(headers: Headers) -> None:

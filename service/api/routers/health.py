@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 
 from service.api.dependencies import ServiceDep
 from service.api.problems import ProblemResponse
-from service.api.schemas import Health, problem_responses
+from service.api.schemas import Health, ReadinessView, problem_responses
 
 router = APIRouter()
 
@@ -17,12 +17,21 @@ def healthz() -> Health:
     return Health(status="ok")
 
 
-@router.get("/readyz", summary="Readiness", response_model=Health, responses=problem_responses(503))
+@router.get(
+    "/readyz",
+    summary="Readiness",
+    response_model=ReadinessView,
+    response_model_exclude_defaults=True,
+    responses=problem_responses(503),
+)
 def readyz(service: ServiceDep) -> Any:
-    """The Dask scheduler answers, so jobs are computed."""
-    if service.readiness.ready():
-        return Health(status="ok")
-    return ProblemResponse(503, "the Dask scheduler does not answer; jobs wait until it does")
+    """The ledger can be used and the Dask scheduler answers, so jobs are computed."""
+    fault = service.readiness.fault()
+    return (
+        ReadinessView(status="ok", notices=service.manager.notices())
+        if fault is None
+        else ProblemResponse(503, fault)
+    )
 
 
 @router.get(

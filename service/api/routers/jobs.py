@@ -9,7 +9,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import parameters, schemas
 from service.api.conditional import NOT_MODIFIED, job_headers, not_modified
-from service.api.dependencies import JobDep, JsonBody, ServiceDep, find_job
+from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job
 from service.api.schemas import JobView, job_view, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
@@ -21,7 +21,15 @@ router = APIRouter(prefix="/v1")
 _SPEC_BODY: Final = {
     "requestBody": {
         "required": True,
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/SweepSpec"}}},
+        "content": {
+            "application/json": {
+                "schema": {
+                    "oneOf": [
+                        {"$ref": f"#/components/schemas/{spec}"} for spec in ("SweepSpec", "OrbitsSpec")
+                    ]
+                }
+            }
+        },
     }
 }
 
@@ -55,6 +63,7 @@ def submit(
     service: ServiceDep,
     body: JsonBody,
     query: Annotated[parameters.SubmitQuery, Query()],
+    owner: OwnerDep,
     idempotency_key: IdempotencyKey = None,
 ) -> Response:
     """202 if the sweep is accepted, 200 if the same sweep is queued, running or done already.
@@ -65,7 +74,7 @@ def submit(
     spec = from_json(body)
     if query.validate_only:
         return _cost(service, spec)
-    job, accepted = service.manager.submit(spec, idempotency_key)
+    job, accepted = service.manager.submit(spec, idempotency_key, owner)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(_retry_after(job) or 0)
@@ -138,13 +147,13 @@ def cancel(service: ServiceDep, job: JobDep) -> Response:
     response_model=JobView,
     responses={200: {"model": JobView}, **problem_responses(404, 409, 413, 422, 429)},
 )
-def resume(service: ServiceDep, job: JobDep) -> Response:
+def resume(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     """A failed or cancelled job computes the chunks that are missing; 200 if it is queued or running.
 
     A job of another kernel version starts anew as a job of this one: the response describes the new job,
     whose address is in `Location`.
     """
-    record, accepted = service.manager.resume(job.id)
+    record, accepted = service.manager.resume(job.id, owner)
     headers = {"Location": f"/v1/jobs/{record.id}"}
     notice = None if record.id == job.id else f"starts anew what job {job.id} is: {job.notice}"
     return _job_response(record, 202 if accepted else 200, headers, notice=notice)

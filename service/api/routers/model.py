@@ -1,24 +1,31 @@
-"""What the model itself answers, without a job: Eq. 25, one cell in motion, and cost against accuracy."""
+"""What the model itself answers, without a job: thresholds, cycles, one cell in motion, cost and accuracy."""
 
 from typing import Annotated, Final
 
-import numpy as np
 from fastapi import APIRouter, Query, Response
 
-from kernel.threshold import threshold
+from kernel.branches.curves import Parameter
 from service.api import parameters, schemas
 from service.api.capacity import costly
 from service.api.dependencies import JsonBody, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
+from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
+from service.render import orbits as orbits_text
 from service.render import text
 from service.render import work_precision as work_precision_diagram
+from service.results import orbits, work_precision
 from service.results import trajectory as trajectories
-from service.results import work_precision
+from service.results.selection import BASE_MEMORY
 from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec
 from service.results.work_precision import Tradeoff
+from worker.orbits import MAX_GRID
 
 router = APIRouter(prefix="/v1")
+
+#: Bytes of a point of a branch, with what is computed on the way to it, and of an answer of curves.
+_PER_POINT: Final = 4_000
+_CURVES_MEMORY: Final = 16 * 2**20
 
 _TRAJECTORY_BODY: Final = {
     "requestBody": {
@@ -28,11 +35,77 @@ _TRAJECTORY_BODY: Final = {
 }
 
 
-@router.get("/threshold", summary="Evaluate Eq. 25", responses=problem_responses(422))
-def eq_25(query: Annotated[parameters.ThresholdQuery, Query()]) -> schemas.Threshold:
-    """Γ_th of Eq. 25, above which a spring at rest begins to bounce."""
-    value = float(threshold(query.omega, query.xi))
-    return schemas.Threshold(omega=query.omega, xi=query.xi, threshold=value if np.isfinite(value) else None)
+@router.get(
+    "/threshold",
+    summary="Compute the thresholds of a spring",
+    response_model=schemas.Threshold,
+    responses=problem_responses(422, 429),
+)
+@costly(BASE_MEMORY, "trajectory")
+def threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
+    """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
+
+    In closed form, of the rigid contact without restitution.
+    """
+    predicted = orbits.thresholds(query.omega, query.xi)
+    return Response(orbits_text.thresholds_json(predicted, query.delta), media_type=MEDIA_TYPES["json"])
+
+
+def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:
+    return BASE_MEMORY + (query.modes.count(",") + 1) * MAX_GRID * _PER_POINT
+
+
+@router.get(
+    "/orbits",
+    summary="Compute the branches of a spring",
+    response_model=schemas.OrbitsView,
+    responses=problem_responses(413, 422, 429),
+)
+@costly(_orbits_memory, "trajectory")
+def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query()]) -> Response:
+    """Cycles of one bounce in k plate periods, stable and unstable, and where their branches turn or end.
+
+    In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes back
+    is several pieces.
+    """
+    modes = orbits.parse_modes(query.modes)
+    found = orbits.orbits(query.omega, query.xi, modes, query.gamma_max, query.points)
+    content = orbits_text.orbits_json(found, query.energy)
+    return Response(content, media_type=MEDIA_TYPES["json"])
+
+
+@router.get(
+    "/curves",
+    summary="Compute bifurcation curves",
+    response_model=schemas.CurvesView,
+    responses={**PENDING_RESPONSE, **problem_responses(413, 422, 429, 503)},
+)
+@costly(_CURVES_MEMORY, "on demand")
+def curves(service: ServiceDep, query: Annotated[parameters.CurvesQuery, Query()]) -> Response:
+    """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω, and where they meet.
+
+    Workers compute them, some seconds for each mode; until then 202 with the progress.
+    """
+    along, fixed, span = _plane(query)
+    modes, kinds = orbits.parse_modes(query.modes), orbits.parse_kinds(query.kinds)
+    found = orbits.event_curves(service.on_demand, along, fixed, span, modes, kinds, query.gamma_max)
+    return Response(orbits_text.curves_json(found), media_type=MEDIA_TYPES["json"])
+
+
+def _plane(query: parameters.CurvesQuery) -> tuple[Parameter, float, tuple[float, float]]:
+    """The parameter that varies, the value of the other one, and the range. Raises InvalidRequest."""
+    given = query.model_fields_set
+    if {"xi", "omega_start", "omega_stop"} <= given and not given & {"omega", "xi_start", "xi_stop"}:
+        along, fixed, span = Parameter.OMEGA, query.xi, (query.omega_start, query.omega_stop)
+    elif {"omega", "xi_start", "xi_stop"} <= given and not given & {"xi", "omega_start", "omega_stop"}:
+        along, fixed, span = Parameter.XI, query.omega, (query.xi_start, query.xi_stop)
+    else:
+        rule = "give xi, omega_start and omega_stop, or omega, xi_start and xi_stop"
+        raise InvalidRequest.of("xi" if "omega" not in given else "omega", rule)
+    low, high = span
+    if fixed is None or low is None or high is None:  # given without a value
+        raise InvalidRequest.of(along.value, "must be a number")
+    return along, fixed, (low, high)
 
 
 @router.post(
@@ -74,5 +147,5 @@ def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Que
     if query.format == "json":
         content: str | bytes = work_precision.table(rows).model_dump_json()
     else:
-        content = work_precision_diagram.draw(rows, query.format)
+        content = service.background.run(work_precision_diagram.draw, rows, query.format)
     return Response(content, media_type=MEDIA_TYPES[query.format])

@@ -13,9 +13,8 @@ from service.api.capacity import costly
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import Trajectory, problem_responses
 from service.formats import MEDIA_TYPES
-from service.render import binary, text
-from service.results import line as lines
-from service.results import mode_map
+from service.render import answers, binary, text
+from service.render.answers import Answer
 from service.results import trajectory as trajectories
 from service.results.mode_map import plane_size
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
@@ -50,28 +49,13 @@ def line(
     `density`: `height` rows (from `bottom` up) of `width` columns, flights per bin, at most 255.
     Very long lines are thinned to every n-th cell: `every`.
     """
-    values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
+    view = answers.View(
+        query.left, query.right, query.bottom, query.top, query.log, query.width, query.height, query.most
+    )
     sweep = dependencies.sweep(service, job)
-    flight_line = lines.read_line(sweep, query.along, values, query.direction, query.min_flight)
-    window = lines.window_of(flight_line, query.left, query.right, query.bottom, query.top, log=query.log)
-    dense = len(flight_line.flights) > query.most
-    flights: dict[str, Any]
-    if dense:
-        flights = {"density": lines.counts(flight_line, window, query.width, query.height, log=query.log)}
-    else:
-        flights = {"flight_time": flight_line.flights}
-    attributes = {
-        "along": query.along,
-        "fixed": flight_line.fixed,
-        "direction": flight_line.direction,
-        "every": flight_line.every,
-        "min_flight": flight_line.min_flight,
-        "missing": flight_line.missing,
-        "complete": flight_line.missing == 0 and not sweep.repairing,
-        "points": len(flight_line.flights),
-        "highest": flight_line.longest,
-    }
-    return _packed(attributes, {**flight_line.cells, **flights}, request if dense else None)
+    return _packed(
+        service.background.run(answers.packed_line, sweep, dependencies.line(query), view), request
+    )
 
 
 def _plane_memory(
@@ -95,19 +79,10 @@ def plane(
 
     Planes of more cells than one answer may hold are thinned: `every_gamma`, `every_omega`.
     """
-    cells = mode_map.modes_between(
-        dependencies.sweep(service, job), query.xi, query.direction,
-        (query.left, query.right), (query.bottom, query.top), service.settings.max_points, query.min_flight,
-    )  # fmt: skip
-    attributes = {
-        "xi": cells.xi,
-        "direction": cells.direction,
-        "complete": cells.complete,
-        "every_gamma": cells.every,
-        "every_omega": cells.every,
-        "min_flight": cells.min_flight,
-    }
-    return _packed(attributes, {"omega": cells.omega, "gamma": cells.gamma, **cells.arrays}, request)
+    window = ((query.left, query.right), (query.bottom, query.top))
+    plane = (query.xi, query.direction, *window, service.settings.max_points, query.min_flight)
+    sweep = dependencies.sweep(service, job)
+    return _packed(service.background.run(answers.packed_plane, sweep, *plane), request)
 
 
 @router.get(
@@ -127,13 +102,12 @@ def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.Cel
     return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
 
 
-def _packed(attributes: dict[str, Any], arrays: dict[str, Any], compressible: Request | None) -> Response:
-    """The arrays as an answer, compressed if `compressible` accepts gzip.
+def _packed(answer: Answer, request: Request) -> Response:
+    """The answer, compressed if that is worth it and the client accepts gzip.
 
     Points are not worth compressing: their lower bits are noise.
     """
-    content = binary.packed(attributes, arrays)
-    headers = {"Vary": "Accept-Encoding", "Cache-Control": "no-cache"}
-    if compressible is not None and "gzip" in compressible.headers.get("accept-encoding", ""):
+    content, headers = answer.content, {"Vary": "Accept-Encoding", "Cache-Control": "no-cache"}
+    if answer.dense and "gzip" in request.headers.get("accept-encoding", ""):
         content, headers = gzip.compress(content, 1), {**headers, "Content-Encoding": "gzip"}
     return Response(content, 200, headers, binary.MEDIA_TYPE)

@@ -12,20 +12,21 @@ from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.errors import NotInStore
-from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES, DiagramFormat
+from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord, JobState
-from service.render import bifurcation, text
+from service.render import answers
 from service.render import export as export_files
-from service.results import diagram as diagrams
-from service.results import mode_map, thresholds
-from service.results.diagram import Diagram
+from service.render import orbits as orbits_text
+from service.results import orbits, thresholds
 from service.results.mode_map import plane_size
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store
-from worker.spec import SweepSpec
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
+
+#: Bytes of an answer with the branches of words.
+_WORDS_MEMORY: Final = 16 * 2**20
 
 
 def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
@@ -37,7 +38,7 @@ def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
 _PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80}
 _PER_CELL: Final = 64
 #: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
-_CHUNK_COPIES: Final = 4
+_CHUNK_COPIES: Final = 12
 #: Bytes of memory per Ω of the thresholds, with their numbers and statuses as text.
 _PER_OMEGA: Final = 1_000
 
@@ -67,19 +68,11 @@ def diagram(
     `lyapunov` and `label` as well. Pictures show lines of any length, dense ones as density. JSON and CSV
     are limited in flights: thin them with `every`, which the JSON repeats.
     """
-    sweep = dependencies.sweep(service, job)
-    values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    line = (sweep, query.along, values, query.direction, query.min_flight)
-    max_points = service.settings.max_points
-    if query.format == "json":
-        directions = [diagrams.diagram(*line, max_points, query.every)]
-    elif query.format == "csv":
-        directions = diagrams.diagrams(*line, max_points, query.every)
-    else:
-        directions = diagrams.diagrams_to_draw(*line, query.every)
-    headers = _complete(all(diagram.complete for diagram in directions))
-    content = _encode(directions, sweep.spec, query.format)
-    return Response(content, media_type=MEDIA_TYPES[query.format], headers=headers)
+    sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
+    line = dependencies.line(query)
+    answer = service.background.run(answers.diagram, sweep, line, query.format, max_points, query.every)
+    headers = _complete(answer.complete)
+    return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)
 
 
 def _threshold_memory(service: ServiceDep, job: JobRecord, query: parameters.JobThresholdQuery) -> int:
@@ -116,6 +109,28 @@ def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQu
 
 
 @router.get(
+    "/orbits",
+    summary="Continue the cycles of a sweep's cells",
+    response_model=schemas.WordOrbitsView,
+    responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
+)
+@costly(_WORDS_MEMORY, "on demand")
+def job_orbits(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
+) -> Response:
+    """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
+
+    A worker follows them, some tenths of a second for each; until then 202. Of the rigid contact without
+    restitution: cells of another contact are a guess from which its cycles are looked for.
+    """
+    found = orbits.words(
+        service.on_demand, job, dependencies.sweep(service, job),
+        query.omega, query.xi, query.direction, query.gamma_max,
+    )  # fmt: skip
+    return Response(orbits_text.words_json(found, query.energy), media_type=MEDIA_TYPES["json"])
+
+
+@router.get(
     "/modes",
     summary="Read a mode map",
     response_model=schemas.Modes,
@@ -125,9 +140,9 @@ def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQu
 def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    plane = mode_map.modes(sweep, query.xi, query.direction, max_points, query.every, query.min_flight)
-    headers = _complete(plane.complete)
-    return Response(text.mode_map_json(plane), media_type=MEDIA_TYPES["json"], headers=headers)
+    plane = (query.xi, query.direction, max_points, query.every, query.min_flight)
+    answer = service.background.run(answers.modes, sweep, *plane)
+    return Response(answer.content, media_type=MEDIA_TYPES["json"], headers=_complete(answer.complete))
 
 
 def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> int:
@@ -173,14 +188,6 @@ def zarr(service: ServiceDep, job: ResultsJob, key: str) -> Response:
         raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
     return Response(content, media_type=media_type, headers={"Cache-Control": "no-cache"})
-
-
-def _encode(directions: list[Diagram], spec: SweepSpec, format: DiagramFormat) -> bytes:
-    if format == "json":
-        return text.diagram_json(directions[0])
-    if format == "csv":
-        return text.diagrams_csv(directions)
-    return bifurcation.draw(directions, spec, format)
 
 
 def _complete(complete: bool) -> dict[str, str]:

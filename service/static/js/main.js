@@ -1,6 +1,7 @@
 // Shows the view that belongs to the address.
 
 import { SweepForm } from "./form/form.js";
+import { takeToken } from "./lib/api.js";
 import { currentAddress, discardPending } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
@@ -44,7 +45,11 @@ document.querySelector(".skip").addEventListener("click", (event) => {
   event.preventDefault();
   root.focus();
 });
-addEventListener("hashchange", () => showAddress(false));
+addEventListener("hashchange", () => {
+  takeToken();
+  showAddress(false);
+});
 document.addEventListener("visibilitychange", () => document.hidden || view.refresh(false)); // sweeps may have changed meanwhile
 watchConnection(() => view.refresh());
+takeToken();
 showAddress(true);

@@ -136,3 +136,11 @@ def test_hysteresis_with_rest_ends():
     assert thresholds(end["omega"], end["xi"] - 5e-4).cause == "fold (1,1)"
     omegas = end["omega"] + np.linspace(-0.01, 0.01, 9)
     assert {thresholds(float(omega), end["xi"] + 5e-4).cause for omega in omegas} == {EQ_25}
+
+
+@pytest.mark.parametrize(("omega", "xi"), [(0.28, 0.03), (0.22, 0.02)])
+def test_several_folds_of_one_branch(omega, xi):
+    """Some hold, others do not: each is judged by itself."""
+    found = thresholds(omega, xi)
+    assert found.cause in (EQ_25, UNRESOLVED) or found.cause.startswith("fold")
+    assert (found.reason != "") == (found.cause == UNRESOLVED) == math.isnan(found.down)

@@ -76,18 +76,25 @@ export function axisField(axis) {
 
 const PROTOCOLS = { rest: "every cell from rest", up: "ramp up", down: "ramp down", both: "ramp up, then down" };
 
-/** Each cell from rest, or a ramp: each cell from the final state of the one before. */
+const CYCLES = 12; // plate periods of the cycles that a ramp can begin on
+
+/** Each cell from rest, or a ramp: each cell from the final state of the one before, the first from rest or on a cycle. */
 export function protocolField() {
   const kind = h("select", { "data-field": "protocol", onchange: () => show() }, Object.entries(PROTOCOLS).map(([value, text]) => h("option", { value }, text)));
   const axis = h("select", { "data-field": "protocol.axis" }, AXES.map((value) => h("option", { value }, SYMBOL[value])));
   const along = h("label", {}, h("span", {}, "along"), axis);
-  const show = () => { along.hidden = kind.value === "rest"; };
+  const start = h("select", { "data-field": "protocol.start" }, h("option", { value: "" }, "from rest"),
+    Array.from({ length: CYCLES }, (_, i) => h("option", { value: i + 1 }, `on the stable cycle (1, ${i + 1})`)));
+  const begins = h("label", {}, h("span", {}, "first cell"), start);
+  const show = () => { along.hidden = begins.hidden = kind.value === "rest"; };
+  const ramp = () => ({ kind: "ramp", axis: axis.value, direction: kind.value, ...(start.value && { start: { periods: Number(start.value) } }) });
   return {
-    element: h("fieldset", { "data-group": "protocol" }, h("legend", {}, "Protocol"), h("label", {}, h("span", {}, "cells start"), kind), along),
-    read: () => (kind.value === "rest" ? { kind: "rest" } : { kind: "ramp", axis: axis.value, direction: kind.value }),
+    element: h("fieldset", { "data-group": "protocol" }, h("legend", {}, "Protocol"), h("label", {}, h("span", {}, "cells start"), kind), along, begins),
+    read: () => (kind.value === "rest" ? { kind: "rest" } : ramp()),
     write: (protocol = { kind: "rest" }) => {
       kind.value = protocol.kind === "rest" ? "rest" : protocol.direction;
       axis.value = protocol.axis ?? "gamma";
+      start.value = String(protocol.start?.periods ?? "");
       show();
     },
   };

@@ -23,6 +23,14 @@ const TOKEN_KEY = "bounce-token";
 
 export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token);
 
+/** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */
+export function takeToken() {
+  const [, token] = /^#token=(.+)$/.exec(location.hash) ?? [];
+  if (token === undefined) return;
+  setToken(decodeURIComponent(token));
+  history.replaceState(null, "", "#/");
+}
+
 /** The response to one request. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
 export async function request(path, { method = "GET", body, signal, timeout = TIMEOUT_MS, priority = "auto" } = {}) {
   const headers = {};
@@ -51,6 +59,18 @@ export async function request(path, { method = "GET", body, signal, timeout = TI
 export async function requestJson(path, options) {
   const response = await request(path, options);
   return response.status === 204 ? null : read(response, "json", options?.signal);
+}
+
+const POLL_MS = 1000;
+
+/** As requestJson, for an answer that workers compute first: it is requested again while the service answers 202. */
+export async function requestComputed(path, options = {}) {
+  for (;;) {
+    const response = await request(path, options);
+    if (response.status !== 202) return read(response, "json", options.signal);
+    await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+    options.signal?.throwIfAborted();
+  }
 }
 
 const ARRAY_TYPES = {

@@ -69,6 +69,9 @@ export const isClose = (a, b) => Math.abs(a - b) <= 1e-8 * Math.max(Math.abs(a),
 /** `index` limited to an array of `length`. */
 export const clampIndex = (index, length) => Math.min(Math.max(index, 0), length - 1);
 
+/** Whether a specification is of a sweep; other studies have no diagrams. */
+export const isSweep = ({ protocol }) => protocol.kind === "rest" || protocol.kind === "ramp";
+
 /** The directions of a sweep, as the service names them. */
 export function directionsOf({ protocol }) {
   if (protocol.kind === "rest") return ["rest"];

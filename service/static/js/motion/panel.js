@@ -1,6 +1,7 @@
 // The panel beside a view of a sweep: the trajectory of the selected cell.
 
 import { query } from "../lib/api.js";
+import { cycleStart, cycleText } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { csv, downloads, fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
@@ -20,7 +21,7 @@ export class TrajectoryPanel {
     this.onClose = onClose;
   }
 
-  /** Request and show the trajectory of a cell: {gamma, omega, xi, direction}. */
+  /** Request and show the trajectory of a cell, or of a cycle: {gamma, omega, xi, direction or cycleName}. */
   async show(job, cell) {
     const key = JSON.stringify(cell);
     if (this.shown === key) return;
@@ -34,8 +35,7 @@ export class TrajectoryPanel {
     else this.root.replaceChildren(this.#header(cell), this.computing.element);
     this.computing.show();
     try {
-      const parameters = query({ ...cell, periods: PERIODS, samples: SAMPLES });
-      const trajectory = await requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
+      const trajectory = await this.#request(job, cell, signal);
       this.#play(job, { ...cell, ...trajectory });
     } catch (error) {
       if (error.name === "AbortError") return;
@@ -48,6 +48,14 @@ export class TrajectoryPanel {
         this.root.removeAttribute("aria-busy");
       }
     }
+  }
+
+  /** The motion of a cell as the sweep left it; of a cycle, on an ideal plate from a start on it. */
+  #request(job, { direction, ...cell }, signal) {
+    const start = cycleStart(direction);
+    if (start) return requestTrajectory("/v1/trajectories", { method: "POST", signal, body: { ...cell, start, model: { kind: "rigid" }, periods: PERIODS, samples: SAMPLES } });
+    const parameters = query({ ...cell, direction, periods: PERIODS, samples: SAMPLES });
+    return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
   }
 
   hide() {
@@ -73,21 +81,23 @@ export class TrajectoryPanel {
     }
     this.trajectory = trajectory;
     this.#describeCell(trajectory);
-    this.readout.textContent = describe(trajectory);
+    this.readout.textContent = trajectory.cycle ? `On the ${cycleText(trajectory.cycle)}. ${describe(trajectory)}` : describe(trajectory);
     this.player.show(trajectory);
   }
 
   #header(cell) {
     this.about = h("p", { className: "note" });
+    this.title = h("h2", { tabindex: "-1" });
     this.#describeCell(cell);
     return h("header", {},
-      h("h2", { tabindex: "-1" }, "Trajectory of a cell"), this.about,
+      this.title, this.about,
       h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close"));
   }
 
   #describeCell({ gamma, omega, xi, direction }) {
     const values = Object.entries({ gamma, omega, xi }).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`);
-    this.about.textContent = `${values.join(", ")}, ${direction === "rest" ? "from rest" : `ramp ${direction}`}`;
+    this.title.textContent = `Trajectory of a ${cycleStart(direction) ? "cycle" : "cell"}`;
+    this.about.textContent = `${values.join(", ")}, ${startText(direction)}`;
   }
 
   #downloads(job) {
@@ -99,4 +109,9 @@ export class TrajectoryPanel {
       ["CSV", name("csv"), () => csv(["phase_rad", ...COLUMNS], rows())],
     ]);
   }
+}
+
+function startText(direction) {
+  if (cycleStart(direction)) return "on a cycle in closed form";
+  return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }

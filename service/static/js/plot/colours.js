@@ -3,7 +3,7 @@
 import { LABEL, OUTCOME, labelsOf, outcomeText } from "../lib/physics.js";
 
 const DARK = "(prefers-color-scheme: dark)";
-const PROPERTIES = ["surface", "text", "muted", "border", "up", "down", "single", "threshold", "cursor", "lower-mass"];
+const PROPERTIES = ["surface", "text", "muted", "border", "up", "down", "single", "threshold", "branch", "cursor", "lower-mass"];
 const SERIF = "'STIX Two Text', 'Iowan Old Style', Palatino, Georgia, 'DejaVu Serif', serif";
 const themes = new Map();
 

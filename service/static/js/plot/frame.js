@@ -4,21 +4,43 @@ import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
 
 export const FONT_SIZE = 13;
+const LEGEND_SPACE = 46; // px, of an entry's symbol and the spaces around it
+const HEADING_HEIGHT = 22; // px, of a line of the title or the legend
+const HEADING_MARGIN = 92; // px, left and right of them
 const NARROW = 520; // px: below this width, title and legend take a line each
 const TWO_PI = 2 * Math.PI;
 
 /** The plot box: the data area between the margins, in pixels, and the scales of its axes. */
 export function boxOf(ctx, content, width, height, theme, ratio) {
   const narrow = width < NARROW;
-  const headings = [content.title, content.legend?.length].filter(Boolean).length;
-  const [top, bottom] = [12 + (narrow ? 22 * headings : headings && 20), 46];
+  const headings = headingLines(ctx, content, width, theme, narrow);
+  const [top, bottom] = [12 + HEADING_HEIGHT * headings.lines, 46];
   const [left, right] = [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
-    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, ratio,
+    left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio,
     x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
     y: scale(content.y.low, content.y.high, height - bottom, top, content.y.log),
   };
 }
+
+/**
+ * How title and legend are laid out: {rows: the legend's entries in lines, lines: of both}. Where one line does not hold
+ * both, and on a narrow plot, the title has a line of its own.
+ */
+function headingLines(ctx, { title, legend = [] }, width, theme, narrow) {
+  ctx.font = headingFont(theme);
+  const widthOf = (entries) => entries.reduce((sum, [name]) => sum + ctx.measureText(name).width + LEGEND_SPACE, 0);
+  const rows = [];
+  for (const entry of legend) {
+    const row = rows.at(-1);
+    if (row && widthOf([...row, entry]) <= width - HEADING_MARGIN) row.push(entry);
+    else rows.push([entry]);
+  }
+  const isShared = title && rows.length === 1 && !narrow && ctx.measureText(title).width + widthOf(legend) <= width - HEADING_MARGIN;
+  return { rows, lines: rows.length + (title && !isShared ? 1 : 0) };
+}
+
+const headingFont = (theme) => `${FONT_SIZE + 1}px ${theme.serif}`;
 
 /** The left margin fits the label and the widest tick. */
 function leftMargin(ctx, { low, high, log }, height, theme, narrow) {
@@ -92,22 +114,26 @@ function drawYTicks(ctx, { y, left, top, width, height, theme }, periods) {
 
 const clamp = (at, low, high) => Math.min(Math.max(at, low + 0.5), high - 0.5);
 
-/** The title above the frame on the left, the legend on the right; on a narrow plot the title is on a line of its own. */
-export function drawHeadings(ctx, { left, top, width, narrow, theme }, { title = "", legend = [] }) {
-  ctx.font = `${FONT_SIZE + 1}px ${theme.serif}`;
+/** The title above the frame on the left, the legend on the right, below it where one line does not hold both. */
+export function drawHeadings(ctx, { left, top, width, headings, theme }, { title = "" }) {
+  ctx.font = headingFont(theme);
   ctx.textBaseline = "middle";
   ctx.textAlign = "left";
   ctx.fillStyle = theme.text;
-  ctx.fillText(title, left, narrow && legend.length ? top - 37 : top - 15);
+  const line = (i) => top - 15 - HEADING_HEIGHT * (headings.lines - 1 - i);
+  ctx.fillText(title, left, line(0));
   ctx.textAlign = "right";
-  let x = left + width;
-  for (const [name, drawSymbol] of [...legend].reverse()) {
-    ctx.fillStyle = theme.text;
-    ctx.fillText(name, x, top - 15);
-    x -= ctx.measureText(name).width + 34;
-    drawSymbol(ctx, x + 4, top - 15, theme);
-    x -= 12;
-  }
+  headings.rows.forEach((row, i) => {
+    const y = line(headings.lines - headings.rows.length + i);
+    let x = left + width;
+    for (const [name, drawSymbol] of [...row].reverse()) {
+      ctx.fillStyle = theme.text;
+      ctx.fillText(name, x, y);
+      x -= ctx.measureText(name).width + LEGEND_SPACE - 12;
+      drawSymbol(ctx, x + 4, y, theme);
+      x -= 12;
+    }
+  });
 }
 
 /** A sentence in the middle of an empty plot: why it is empty. */

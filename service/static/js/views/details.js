@@ -5,7 +5,7 @@ import { requestBlob } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { downloads, fileName, netcdf } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { axisValues } from "../lib/physics.js";
+import { axisValues, isSweep } from "../lib/physics.js";
 
 export class Details {
   constructor(root, { job }) {
@@ -19,20 +19,26 @@ export class Details {
     this.root.replaceChildren(h("div", {},
       h("h2", {}, "Specification"),
       h("pre", { tabindex: "0" }, JSON.stringify(job.spec, null, 2)),
-      h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
+      isSweep(job.spec) && h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
       h("h2", {}, "Python and command line"),
       h("p", {}, "The results as an xarray dataset, loaded as needed:"),
       h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
-      h("p", {}, "The bifurcation diagram as a file:"),
-      h("pre", { tabindex: "0" }, diagramCommand(job)),
-      downloads([
-        ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
-        ["Parquet", () => fileName(job, "sweep", "parquet"), () => requestBlob(`/v1/jobs/${job.id}/export?format=parquet`)],
-      ]),
+      ...(isSweep(job.spec) ? files(job) : []),
     ));
   }
+}
+
+function files(job) {
+  return [
+    h("p", {}, "The bifurcation diagram as a file:"),
+    h("pre", { tabindex: "0" }, diagramCommand(job)),
+    downloads([
+      ["NetCDF", () => fileName(job, "sweep", "nc"), netcdf(job)],
+      ["Parquet", () => fileName(job, "sweep", "parquet"), () => requestBlob(`/v1/jobs/${job.id}/export?format=parquet`)],
+    ]),
+  ];
 }
 
 /** The command needs a value for each fixed axis of several: the middle one. */

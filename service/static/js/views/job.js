@@ -3,7 +3,7 @@
 import { addressValue, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, h } from "../lib/dom.js";
-import { AXES, axisValues, directionsOf } from "../lib/physics.js";
+import { AXES, axisValues, directionsOf, isSweep } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
@@ -133,9 +133,11 @@ export class JobView {
 
   #showTab() {
     const { path, query } = currentAddress();
-    const current = TABS[path[2]] ? path[2] : this.#defaultTab();
+    const { spec } = this.job;
+    const tabs = isSweep(spec) ? TABS : { details: TABS.details };
+    const current = tabs[path[2]] ? path[2] : this.#defaultTab();
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
-    this.tabs.replaceChildren(...Object.entries(TABS).map(([tab, [title]]) =>
+    this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
       h("a", {
         href: target(tab, query), "aria-current": tab === current ? "page" : undefined,
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
@@ -143,10 +145,9 @@ export class JobView {
     this.view?.close();
     this.#showError(this.#failure());
     const [, View] = TABS[current];
-    const { spec } = this.job;
     this.view = new View(this.panel, {
       job: this.job,
-      grid: Object.fromEntries(AXES.map((axis) => [axis, axisValues(spec[axis])])),
+      grid: Object.fromEntries(AXES.filter((axis) => axis in spec).map((axis) => [axis, axisValues(spec[axis])])),
       directions: directionsOf(spec),
       onSelect: (cell) => this.#select(cell),
       selected: () => this.cell,
@@ -154,6 +155,7 @@ export class JobView {
   }
 
   #defaultTab() {
+    if (!isSweep(this.job.spec)) return "details";
     const { keep, omega } = this.job.spec;
     return keep < MIN_KEPT_FLIGHTS && axisValues(omega).length > 2 ? "thresholds" : "diagram";
   }

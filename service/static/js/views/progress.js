@@ -4,7 +4,7 @@ import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { confirmed, h } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, axisValues } from "../lib/physics.js";
+import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
 const RESUMABLE = new Set(["failed", "cancelled"]);
@@ -41,7 +41,9 @@ function amount(state, { cells_done: done, cells_total: total, percent, eta_seco
 /** Axes, start and contact model of a sweep, as nodes. */
 export function summary({ spec, choice }) {
   if (!spec) return ["specification too long to list"];
-  const axes = AXES.flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
+  const axes = AXES.filter((axis) => axis in spec)
+    .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
+  if (!isSweep(spec)) return [...axes, h("span", {}, `study: ${spec.protocol.kind}`)];
   const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
   return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`)];
 }
@@ -68,9 +70,10 @@ function axisText(axis) {
   return `${number(values[0])} – ${number(values.at(-1))} (${count(values.length)})`;
 }
 
-function protocolText({ kind, axis, direction }) {
+function protocolText({ kind, axis, direction, start }) {
   if (kind === "rest") return "from rest";
-  return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}`;
+  const from = start ? ` from the cycle (1, ${start.periods})` : "";
+  return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}${from}`;
 }
 
 const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };

@@ -2,6 +2,7 @@
 
 import { addressValue, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
+import { hasCycles } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
@@ -9,6 +10,7 @@ import { axisLabel, clampIndex, initialValue, isLog, nearestIndex, threshold } f
 import { directionColour } from "../plot/colours.js";
 import { circle, disc, polyline, verticalLine } from "../plot/drawing.js";
 import { extent } from "../plot/scale.js";
+import { ClosedFormBox, drawFolds, foldLegend, requestFolds } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
@@ -34,6 +36,7 @@ const UNDECIDED = new Set(["unresolved", "diverged", "settling"]);
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
   name = "thresholds";
+  folds = null; // curves of folds over Ω; null where they are not shown
 
   constructor(root, view) {
     super(view);
@@ -43,13 +46,37 @@ export class Thresholds extends PlotView {
       setQuery({ xi: addressValue(value) });
       this.load();
     };
-    const controls = h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove));
+    const canHaveFolds = hasCycles(this.job) && this.grid.omega.length > 1;
+    this.closedForm = canHaveFolds && new ClosedFormBox("Folds", this.initial.folds === "1", (checked) => {
+      setQuery({ folds: checked ? 1 : null });
+      this.load();
+    });
+    const controls = h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove), this.closedForm?.element);
     this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT });
   }
 
   async request(signal) {
     this.thresholds = await requestJson(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
-    return { xi: this.thresholds.xi };
+    await this.#loadFolds(signal);
+    return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
+  }
+
+  /** The folds, if they are to be shown. Workers compute them, which takes some seconds: the thresholds are drawn first. */
+  async #loadFolds(signal) {
+    if (!this.closedForm?.checked) this.folds = null;
+    if (!this.closedForm?.checked || this.folds?.xi === this.thresholds.xi) return;
+    const { omega, gamma } = this.grid;
+    this.folds = null;
+    this.plot.draw();
+    this.closedForm.note.textContent = "computing …";
+    try {
+      this.folds = await requestFolds(this.thresholds.xi, [omega[0], omega.at(-1)], gamma.at(-1), { signal });
+      this.closedForm.note.textContent = "";
+    } catch (error) {
+      this.closedForm.note.textContent = "";
+      if (!error.status || error.status === 401) throw error;
+      this.closedForm.note.textContent = error.message;
+    }
   }
 
   whole() {
@@ -81,7 +108,7 @@ export class Thresholds extends PlotView {
       title: `ξ = ${number(xi)}`,
       legend: this.#legend(),
       message: this.#message(complete),
-      layers: [(ctx, box) => this.#draw(ctx, box)],
+      layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box)],
       cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
     };
   }
@@ -117,6 +144,7 @@ export class Thresholds extends PlotView {
     const line = (ctx, x, y, colour, width, dash) => polyline(ctx, colour, width, [[x, y], [x + 24, y]], dash);
     return [
       ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
+      ...(this.folds ? foldLegend() : []),
       ...this.#series().map(({ key, name, direction }) => [name, (ctx, x, y, theme) => {
         const colour = directionColour(direction, theme);
         line(ctx, x, y, colour, 1.2);
@@ -152,7 +180,14 @@ export class Thresholds extends PlotView {
       const value = this.thresholds[key][index];
       parts.push(`${name}: ${value === null ? REASONS[this.thresholds[`${key}_status`][index]](this.grid.gamma) : number(value, 4)}`);
     }
-    return parts.join(" · ");
+    return [...parts, ...this.#predictionText(index)].join(" · ");
+  }
+
+  /** Where the closed form says that bouncing ends and why, and why the sweep differs. */
+  #predictionText(index) {
+    const { predicted_down: down, cause, difference } = this.thresholds;
+    if (!this.closedForm || down[index] === null) return [];
+    return [`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, ...(difference[index] ? [difference[index]] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
@@ -165,9 +200,9 @@ export class Thresholds extends PlotView {
   }
 
   table() {
-    const { omega, xi, analytic, up, down, up_status, down_status } = this.thresholds;
-    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status"],
-      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i]]));
+    const { omega, xi, analytic, up, down, up_status, down_status, predicted_jump: jump, predicted_down: end, cause } = this.thresholds;
+    return csv(["omega", "xi", "eq_25", "up", "up_status", "down", "down_status", "predicted_jump", "predicted_down", "cause"],
+      omega.map((value, i) => [value, xi, analytic[i], up[i], up_status[i], down[i], down_status[i], jump[i], end[i], cause[i]]));
   }
 }
 

@@ -1,4 +1,4 @@
-"""Startup scrub: verifies stored checksums, repairs metadata, removes orphaned files.
+"""Startup scrub: verifies stored checksums, repairs metadata, finds stores that the ledger does not know.
 
 A thread goes once through the jobs that the ledger had at the start: first the unfinished ones, which wait
 for it, then the others, the last accepted first. It reads every stored chunk once, which takes a fraction
@@ -6,17 +6,16 @@ of a millisecond per chunk. Damage in a job it has not reached is met when the j
 """
 
 import logging
-import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
-from pathlib import Path
 from typing import Final
 
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
 from service.jobs.prepare import JobPreparer
-from service.jobs.repair import Repairer
+from service.jobs.stores.adoption import find_unknown
+from service.jobs.stores.repair import Repairer
 from service.settings import Settings
 from worker import store
 
@@ -26,8 +25,8 @@ log = logging.getLogger(__name__)
 CHUNKS_PER_PAGE: Final = 500
 #: Jobs read from the ledger at once.
 JOBS_PER_PAGE: Final = 100
-#: The names in the folder of the stores: stores, their cancel flags, and stores being removed.
-_OWN_NAME: Final = re.compile(r"([0-9a-f]{32})\.zarr(\.cancelled|\.deleted-[0-9a-f]+)?")
+#: Unknown stores that the log names one by one.
+MAX_NAMED: Final = 20
 
 
 class Scrubber:
@@ -44,6 +43,7 @@ class Scrubber:
         self._ledger, self._settings, self._wake = ledger, settings, wake
         self._preparer, self._repairer = preparer, repairer
         self._verified: set[str] = set()
+        self.unknown_stores: Sequence[str] = ()  # addresses; the ledger did not know them at the start
         self._newest = 0  # the last job there was at the start; later ones need no verification
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="scrubber", daemon=True)
@@ -70,11 +70,11 @@ class Scrubber:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._remove_orphans()
                 for job in chain(self._waiting(), self._all()):
                     if self._stop.is_set():
                         return
                     self._scrub(job)
+                self._find_unknown()
                 return
             except Exception:  # such as a ledger that does not answer
                 pause = self._settings.heartbeat_seconds
@@ -139,16 +139,10 @@ class Scrubber:
             last = page[-1][0]
             yield
 
-    def _remove_orphans(self) -> None:
-        """Remove stores and cancel flags without a job in the ledger, as an interrupted deletion leaves them.
-
-        Not beside an empty ledger, nor in a folder that the settings name: those may belong to another
-        service.
-        """
-        if self._newest == 0 or self._settings.stores is not None:
-            return
-        for path in list(Path(self._settings.store_of("")).parent.glob("*")):
-            own = _OWN_NAME.fullmatch(path.name)
-            if own and (".deleted-" in path.name or self._ledger.find(own[1]) is None):
-                log.warning("removing %s, which belongs to no job", path.name)
-                store.remove(str(path)) if path.is_dir() else path.unlink(missing_ok=True)
+    def _find_unknown(self) -> None:
+        """Report stores without a job in the ledger. They may be all that is left of a job: they stay."""
+        self.unknown_stores = find_unknown(self._ledger, self._settings)
+        for url in self.unknown_stores[:MAX_NAMED]:
+            log.warning("%s is unknown to the ledger and left alone: bounce adopt takes it in", url)
+        if more := len(self.unknown_stores[MAX_NAMED:]):
+            log.warning("%d more stores are unknown to the ledger and left alone", more)

@@ -30,13 +30,19 @@ class Repair(NamedTuple):
 class Repairer:
     """Repairs stores. Its methods may be called from any thread.
 
-    `on_invalidated` is called with a job's id and its chunks when chunks are to be computed again.
+    `on_invalidated` is called with a job's id and its chunks when chunks are to be computed again,
+    `after_writing` with a job whose store was written to: it may have been deleted meanwhile.
     """
 
     def __init__(
-        self, ledger: Ledger, preparer: JobPreparer, on_invalidated: Callable[[str, Sequence[int]], None]
+        self,
+        ledger: Ledger,
+        preparer: JobPreparer,
+        on_invalidated: Callable[[str, Sequence[int]], None],
+        after_writing: Callable[[JobRecord], None] = lambda job: None,
     ) -> None:
-        self._ledger, self._preparer, self._on_invalidated = ledger, preparer, on_invalidated
+        self._ledger, self._preparer = ledger, preparer
+        self._on_invalidated, self._after_writing = on_invalidated, after_writing
 
     def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
         """Repair a store in which a reader met damage, in these chunks or outside any."""
@@ -59,8 +65,10 @@ class Repairer:
     def repair_metadata(self, job: JobRecord) -> None:
         """Rewrite damaged metadata and coordinates; not those of an outdated job, which differ."""
         if not job.outdated:
+            self._ledger.check()
             prepared = self._preparer.prepare(job)
-            store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
+            if store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes):
+                self._after_writing(job)
 
     def invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
         """Have chunks of a job computed again; until then their cells read as missing.

@@ -1,0 +1,114 @@
+"""The commands on the data folder itself, which need no service: backup, restore, adopt, doctor."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from service.cli.options import DEFAULT_URL, data_option
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+
+
+@click.command()
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@data_option
+def backup(file: Path, data: str | None) -> None:
+    """Copy the ledger to FILE, also while the service runs.
+
+    FILE has all jobs and marks of one moment, or is left as it was. Results are not in it: copy the stores
+    too, after the ledger.
+    """
+    from service.jobs import backup as backups
+
+    contents = backups.backup(_settings(data).ledger_path, file)
+    click.echo(f"{file}: {contents.jobs} jobs, {contents.chunks} done chunks")
+
+
+@click.command()
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@data_option
+def restore(file: Path, data: str | None) -> None:
+    """Put a backup in place of the ledger; no service may be using the folder.
+
+    The ledger that was there is kept beside it. Stores that the backup does not know are left alone: "bounce
+    adopt --all" takes them in.
+    """
+    from service.jobs import backup as backups
+
+    settings = _settings(data)
+    restored = backups.restore(settings.ledger_path, file)
+    jobs, chunks = restored.contents
+    click.echo(f"{settings.ledger_path}: {jobs} jobs, {chunks} done chunks")
+    if restored.replaced is not None:
+        click.echo(f"the ledger that was there is {restored.replaced}")
+    if unknown := _unknown_stores(settings):
+        click.echo(f"{len(unknown)} stores are unknown to it: bounce adopt --all takes them in")
+
+
+@click.command()
+@click.argument("stores", metavar="[STORE]...", nargs=-1)
+@click.option("--all", "every", is_flag=True, help="Adopt every store that the ledger does not know.")
+@data_option
+def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
+    """Take in stores that the ledger does not know; no service may be using the folder.
+
+    STORE is a job's id or the name of its store. Every chunk is read; those that are whole count as done, and
+    "bounce resume" computes the others. Stores are not changed.
+    """
+    from service.errors import NotAdoptable
+    from service.jobs.stores import adoption
+
+    if bool(stores) == every:
+        raise click.UsageError("name the stores to adopt, or give --all")
+    settings, refused = _settings(data), 0
+    if not settings.data.is_dir():
+        raise click.BadParameter(f"there is no folder {settings.data}", param_hint="'--data'")
+    with adoption.open_ledger(settings) as ledger:
+        unknown = adoption.find_unknown(ledger, settings)
+        ids = [Path(store).name.removesuffix(".zarr") for store in (unknown if every else stores)]
+        for job_id in ids:
+            try:
+                job = adoption.adopt(ledger, settings, job_id)
+            except NotAdoptable as error:
+                refused += 1
+                click.echo(f"Error: {error}", err=True)
+            else:
+                click.echo(
+                    f"{job.id}  {job.state}  {job.chunks_done} of {job.chunks_total} chunks  {job.name}"
+                )
+    if refused:
+        raise click.exceptions.Exit(1)
+
+
+@click.command()
+@data_option
+@click.option("--url", default=DEFAULT_URL, show_default=True, envvar="BOUNCE_URL", show_envvar=True,
+              help="Address of the service, if one should be running.")  # fmt: skip
+def doctor(data: str | None, url: str) -> None:
+    """Look at what the service needs, change nothing, and exit with 1 if something needs attention."""
+    from service.cli.doctor import examine
+
+    findings = examine(_settings(data), url)
+    for finding in findings:
+        click.echo(f"{'ok' if finding.ok else '!!':<4}{finding.subject:<18}{finding.text}")
+    if not all(finding.ok for finding in findings):
+        raise click.exceptions.Exit(1)
+
+
+COMMANDS = (backup, restore, adopt, doctor)
+
+
+def _settings(data: str | None) -> "Settings":
+    from service.server import embedded
+
+    options: dict[str, Any] = {"data": data}
+    return embedded.settings(**options)
+
+
+def _unknown_stores(settings: "Settings") -> list[str]:
+    from service.jobs.stores import adoption
+
+    with adoption.open_ledger(settings) as ledger:
+        return adoption.find_unknown(ledger, settings)

@@ -1,0 +1,137 @@
+"""Backups of the ledger: copied while the service runs, checked, and put in place of one that is lost."""
+
+import os
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Final, NamedTuple
+from urllib.parse import quote
+
+from service.errors import LedgerUnavailable, LedgerUnusable
+from service.jobs.ledger import check, copy_to, locked
+from service.jobs.ledger_files import aside, shm_of, wal_of
+from worker.ownership import PRIVATE_FILE
+
+SQLITE_VERSION: Final = sqlite3.sqlite_version
+
+
+class Contents(NamedTuple):
+    """What a ledger holds."""
+
+    jobs: int
+    chunks: int  # marked done
+
+
+class Restored(NamedTuple):
+    """A ledger that was put in place, and where the one before is now."""
+
+    contents: Contents
+    replaced: Path | None
+
+
+def backup(ledger: Path, file: Path) -> Contents:
+    """Copy a ledger to `file`, as it is at one moment, whole or not at all; a service may be using it.
+
+    Raises LedgerUnavailable if it cannot be read or written, LedgerUnusable if it is damaged.
+    """
+    if not ledger.is_file():
+        raise LedgerUnavailable(f"there is no ledger {ledger}")
+    try:
+        with _opened(ledger) as source:
+            copy_to(source, file)
+    except sqlite3.OperationalError as error:
+        raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {error}") from error
+    except sqlite3.DatabaseError as error:
+        raise LedgerUnusable(f"{ledger} cannot be copied: {error}") from error
+    file.chmod(PRIVATE_FILE)
+    _sync(file)
+    return inspect(file)
+
+
+def restore(ledger: Path, file: Path) -> Restored:
+    """Put a backup in place of a ledger that no service uses; the one that was there is kept beside it.
+
+    Deletions that the backup has are forgotten: what they name may have been computed again since. Raises
+    DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is no whole ledger.
+    """
+    if not file.is_file():
+        raise LedgerUnusable(f"there is no file {file}")
+    contents = inspect(file)
+    ledger.parent.mkdir(parents=True, exist_ok=True)
+    partial = ledger.with_name(f"{ledger.name}.partial")
+    with locked(ledger):
+        try:
+            shutil.copyfile(file, partial)
+            with closing(sqlite3.connect(partial)) as connection, connection:
+                if "deletions" in _tables(connection):
+                    connection.execute("DELETE FROM deletions")
+                connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming puts in place
+            partial.chmod(PRIVATE_FILE)
+            _sync(partial)
+            replaced = _set_aside(ledger)
+            partial.replace(ledger)
+            _sync(ledger.parent)
+        except sqlite3.Error as error:
+            raise LedgerUnusable(f"{file} cannot be restored: {error}") from error
+        finally:
+            for path in (partial, wal_of(partial), shm_of(partial)):
+                path.unlink(missing_ok=True)
+    return Restored(contents, replaced)
+
+
+def inspect(file: Path) -> Contents:
+    """Check a ledger and count what it holds; a service may be using it. Raises LedgerUnusable."""
+    try:
+        with _opened(file) as connection:
+            check(connection, file)
+            if "jobs" not in _tables(connection):
+                raise LedgerUnusable(f"{file} is no ledger")
+            [jobs, chunks] = connection.execute("SELECT count(*), total(chunks_done) FROM jobs").fetchone()
+    except sqlite3.DatabaseError as error:
+        raise LedgerUnusable(f"{file} cannot be read: {error}") from error
+    return Contents(int(jobs), int(chunks))
+
+
+def known_ids(file: Path) -> set[str]:
+    """The ids of a ledger's jobs, and of those whose results are being removed. Raises LedgerUnusable."""
+    try:
+        with _opened(file) as connection:
+            deleted = "UNION SELECT job FROM deletions" if "deletions" in _tables(connection) else ""
+            return {row[0] for row in connection.execute(f"SELECT id FROM jobs {deleted}")}
+    except sqlite3.DatabaseError as error:
+        raise LedgerUnusable(f"{file} cannot be read: {error}") from error
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[sqlite3.Connection]:
+    """A connection that changes nothing, not even by applying a log: it may be another copy's."""
+    mode = "mode=ro" if wal_of(file).exists() else "mode=ro&immutable=1"
+    with closing(sqlite3.connect(f"file:{quote(str(file.absolute()))}?{mode}", uri=True)) as connection:
+        yield connection
+
+
+def _tables(connection: sqlite3.Connection) -> set[str]:
+    return {row[0] for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+
+
+def _set_aside(ledger: Path) -> Path | None:
+    """Rename a ledger with its log, which belongs to it; None if there is none."""
+    if not ledger.exists():
+        for path in (wal_of(ledger), shm_of(ledger)):
+            path.unlink(missing_ok=True)
+        return None
+    replaced = aside(ledger, "replaced")
+    for of in (wal_of, shm_of):
+        if of(ledger).exists():
+            of(ledger).rename(of(replaced))
+    return ledger.rename(replaced)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

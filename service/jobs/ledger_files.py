@@ -1,0 +1,200 @@
+"""The files of an open ledger: whether they are still those at their paths.
+
+Files can be moved, replaced and overwritten under a running service, by a restore, a synchronised folder or a
+mistake. SQLite does not notice: it would go on writing to a file that nobody finds again, or mix two ledgers.
+"""
+
+import logging
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from service.errors import LedgerUnusable
+
+log = logging.getLogger(__name__)
+
+#: File systems shared between machines: SQLite's WAL mode needs memory that all users of the file share.
+NETWORK: Final = frozenset(
+    (
+        "9p", "afs", "beegfs", "ceph", "cifs", "fuse.glusterfs", "fuse.s3fs", "fuse.sshfs", "glusterfs",
+        "gpfs", "lustre", "ncpfs", "nfs", "nfs4", "smb3", "smbfs",
+    )
+)  # fmt: skip
+
+#: Why a copy of a ledger is beside it, in its name.
+COPIES: Final = ("as-found", "rescued", "replaced")
+
+_Inode = tuple[int, int]
+
+
+def wal_of(path: Path) -> Path:
+    """The write-ahead log of a ledger."""
+    return path.with_name(f"{path.name}-wal")
+
+
+def shm_of(path: Path) -> Path:
+    """The index of the write-ahead log."""
+    return path.with_name(f"{path.name}-shm")
+
+
+def lock_of(path: Path) -> Path:
+    """The file that the user of a ledger holds a lock on."""
+    return path.with_suffix(".lock")
+
+
+def aside(path: Path, why: str) -> Path:
+    """A free path beside a ledger for another copy of it, with the time in its name."""
+    stamp = time.strftime("%Y%m%dT%H%M%S")
+    candidate, number = path.with_name(f"{path.stem}-{why}-{stamp}{path.suffix}"), 1
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.stem}-{why}-{stamp}-{number}{path.suffix}")
+    return candidate
+
+
+class OpenFiles:
+    """What a ledger has open, as it was when this was made: after the files were opened and written to."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._inodes = {file: _inode(file) for file in (path.parent, lock_of(path), path)}
+        self._logs = {file: _inode(file) for file in (wal_of(path), shm_of(path))}
+        self._written = self._state()
+        self._rescued = False
+
+    def note_written(self) -> None:
+        """The caller has written to the ledger."""
+        self._written = self._state() or self._written
+
+    def changed_from_outside(self) -> bool:
+        """Whether the main file, still the same, was written by somebody else."""
+        state = self._state()
+        return state != self._written and state is not None and _inode(self._path) == self._inodes[self._path]
+
+    def replaced(self) -> str | None:
+        """Which of folder, lock and main file is not the one that is open, and what to do; None if none."""
+        for file, opened in self._inodes.items():
+            now = _inode(file)
+            if now != opened:
+                what = "is gone" if now is None else "is another one now"
+                name = (
+                    f"the data folder {file.name}"
+                    if file == self._path.parent
+                    else f"the data folder's {file.name}"
+                )
+                return (
+                    f"{name} {what}, moved or replaced while the service runs: nothing is accepted or "
+                    "written; put it back, or stop the service and start it again"
+                )
+        return None
+
+    def lost_wal(self) -> bool:
+        """Whether the write-ahead log, or its index, is not the one that is open."""
+        return any(_inode(file) != opened for file, opened in self._logs.items())
+
+    def set_logs_aside(self) -> None:
+        """Move away what is at the paths of the log and its index, and was never part of this ledger."""
+        for file, opened in self._logs.items():
+            if _inode(file) not in (None, opened):
+                file.rename(aside(file, "foreign"))
+
+    def rescue_path(self) -> Path | None:
+        """Where to copy the open ledger to, once, if only the main file was removed or replaced."""
+        others = (file for file in self._inodes if file != self._path)
+        if self._rescued or any(_inode(file) != self._inodes[file] for file in others):
+            return None
+        self._rescued = True
+        return aside(self._path, "rescued")
+
+    def _state(self) -> tuple[int, int] | None:
+        try:
+            status = self._path.stat()
+        except OSError:
+            return None
+        return status.st_size, status.st_mtime_ns
+
+
+@contextmanager
+def as_found(path: Path) -> Iterator[None]:
+    """Keep a ledger with an unfinished write-ahead log as it was found, if the block finds it unusable.
+
+    Opening and closing it moves the log's contents to the main file, which cannot be undone if the log
+    belongs to another copy. The error names the copies that are beside the ledger.
+    """
+    copy = _copy_with_log(path) if path.exists() and size_of(wal_of(path)) else None
+    try:
+        yield
+    except LedgerUnusable as error:
+        copies = ", ".join(str(other) for other in copies_of(path))
+        raise LedgerUnusable(f"{error}; beside it: {copies}" if copies else str(error)) from error
+    except BaseException:
+        _remove(copy)
+        raise
+    else:
+        _remove(copy)
+
+
+def copies_of(path: Path) -> list[Path]:
+    """The copies of a ledger that this module and a restore have made beside it, the last ones last."""
+    return sorted(
+        (copy for why in COPIES for copy in path.parent.glob(f"{path.stem}-{why}-*{path.suffix}")),
+        key=lambda copy: copy.stat().st_mtime,
+    )
+
+
+def _copy_with_log(path: Path) -> Path | None:
+    copy = aside(path, "as-found")
+    try:
+        shutil.copy2(path, copy)
+        shutil.copy2(wal_of(path), wal_of(copy))
+    except OSError as error:  # a full disk: the service must be able to start
+        log.warning("no copy of %s is made before its log is applied: %s", path, error)
+        _remove(copy)
+        return None
+    return copy
+
+
+def _remove(copy: Path | None) -> None:
+    for file in (copy, wal_of(copy)) if copy is not None else ():
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file; 0 if it is missing."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def network_file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
+    """The type of the file system that holds `path`, if other machines share it; None if not, or unknown."""
+    kind = file_system(path, mounts)
+    return kind if kind in NETWORK else None
+
+
+def file_system(path: Path, mounts: Path = Path("/proc/self/mountinfo")) -> str | None:
+    """The type of the file system that holds `path`, as the system's table of mounts has it."""
+    try:
+        lines = mounts.read_text().splitlines()
+    except OSError:
+        return None
+    path, found = path.absolute(), (-1, "")
+    for line in lines:
+        fields, _, rest = line.partition(" - ")
+        point = Path(fields.split()[4].replace("\\040", " "))
+        if path.is_relative_to(point):
+            found = max(found, (len(point.parts), rest.split()[0]), key=lambda mount: mount[0])
+    return found[1] or None
+
+
+def _inode(path: Path) -> _Inode | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino

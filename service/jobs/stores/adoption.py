@@ -1,0 +1,133 @@
+"""Stores that the ledger does not know: found, and taken in again from what they say of themselves.
+
+An older copy of the ledger does not know the jobs that were accepted since. Their stores have everything
+else: the specification, how it was cut into chunks, and the chunks, of which each carries its checksums.
+"""
+
+import json
+import logging
+import re
+import time
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+from kernel.params import Outcome
+from service.errors import NotAdoptable
+from service.jobs.ledger import Ledger
+from service.jobs.model import JobRecord, NewJob
+from service.jobs.prepare import parse_stored
+from service.settings import Settings
+from worker import store
+from worker.analysis.model_selection import ModelChoice
+from worker.schema import Layout
+from worker.spec.errors import SpecError
+from worker.store import StoreError
+from worker.studies import Plan, study_of
+from worker.tasks import ChunkReport
+
+log = logging.getLogger(__name__)
+
+_STORE_NAME: Final = re.compile(r"([0-9a-f]{32})\.zarr")
+
+
+class _Contents(NamedTuple):
+    """What a store says of itself."""
+
+    job: NewJob
+    plan: Plan
+    layout: Layout
+    choice: str | None
+
+
+def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
+    """Addresses of the stores without a job in the ledger, sorted; not those that are being removed.
+
+    Raises OSError, or one of `store.UNREACHABLE`.
+    """
+    names = store.names_in(settings.store_of("").rsplit("/", 1)[0])
+    ids = [match[1] for name in names if (match := _STORE_NAME.fullmatch(name))]
+    with ledger.reading() as reading:
+        known = reading.ids() | {deletion.job_id for deletion in reading.deletions()}
+    return [settings.store_of(job_id) for job_id in ids if job_id not in known]
+
+
+def has_stores(settings: Settings) -> bool:
+    """Whether there are stores where the settings say; assumed of a place that does not answer."""
+    try:
+        names = store.names_in(settings.store_of("").rsplit("/", 1)[0])
+    except Exception as error:  # noqa: BLE001 - whatever keeps it from answering
+        log.warning("the stores cannot be listed: %s", error)
+        return True
+    return any(_STORE_NAME.fullmatch(name) for name in names)
+
+
+def open_ledger(settings: Settings) -> Ledger:
+    """The ledger of the settings' data folder. Raises as `Ledger` does."""
+    return Ledger(settings.ledger_path, partial(has_stores, settings))
+
+
+def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
+    """Take a store in as the job that it says it is; each chunk that can be read whole is done.
+
+    The job is done if all chunks are, else failed: resuming it computes the others. Nothing of the store is
+    changed. Raises NotAdoptable if it is no whole store, or if the ledger knows the job.
+    """
+    url = settings.store_of(job_id)
+    if ledger.find(job_id) is not None:
+        raise NotAdoptable(f"{url}: the ledger knows this job")
+    try:
+        contents = _contents(url, job_id)
+    except (StoreError, SpecError, LookupError, TypeError, ValueError) as error:
+        raise NotAdoptable(f"{url} cannot be adopted: {error}") from error
+    reports = list(_whole_chunks(url, contents))
+    found = f"{len(reports)} of {contents.job.chunks_total} chunks were found whole in its store"
+    with ledger.writing() as writing:
+        writing.adopt(
+            contents.job, reports, contents.choice, time.time(), f"adopted: {found}; resume it for the rest"
+        )
+        job = writing.find(job_id)
+    assert job is not None
+    return job
+
+
+def _contents(url: str, job_id: str) -> _Contents:
+    """Raises StoreError, SpecError, or what reading unexpected attributes raises."""
+    attrs = store.read_attrs(url)
+    version = str(attrs["kernel_version"])
+    spec = parse_stored(json.dumps(attrs["spec"]), version)
+    if not attrs["job"] == spec.job_id(version) == job_id:
+        raise ValueError(f"it says that it holds job {attrs['job']}, its sweep is {spec.job_id(version)}")
+    study = study_of(spec)
+    plan: Plan = study.plan(spec, tuple(attrs["chunk_shape"]))
+    job = NewJob(
+        id=job_id,
+        name=spec.name,
+        spec=json.dumps(spec.as_submitted()),
+        kernel_version=version,
+        chunk_shape=plan.chunk_shape,
+        chunks_total=len(plan),
+        cells_total=plan.cells,
+    )
+    return _Contents(job, plan, study.variables(spec, plan.chunk_shape), _choice(attrs.get("choice")))
+
+
+def _choice(stored: Any) -> str | None:
+    """The chosen model of an `auto` sweep; the timings of choosing it are not stored."""
+    if stored is None:
+        return None
+    rows = [{**row, "measured": None} for row in stored["table"]]
+    return ModelChoice.model_validate_json(json.dumps({**stored, "table": rows})).model_dump_json()
+
+
+def _whole_chunks(url: str, contents: _Contents) -> Iterator[ChunkReport]:
+    """Reports of the chunks whose arrays can all be decoded and whose cells all have an outcome."""
+    for chunk in contents.plan:
+        checksum = store.checksum_of(url, contents.layout, chunk)
+        try:
+            record = store.read_chunk(url, chunk, contents.layout.names, complete=True)
+        except StoreError:
+            continue
+        counts = [int((record["outcome"] == outcome).sum()) for outcome in Outcome]
+        if sum(counts) == chunk.cells and not counts[Outcome.MISSING]:
+            yield ChunkReport(chunk.index, chunk.cells, 0.0, 0.0, checksum, tuple(counts))

@@ -1,0 +1,136 @@
+"""Removal of deleted jobs' results, as the ledger records it: in the background, and again until it succeeds.
+
+Nothing else removes a store. A deletion is recorded in the transaction that forgets the job, so one that is
+interrupted goes on at the next start. No lock is held while files are removed: a bucket may take minutes.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from service.errors import LedgerUnavailable
+from service.jobs.ledger import Ledger
+from service.jobs.model import JobRecord
+from service.jobs.transactions import Deletion, DeletionStep
+from service.settings import Settings
+from worker import store
+
+log = logging.getLogger(__name__)
+
+#: Seconds until a deletion that failed is tried again at first, and at most; doubled each time.
+RETRY_SECONDS: Final = 1.0
+MAX_RETRY_SECONDS: Final = 60.0
+
+
+class Deleter:
+    """Carries out the deletions that the ledger has; `on_freed` is called when a job's address is free again.
+
+    `start`, `wake` and `stop` may be called from any thread.
+    """
+
+    def __init__(self, ledger: Ledger, settings: Settings, on_freed: Callable[[], None]) -> None:
+        self._ledger, self._settings, self._on_freed = ledger, settings, on_freed
+        self._recorded, self._stopping = threading.Event(), threading.Event()
+        self.kept: list[str] = []  # addresses of stores that are later than their recorded deletion
+        self._inherited: set[Deletion] = set()  # from earlier runs of the service
+        self._thread = threading.Thread(target=self._work, name="deleter", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread, with the deletions that earlier runs of the service have left."""
+        with self._ledger.writing() as ledger:
+            ledger.forget_deletions(DeletionStep.COMPLETE)
+            self._inherited = set(ledger.deletions())
+        self._recorded.set()
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Look for deletions now. Call it after one was recorded."""
+        self._recorded.set()
+
+    def repeat(self, job: JobRecord) -> None:
+        """Remove what was written at the job's address since its deletion, if it was deleted.
+
+        Call it after writing outside a transaction: the job may have been deleted meanwhile. If its study was
+        accepted again, what is at the address is the new job's.
+        """
+        with self._ledger.writing() as ledger:
+            repeated = ledger.find(job.id) is None and ledger.repeat_deletion(job, time.time())
+        if repeated:
+            log.info("job %s was deleted while its store was written: removing it again", job.id)
+            self.wake()
+
+    def stop(self, seconds: float) -> None:
+        """End the thread, within `seconds`; the next start goes on with what is left."""
+        self._stopping.set()
+        self.wake()
+        if self._thread.is_alive():
+            self._thread.join(seconds)
+
+    def _work(self) -> None:
+        pause: float | None = None  # until the next try of those that failed
+        while True:
+            self._recorded.wait(pause)
+            if self._stopping.is_set():
+                return
+            self._recorded.clear()
+            complete = self._carry_out_all()
+            pause = None if complete else min(2 * pause if pause else RETRY_SECONDS, MAX_RETRY_SECONDS)
+
+    def _carry_out_all(self) -> bool:
+        """Whether nothing is left to remove."""
+        try:
+            with self._ledger.reading() as ledger:
+                pending = ledger.deletions()
+        except LedgerUnavailable as error:
+            log.warning("deletions wait: %s", error)
+            return False
+        return sum(not self._carry_out(deletion) for deletion in pending) == 0
+
+    def _carry_out(self, deletion: Deletion) -> bool:
+        """Remove one deleted job's store; whether it is gone."""
+        if self._stopping.is_set():
+            return False
+        url = self._settings.store_of(deletion.job_id)
+        began = time.monotonic()
+        try:
+            self._ledger.check()
+            if deletion.step is DeletionStep.RECORDED and not self._free(deletion, url):
+                return True
+            store.remove(_renamed(url, deletion))
+            self._advance(deletion, DeletionStep.COMPLETE)
+        except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that cannot be changed
+            log.warning("%s cannot be removed now, it is tried again: %s", url, error)
+            return False
+        log.info("%s is removed, in %.1f s", url, time.monotonic() - began)
+        return True
+
+    def _free(self, deletion: Deletion, url: str) -> bool:
+        """Free a deleted job's address; False if a later store is there, which stays."""
+        created = store.created_at(url) if deletion in self._inherited else None
+        if created is not None and created > deletion.created:
+            log.error("%s was created after its job was deleted: it stays, the ledger is an older copy", url)
+            self._advance(deletion, DeletionStep.COMPLETE)
+            self.kept.append(url)
+            return False
+        # A worker that lost its connection may still be computing: the cancel flag stops it, and without
+        # its metadata the store accepts no chunk.
+        try:
+            store.set_cancelled(url)
+        except Exception as error:  # noqa: BLE001 - no inode left, a folder that cannot be written
+            log.warning("the cancel flag of %s cannot be set: %s", url, error)
+        store.rename_for_deletion(url, _renamed(url, deletion))
+        store.clear_cancelled(url)
+        self._advance(deletion, DeletionStep.FREED)
+        self._on_freed()
+        return True
+
+    def _advance(self, deletion: Deletion, step: DeletionStep) -> None:
+        with self._ledger.writing() as ledger:
+            ledger.advance_deletion(deletion, step)
+
+
+def _renamed(url: str, deletion: Deletion) -> str:
+    """Where a deleted job's store is removed from."""
+    return f"{url}.deleted-{deletion.seq}"

@@ -1,0 +1,145 @@
+"""Access tokens: their rule, files of named ones, and the token that a service makes for its own user.
+
+A service with `token=auto` keeps its token in a file of the data folder, where clients of the same user find
+it. Imports the standard library only, because clients do.
+"""
+
+import json
+import os
+import re
+import secrets
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NamedTuple
+
+#: In place of a token: the service makes one, its clients look for it.
+AUTO: Final = "auto"
+
+#: Characters of an access token; a shorter one could be guessed.
+MIN_LENGTH: Final = 16
+RULE: Final = f"must be at least {MIN_LENGTH} ASCII characters without spaces"
+
+#: The file of the data folder that holds a token which the service has made.
+FILE_NAME: Final = "token.json"
+
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
+_OTHERS: Final = 0o077
+_MAX_BYTES: Final = 1_000_000
+
+
+class TokenFileUnusable(Exception):
+    """A file of tokens breaks a rule; the text names the file and the line, and shows no token."""
+
+
+class OwnToken(NamedTuple):
+    """A token that a service made, and the port on which the service listens; None while it does not run."""
+
+    token: str
+    port: int | None
+
+
+def is_valid(token: str) -> bool:
+    """Whether a text keeps the rule of access tokens."""
+    return len(token) >= MIN_LENGTH and token.isascii() and token.isprintable() and " " not in token
+
+
+def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
+    """The tokens of a file by name. Each line is `NAME: TOKEN`; empty lines and `#` comments do not count.
+
+    `private`: the file must be closed to other users. Raises TokenFileUnusable.
+    """
+    try:
+        with path.open("rb") as file:
+            status, content = os.fstat(file.fileno()), file.read(_MAX_BYTES)
+        lines = content.decode("ascii").splitlines()
+    except OSError as error:
+        raise TokenFileUnusable(f"{path}: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise TokenFileUnusable(f"{path} must be ASCII text") from None
+    if private and status.st_mode & _OTHERS:
+        mode = stat.S_IMODE(status.st_mode)
+        raise TokenFileUnusable(
+            f"{path} is open to other users (mode {mode:04o}): close it with `chmod 600 {path}`"
+        )
+    tokens: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        name, token = (part.strip() for part in (*line.split(":", 1), "")[:2])
+        if problem := _problem(name, token, tokens):
+            raise TokenFileUnusable(f"{path}, line {number}: {problem}")
+        tokens[name] = token
+    if not tokens:
+        raise TokenFileUnusable(f"{path} holds no token: add a line NAME: TOKEN")
+    return tokens
+
+
+def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
+    """The rule that a line breaks. Names the name, which is no secret, unless it may be a token."""
+    if not token:
+        return "must be NAME: TOKEN"
+    if not _NAME.fullmatch(name):
+        return "the name must be at most 64 letters, digits or ._@- and begin with a letter or digit"
+    if not is_valid(token):
+        return f"the token of {name} {RULE}"
+    if name in tokens:
+        return f"the name {name} is given twice"
+    if token in tokens.values():
+        return f"the token of {name} is that of another name too"
+    return None
+
+
+def own_token(folder: Path, port: int | None) -> str:
+    """The token that the service of this data folder has made, or a new one; records the service's `port`.
+
+    The file is for this user alone. Raises OSError.
+    """
+    kept = _read_own(folder)
+    token = secrets.token_urlsafe(32) if kept is None else kept.token
+    write_private(folder / FILE_NAME, json.dumps({"port": port, "token": token}))
+    return token
+
+
+def find_token(port: int) -> str | None:
+    """The token of this user's own service on `port` of this machine; None if there is no such service.
+
+    Looks in the data folder BOUNCE_DATA, by default ./bounce-data. A token is sent to no other service, and a
+    file of another user does not count.
+    """
+    found = _read_own(data_folder())
+    return found.token if found is not None and found.port == port else None
+
+
+def data_folder() -> Path:
+    """Where clients look for a token: BOUNCE_DATA, by default ./bounce-data."""
+    return Path(os.environ.get("BOUNCE_DATA") or "bounce-data")
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file for this user alone, whole or not at all. Raises OSError."""
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # mode 0600
+    try:
+        with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
+            file.write(text)
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _read_own(folder: Path) -> OwnToken | None:
+    """What the file of the folder holds; None if there is none that a service of this user wrote."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        # Not blocked by a pipe that somebody has put in its place.
+        descriptor = os.open(folder / FILE_NAME, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+        with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
+            status = os.fstat(descriptor)
+            if status.st_uid != os.geteuid() or status.st_mode & _OTHERS:
+                return None
+            content = json.loads(file.read(_MAX_BYTES))
+        token, port = content["token"], content["port"]
+        if is_valid(token) and (port is None or isinstance(port, int)):
+            return OwnToken(token, port)
+    return None

@@ -1,0 +1,337 @@
+"""A ledger that is damaged, moved, replaced or locked: nothing is lost, every state is told, and it goes on.
+
+`python -m benchmarks.ledger_faults` draws such faults at random.
+"""
+
+import os
+import shutil
+import sqlite3
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from running import running
+from scripted import Held, sweep, wait_for
+from served import FIGURE_2, finished, get, service
+
+from kernel.params import KERNEL_VERSION
+from service.errors import LedgerUnavailable, LedgerUnusable
+from service.jobs import backup, ledger_files
+from service.jobs.ledger import RESERVE, Ledger
+from service.jobs.ledger_files import wal_of
+from service.jobs.model import JobState
+from service.jobs.stores.adoption import open_ledger
+from service.settings import Settings
+from worker.executors.inline import Inline
+
+PAGE = 4096
+
+
+@pytest.fixture
+def data(tmp_path: Path, inline: Inline) -> Path:
+    """A data folder with one job that is done; its ledger has no log."""
+    with running(tmp_path / "data", inline) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def client(data: Path, inline: Inline) -> Iterator[TestClient]:
+    """A service on this folder that has just done another job."""
+    with service(data, inline) as client:
+        finished(client, FIGURE_2)
+        yield client
+
+
+def overwrite_page(path: Path, number: int) -> None:
+    """As a disk does that writes to the wrong place."""
+    with path.open("r+b") as file:
+        file.seek(number * PAGE)
+        file.write(os.urandom(PAGE))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+# At the start
+
+
+def harm_page(path: Path) -> None:
+    overwrite_page(path, 1)
+
+
+def empty(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, 2 * PAGE)
+
+
+def contradict(path: Path) -> None:
+    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+        connection.execute("DELETE FROM chunks WHERE chunk = 0")
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (harm_page, "is damaged|cannot be used"),
+        (empty, r"is empty \(0 bytes\) beside"),
+        (cut, "is damaged|cannot be used"),
+        (contradict, "contradicts itself"),
+    ],
+)
+def test_a_damaged_ledger_is_named_and_nothing_is_changed(
+    data: Path, harm: Callable[[Path], None], reason: str
+):
+    settings = Settings(data=data)
+    harm(settings.ledger_path)
+    before = files(data)
+    for _ in range(2):  # the folder is unlocked, too
+        with pytest.raises(LedgerUnusable, match=reason) as refused:
+            open_ledger(settings)
+        assert str(settings.ledger_path) in str(refused.value)
+        assert "restore a backup with bounce restore" in str(refused.value)
+    assert files(data / "stores") == {
+        name.removeprefix("stores/"): content for name, content in before.items() if name.startswith("stores")
+    }
+
+
+def test_an_empty_file_is_a_new_ledger_where_nothing_is_stored(tmp_path: Path):
+    settings = Settings(data=tmp_path)
+    settings.ledger_path.touch()
+    with open_ledger(settings) as ledger:
+        assert ledger.find("0" * 32) is None
+
+
+def test_a_log_of_another_copy_is_refused_and_the_ledger_kept_as_it_was_found(tmp_path: Path):
+    """The log is of a copy of before, in which the job was given another name."""
+    folders, held = (tmp_path / "ours", tmp_path / "other"), Held(capacity=1)
+    with running(folders[0], held) as service:
+        job = service.submit(sweep())
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+    ours, other = (folder / "ledger.sqlite" for folder in folders)
+    other.parent.mkdir()
+    shutil.copyfile(ours, other)
+    for path, rows in ((ours, 700), (other, 0)):
+        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.execute("PRAGMA wal_autocheckpoint = 0")
+            connection.execute("BEGIN")
+            connection.executemany(
+                "INSERT INTO chunks VALUES (1, ?, 1, 1.0, ?, '[]')",
+                [(10 + row, f"{path.parent.name} {row}" * 9) for row in range(rows)],
+            )
+            connection.execute("UPDATE jobs SET name = ?, chunks_done = chunks_done + ?", [str(rows), rows])
+            connection.execute("COMMIT")
+            if path == other:
+                foreign = wal_of(path).read_bytes()
+    wal_of(ours).write_bytes(foreign)
+    found = ours.read_bytes()
+    with pytest.raises(LedgerUnusable, match="as-found") as refused:
+        Ledger(ours)
+    [copy] = ours.parent.glob("ledger-as-found-*.sqlite")
+    assert str(copy) in str(refused.value)
+    assert copy.read_bytes() == found
+    wal_of(copy).unlink()  # what an operator does who knows whose it is
+    assert backup.inspect(copy).chunks == 701
+    backup.restore(ours, copy)
+    with Ledger(ours) as ledger:
+        assert ledger.find(job.id) is not None
+
+
+def test_a_log_that_is_the_ledgers_own_is_applied_and_leaves_no_copy(data: Path):
+    path = data / "ledger.sqlite"
+    with Ledger(path) as ledger:
+        with ledger.writing() as writing:
+            writing.remember_key("k", "body", writing.newest(None, 1)[0], 1.0)
+        shutil.copytree(data, data.parent / "killed")
+    with Ledger(data.parent / "killed" / "ledger.sqlite") as ledger, ledger.reading() as reading:
+        assert reading.key("k") is not None
+    assert list((data.parent / "killed").glob("ledger-*")) == []
+
+
+# While the service runs
+
+
+def refused(client: TestClient, reason: str) -> None:
+    """Nothing is accepted, and the reason is told; what was done can still be read."""
+    spec = sweep(omega=0.77).as_submitted()
+    for answer in (client.get("/readyz"), client.post("/v1/jobs", json=spec)):
+        assert answer.status_code == 503
+        assert reason in answer.json()["detail"]
+        assert answer.headers["Retry-After"]
+
+
+def works(client: TestClient) -> None:
+    wait_for(lambda: client.get("/readyz").status_code == 200, lambda: client.get("/readyz").text)
+    finished(client, sweep(omega=0.77).as_submitted())
+
+
+@pytest.mark.parametrize("name", ["ledger.sqlite", "ledger.lock", "."])
+def test_what_is_moved_away_is_noticed_and_all_goes_on_when_it_is_back(
+    data: Path, client: TestClient, name: str
+):
+    path = (data / name).resolve()
+    path.rename(path.with_name("elsewhere"))
+    refused(client, "moved or replaced while the service runs")
+    assert not (data / "stores" / f"{sweep(omega=0.77).job_id(KERNEL_VERSION)}.zarr").exists()
+    path.with_name("elsewhere").rename(path)
+    works(client)
+
+
+def test_a_replaced_ledger_is_not_written_to_and_what_was_open_is_kept(data: Path, client: TestClient):
+    path = data / "ledger.sqlite"
+    with closing(sqlite3.connect(data.parent / "other.sqlite")) as other:
+        other.execute("PRAGMA user_version = 3")
+    (data.parent / "other.sqlite").replace(path)
+    content = path.read_bytes()
+    refused(client, "ledger.sqlite is another one now")
+    assert path.read_bytes() == content
+    [rescued] = data.glob("ledger-rescued-*.sqlite")
+    assert backup.inspect(rescued).jobs == 2
+    assert get(client, "/v1/jobs")["total"] == 2
+
+
+def test_a_removed_ledger_is_restored_from_what_was_open(data: Path, inline: Inline):
+    with service(data, inline) as client:
+        here = finished(client, FIGURE_2)
+        (data / "ledger.sqlite").unlink()
+        refused(client, "ledger.sqlite is gone")
+    with pytest.raises(LedgerUnusable, match=r"is missing: restore .*rescued.* with bounce restore"):
+        open_ledger(Settings(data=data))
+    [rescued] = data.glob("ledger-rescued-*.sqlite")
+    backup.restore(data / "ledger.sqlite", rescued)
+    with service(data, inline) as client:
+        assert get(client, here)["state"] == "done"
+        works(client)
+
+
+def test_a_ledger_overwritten_in_place_is_not_written_to(data: Path, client: TestClient):
+    path = data / "ledger.sqlite"
+    os.truncate(path, 0)
+    refused(client, "another program has written to the data folder's ledger.sqlite")
+
+
+def test_a_page_that_is_damaged_while_the_service_runs_is_told(data: Path, inline: Inline):
+    """In whatever request meets it; none says that it is a defect of the service."""
+    with service(data, inline) as client:
+        ledger = client.app.state.service.ledger  # type: ignore[attr-defined]
+        finished(client, FIGURE_2)
+        with ledger._exclusive():
+            ledger._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            for page in range(1, (data / "ledger.sqlite").stat().st_size // PAGE):
+                overwrite_page(data / "ledger.sqlite", page)
+            ledger._files.note_written()  # a disk does not change the time of the last write
+            for connection in (ledger._reader, ledger._writer):
+                connection.execute("PRAGMA shrink_memory")
+        answer = client.get("/v1/jobs")
+        assert answer.status_code == 503
+        assert "ledger.sqlite is damaged" in answer.json()["detail"]
+        refused(client, "ledger.sqlite is damaged")
+
+
+def test_a_lost_log_is_noticed_and_nothing_of_it_is_lost(data: Path, inline: Inline):
+    """The log of another ledger lies in its place."""
+    with service(data, inline) as client:
+        here = finished(client, FIGURE_2)
+        wal_of(data / "ledger.sqlite").unlink()
+        wal_of(data / "ledger.sqlite").write_bytes(b"of another ledger")
+        works(client)
+        shutil.copytree(data, data.parent / "killed", ignore=shutil.ignore_patterns("stores"))
+        assert get(client, here)["state"] == "done"
+    [foreign] = data.glob("*-foreign-*")
+    assert foreign.read_bytes() == b"of another ledger"
+    with Ledger(data.parent / "killed" / "ledger.sqlite") as ledger, ledger.reading() as reading:
+        assert reading.count(list(JobState)) == 3
+
+
+def test_a_lock_of_another_program_is_told_and_nothing_is_lost(data: Path):
+    held = Held()
+    with service(data, held) as client:
+        ledger = client.app.state.service.ledger  # type: ignore[attr-defined]
+        here = client.post("/v1/jobs", json=sweep(omega=0.6).as_submitted()).headers["Location"]
+        wait_for(lambda: held.held() == 4)
+        ledger._writer.execute("PRAGMA busy_timeout = 50")
+        with closing(sqlite3.connect(data / "ledger.sqlite", isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            held.let_go()
+            wait_for(lambda: client.get("/readyz").status_code == 503)
+            refused(client, "database is locked")
+            assert get(client, here)["progress"]["chunks_done"] == 0
+            other.execute("ROLLBACK")
+        wait_for(lambda: client.get("/readyz").status_code == 200)
+        held.let_go_until(lambda: get(client, here)["state"] == "done")
+
+
+def test_chunks_that_come_back_while_the_folder_is_away_are_not_lost(tmp_path: Path):
+    held, data = Held(), tmp_path / "data"
+    with running(data, held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
+        data.rename(tmp_path / "elsewhere")
+        with pytest.raises(LedgerUnavailable, match="the data folder data is gone"):
+            service.submit(sweep(omega=0.6))
+        data.symlink_to(tmp_path / "elsewhere")  # workers find the stores
+        data.unlink()
+        (tmp_path / "elsewhere").rename(data)
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        assert service.outcomes(job).all()
+
+
+# Space
+
+
+def test_the_reserve_is_inside_the_ledgers_own_files(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    with Ledger(path) as ledger:
+        assert ledger._number("PRAGMA freelist_count") * PAGE >= RESERVE
+        assert path.stat().st_blocks * 512 >= RESERVE
+        assert wal_of(path).stat().st_blocks * 512 >= RESERVE
+        with ledger.writing() as writing:
+            writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?)", [RESERVE])
+        assert ledger._number("PRAGMA freelist_count") * PAGE < RESERVE
+        ledger.keep_reserve()
+        assert ledger._number("PRAGMA freelist_count") * PAGE >= RESERVE
+        size = path.stat().st_size
+        ledger.keep_reserve()
+        assert path.stat().st_size == size
+
+
+# File systems
+
+
+def test_the_type_of_a_file_system_is_that_of_the_innermost_mount(tmp_path: Path):
+    mounts = tmp_path / "mountinfo"
+    mounts.write_text(
+        "22 1 8:1 / / rw shared:1 - ext4 /dev/root rw\n"
+        "23 22 0:50 / /srv/shared\\040data rw - nfs4 host:/export rw\n"
+        "24 23 0:51 / /srv/shared\\040data/local rw - xfs /dev/sdb rw\n"
+    )
+    for folder, kind, network in (
+        ("/srv/other", "ext4", None),
+        ("/srv/shared data/bounce", "nfs4", "nfs4"),
+        ("/srv/shared data/local/bounce", "xfs", None),
+    ):
+        assert ledger_files.file_system(Path(folder), mounts) == kind
+        assert ledger_files.network_file_system(Path(folder), mounts) == network
+    assert ledger_files.file_system(tmp_path, tmp_path / "missing") is None
+
+
+def test_a_ledger_on_a_network_file_system_is_warned_about(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    """The temporary folder's file system is taken for one."""
+    kind: Any = ledger_files.file_system(tmp_path)
+    assert kind in subprocess.run(["mount"], capture_output=True, text=True, check=True).stdout
+    monkeypatch.setattr(ledger_files, "NETWORK", frozenset({kind}))
+    with running(tmp_path, Held(capacity=0)) as service:
+        assert f"on a network file system ({kind})" in service.manager.notices()[0]
+    assert "keep the ledger on a local disk" in caplog.text

@@ -1,0 +1,215 @@
+"""Stores that the ledger does not know: never removed, reported, and taken in again as what they are."""
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running import Running, running
+from scripted import Held, Scripted, small, sweep, wait_for
+
+from kernel.params import KERNEL_VERSION, Outcome
+from service.errors import NotAdoptable
+from service.jobs.ledger import Ledger
+from service.jobs.model import JobRecord, JobState
+from service.jobs.stores import adoption
+from service.settings import Settings
+from worker.executors.inline import Inline
+from worker.spec import SweepSpec
+
+RAMP = sweep("ramp", protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
+AUTO = small(name="auto", model={"kind": "auto", "tolerance": 0.5}, gamma=[2.0, 2.5], omega=0.5, xi=0.26)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def forget(folder: Path) -> None:
+    """As if the ledger were lost."""
+    for path in folder.glob("ledger.sqlite*"):
+        path.unlink()
+
+
+def rows(folder: Path) -> list[tuple[object, ...]]:
+    """What the ledger has of jobs and chunks, but times."""
+    with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger:
+        jobs = ledger.execute(
+            "SELECT id, name, spec, kernel_version, chunk_shape, state, error, chunks_done, chunks_total,"
+            " cells_done, cells_total, cells_settling FROM jobs ORDER BY id"
+        ).fetchall()
+        chunks = ledger.execute(
+            "SELECT id, chunk, cells, checksum, outcomes FROM chunks JOIN jobs ON job = seq ORDER BY 1, 2"
+        ).fetchall()
+    return [*jobs, *chunks]
+
+
+def adopt(folder: Path, job_id: str) -> JobRecord:
+    settings = Settings(data=folder)
+    with Ledger(settings.ledger_path) as ledger:
+        return adoption.adopt(ledger, settings, job_id)
+
+
+def compute(folder: Path, *specs: SweepSpec) -> list[str]:
+    with closing(Inline()) as executor, running(folder, executor) as service:
+        return [service.until(service.submit(spec), JobState.DONE).id for spec in specs]
+
+
+def scrubbed(service: Running) -> tuple[str, ...]:
+    service.manager._scrubber._thread.join()
+    return tuple(Path(url).name for url in service.manager.unknown_stores)
+
+
+def test_a_lost_ledger_is_rebuilt_from_the_stores(tmp_path: Path):
+    ids = compute(tmp_path, sweep(), RAMP, AUTO)
+    before, stored = rows(tmp_path), files(tmp_path / "stores")
+    forget(tmp_path)
+    assert [adopt(tmp_path, job_id).state for job_id in ids] == [JobState.DONE] * 3
+    assert rows(tmp_path) == before
+    with closing(Scripted()) as executor, running(tmp_path, executor) as service:
+        assert scrubbed(service) == ()
+        assert [service.manager.submit(spec).accepted for spec in (sweep(), RAMP, AUTO)] == [False] * 3
+        assert executor.tried == []
+    assert files(tmp_path / "stores") == stored
+
+
+def test_only_whole_chunks_are_adopted_and_resuming_computes_the_others(tmp_path: Path):
+    [job_id] = compute(tmp_path, RAMP)
+    url = tmp_path / "stores" / f"{job_id}.zarr"
+    stored = files(url)
+    chunks = sorted(path for path in (url / "outcome" / "c").rglob("*") if path.is_file())
+    chunks[1].unlink()
+    flights = url / "flight_time" / chunks[2].relative_to(url / "outcome") / "0"
+    content = bytearray(flights.read_bytes())
+    content[len(content) // 2] ^= 1
+    flights.write_bytes(content)
+    forget(tmp_path)
+    job = adopt(tmp_path, job_id)
+    assert (job.state, job.chunks_done) == (JobState.FAILED, job.chunks_total - 2)
+    assert job.error == (
+        f"adopted: {job.chunks_done} of {job.chunks_total} chunks were found whole in its store; "
+        "resume it for the rest"
+    )
+    with closing(Scripted()) as executor, running(tmp_path, executor) as service:
+        service.manager.resume(job_id)
+        service.until(job, JobState.DONE)
+        assert len(executor.tried) == 2
+    assert files(url) == stored
+
+
+def test_a_chunk_without_outcomes_is_not_whole(tmp_path: Path):
+    """As a ramp has it that was interrupted: the store is there, chunks are not."""
+    held = Held(capacity=1)
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+    forget(tmp_path)
+    adopted = adopt(tmp_path, job.id)
+    assert (adopted.state, adopted.chunks_done) == (JobState.FAILED, 1)
+
+
+def test_adopted_chunks_say_nothing_of_the_speed(tmp_path: Path):
+    [job_id] = compute(tmp_path, sweep())
+    forget(tmp_path)
+    adopt(tmp_path, job_id)
+    with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.reading() as reading:
+        assert reading.paces(20, 20_000) == []
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (lambda attrs: attrs["spec"].update(omega=0.7), "its sweep is"),
+        (lambda attrs: attrs.update(job="0" * 32), "says that it holds job 000"),
+        (lambda attrs: attrs["spec"].update(colour="red"), "colour: is not a field here"),
+        (lambda attrs: attrs.pop("spec"), "'spec'"),
+        (lambda attrs: attrs.update(chunk_shape="abc"), "cannot be adopted"),
+    ],
+)
+def test_a_store_that_contradicts_itself_is_not_adopted(tmp_path: Path, harm, reason: str):
+    [job_id] = compute(tmp_path, sweep())
+    root = tmp_path / "stores" / f"{job_id}.zarr" / "zarr.json"
+    content = json.loads(root.read_text())
+    harm(content["attributes"])
+    root.write_text(json.dumps(content))
+    forget(tmp_path)
+    with pytest.raises(NotAdoptable, match=reason):
+        adopt(tmp_path, job_id)
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        assert ledger.find(job_id) is None
+
+
+def test_a_job_that_the_ledger_knows_is_not_adopted(tmp_path: Path):
+    [job_id] = compute(tmp_path, sweep())
+    before = rows(tmp_path)
+    with pytest.raises(NotAdoptable, match="the ledger knows this job"):
+        adopt(tmp_path, job_id)
+    with pytest.raises(NotAdoptable, match="no store here"):
+        adopt(tmp_path, "0" * 32)
+    assert rows(tmp_path) == before
+
+
+# What the service does about them: nothing
+
+
+@pytest.mark.parametrize("jobs_left", [0, 1])
+def test_an_unknown_store_is_reported_and_left_alone(
+    tmp_path: Path, jobs_left: int, caplog: pytest.LogCaptureFixture
+):
+    """Beside an empty ledger, and beside one that knows other jobs."""
+    known, lost = compute(tmp_path, sweep(), RAMP)
+    stores = tmp_path / "stores"
+    flag = stores / f"{lost}.zarr.cancelled"
+    flag.touch()
+    (stores / "notes.txt").write_text("somebody's own")
+    shutil.copytree(stores / f"{lost}.zarr", stores / f"{lost}.zarr.deleted-7")
+    with closing(sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)) as ledger:
+        ledger.execute("PRAGMA foreign_keys = ON")
+        ledger.execute("DELETE FROM jobs WHERE id = ?", [lost])
+        if not jobs_left:
+            ledger.execute("DELETE FROM jobs")
+    stored = files(stores)
+    with running(tmp_path, Held(capacity=0)) as service:
+        unknown = scrubbed(service)
+    assert files(stores) == stored
+    assert set(unknown) == {f"{lost}.zarr"} | (set() if jobs_left else {f"{known}.zarr"})
+    assert f"{lost}.zarr is unknown to the ledger and left alone" in caplog.text
+
+
+def test_a_store_that_is_being_removed_is_not_unknown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    [job_id] = compute(tmp_path, sweep())
+    settings = Settings(data=tmp_path)
+    with Ledger(settings.ledger_path) as ledger:
+        with ledger.writing() as writing:
+            job = writing.find(job_id)
+            assert job is not None
+            writing.delete(job, 1e12)
+        assert adoption.find_unknown(ledger, settings) == []
+        with ledger.writing() as writing:
+            assert writing.forget_deletions() == 1
+        assert adoption.find_unknown(ledger, settings) == [settings.store_of(job_id)]
+
+
+def test_a_sweep_whose_store_is_unknown_can_be_submitted(tmp_path: Path):
+    [job_id] = compute(tmp_path, sweep())
+    stored = files(tmp_path / "stores")
+    forget(tmp_path)
+    assert compute(tmp_path, sweep()) == [job_id]
+    assert files(tmp_path / "stores") == stored
+
+
+def test_outcomes_are_counted_as_the_task_counts_them(tmp_path: Path):
+    [job_id] = compute(tmp_path, sweep())
+    forget(tmp_path)
+    job = adopt(tmp_path, job_id)
+    with running(tmp_path, Held(capacity=0)) as service:
+        outcomes = service.outcomes(job)
+    with closing(sqlite3.connect(tmp_path / "ledger.sqlite")) as ledger:
+        counted = [json.loads(row[0]) for row in ledger.execute("SELECT outcomes FROM chunks")]
+    assert np.sum(counted, axis=0).tolist() == np.bincount(outcomes.ravel(), minlength=len(Outcome)).tolist()
+    assert job.kernel_version == KERNEL_VERSION

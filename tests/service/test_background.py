@@ -1,0 +1,96 @@
+"""Processes that compute answers: what they return and raise, their priority, and their end."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from pathlib import Path
+
+import psutil
+import pytest
+from paths import ROOT
+from scripted import DEADLINE, wait_for
+
+from service.background import NICER, InThisProcess, Processes
+from service.errors import InvalidRequest, NotComputed
+from worker.store import StoreDamaged
+
+
+@pytest.fixture(scope="module")
+def processes() -> Iterator[Processes]:
+    with closing(Processes(2)) as processes:
+        yield processes
+
+
+def damaged() -> None:
+    error = StoreDamaged("a chunk")
+    error.chunks = ((0, 1, 2, 3),)
+    raise error
+
+
+def refused() -> None:
+    raise InvalidRequest.of("xi", "is required")
+
+
+def unsendable() -> object:
+    return lambda: None
+
+
+def test_a_result_comes_back(processes: Processes):
+    assert processes.run(divmod, 17, 5) == (3, 2)
+    assert processes.run(os.getpid) != os.getpid()
+    assert processes.run(os.nice, 0) == os.nice(0) + NICER
+    assert InThisProcess().run(divmod, 17, 5) == (3, 2)
+
+
+def test_errors_come_back_as_they_were_raised(processes: Processes):
+    with pytest.raises(StoreDamaged, match="a chunk") as caught:
+        processes.run(damaged)
+    assert caught.value.chunks == ((0, 1, 2, 3),)
+    with pytest.raises(InvalidRequest, match="xi: is required") as refusal:
+        processes.run(refused)
+    assert [problem.field for problem in refusal.value.problems] == ["xi"]
+    with pytest.raises(RuntimeError, match="cannot be sent"):
+        processes.run(unsendable)
+    assert processes.run(divmod, 17, 5) == (3, 2)
+
+
+def test_a_process_that_dies_fails_its_answer_alone(processes: Processes):
+    with pytest.raises(NotComputed, match="repeat the request"):
+        processes.run(os._exit, 1)
+    assert processes.run(divmod, 17, 5) == (3, 2)
+
+
+def test_more_calls_than_processes_wait(processes: Processes):
+    with ThreadPoolExecutor(8) as pool:
+        pids = set(pool.map(lambda _: processes.run(os.getpid), range(40)))
+    assert 1 <= len(pids) <= 2
+
+
+def test_they_end_when_closed_also_while_computing():
+    with closing(Processes(1)) as processes, ThreadPoolExecutor(1) as pool:
+        child = psutil.Process(processes.run(os.getpid))
+        waiting = pool.submit(processes.run, signal.pause)
+        wait_for(lambda: child.status() == psutil.STATUS_SLEEPING)
+        processes.close()
+        with pytest.raises(NotComputed):
+            waiting.result(DEADLINE)
+    child.wait(DEADLINE)
+
+
+def test_they_end_with_the_service_that_is_killed(tmp_path: Path):
+    script = tmp_path / "main.py"
+    script.write_text(
+        "import os, signal\nfrom service.background import Processes\n"
+        "if __name__ == '__main__':\n    print(Processes(1).run(os.getpid), flush=True)\n    signal.pause()\n"
+    )
+    command = [sys.executable, str(script)]
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
+        assert process.stdout
+        child = psutil.Process(int(process.stdout.readline()))
+        process.kill()
+    child.wait(DEADLINE)

@@ -1,0 +1,174 @@
+"""Backups and their commands: whole copies beside a running service; restoring loses nothing."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from running import running
+from scripted import Held, Scripted, free_port, sweep, wait_for
+
+from kernel.params import KERNEL_VERSION
+from service.cli.main import main
+from service.errors import DataFolderBusy, LedgerUnusable
+from service.jobs import backup
+from service.jobs.ledger import Ledger
+from service.jobs.ledger_files import wal_of
+from service.jobs.model import JobState
+from worker.executors.inline import Inline
+
+SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
+
+
+def bounce(*arguments: str) -> Result:
+    return CliRunner().invoke(main, arguments)
+
+
+def ids(path: Path) -> set[str]:
+    with closing(sqlite3.connect(path)) as connection:
+        return {row[0] for row in connection.execute("SELECT id FROM jobs")}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, inline: Inline) -> Path:
+    """A data folder with one job that is done, a backup of it, and two jobs that are done since."""
+    with running(tmp_path / "data", inline) as service:
+        service.until(service.submit(SPECS[0]), JobState.DONE)
+        backup.backup(service.settings.ledger_path, tmp_path / "backup.sqlite")
+        for spec in SPECS[1:]:
+            service.until(service.submit(spec), JobState.DONE)
+    return tmp_path
+
+
+def test_a_backup_is_whole_while_the_service_writes(tmp_path: Path):
+    """It has every mark that was there when it began."""
+    held, file = Held(), tmp_path / "copies" / "ledger.sqlite"
+    file.parent.mkdir()
+    with running(tmp_path / "data", held) as service:
+        job = service.submit(SPECS[0])
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+        answer = bounce("backup", str(file), "--data", str(tmp_path / "data"))
+        assert (answer.exit_code, answer.output) == (0, f"{file}: 1 jobs, 1 done chunks\n")
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        marked = service.job(job).chunks_done
+        backup.backup(service.settings.ledger_path, file)  # in place of the one before
+    assert backup.inspect(file) == (1, marked)
+    assert list(file.parent.iterdir()) == [file]
+    assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
+    before = (folder / "backup.sqlite").read_bytes()
+    answer = bounce("backup", str(folder / "no" / "such"), "--data", str(folder / "data"))
+    assert answer.exit_code == 1
+    assert "unable to open database file" in answer.output
+    (folder / "data" / "ledger.sqlite").write_bytes(b"no ledger at all" * 999)
+    answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
+    assert answer.exit_code == 1
+    assert "file is not a database" in answer.output
+    assert (folder / "backup.sqlite").read_bytes() == before
+
+
+def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Path):
+    data = folder / "data"
+    stores = {path: path.stat().st_mtime_ns for path in (data / "stores").rglob("*")}
+    known = ids(data / "ledger.sqlite")
+    answer = bounce("restore", str(folder / "backup.sqlite"), "--data", str(data))
+    assert answer.exit_code == 0, answer.output
+    assert "1 jobs, " in answer.output
+    assert "2 stores are unknown to it: bounce adopt --all" in answer.output
+    [replaced] = data.glob("ledger-replaced-*.sqlite")
+    assert ids(replaced) == known
+    assert len(ids(data / "ledger.sqlite")) == 1
+    with running(data, Held(capacity=0)) as service:
+        service.manager._scrubber._thread.join()
+        assert len(service.manager.unknown_stores) == 2
+        assert "stores that the ledger does not know: 2" in service.manager.notices()[0]
+    assert bounce("adopt", "--all", "--data", str(data)).exit_code == 0
+    assert ids(data / "ledger.sqlite") == known
+    with closing(Scripted()) as executor, running(data, executor) as service:
+        assert [service.manager.submit(spec).accepted for spec in SPECS] == [False] * 3
+        assert service.manager.notices() == []
+        assert executor.tried == []
+    assert stores.items() <= {path: path.stat().st_mtime_ns for path in (data / "stores").rglob("*")}.items()
+
+
+def test_a_log_that_is_not_of_the_backup_is_set_aside(folder: Path):
+    ledger = folder / "data" / "ledger.sqlite"
+    wal_of(ledger).write_bytes(b"of the ledger before")
+    restored = backup.restore(ledger, folder / "backup.sqlite")
+    assert restored.replaced is not None
+    assert wal_of(restored.replaced).read_bytes() == b"of the ledger before"
+    assert not wal_of(ledger).exists()
+    assert len(ids(ledger)) == 1
+
+
+def test_nothing_is_restored_under_a_running_service(folder: Path):
+    data = folder / "data"
+    with running(data, Held(capacity=0)) as service:
+        with pytest.raises(DataFolderBusy):
+            backup.restore(service.settings.ledger_path, folder / "backup.sqlite")
+        assert "another service uses the data folder" in bounce("adopt", "--all", "--data", str(data)).output
+        with service.ledger.reading() as ledger:
+            assert len(ledger.ids()) == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(None, "there is no file"), (b"", "is no ledger"), (b"not a database " * 999, "file is not a database")],
+)
+def test_what_is_no_ledger_is_not_restored(folder: Path, content: bytes | None, reason: str):
+    data, file = folder / "data", folder / "other.sqlite"
+    if content is not None:
+        file.write_bytes(content)
+    before = sorted(path.name for path in data.iterdir())
+    with pytest.raises(LedgerUnusable, match=reason):
+        backup.restore(data / "ledger.sqlite", file)
+    assert sorted(path.name for path in data.iterdir()) == before
+    assert len(ids(data / "ledger.sqlite")) == 3
+
+
+def test_deletions_of_a_backup_are_forgotten(folder: Path):
+    """What they name may have been computed again since."""
+    data = folder / "data"
+    with Ledger(data / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            job = writing.newest(None, 1)[0]
+            writing.delete(job, 1e12)
+        backup.backup(data / "ledger.sqlite", folder / "later.sqlite")
+    backup.restore(data / "ledger.sqlite", folder / "later.sqlite")
+    with running(data, Held(capacity=0)) as service:
+        service.manager._scrubber._thread.join()
+        assert [Path(url).stem for url in service.manager.unknown_stores] == [job.id]
+        assert Path(service.settings.store_of(job.id)).exists()
+
+
+def test_adopt_names_what_it_cannot_take_in(folder: Path):
+    data = str(folder / "data")
+    known = SPECS[0].job_id(KERNEL_VERSION)
+    answer = bounce("adopt", known, "--data", data)
+    assert answer.exit_code == 1
+    assert "the ledger knows this job" in answer.output
+    assert bounce("adopt", "--data", data).exit_code == 2
+    assert bounce("adopt", known, "--all", "--data", data).exit_code == 2
+    assert bounce("adopt", "--all", "--data", str(folder / "nowhere")).exit_code == 2
+
+
+def test_the_doctor_names_what_needs_attention(folder: Path):
+    data, url = folder / "data", f"http://127.0.0.1:{free_port()}"
+    answer = bounce("doctor", "--data", str(data), "--url", url)
+    assert answer.exit_code == 0, answer.output
+    assert "3 jobs" in answer.output
+    assert "!!" not in answer.output
+    backup.restore(data / "ledger.sqlite", folder / "backup.sqlite")
+    files = {path: path.read_bytes() for path in data.glob("ledger*")}
+    answer = bounce("doctor", "--data", str(data), "--url", url)
+    assert answer.exit_code == 1
+    assert answer.output.count("is unknown to the ledger: bounce adopt") == 2
+    (data / "ledger.sqlite").write_bytes(b"")
+    assert "ledger.sqlite is empty" in bounce("doctor", "--data", str(data), "--url", url).output
+    (data / "ledger.sqlite").write_bytes(files[data / "ledger.sqlite"])
+    assert {path: path.read_bytes() for path in data.glob("ledger*")} == files

@@ -1,0 +1,171 @@
+"""The study `orbits`: its specification, its chunks, and what they store, against the kernel's branches."""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+
+from kernel.branches.events import Kind, branch_and_events
+from kernel.params import Outcome
+from worker import store, studies
+from worker.orbits import ORBITS, OrbitsSpec, _kept, grid_points
+from worker.spec import SpecError
+from worker.spec.protocols import KINDS
+from worker.tasks import ChunkCancelled
+
+SPEC: dict[str, Any] = {
+    "protocol": {"kind": "orbits"}, "omega": [0.5, 0.6, 1.0], "xi": [0.0, 0.05], "points": 60, "events": 8,
+}  # fmt: skip
+
+
+def computed(url: str, spec: OrbitsSpec, chunk_shape: tuple[int, int] | None = None) -> xarray.Dataset:
+    plan = ORBITS.plan(spec, chunk_shape)
+    store.create(url, ORBITS.variables(spec, plan.chunk_shape))
+    for chunk in plan:
+        report = ORBITS.task(spec, chunk, url)
+        assert sum(report.outcomes) == report.cells == chunk.cells
+    return xarray.open_zarr(url, chunks=None).load()
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> xarray.Dataset:
+    return computed(str(tmp_path_factory.mktemp("orbits") / "a.zarr"), OrbitsSpec.parse(SPEC))
+
+
+def test_points_are_those_of_the_kernel(stored: xarray.Dataset):
+    cell = stored.sel(xi=0.05, omega=0.6, branch="1-1")
+    branch, _ = branch_and_events(0.6, 0.05, 1)
+    shown = np.isfinite(cell.gamma.values)
+    rows = np.searchsorted(branch.flight_time, cell.flight_time.values[shown])
+    assert 50 < len(rows) <= 60
+    assert (np.diff(rows) > 0).all()
+    for name in ("gamma", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity", "stable",
+                 "admissible"):  # fmt: skip
+        assert cell[name].values[shown].tolist() == getattr(branch, name)[rows].tolist(), name
+    assert cell.multiplier.values[shown].tolist() == branch.multiplier[rows, 0].tolist()
+    assert cell.other_multiplier.values[shown].tolist() == branch.multiplier[rows, 1].tolist()
+    # both ends of what lies below gamma_max are stored
+    below = np.flatnonzero(branch.gamma <= 8.0)
+    assert (rows[0], rows[-1]) == (below[0], below[-1])
+
+
+def test_events_are_those_of_the_kernel_padded_and_counted(stored: xarray.Dataset):
+    cell = stored.sel(xi=0.05, omega=0.6)
+    names = stored.event_kind.attrs["flag_meanings"].split()
+    found = [branch_and_events(0.6, 0.05, k)[1] for k in (1, 2)]
+    expected = [
+        (str(kind), gamma, periods)
+        for events in found
+        for kind, gamma, periods in zip(events.kind, events.gamma, events.periods, strict=True)
+        if gamma <= 8.0
+    ]
+    assert len(expected) > 8 == stored.sizes["event"]
+    assert int(cell.event_count) == len(expected)
+    shown = [
+        (names[kind], gamma, periods)
+        for kind, gamma, periods in zip(
+            cell.event_kind.values, cell.event_gamma.values, cell.event_periods.values, strict=True
+        )
+    ]
+    assert shown == expected[:8]
+    assert names[1:] == list(Kind)
+    few = stored.sel(xi=0.05, omega=1.0)
+    n = int(few.event_count)
+    if n < 8:
+        assert (few.event_kind.values[n:] == 0).all()
+        assert np.isnan(few.event_gamma.values[n:]).all()
+
+
+def test_a_spring_without_branches_is_unresolved(stored: xarray.Dataset):
+    cell = stored.sel(xi=0.0, omega=1.0)
+    assert int(cell.outcome) == Outcome.UNRESOLVED
+    assert np.isnan(cell.gamma.values).all()
+    assert int((stored.outcome == Outcome.PERIODIC).sum()) == 5
+
+
+def test_chunks_do_not_change_what_is_stored(stored: xarray.Dataset, tmp_path: Path):
+    for i, shape in enumerate(((1, 1), (2, 2))):
+        again = computed(str(tmp_path / f"{i}.zarr"), OrbitsSpec.parse(SPEC), shape)
+        for name in stored.data_vars:
+            assert again[name].values.tobytes() == stored[name].values.tobytes(), name
+
+
+@pytest.mark.parametrize(("grid", "shape"), [((3, 7), (2, 3)), ((1, 1), (1, 1)), ((4, 5), (4, 5))])
+def test_a_plan_covers_every_cell_once(grid: tuple[int, int], shape: tuple[int, int]):
+    spec = OrbitsSpec.parse(SPEC | {"xi": list(range(1, grid[0] + 1)), "omega": list(range(1, grid[1] + 1))})
+    plan = ORBITS.plan(spec, shape)
+    cells = np.zeros(grid, int)
+    for i, chunk in enumerate(plan):
+        cells[chunk.slices] += 1
+        assert chunk.index == i
+        assert plan.number(chunk.xi[0] // shape[0], chunk.omega[0] // shape[1]) == i
+    assert (cells == 1).all()
+    assert plan.cells == cells.size
+
+
+def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
+    spec, url = OrbitsSpec.parse(SPEC), str(tmp_path / "a.zarr")
+    plan = ORBITS.plan(spec)
+    store.create(url, ORBITS.variables(spec, plan.chunk_shape))
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled):
+        ORBITS.task(spec, plan[0], url)
+    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"modes": ["2-2"]}, "modes[0]: must be of one bounce"),
+        ({"modes": ["1-1", "1-1"]}, "modes: must not name a mode twice"),
+        ({"modes": []}, "modes: must be 1 to 6 modes, not 0"),
+        ({"points": 5}, "points: must be at least 10, not 5"),
+        ({"omega": 0.01}, "omega: must be at least"),
+        ({"xi": -0.1}, "xi: must be at least 0"),
+        ({"keep": 64}, "keep: is not a field here"),
+        ({"gamma_max": 0}, "gamma_max: must be above 0"),
+    ],
+)
+def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
+    with pytest.raises(SpecError) as caught:
+        studies.parse(SPEC | changes)
+    assert rule in str(caught.value)
+
+
+def test_the_least_omega_that_is_named_works():
+    with pytest.raises(SpecError) as caught:
+        OrbitsSpec.parse(SPEC | {"omega": 0.01})
+    least = float(str(caught.value).split("at least ")[1].split()[0])
+    spec = OrbitsSpec.parse(SPEC | {"omega": least})
+    assert grid_points(spec.axis_values("omega"), 2, 0)[0] <= 2000
+
+
+def test_kinds_of_protocol_are_those_of_the_studies():
+    assert set(KINDS) == set(studies.STUDIES)
+
+
+def test_the_same_grid_is_the_same_job_whatever_its_name():
+    spec = OrbitsSpec.parse(SPEC)
+    assert OrbitsSpec.parse(spec.as_submitted()) == spec
+    same = OrbitsSpec.parse(SPEC | {"name": "another", "xi": {"start": 0.0, "stop": 0.05, "num": 2}})
+    assert same.job_id("2") == spec.job_id("2")
+    assert OrbitsSpec.parse(SPEC | {"points": 61}).job_id("2") != spec.job_id("2")
+    assert spec.job_id("3") != spec.job_id("2")
+
+
+@pytest.mark.parametrize("points", [5, 7, 10, 40])
+def test_thinning_keeps_gaps_and_ends(points: int):
+    inside = np.array([True] * 12 + [False] * 5 + [True] * 9)
+    kept = _kept(inside, points)
+    assert len(kept) <= points
+    gaps = np.flatnonzero(kept < 0)
+    assert len(gaps) == 1
+    rows = kept[kept >= 0]
+    assert (rows[0], rows[-1]) == (0, 25)
+    assert all(a < b for a, b in itertools.pairwise(rows.tolist()))
+    assert inside[rows].all()
+    assert kept[gaps[0] - 1] < 12
+    assert kept[gaps[0] + 1] > 16

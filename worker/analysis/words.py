@@ -1,0 +1,176 @@
+"""Words continued from the cells of a sweep: the branches of the cycles that its cells settled to.
+
+Of the rigid contact without restitution: the flights of a cell of another contact are a guess, from which
+there may be no way to a cycle of the rigid one.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.branches.continuation import follow
+from kernel.branches.events import Events
+from kernel.branches.words import Word, WordBranch, from_flights
+from kernel.params import KernelInputError, Outcome
+from worker import store
+from worker.spec import SweepSpec
+
+Floats = NDArray[np.float64]
+
+#: Branches followed for one line of cells, and points of each, each way; 0.3 s for each.
+MAX_WORDS: Final = 12
+POINTS: Final = 400
+
+#: Flights of two rounds of a cycle agree to this, rad, where a cell has settled.
+_REPEATS: Final = 1e-3
+
+#: A cell lies on a branch if its flights are this near to those between two points of it, rad.
+_NEAR: Final = 0.02
+
+#: Flights of neighbouring points of a branch differ by less than this, rad.
+_STEP: Final = 0.3
+
+#: Events of one kind nearer than this in Gamma are one.
+_SAME: Final = 1e-9
+
+
+class Skipped(NamedTuple):
+    """A settled cell from which no branch was followed."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    reason: str
+
+
+class Words(NamedTuple):
+    """The branches of one line of cells."""
+
+    branches: tuple[WordBranch, ...]
+    events: tuple[Events, ...]  # of each branch
+    skipped: tuple[Skipped, ...]
+
+
+class _Cycle(NamedTuple):
+    """One round of a settled cell's flights, in order."""
+
+    gamma: float
+    bounces: int
+    periods: int
+    flight_time: Floats  # (flights,) rad
+    takeoff_phase: Floats  # (flights,) rad
+
+
+def continue_words(
+    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool
+) -> Words:
+    """Follow the cycles of the periodic cells along gamma at these indices of the grid.
+
+    A cell whose cycle lies on a branch followed already is not followed again. Raises a `store.StoreError`.
+    """
+    names = ("flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome")
+    arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
+    at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
+    branches: list[WordBranch] = []
+    events: list[Events] = []
+    skipped: list[Skipped] = []
+    for cycle in _cycles(spec.axis_values("gamma"), arrays, skipped):
+        if any(_lies_on(cycle, branch) for branch in branches):
+            continue
+        if len(branches) == MAX_WORDS:
+            skipped.append(_skip(cycle, f"{MAX_WORDS} branches were followed before it, the limit"))
+            continue
+        try:
+            word = _word(cycle, at_omega, at_xi)
+            branch, found = follow(word, points=POINTS, gamma=(0.0, gamma_max))
+        except KernelInputError as error:
+            skipped.append(_skip(cycle, str(error)))
+            continue
+        branches.append(_up_to_shorter(branch, cycle))
+        events.append(_once(found))
+    return Words(tuple(branches), tuple(events), tuple(skipped))
+
+
+def _cycles(
+    gamma: Floats, arrays: dict[str, NDArray[np.generic]], skipped: list[Skipped]
+) -> Iterator[_Cycle]:
+    """The cycles of the periodic cells; cells that do not hold two rounds of theirs are skipped."""
+    for i in np.flatnonzero(arrays["outcome"] == Outcome.PERIODIC):
+        times, phases = np.asarray(arrays["flight_time"][i]), np.asarray(arrays["takeoff_phase"][i])
+        stored = min(int(arrays["flights"][i]), len(times))
+        bounces, periods = int(arrays["bounces"][i]), int(arrays["periods"][i])
+        flights = _round(times[:stored], phases[:stored], bounces)
+        cycle = _Cycle(
+            float(gamma[i]), bounces, periods, times[stored - flights : stored],
+            phases[stored - flights : stored],
+        )  # fmt: skip
+        if flights:
+            yield cycle
+        else:
+            skipped.append(_skip(cycle, f"its {stored} stored flights do not show two rounds: keep more"))
+
+
+def _round(times: Floats, phases: Floats, bounces: int) -> int:
+    """Flights of one round with all that are too short to count: at least `bounces`; 0 if none repeats."""
+    for n in range(max(bounces, 1), len(times) // 2 + 1):
+        turned = np.abs(np.mod(phases[-n:] - phases[-2 * n : -n] + np.pi, 2.0 * np.pi) - np.pi)
+        if np.abs(times[-n:] - times[-2 * n : -n]).max() < _REPEATS and turned.max() < _REPEATS:
+            return n
+    return 0
+
+
+def _word(cycle: _Cycle, omega: float, xi: float) -> Word:
+    return from_flights(omega, xi, cycle.gamma, cycle.takeoff_phase, cycle.flight_time, cycle.periods)
+
+
+def _lies_on(cycle: _Cycle, branch: WordBranch) -> bool:
+    """Whether a branch passes through a cycle, by its flights at the cycle's Gamma."""
+    if branch.periods != cycle.periods or len(branch.word) != len(cycle.flight_time):
+        return False
+    low, high = branch.gamma[:-1], branch.gamma[1:]
+    beside = np.flatnonzero((np.minimum(low, high) <= cycle.gamma) & (cycle.gamma <= np.maximum(low, high)))
+    flights = np.sort(branch.flight_time, axis=1)
+    for i in beside:
+        part = (cycle.gamma - low[i]) / (high[i] - low[i]) if high[i] != low[i] else 0.0
+        here = flights[i] + part * (flights[i + 1] - flights[i])
+        if np.abs(here - np.sort(cycle.flight_time)).max() < _NEAR:
+            return True
+    return False
+
+
+def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
+    """The part of a branch with the cycle on it, up to where it is a shorter cycle gone through repeatedly.
+
+    There it began by a flip; beyond, it comes back with its flights in another order.
+    """
+    flights = len(branch.word)
+    away = np.abs(np.sort(branch.flight_time, axis=1) - np.sort(cycle.flight_time)).max(axis=1)
+    low, at, high = 0, int(np.argmin(away)), len(branch.gamma)
+    for n in range(1, flights):
+        if flights % n or branch.word != branch.word[:n] * (flights // n):
+            continue
+        apart = branch.flight_time - np.roll(branch.flight_time, -n, axis=1)
+        turns = np.flatnonzero((apart[:-1, 0] > 0.0) != (apart[1:, 0] > 0.0))
+        size = np.abs(apart).max(axis=1)
+        same = turns[np.minimum(size[turns], size[turns + 1]) < _STEP]
+        low = max([low, *(same[same < at] + 1).tolist()])
+        high = min([high, *(same[same >= at] + 1).tolist()])
+    fields = branch._asdict()
+    arrays: dict[str, Any] = {name: x[low:high] for name, x in fields.items() if isinstance(x, np.ndarray)}
+    return branch._replace(**arrays)
+
+
+def _once(events: Events) -> Events:
+    """The events without those found again with the flights in another order."""
+    order = np.lexsort((np.arange(len(events.gamma)), events.gamma, events.kind))
+    kind, gamma = events.kind[order], events.gamma[order]
+    again = (kind[1:] == kind[:-1]) & (np.diff(gamma) < _SAME)
+    kept = np.sort(np.delete(order, np.flatnonzero(again) + 1))
+    rows: dict[str, Any] = {name: values[kept] for name, values in events._asdict().items()}
+    return Events(**rows)
+
+
+def _skip(cycle: _Cycle, reason: str) -> Skipped:
+    return Skipped(cycle.gamma, cycle.bounces, cycle.periods, reason)

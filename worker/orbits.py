@@ -1,0 +1,482 @@
+"""The study `orbits`: cycles in closed form on a whole grid of springs, and the events on their branches.
+
+Of the rigid contact without restitution. A cell is a spring, one (xi, omega). Its branches are the modes that
+the specification names, each on a number of points that is the same for all cells.
+"""
+
+import hashlib
+import json
+import math
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, Final, Literal, NamedTuple, Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+
+from kernel.branches.events import POINTS as GRID
+from kernel.branches.events import Branch, Events, Kind, branch_and_events
+from kernel.params import KERNEL_VERSION, KernelInputError, Outcome
+from worker import store
+from worker.cost import Cost
+from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS, Span
+from worker.schema import COORDINATES, OUTCOME, Array, Layout
+from worker.spec import LARGEST, SMALLEST, parsing
+from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
+from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, problems_of
+from worker.spec.sweep import Label
+from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport
+
+#: Modes of one specification or answer, and plate periods of one mode.
+MAX_MODES: Final = 6
+MAX_PERIODS: Final = 12
+
+#: Flight times on which a branch is looked at, at most: below Omega = 0.04 or so a branch of one period needs
+#: more, and the cost grows with their square, to 0.4 s at this limit.
+MAX_GRID: Final = 2_000
+
+#: Points of a branch and events of a cell that are stored, at most.
+MAX_POINTS: Final = 1_000
+MAX_EVENTS: Final = 1_000
+
+#: Core-seconds of a branch over the square of its flight times (`python -m benchmarks.branches`).
+SECONDS: Final = 7e-8
+
+_DIMS: Final = ("xi", "omega")
+_MODE: Final = re.compile(r"([1-9][0-9]{0,3})-([1-9][0-9]{0,3})")
+
+
+class Mode(NamedTuple):
+    """A cycle's bounces and plate periods, written as `1-2`."""
+
+    bounces: int
+    periods: int
+
+    def __str__(self) -> str:
+        return f"{self.bounces}-{self.periods}"
+
+
+def read_mode(text: str) -> Mode:
+    """A mode of one bounce. Raises BrokenRuleError."""
+    match = _MODE.fullmatch(text)
+    if match is None:
+        raise BrokenRuleError("", f"must be like 1-2 (bounces-periods), not {describe(text)}")
+    mode = Mode(int(match[1]), int(match[2]))
+    if mode.bounces != 1:
+        rule = "must be of one bounce, as 1-1 and 1-2: others follow from the cells of a sweep"
+        raise BrokenRuleError("", f"{rule}, not {mode}")
+    if mode.periods > MAX_PERIODS:
+        raise BrokenRuleError("", f"must have at most {MAX_PERIODS} periods, not {mode.periods}")
+    return mode
+
+
+def check_modes(modes: Sequence[Mode]) -> None:
+    """Raise BrokenRuleError for too many modes, or one twice."""
+    if len(set(modes)) < len(modes):
+        raise BrokenRuleError("", "must not name a mode twice")
+    if not 1 <= len(modes) <= MAX_MODES:
+        raise BrokenRuleError("", f"must be 1 to {MAX_MODES} modes, not {len(modes)}")
+
+
+def grid_points(omega: NDArray[np.float64], periods: int, points: int) -> NDArray[np.float64]:
+    """About how many flight times a branch takes at omega (n,), where the spring is not damped.
+
+    As `kernel.branches.events.flight_times`: fewer with damping, but for those near both ends.
+    """
+    rate = 1.0 + (1.0 + math.sqrt(2.0)) / omega
+    return np.maximum(2.0 * math.pi * periods * rate / 0.2, points)
+
+
+def _to_tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _mode(name: str) -> str:
+    return str(read_mode(name))
+
+
+def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
+    check_modes([read_mode(name) for name in names])
+    return names
+
+
+Modes = Annotated[
+    tuple[Annotated[str, AfterValidator(_mode)], ...], BeforeValidator(_to_tuple), AfterValidator(_modes)
+]
+
+
+class Orbits(Strict):
+    """The protocol, whose kind chooses the study."""
+
+    kind: Literal["orbits"]
+
+
+class OrbitsSpec(Strict):
+    """A grid of springs, the modes whose branches are computed, and the length of the records.
+
+    `OrbitsSpec(omega=..., xi=..., protocol=...)` raises `SpecInvalid`, which names each field and rule.
+    """
+
+    name: Label = ""
+    omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
+    xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
+    protocol: Orbits
+    modes: Modes = ("1-1", "1-2")
+    gamma_max: Annotated[float, Field(gt=0.0, le=LARGEST), NUMBER] = 8.0
+    points: Annotated[int, Field(ge=10, le=MAX_POINTS), WHOLE] = 128
+    events: Annotated[int, Field(ge=1, le=MAX_EVENTS), WHOLE] = 128
+
+    def __init__(self, /, **data: object) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise SpecInvalid(problems_of(error, _fields())) from None
+
+    @model_validator(mode="after")
+    def _rules(self) -> Self:
+        longest = max(mode.periods for mode in self.cycles)
+        lowest = self.axis_values("omega")[:1]
+        if grid_points(lowest, longest, GRID)[0] > MAX_GRID:
+            rate = MAX_GRID * 0.2 / (2.0 * math.pi * longest) - 1.0
+            needed = math.ceil(1000.0 * (1.0 + math.sqrt(2.0)) / rate) / 1000.0
+            rule = f"must be at least {needed:g} for 1-{longest}, whose branch takes too many points below"
+            raise BrokenRuleError("omega", f"{rule}, not {float(lowest[0])!r}")
+        return self
+
+    @classmethod
+    def parse(cls, data: object) -> Self:
+        """A specification from plain values. Raises `SpecInvalid`, which lists every broken rule."""
+        if isinstance(data, cls):
+            return data
+        return cls(**parsing.fields_of(data, "a specification"))
+
+    @property
+    def cycles(self) -> tuple[Mode, ...]:
+        """The modes, in the order of the dimension `branch`."""
+        return tuple(read_mode(name) for name in self.modes)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along (xi, omega)."""
+        return len(self.axis_values("xi")), len(self.axis_values("omega"))
+
+    def axis_values(self, axis: str) -> NDArray[np.float64]:
+        """The values of "omega" or "xi", (n,), strictly increasing."""
+        values: AxisValue = getattr(self, axis)
+        return values_of(values)
+
+    def as_submitted(self) -> dict[str, Any]:
+        """Plain JSON values as submitted, with defaults."""
+        return self.model_dump(mode="json")
+
+    def job_id(self, kernel_version: str) -> str:
+        """32 hex digits of a hash of what determines the stored numbers, and the kernel version."""
+        axes = {axis: self.axis_values(axis).tolist() for axis in _DIMS}
+        plain = self.model_dump(mode="json", exclude={"name", *_DIMS}) | axes
+        text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(f"{kernel_version}\n{text}".encode()).hexdigest()[:32]
+
+
+def _fields() -> dict[str, tuple[str, ...]]:
+    return {"": tuple(OrbitsSpec.model_fields), "<range>": tuple(Range.model_fields)}
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A block of springs: half-open index spans of the grid. None waits for another."""
+
+    index: int
+    xi: Span
+    omega: Span
+    after: None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Cells along (xi, omega)."""
+        return self.xi[1] - self.xi[0], self.omega[1] - self.omega[0]
+
+    @property
+    def cells(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Its cells along (xi, omega)."""
+        return slice(*self.xi), slice(*self.omega)
+
+
+@dataclass(frozen=True)
+class Plan(Sequence[Chunk]):
+    """The chunks of a grid of springs, row by row."""
+
+    grid: tuple[int, int]  # cells along (xi, omega)
+    chunk_shape: tuple[int, int]
+
+    @property
+    def cells(self) -> int:
+        return math.prod(self.grid)
+
+    @property
+    def lines(self) -> int:
+        return len(self)
+
+    @cached_property
+    def counts(self) -> tuple[int, int]:
+        """Chunks along (xi, omega)."""
+        xi, omega = (-(-n // size) for n, size in zip(self.grid, self.chunk_shape, strict=True))
+        return xi, omega
+
+    def __len__(self) -> int:
+        return math.prod(self.counts)
+
+    @overload
+    def __getitem__(self, index: int) -> Chunk: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Chunk]: ...
+    def __getitem__(self, index: int | slice) -> Chunk | Sequence[Chunk]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        index = range(len(self))[index]
+        xi, omega = (self._span(axis, coord) for axis, coord in enumerate(divmod(index, self.counts[1])))
+        return Chunk(index, xi, omega)
+
+    def number(self, *coords: int) -> int:
+        """Index of the chunk at (xi, omega) of the grid of chunks."""
+        return coords[0] * self.counts[1] + coords[1]
+
+    def _span(self, axis: int, coord: int) -> Span:
+        size = self.chunk_shape[axis]
+        return coord * size, min((coord + 1) * size, self.grid[axis])
+
+
+def make_plan(spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> Plan:
+    """Chunks of `chunk_shape` cells along (xi, omega), or of about a second of work: rows of omega.
+
+    Raises ValueError for a size below 1.
+    """
+    xis, omegas = spec.shape
+    if chunk_shape is None:
+        seconds = estimate_seconds(spec)
+        fitting = min(TARGET_SECONDS / (seconds / (xis * omegas)), MAX_CHUNK_BYTES / bytes_per_cell(spec))
+        cells = max(1, int(min(fitting, math.ceil(xis * omegas / 8))))
+        row = -(-omegas // -(-omegas // min(cells, omegas)))
+        chunk_shape = (max(1, cells // row), row)
+    if len(chunk_shape) != 2 or min(chunk_shape) < 1:
+        raise ValueError(f"chunk_shape: must be two sizes of at least 1 (xi, omega), not {chunk_shape}")
+    return Plan((xis, omegas), (min(chunk_shape[0], xis), min(chunk_shape[1], omegas)))
+
+
+def estimate_seconds(spec: OrbitsSpec) -> float:
+    """Core-seconds of the whole grid."""
+    omega = spec.axis_values("omega")
+    squares = sum(float((grid_points(omega, k, GRID) ** 2).sum()) for _, k in spec.cycles)
+    return SECONDS * squares * spec.shape[0]
+
+
+_NAN: Final = float("nan")
+_KINDS: Final = tuple(Kind)
+
+
+def _per_point(name: str, dtype: str, long_name: str, units: str = "1", **attrs: Any) -> Array:
+    fill = _NAN if dtype in ("<f8", "<c16") else 0
+    return Array(
+        name, (*_DIMS, "branch", "point"), dtype, fill, {"long_name": long_name, "units": units, **attrs}
+    )
+
+
+def _per_event(name: str, dtype: str, long_name: str, units: str = "1", **attrs: Any) -> Array:
+    fill = _NAN if dtype == "<f8" else 0
+    return Array(name, (*_DIMS, "event"), dtype, fill, {"long_name": long_name, "units": units, **attrs})
+
+
+_ADMISSIBLE: Final[dict[str, Any]] = {
+    "flag_masks": [1, 2, 4],
+    "flag_meanings": "gap_negative_in_flight force_negative_in_contact no_takeoff",
+    "comment": "0: a cycle of the spring",
+}
+_LENGTH, _SPEED = "plate amplitudes", "plate amplitudes per rad"
+
+#: The stored arrays in the order they are written.
+ARRAYS: Final = (
+    _per_point("gamma", "<f8", "plate acceleration over gravity",
+               comment="NaN: no point; one between the parts of a branch that leaves gamma_max"),
+    _per_point("flight_time", "<f8", "flight time", "rad"),
+    _per_point("takeoff_phase", "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
+    _per_point("elongation", "<f8", "elongation of the spring at take-off", _LENGTH),
+    _per_point("elongation_velocity", "<f8", "velocity of the elongation at take-off", _SPEED),
+    _per_point("impact_velocity", "<f8", "velocity of the gap before landing", _SPEED),
+    _per_point("multiplier", "<c16", "Floquet multiplier, the larger in modulus"),
+    _per_point("other_multiplier", "<c16", "the other Floquet multiplier"),
+    _per_point("stable", "|b1", "whether both multipliers are inside the unit circle"),
+    _per_point("admissible", "|u1", "why the cycle is not one of the spring", **_ADMISSIBLE),
+    _per_event("event_kind", "|u1", "kind of event",
+               flag_values=list(range(len(_KINDS) + 1)), flag_meanings=" ".join(["none", *_KINDS])),
+    _per_event("event_gamma", "<f8", "plate acceleration over gravity"),
+    _per_event("event_bounces", "<i4", "bounces of the cycle"),
+    _per_event("event_periods", "<i4", "plate periods of the cycle"),
+    _per_event("event_flight_time", "<f8", "flight time", "rad"),
+    _per_event("event_admissible", "|u1", "why the cycle is not one of the spring", **_ADMISSIBLE),
+    Array("event_count", _DIMS, "<i4", 0,
+          {"long_name": "events of the cell, also those beyond the dimension event", "units": "1"}),
+    OUTCOME._replace(dims=_DIMS, attrs={
+        "long_name": "whether the cell is computed", "units": "1",
+        "flag_values": [Outcome.MISSING.value, Outcome.PERIODIC.value, Outcome.UNRESOLVED.value],
+        "flag_meanings": "missing computed unresolved",
+    }),
+)  # fmt: skip
+
+
+def _sizes(spec: OrbitsSpec) -> dict[str, int]:
+    return {"branch": len(spec.modes), "point": spec.points, "event": spec.events}
+
+
+def bytes_per_cell(spec: OrbitsSpec) -> int:
+    """Stored bytes per cell before compression."""
+    sizes = _sizes(spec)
+    return sum(
+        np.dtype(array.dtype).itemsize * math.prod(sizes[dim] for dim in array.dims[len(_DIMS) :])
+        for array in ARRAYS
+    )
+
+
+def layout(spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
+    """Layout of the store with chunks of `chunk_shape` cells along (xi, omega)."""
+    names = np.array([str(mode) for mode in spec.cycles], dtype=np.dtypes.StringDType())
+    axes = {axis: spec.axis_values(axis).astype("<f8") for axis in _DIMS}
+    attrs: dict[str, Any] = {row.name: row.attrs for row in COORDINATES if row.name in _DIMS}
+    return Layout(
+        chunk_sizes=dict(zip(_DIMS, chunk_shape, strict=True)),
+        coordinates={**axes, "branch": names},
+        extra_sizes=_sizes(spec),
+        arrays=ARRAYS,
+        coordinate_attrs={**attrs, "branch": {"long_name": "mode of the branch: bounces-periods"}},
+        attributes={
+            "Conventions": "CF-1.11",
+            "title": spec.name or "bouncing spring: cycles in closed form",
+            "kernel_version": KERNEL_VERSION,
+            "model": "rigid, restitution 0",
+            "spec": spec.as_submitted(),
+        },
+        identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
+    )
+
+
+def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    """Compute every cell of `chunk` and store it; the store must exist.
+
+    Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
+    """
+    began = time.perf_counter()
+    store.check_chunk(store_url, chunk)
+    record = _empty_record(spec, chunk)
+    xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(_DIMS, chunk.slices, strict=True))
+    next_check = -math.inf
+    for i, j in np.ndindex(chunk.shape):
+        if time.perf_counter() > next_check:
+            if store.is_cancelled(store_url):
+                raise ChunkCancelled(f"cancelled: {store_url}")
+            next_check = time.perf_counter() + CANCEL_SECONDS
+        _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
+    seconds = time.perf_counter() - began
+    checksum = store.write_chunk(store_url, chunk, record)
+    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
+    took = time.perf_counter() - began
+    return ChunkReport(chunk.index, chunk.cells, took, seconds, checksum, tuple(outcomes.tolist()))
+
+
+def _empty_record(spec: OrbitsSpec, chunk: Chunk) -> dict[str, NDArray[Any]]:
+    sizes = _sizes(spec)
+    return {
+        array.name: np.full(
+            (*chunk.shape, *(sizes[dim] for dim in array.dims[len(_DIMS) :])), array.fill, array.dtype
+        )
+        for array in ARRAYS
+    }
+
+
+def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:
+    """Fill in one cell: arrays (1, ...) of a record."""
+    found: list[Events] = []
+    try:
+        for row, mode in enumerate(spec.cycles):
+            branch, events = branch_and_events(omega, xi, mode.periods, max(GRID, spec.points))
+            _put_branch(branch, row, spec, cell)
+            found.append(events)
+    except KernelInputError:  # an undamped spring at resonance
+        cell["outcome"][0] = Outcome.UNRESOLVED
+        return
+    inside = [events.gamma <= spec.gamma_max for events in found]
+    cell["event_count"][0] = sum(int(rows.sum()) for rows in inside)
+    at = 0
+    for events, rows in zip(found, inside, strict=True):
+        for i in np.flatnonzero(rows)[: spec.events - at]:
+            cell["event_kind"][0, at] = 1 + _KINDS.index(Kind(events.kind[i]))
+            for name in ("gamma", "bounces", "periods", "flight_time", "admissible"):
+                cell[f"event_{name}"][0, at] = getattr(events, name)[i]
+            at += 1
+    cell["outcome"][0] = Outcome.PERIODIC
+
+
+def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDArray[Any]]) -> None:
+    """Fill in one branch, thinned to the points there are room for."""
+    kept = _kept(branch.gamma <= spec.gamma_max, spec.points)
+    to = np.flatnonzero(kept >= 0)
+    rows = kept[to]
+    for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity",
+                 "impact_velocity", "stable", "admissible"):  # fmt: skip
+        cell[name][0, row, to] = getattr(branch, name)[rows]
+    for i, name in enumerate(("multiplier", "other_multiplier")):
+        cell[name][0, row, to] = branch.multiplier[rows, i]
+
+
+def _kept(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
+    """Which rows of a branch are stored: indices (m,), m <= points, with -1 between its parts.
+
+    Both ends of every part are, while there is room.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]))).reshape(-1, 2)
+    parts: list[NDArray[np.intp]] = []
+    for low, high in edges:
+        parts += [np.arange(low, high), np.array([-1])]
+    order = np.concatenate([np.empty(0, np.intp), *parts])[:-1]
+    if len(order) <= points:
+        return order
+    gaps = np.flatnonzero(order < 0)
+    even = np.unique(np.concatenate([gaps, np.linspace(0, len(order) - 1, points).round().astype(np.intp)]))
+    surplus = len(even) - points
+    if surplus > 0:  # gaps come on top: rows give way
+        rows = np.flatnonzero(order[even] >= 0)[1:-1]
+        even = np.delete(even, rows[np.linspace(0, len(rows) - 1, surplus).round().astype(np.intp)])
+    return np.asarray(order[even])
+
+
+class OrbitsStudy:
+    """Grids of springs."""
+
+    def parse(self, data: object) -> OrbitsSpec:
+        return OrbitsSpec.parse(data)
+
+    def plan(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> Plan:
+        return make_plan(spec, chunk_shape)
+
+    def variables(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
+        return layout(spec, chunk_shape)
+
+    def estimate(self, spec: OrbitsSpec, plan: Plan) -> Cost:
+        cells = plan.cells
+        return Cost(
+            cells=cells,
+            chunks=len(plan),
+            bytes=cells * bytes_per_cell(spec),
+            core_seconds=estimate_seconds(spec),
+        )
+
+    def task(self, spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+        return run_chunk(spec, chunk, store_url)
+
+
+ORBITS: Final = OrbitsStudy()
