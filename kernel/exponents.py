@@ -28,6 +28,12 @@ from kernel.params import KernelInputError
 LOST: Final = 1e-12
 
 
+#: Windows for which variations turn to the directions that they grow in, before they are measured. With 1,
+#: the split of two exponents that differ by less than 1/observe still shows where they began; with 2 it is
+#: as if they had always been carried.
+ALIGN: Final = 1.5
+
+
 class Variations(NamedTuple):
     """The variations of one cell. Arrays of n exponents."""
 
@@ -153,8 +159,11 @@ def _weight(period: int, settle: int, window: Any) -> float:
 def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) -> None:
     """Carry the variations over the contact or flight `p` that follows `run`, and through its end.
 
-    run: `cell.Progress`; window: `cell.Window`.
+    run: `cell.Progress`; window: `cell.Window`. Variations begin ALIGN times `observe` plate periods
+    before the window.
     """
+    if run.period < run.settle - ALIGN * window.observe:
+        return
     vectors = variations.vectors
     left = run.end - run.period  # plate periods to the run's end
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)

@@ -258,8 +258,8 @@ def test_a_compressed_body_is_refused(client: TestClient):
 
 
 def test_the_allow_header_names_the_methods_of_all_routes(client: TestClient, job: str):
-    assert client.put("/v1/jobs").headers["Allow"] == "GET, POST"
-    assert client.put(job).headers["Allow"] == "DELETE, GET"
+    assert client.put("/v1/jobs").headers["Allow"] == "GET, HEAD, POST"
+    assert client.put(job).headers["Allow"] == "DELETE, GET, HEAD"
     assert client.put("/v1/trajectories").headers["Allow"] == "POST"
 
 
