@@ -1,11 +1,13 @@
 """Curves of events in two parameters, and the points at which they meet.
 
 A fold, flip or Neimark-Sacker point of a (1,k) branch is a zero of one function of the flight time T and the
-parameter, Omega at fixed xi or xi at fixed Omega; so is an orbit with n = 0 at landing. The curves are
-followed by pseudo-arclength in (T, parameter), around cusps, in both directions from the events on a few
-lines of the parameter.
+parameter, Omega at fixed xi or xi at fixed Omega; so is an orbit with n = 0 at landing, and one that grazes:
+the least gap inside the flight, or the least n inside the contact, has the derivatives that it has at a fixed
+time. The curves are followed by pseudo-arclength in (T, parameter), around cusps, in both directions from the
+events on a few lines of the parameter.
 """
 
+import math
 from collections.abc import Iterator
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -13,8 +15,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.branches.admissibility import force_at_landing
-from kernel.branches.closed_form import TWO_PI, floquet, orbit
+from kernel.branches.admissibility import (
+    check,
+    force_at_landing,
+    force_slope,
+    force_terms,
+    force_weights,
+    gap_terms,
+    gap_weights,
+    samples,
+)
+from kernel.branches.closed_form import TWO_PI, Orbit, floquet, orbit
 from kernel.branches.events import (
     EDGES,
     GRAZES,
@@ -24,12 +35,20 @@ from kernel.branches.events import (
     branch_and_events,
     check_spring,
     join_events,
+    sample_times,
 )
-from kernel.branches.spring import STEP, Spring, spring
+from kernel.branches.spring import STEP, Array, Spring, spring
 from kernel.params import KernelInputError
 
 #: Kinds that are followed.
-CURVES: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, Kind.IMMEDIATE_TAKEOFF)
+CURVES: Final = (
+    Kind.FOLD,
+    Kind.FLIP,
+    Kind.NEIMARK_SACKER,
+    Kind.IMMEDIATE_TAKEOFF,
+    Kind.GRAZE_FLIGHT,
+    Kind.GRAZE_CONTACT,
+)
 
 #: Lines of the parameter on which events are looked for.
 LINES: Final = 25
@@ -52,6 +71,13 @@ _ENDS: Final = 1e-4
 
 #: A corrector's last move, in sides of the plane.
 _CONVERGED: Final = 1e-13
+
+#: Kinds at which the gap or n touches zero.
+_GRAZE: Final = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT)
+
+#: An event at which the least gap or n is below this, in plate amplitudes or m A omega**2, grazes there; if
+#: not, at an end of its flight or contact.
+_TOUCHES: Final = 1e-7
 
 #: Codimension-2 points nearer than this in T and in the parameter are one, found twice.
 _SAME: Final = 1e-8
@@ -109,22 +135,82 @@ def _times_only(plane: _Plane, t: complex, p: complex) -> tuple[complex, complex
     return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
 
 
-def _zero(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, NDArray[np.float64]]:
-    """The function that is zero on a curve, and its gradient by (T, parameter)."""
-    if kind is Kind.IMMEDIATE_TAKEOFF:
-        k, z = plane.spring(p), np.array([t + 1j * STEP])
-        by_t = force_at_landing(k, orbit(k, plane.periods, z), z)[0]
-        k, z = plane.spring(p + 1j * STEP), np.array([t + 0j])
-        x = orbit(k, plane.periods, z)
-        by_p = force_at_landing(k, x, z)[0]
-        size = 1.0 / abs(np.hypot(x.c[0].real, x.s[0].real))
-        return by_t.real * size, np.array([by_t.imag, by_p.imag]) / STEP * size
-    trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
-    if kind is Kind.NEIMARK_SACKER:
-        return det.real - 1.0, np.array([det1.real, det.imag / STEP])
-    sign = -1.0 if kind is Kind.FOLD else 1.0
-    f, f1 = 1.0 + sign * trace + det, sign * trace1 + det1
-    return f.real, np.array([f1.real, f.imag / STEP])
+class _Zero:
+    """The function of (T, parameter) that is zero on a curve, with its gradient."""
+
+    def __init__(self, plane: _Plane, kind: Kind, t: float, p: float) -> None:
+        """Of the curve of a kind through the event at (t, p)."""
+        self.plane, self.kind = plane, kind
+        self.time = self.begins = _grazes_at(plane, kind, t, p) if kind in _GRAZE else math.nan
+
+    def restart(self) -> None:
+        """Before the curve is followed from the event again."""
+        self.time = self.begins
+
+    def __call__(self, t: float, p: float) -> tuple[float, NDArray[np.float64]]:
+        """The value, and its gradient by T and by the parameter."""
+        plane, kind = self.plane, self.kind
+        if kind not in EDGES:
+            trace, det, trace1, det1 = _times_only(plane, t, p + 1j * STEP)
+            if kind is Kind.NEIMARK_SACKER:
+                return det.real - 1.0, np.array([det1.real, det.imag / STEP])
+            sign = -1.0 if kind is Kind.FOLD else 1.0
+            f, f1 = 1.0 + sign * trace + det, sign * trace1 + det1
+            return f.real, np.array([f1.real, f.imag / STEP])
+        if math.isfinite(self.time):
+            self.time = _minimum(plane, kind, t, p, self.time)
+        values = []
+        for z, parameter in ((t + 1j * STEP, complex(p)), (complex(t), p + 1j * STEP)):
+            k, at = plane.spring(parameter), np.array([z])
+            x = orbit(k, plane.periods, at)
+            size = abs(np.hypot(x.c[0].real, x.s[0].real))
+            values.append(self._condition(k, x, at)[0] / size)
+        by_t, by_p = values
+        return float(by_t.real), np.array([by_t.imag, by_p.imag]) / STEP
+
+    def _condition(self, k: Spring, x: Orbit, t: Array) -> Array:
+        """n at landing, gap' there, n' at take-off, or the gap or n at a fixed time inside (1,)."""
+        if self.kind is Kind.IMMEDIATE_TAKEOFF:
+            return force_at_landing(k, x, t)
+        if self.kind is Kind.GRAZE_FLIGHT:
+            if math.isfinite(self.time):
+                terms, _, _ = gap_terms(k, np.array([complex(self.time)]))
+                return np.asarray((gap_weights(x) * terms).sum(axis=0))
+            return x.impact
+        if math.isfinite(self.time):
+            terms, _, _ = force_terms(k, np.array([complex(self.time)]))
+            return np.asarray((force_weights(k, x, t) * terms).sum(axis=0) + 2.0)
+        return force_slope(k, x)
+
+
+def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
+    """When the gap or n is least inside the flight or contact, rad; NaN: it grazes at an end of it."""
+    k, at = plane.spring(p), np.array([t])
+    omega, xi = float(np.real(k.omega)), float(np.real(k.xi))
+    x = orbit(k, plane.periods, at)
+    found = check(k, plane.periods, at, x, samples(k, sample_times(omega, xi, plane.periods)), GRAZES)
+    least = found.gap if kind is Kind.GRAZE_FLIGHT else found.force
+    return float(least.time[0]) if abs(least.depth[0]) < _TOUCHES else math.nan
+
+
+def _minimum(plane: _Plane, kind: Kind, t: float, p: float, time: float) -> float:
+    """The time of the minimum next to `time`; NaN if it has left the flight or contact."""
+    k, at = plane.spring(p), np.array([t])
+    x = orbit(k, plane.periods, at)
+    flies = kind is Kind.GRAZE_FLIGHT
+    weights = gap_weights(x) if flies else force_weights(k, x, at)
+    end = t if flies else TWO_PI * plane.periods - t
+    for _ in range(_CORRECTOR):
+        terms = (gap_terms if flies else force_terms)(k, np.array([time]))
+        _, slope, bend = (float((weights * y).sum()) for y in terms)
+        if not bend > 0.0:
+            return math.nan
+        time -= slope / bend
+        if not 0.0 < time < end:
+            return math.nan
+        if abs(slope / bend) < _CONVERGED:
+            break
+    return time
 
 
 def curves(
@@ -179,25 +265,26 @@ def _known(
 
 def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> NDArray[np.float64]:
     """The curve (m, 2) through (t, p), both ways."""
-    forward, closed = _walk(plane, kind, t, p, 1.0)
+    zero = _Zero(plane, kind, t, p)
+    forward, closed = _walk(zero, t, p, 1.0)
     if closed:
         return np.array([[t, p], *forward])
-    backward, _ = _walk(plane, kind, t, p, -1.0)
+    zero.restart()
+    backward, _ = _walk(zero, t, p, -1.0)
     return np.array([*backward[::-1], [t, p], *forward])
 
 
-def _walk(
-    plane: _Plane, kind: Kind, t: float, p: float, direction: float
-) -> tuple[list[NDArray[np.float64]], bool]:
+def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[NDArray[np.float64]], bool]:
     """Points of the curve from (t, p) on, and whether it came back."""
+    plane = zero.plane
     sides = plane.sides()
     start = np.array([t, p]) / sides
     line: list[NDArray[np.float64]] = []
     u, step = start, _FIRST
-    tangent = direction * _tangent(_zero(plane, kind, t, p)[1] * sides)
+    tangent = direction * _tangent(zero(t, p)[1] * sides)
     low, high = plane.low / sides[1], plane.high / sides[1]
     while len(line) < _POINTS and step > _SMALLEST:
-        v, gradient = _corrected(plane, kind, u + step * tangent)
+        v, gradient = _corrected(zero, u + step * tangent)
         turned = _tangent(gradient)
         turned = turned if turned @ tangent > 0.0 else -turned
         angle = float(np.arccos(min(1.0, float(turned @ tangent)))) if np.isfinite(v).all() else np.inf
@@ -205,7 +292,7 @@ def _walk(
             step *= 0.5
             continue
         if not low <= v[1] <= high:
-            line.append(_on_edge(plane, kind, u, v) * sides)
+            line.append(_on_edge(zero, u, v) * sides)
             return line, False
         if len(line) > 5 and np.hypot(*(v - start)) < step:
             return [*line, v * sides, start * sides], True
@@ -215,33 +302,33 @@ def _walk(
     return line, False
 
 
-def _corrected(
-    plane: _Plane, kind: Kind, v: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corrected(zero: _Zero, v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The curve's point next to v, and its gradient, in sides of the plane; NaN if there is none."""
-    sides = plane.sides()
+    sides, time = zero.plane.sides(), zero.time
     gradient = np.full(2, np.nan)
     for _ in range(_CORRECTOR):
         if not (_ENDS < v[0] < 1.0 - _ENDS and v[1] > 0.0):
             break
-        f, gradient = _zero(plane, kind, float(v[0] * sides[0]), float(v[1] * sides[1]))
+        f, gradient = zero(float(v[0] * sides[0]), float(v[1] * sides[1]))
+        if math.isnan(zero.time) and not math.isnan(time):
+            break  # the minimum has left its flight or contact
         gradient = gradient * sides
         move = f / float(gradient @ gradient) * gradient
         v = v - move
         if float(np.hypot(*move)) < _CONVERGED:
             return v, gradient
+    zero.time = time
     return np.full(2, np.nan), gradient
 
 
-def _on_edge(
-    plane: _Plane, kind: Kind, u: NDArray[np.float64], v: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _on_edge(zero: _Zero, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """The curve's point on the edge of the parameter between u inside and v outside, in sides."""
+    plane = zero.plane
     sides = plane.sides()
     p = plane.low if v[1] * sides[1] < plane.low else plane.high
     t = (u[0] + (v[0] - u[0]) * (p / sides[1] - u[1]) / (v[1] - u[1])) * sides[0]
     for _ in range(_CORRECTOR):
-        f, gradient = _zero(plane, kind, t, p)
+        f, gradient = zero(t, p)
         t -= f / gradient[0]
     return np.array([t, p]) / sides
 
@@ -255,7 +342,7 @@ def _codimension_2(
     plane: _Plane, kind: Kind, line: NDArray[np.float64]
 ) -> Iterator[tuple[Kind, float, float]]:
     """The codimension-2 points on a curve: kind, T, parameter."""
-    if kind is Kind.IMMEDIATE_TAKEOFF:
+    if kind in EDGES:
         return
     values = []
     for t, p in line:

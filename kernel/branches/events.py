@@ -53,11 +53,18 @@ _GRADING: Final = 0.1
 _ROUNDS: Final = 12
 _STEPS: Final = 8
 
+#: How far beside an event at an end of a flight or contact others are looked for, rad.
+_NEXT: Final = 1e-7
+
 #: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
 GRAZES: Final = 1e-9
 
 #: Above this Gamma an orbit is a pole of the closed form.
 _POLE: Final = 1e8
+
+
+#: Of flight times between which a condition breaks: low, high, whether broken at low, a minimum's time.
+_Brackets = tuple[Floats, Floats, NDArray[np.bool_], Floats]
 
 
 class Kind(StrEnum):
@@ -312,9 +319,8 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros
         i = np.flatnonzero(broken[:-1] != broken[1:])
         low, high, first = t[i], t[i + 1], broken[i]
         time = np.where(first, minima.time[i], minima.time[i + 1])
+        low, high, first, time = _beside(k, periods, (low, high, first, time), edge, contact, at)
         for _ in range(_ROUNDS):
-            left = ~((edge >= low[:, None]) & (edge <= high[:, None])).any(axis=1)
-            low, high, first, time = low[left], high[left], first[left], time[left]
             if not len(low):
                 break
             root, ok = _touch(k, periods, np.where(first, low, high), time, contact)
@@ -330,6 +336,36 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros
             low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
             time = np.where(broken, minima.time, time)
     return Roots(np.concatenate([np.empty(0, np.intp), *which]), np.concatenate([np.empty(0), *where]))
+
+
+def _beside(
+    k: Spring, periods: int, brackets: _Brackets, edge: Floats, contact: bool, at: Samples
+) -> _Brackets:
+    """Brackets without the events at an end of a flight or contact that they hold: what is left beside."""
+    low, high, first, time = brackets
+    inside = (edge >= low[:, None]) & (edge <= high[:, None])
+    held = inside.any(axis=1)
+    if not held.any():
+        return brackets
+    where = edge[inside[held].argmax(axis=1)]
+    sides = np.concatenate([where - _NEXT, where + _NEXT])
+    inner = check(k, periods, sides, orbit(k, periods, sides), at)
+    broken, minima = (inner.force_broken, inner.force) if contact else (inner.gap_broken, inner.gap)
+    m = len(where)
+    before, after = broken[:m], broken[m:]
+    left, right = before != first[held], after == first[held]
+    return (
+        np.concatenate([low[~held], low[held][left], sides[m:][right]]),
+        np.concatenate([high[~held], sides[:m][left], high[held][right]]),
+        np.concatenate([first[~held], first[held][left], after[right]]),
+        np.concatenate(
+            [
+                time[~held],
+                np.where(first[held], time[held], minima.time[:m])[left],
+                np.where(after, minima.time[m:], time[held])[right],
+            ]
+        ),
+    )
 
 
 def _touch(

@@ -414,7 +414,7 @@ class Supervisor:
 
     def _submit(self) -> None:
         """Submit chunks until enough are in flight: of the job whose turn is due, else of the smallest."""
-        while self._slots > 0:
+        while self._slots > 0 and not self._stop.is_set():
             run = self._next_in_turn()
             is_turn = run is not None
             run = run or self._next_smallest()

@@ -84,6 +84,7 @@ def test_a_store_that_hangs_holds_nobody_up(
 ):
     hang = hanging(name)
     with running(done, inline) as service:
+        service.manager._scrubber._thread.join()  # it would repair what is being removed
         service.manager.delete(JOB)
         assert hang.reached.wait(DEADLINE)
         service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
@@ -102,6 +103,7 @@ def test_a_job_waits_while_its_address_has_results_of_a_deleted_one(
 ):
     hang, held = hanging("rename_for_deletion"), Held()
     with running(done, held, heartbeat_seconds=0.02) as service:
+        service.manager._scrubber._thread.join()  # it would repair what is being removed
         service.manager.delete(JOB)
         assert hang.reached.wait(DEADLINE)
         again, other = service.submit(sweep()), service.submit(sweep(omega=0.6))
@@ -195,6 +197,7 @@ def test_a_running_job_is_not_touched_by_the_deletion_of_its_predecessor(
 ):
     hang = hanging("remove")
     with closing(Scripted()) as executor, running(done, executor) as service:
+        service.manager._scrubber._thread.join()  # it would repair what is being removed
         service.manager.delete(JOB)
         assert hang.reached.wait(DEADLINE)
         again = service.until(service.submit(sweep()), JobState.DONE)

@@ -3,14 +3,14 @@
 import json
 import math
 
+import dense_branches
 import numpy as np
 import pytest
 from hypothesis import given, strategies
-from kernel_runs import TWO_PI, examples
+from kernel_runs import examples
 from paths import GOLDEN
 
-from kernel.branches.admissibility import force_terms, force_weights, gap_terms, gap_weights
-from kernel.branches.closed_form import floquet, orbit
+from kernel.branches.closed_form import floquet
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.events import Kind, branch, branch_and_events
 from kernel.branches.spring import spring
@@ -36,32 +36,6 @@ def test_reference_events(branch_):
         assert time == pytest.approx([p["flight_time"] for p in expected], abs=1e-9)
 
 
-def naive_events(omega, xi, periods, below):
-    """Sign changes of the three conditions on 30 000 points, with orbits followed on 4000 samples."""
-    k = spring(omega, xi)
-    t = np.linspace(1e-3, TWO_PI * periods - 1e-3, 30_001)
-    f = floquet(k, periods, t)
-    found = []
-    for kind, test in (
-        (Kind.FOLD, 1.0 - f.trace + f.det),
-        (Kind.FLIP, 1.0 + f.trace + f.det),
-        (Kind.NEIMARK_SACKER, np.where(np.abs(f.trace) < 2.0, f.det - 1.0, np.nan)),
-    ):
-        for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
-            part = test[i] / (test[i] - test[i + 1])
-            at = np.array([t[i] + part * (t[i + 1] - t[i])])
-            x = orbit(k, periods, at)
-            if not np.hypot(x.c, x.s)[0] < below:
-                continue
-            inside = np.linspace(0.0, 1.0, 4001)[1:-1]
-            gap = gap_weights(x)[:, 0] @ gap_terms(k, inside * at)[0]
-            rest = TWO_PI * periods - at
-            force = 2.0 + force_weights(k, x, at)[:, 0] @ force_terms(k, inside * rest)[0]
-            margin = min(gap.min() / gap.max(), force.min() / force.max())
-            found.append((kind, float(np.hypot(x.c, x.s)[0]), margin))
-    return found
-
-
 @examples(12)
 @given(
     omega=strategies.floats(0.25, 2.5),
@@ -69,18 +43,17 @@ def naive_events(omega, xi, periods, below):
     periods=strategies.integers(1, 3),
 )
 def test_none_missed_and_none_invented(omega, xi, periods):
+    """Against sign changes on a dense grid of T, by matrix exponentials."""
     line, events = branch_and_events(omega, xi, periods)
+    whole = dense_branches.events(omega, xi, periods, 8.0)
     for kind in (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER):
-        expected = [
-            (gamma, margin) for k, gamma, margin in naive_events(omega, xi, periods, 8.0) if k is kind
-        ]
-        gamma, _ = of(events, kind, 8.0, admissible=False)
-        assert np.sort(gamma) == pytest.approx(sorted(g for g, _ in expected), rel=1e-5)
-        # samples decide admissibility but where a condition is nearly broken
-        gamma, _ = of(events, kind, 8.0)
-        for value, margin in expected:
-            if abs(margin) > 1e-4 or margin > 0.0:
-                assert np.any(np.abs(gamma / value - 1.0) < 1e-5) == (margin > -1e-9)
+        expected = [event for event in whole if event.kind == kind]
+        keep = (events.kind == kind) & (events.gamma < 8.0)
+        assert events.flight_time[keep] == pytest.approx([e.flight_time for e in expected], rel=1e-5)
+        assert events.gamma[keep] == pytest.approx([e.gamma for e in expected], rel=1e-5)
+        for event, reason in zip(expected, events.admissible[keep], strict=True):
+            # samples do not decide where a condition is nearly broken
+            assert abs(event.margin) < 1e-6 or (reason == 0) == (event.margin > 0.0)
     assert len(line.gamma) >= 400
 
 
@@ -123,3 +96,40 @@ def test_points_of_curves_are_events(plane):
             near = np.abs(time - curve.flight_time[i]) < 1e-7
             assert near.any(), (curve.kind, curve.omega[i])
             assert gamma[near] == pytest.approx(curve.gamma[i], rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "fixed", "low", "high", "periods"),
+    [(Parameter.OMEGA, 0.05, 0.42, 0.56, 1), (Parameter.OMEGA, 0.05, 1.2, 1.4, 2),
+     (Parameter.XI, 0.44, 0.03, 0.3, 1)],
+)  # fmt: skip
+def test_curves_of_grazes(parameter, fixed, low, high, periods):
+    """Each point is an orbit that grazes, found by itself: an event of the branch of its own spring."""
+    kinds = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT, Kind.IMMEDIATE_TAKEOFF)
+    found = curves(parameter, fixed, low, high, periods, kinds, lines=6)
+    assert {curve.kind for curve in found.curves} >= {Kind.GRAZE_FLIGHT, Kind.IMMEDIATE_TAKEOFF}
+    seen = 0
+    for curve in found.curves:
+        assert (np.ptp(curve.omega) == 0.0) == (parameter is Parameter.XI)
+        at = curve.xi if parameter is Parameter.XI else curve.omega
+        for i in range(5, len(curve.gamma) - 5, 20):
+            # curves end where two grazes meet; a gap beside that dips below zero by less than rounding
+            if curve.admissible[i] or np.abs(at[i] - at[[0, -1]]).min() < 2e-3:
+                continue
+            _, events = branch_and_events(float(curve.omega[i]), float(curve.xi[i]), periods)
+            near = np.isin(events.kind, kinds) & (np.abs(events.flight_time - curve.flight_time[i]) < 1e-8)
+            assert near.any(), (curve.kind, curve.omega[i], curve.xi[i])
+            assert events.gamma[near] == pytest.approx(curve.gamma[i], rel=1e-8)
+            seen += curve.kind in kinds[:2]
+    assert seen >= 2
+
+
+def test_bogdanov_takens_and_fold_flip_points_of_other_planes():
+    """Over xi at Omega = 0.6: the cusp at which folds of (1,1) meet, and a fold-flip, by their conditions."""
+    found = curves(Parameter.XI, 0.6, 0.01, 0.3, 1, (Kind.FOLD, Kind.FLIP), lines=6)
+    assert set(found.points.kind) == {Kind.CUSP, Kind.FOLD_FLIP}
+    for kind, xi, t in zip(found.points.kind, found.points.xi, found.points.flight_time, strict=True):
+        f = floquet(spring(0.6, float(xi)), 1, np.array([float(t)]))
+        assert 1.0 - f.trace[0] + f.det[0] == pytest.approx(0.0, abs=1e-11)
+        other = f.det1 - f.trace1 if kind == Kind.CUSP else f.det + 1.0
+        assert other[0] == pytest.approx(0.0, abs=1e-11)
