@@ -233,16 +233,11 @@ def copied(folder: Path) -> Path:
 
 
 def preload(folder: Path) -> None:
-    """Import here what every run of tests needs and no change touches, the compiled kernels too."""
+    """Import the libraries here, once for all runs of tests; each run imports what a change may touch."""
     os.chdir(folder)
     sys.path[:0] = [str(folder), str(folder / "tests" / "support")]
     for name in LIBRARIES:
         __import__(name)
-    from worker.kernel_cache import warm
-
-    warm(folder / ".numba-cache")
-    for name in [name for name in sys.modules if name.split(".")[0] in PACKAGES]:
-        del sys.modules[name]  # the copy's, as they are after the change
 
 
 def in_child(work: Callable[[], int], seconds: float, log: Path) -> int | None:
