@@ -131,5 +131,6 @@ def check_size(
     if cost.core_seconds > max_core_seconds:
         rule = (
             f"asks for about {cost.core_seconds:.4g} core-seconds; at most {max_core_seconds:.4g} are allowed"
+            " (max_core_seconds)"
         )
         raise SpecTooLarge([Problem("", f"{rule}: take fewer values, or fewer periods (settle, observe)")])
