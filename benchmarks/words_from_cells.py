@@ -2,10 +2,11 @@
 
     python -m benchmarks.words_from_cells [--xi 0.02] [--cells 40] [--ramps FILE.csv]
 
-At evenly spaced Omega from 0.26 to 0.82 a ramp goes down from 1.3 Gamma_th, 160 cells of 600 plate periods each.
-The cycles of its lowest settled cells are followed as words, and `thresholds` is asked with them and with the
-lowest Gamma that bounced. FILE, as `benchmarks.seeded_ramps -o` writes it for the same springs, has the lowest
-Gamma that any of its ramps reached: an answer is right if it is that within 2e-5.
+At evenly spaced Omega from 0.26 to 0.82 a ramp goes down from 1.3 Gamma_th, 160 cells of 600 plate periods
+each. The cycles of its lowest settled cells are followed as words, and `thresholds` is asked with them and
+with the lowest Gamma that bounced. FILE, as `benchmarks.seeded_ramps -o` writes it for the same springs, has
+the lowest Gamma that any of its ramps reached: "agrees" is that within 2e-5. Where another start reaches
+lower, the ramp was on another attractor.
 """
 
 import argparse
@@ -77,15 +78,14 @@ def main() -> None:
         verdict = UNRESOLVED
         if answer.cause != UNRESOLVED:
             verdict = "agrees" if abs(answer.down - simulated) < WITHIN else f"{simulated:.6f} simulated"
-            count["resolved", "agrees" if verdict == "agrees" else "not compared or differs"] += 1
+            count["with words", "agrees" if verdict == "agrees" else "not compared or differs"] += 1
         else:
-            count[UNRESOLVED, ""] += 1
+            count["with words", UNRESOLVED] += 1
         letters = [word.letters for word in found]
-        print(
-            f"{omega:.4f} {alone.cause} | {answer.cause} {answer.down:.6f} {verdict} {letters} {answer.reason}",
-            flush=True,
-        )
-    print(table(["with words", "verdict", "springs"], [[*key, str(n)] for key, n in sorted(count.items())]))
+        count["alone", UNRESOLVED if alone.cause == UNRESOLVED else "answered"] += 1
+        says = f"{answer.cause} {answer.down:.6f} {verdict}"
+        print(f"{omega:.4f} {alone.cause} | {says} {letters} {answer.reason}", flush=True)
+    print(table(["words", "verdict", "springs"], [[*key, str(n)] for key, n in sorted(count.items())]))
 
 
 if __name__ == "__main__":
