@@ -86,7 +86,7 @@ class End(NamedTuple):
     """Where a stable cycle ends on the way down."""
 
     gamma: float
-    fold: Fold | None
+    fold: Fold | None  # None where its only flight vanishes, at Eq. 25, and where it is not known
     reason: str  # why it is not known, or empty
 
 
@@ -148,6 +148,8 @@ def descend(word: Word) -> End:
         at = float(np.hypot(u[2], u[3]))
         if turn.kind is Kind.FOLD:
             return End(at, _fold(turn), "")
+        if turn.time == 0.0 and turn.word.letters == "s":
+            return End(at, None, "")  # the only flight vanishes: Eq. 25
         following = _next(turn)
         if following is None:
             return End(at, None, f"{name} ends at a {turn.kind} at Gamma = {at:.6f}")

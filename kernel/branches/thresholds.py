@@ -63,7 +63,7 @@ def thresholds(
     words: stable cycles of settled cells of this spring, as `words.from_flights` gives them; each is followed
     down, too. bouncing: the lowest Gamma at which a simulation bounces. With words, folds that are not
     admissible or not stable leave the answer unresolved no longer: what lives below them has been looked
-    for; but a simulation that bounces below the answer does.
+    for; but a simulation that bounces below the answer does. Attractors on which no cell is may reach lower.
     """
     gamma_th = float(threshold(omega, xi))
     found = _known(omega, xi, periods, gamma_th)

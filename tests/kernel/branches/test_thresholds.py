@@ -117,6 +117,16 @@ def test_ghost_of_a_word():
         assert ours == pytest.approx(known, abs=1e-7)
 
 
+def test_a_cycle_that_ends_at_eq_25():
+    """The only flight of (1,1) vanishes there: nothing is left open."""
+    gamma_th = float(threshold(0.75, 0.1))
+    end = descend(from_branch(0.75, 0.1, 1, 0.3))
+    assert end.gamma == pytest.approx(gamma_th, abs=1e-9)
+    assert (end.fold, end.reason) == (None, "")
+    found = thresholds(0.75, 0.1, words=[from_branch(0.75, 0.1, 1, 0.3)], bouncing=gamma_th + 1e-6)
+    assert (found.cause, found.down) == (EQ_25, gamma_th)
+
+
 def test_ghost():
     (cell,) = REFERENCE["ghost"]["cells"]
     fold = thresholds(cell["omega"], cell["xi"]).fold
