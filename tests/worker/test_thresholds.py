@@ -209,7 +209,8 @@ def test_a_job_refines_its_thresholds_on_the_workers(job: Job):
     for xi in (0.05, 0.2):
         fine, coarse = job.threshold(xi, tolerance=1e-5), job.threshold(xi)
         np.testing.assert_allclose(fine.up, threshold(np.array([0.6, 0.66]), xi), rtol=0, atol=1e-5)
-        assert np.all(fine.down <= coarse.down + 1e-5)
+        # the grid has none where the cell that decides is still settling: its bouncing dies
+        assert np.all((fine.down <= coarse.down + 1e-5) | (coarse.down_status == "settling"))
         assert fine.attrs["tolerance"] == 1e-5
         assert "tolerance" not in coarse.attrs
     assert float(job.threshold(0.05, tolerance=1e-4).down[0]) == pytest.approx(0.553, abs=1e-3)
@@ -223,8 +224,8 @@ def test_the_command_line_writes_as_many_digits_as_hold(address: str, job: Job):
 
     assert bounce("--xi", "0.05", "--tolerance", "1e-5").splitlines()[:3] == [
         "xi = 0.05, to 1e-05 in gamma",
-        "        OMEGA       EQ. 25           UP         DOWN",
-        "    0.6000000    0.7818201    0.7818213    0.5529688",
+        "        OMEGA       EQ. 25           UP         DOWN    PREDICTED",
+        "    0.6000000    0.7818201    0.7818213    0.5531250    0.5532446",
     ]
     assert bounce("--xi", "0.05").startswith("xi = 0.05, on the grid of gamma\n")
     assert '"tolerance": 0.001' in bounce("--xi", "0.05", "--tolerance", "1e-3", "--json")
