@@ -80,7 +80,8 @@ def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
 
 def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeypatch):
     monkeypatch.setattr(tasks, "CANCEL_SECONDS", 0.0)
-    monkeypatch.setattr(tasks, "cells_at_once", lambda spec: 1)  # a piece for every cell
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 1)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 0.0))  # no more steps at a time than at first
     assert values(compute(spec, tmp_path / "pieces.zarr", spec.shape[1:])) == expected
 
 
