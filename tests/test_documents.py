@@ -31,11 +31,13 @@ NOT_RUN = {
     "needs machines with a shared folder": r"dask (scheduler|worker) --scheduler-file /shared/|"
     r"(BOUNCE_\w+=\S+ )*bounce serve --(scheduler tls://scheduler\.example\.org|scheduler-file /shared/)",
     "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
-    "takes minutes": r"bounce figure all |bounce tradeoff ",
+    "takes minutes": r"bounce figure (all|hysteresis|branches|curves|energy)\b|bounce tradeoff |"
+    r"python -m benchmarks\.",
+    "the service must be stopped": r"bounce (restore|adopt) ",
 }
 
 #: So that a good reason does not become a habit.
-MOST_NOT_RUN = 8
+MOST_NOT_RUN = 12
 
 #: What must not be hidden in a block of plain text.
 LOOKS_RUNNABLE = re.compile(

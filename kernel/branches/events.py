@@ -59,6 +59,9 @@ _NEXT: Final = 1e-7
 #: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
 GRAZES: Final = 1e-9
 
+#: omega, 1/omega and xi up to here: the squares of the spring's rates are far from over- and underflow.
+_EXTREME: Final = 1e60
+
 #: Above this Gamma an orbit is a pole of the closed form.
 _POLE: Final = 1e8
 
@@ -141,6 +144,10 @@ def check_spring(omega: float, xi: float, periods: int) -> None:
         raise KernelInputError("periods", f"must be >= 1, got {periods}")
     if omega == 1.0 and xi == 0.0:
         raise KernelInputError("xi", "must be > 0 at omega = 1: the driven amplitude is infinite")
+    if not 1.0 / _EXTREME <= omega <= _EXTREME:
+        raise KernelInputError("omega", f"must be between {1.0 / _EXTREME:g} and {_EXTREME:g}, got {omega:g}")
+    if xi > _EXTREME:
+        raise KernelInputError("xi", f"must be at most {_EXTREME:g}, got {xi:g}")
 
 
 def flight_times(

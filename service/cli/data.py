@@ -30,7 +30,9 @@ def backup(file: Path, data: str | None) -> None:
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @data_option
 def restore(file: Path, data: str | None) -> None:
-    """Put a backup in place of the ledger; no service may be using the folder.
+    """Put a backup in place of the ledger.
+
+    No service may be using the folder.
 
     The ledger that was there is kept beside it. Stores that the backup does not know are left alone: "bounce
     adopt --all" takes them in.
@@ -52,7 +54,9 @@ def restore(file: Path, data: str | None) -> None:
 @click.option("--all", "every", is_flag=True, help="Adopt every store that the ledger does not know.")
 @data_option
 def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
-    """Take in stores that the ledger does not know; no service may be using the folder.
+    """Take in stores that the ledger does not know.
+
+    No service may be using the folder.
 
     STORE is a job's id or the name of its store. Every chunk is read; those that are whole count as done, and
     "bounce resume" computes the others. Stores are not changed.
@@ -87,7 +91,10 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
 @click.option("--url", default=DEFAULT_URL, show_default=True, envvar="BOUNCE_URL", show_envvar=True,
               help="Address of the service, if one should be running.")  # fmt: skip
 def doctor(data: str | None, url: str) -> None:
-    """Look at what the service needs, change nothing, and exit with 1 if something needs attention."""
+    """Check what the service needs; change nothing.
+
+    Exits with 1 if something needs attention.
+    """
     from service.cli.doctor import examine
 
     findings = examine(_settings(data), url)

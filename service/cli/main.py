@@ -62,7 +62,10 @@ def metrics(url: str, token: str | None) -> None:
 @click.option("--print", "print_only", is_flag=True, help="Print the address, with the token, instead.")
 @service_options
 def open_page(print_only: bool, url: str, token: str | None) -> None:
-    """Open the page in a browser; the access token of a service with --token auto is filled in."""
+    """Open the page in a browser.
+
+    The access token of a service with --token auto is filled in.
+    """
     import webbrowser
 
     with open_client(url, token) as client:

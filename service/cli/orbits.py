@@ -51,7 +51,9 @@ def orbits(
     url: str,
     token: str | None,
 ) -> None:
-    """Compute branches of cycles, stable and unstable, and their events.
+    """Compute branches of cycles and their events.
+
+    Stable and unstable ones.
 
     Without ID, cycles of one bounce at one Ω and ξ, in closed form. With the ID of a sweep, the cycles of
     any number of bounces that its cells along Γ settled to. Prints the events, or writes every point of every
@@ -96,7 +98,9 @@ def curves(
     url: str,
     token: str | None,
 ) -> None:
-    """Compute curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω.
+    """Compute curves of folds, flips and other events.
+
+    Over Ω at one ξ, or over ξ at one Ω.
 
     Prints the points at which they meet or turn, or writes every point of every curve. For example:
 

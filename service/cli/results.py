@@ -69,7 +69,9 @@ def threshold(
     url: str,
     token: str | None,
 ) -> None:
-    """Print the bouncing thresholds of a job per Ω, or of one spring in closed form.
+    """Print the bouncing thresholds of a job or a spring.
+
+    Of a job per Ω; of one spring in closed form.
 
     With the ID of a sweep from rest or ramped along gamma, the lowest Γ that bounces, on the way up (or from
     rest) and on the way down, beside the predictions. Without ID, the predictions at one Ω and ξ:

@@ -95,7 +95,7 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         assert branch_pixels(page) == []
         page.get_by_label("Branches").check()
         wait_for(lambda: len(branch_pixels(page)) > 200)
-        wait_for(lambda: "branches=1" in page.url)
+        wait_for(lambda: "branches=1" in page.evaluate("location.href"))
         screenshot(page, "branches")
 
         # every cycle that is pointed at is one of the closed form, and some are unstable
@@ -125,7 +125,9 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         assert values == pytest.approx([time] * len(values), abs=2e-3)
         assert "on a cycle in closed form" in page.locator(".trajectory header .note").inner_text()
         screenshot(page, "cycle")
-        with opened(browser, page.url, expected=READBACK) as again:  # the address shows the same cycle
+        with opened(
+            browser, page.evaluate("location.href"), expected=READBACK
+        ) as again:  # the address shows the same cycle
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
 
 
@@ -147,7 +149,7 @@ def test_branches_follow_the_slider_and_leave_with_the_box(browser: Any, address
         wait_for(lambda: branch_pixels(page) != before)
         page.get_by_label("Branches").uncheck()
         wait_for(lambda: branch_pixels(page) == [])
-        wait_for(lambda: "branches" not in page.url)
+        wait_for(lambda: "branches" not in page.evaluate("location.href"))
 
 
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):

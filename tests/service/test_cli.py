@@ -33,8 +33,9 @@ from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "cancel", "curves", "delete", "diagram", "export", "figure", "follow", "list", "metrics", "modes", "open",
-    "orbits", "resume", "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
+    "adopt", "backup", "cancel", "curves", "delete", "diagram", "doctor", "export", "figure",
+    "follow", "list", "metrics", "modes", "open", "orbits", "restore", "resume", "serve",
+    "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}
@@ -217,10 +218,16 @@ def test_a_threshold_outside_the_grid_is_printed_as_a_bound(
     assert float(analytic) == pytest.approx(eq_25, abs=1e-6)
 
 
+#: What thresholds say of the closed form, in variables over omega and in an attribute.
+PREDICTION = {"predicted_down": np.nan, "cause": "unresolved", "difference": ""}
+PREDICTED = {"prediction": "rigid"}
+
+
 def test_a_sweep_from_rest_has_no_threshold_on_the_way_down(url: str, job: str):
-    _, _, *lines, note = bounce("threshold", job, url=url).stdout.splitlines()
+    _, _, *lines, note, predicted = bounce("threshold", job, url=url).stdout.splitlines()
     assert [line.split()[3] for line in lines] == ["-", "-"]
     assert note == "-: the sweep is not ramped down"
+    assert predicted.startswith("PREDICTED: ")
 
 
 def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
@@ -232,16 +239,20 @@ def test_a_threshold_that_could_not_be_refined_is_bounded_by_the_grid():
             "down": np.nan,
             "up_status": status,
             "down_status": "not ramped",
+            **PREDICTION,
         }
         variables = {name: ("omega", [value]) for name, value in columns.items()}
-        return xarray.Dataset(variables, {"omega": [0.5], "xi": 0.26}, {"complete": 1, **attributes})
+        return xarray.Dataset(
+            variables, {"omega": [0.5], "xi": 0.26}, {"complete": 1, **PREDICTED, **attributes}
+        )
 
     text = threshold_table(dataset(np.nan, tolerance=1e-3), dataset(2.5), TWO_LINES | {"omega": 0.5})
     _, _, line, *notes = text.splitlines()
-    assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5*", "-"]
+    assert re.split(r" {2,}", line.strip()) == ["0.500000", "inf", "≤ 2.5*", "-", "unresolved"]
     assert notes == [
         "≤ 2.5*: not refined; the lowest Γ of the grid that bounces",
         "-: the sweep is not ramped down",
+        "PREDICTED: DOWN by the closed form, rigid",
     ]
 
 
@@ -253,9 +264,11 @@ def test_every_status_of_a_threshold_is_explained(status: Status, direction: str
     variables = {name: ("omega", [np.nan]) for name in ("analytic", "up", "down")}
     statuses = {name: ("omega", ["not ramped"]) for name in ("up_status", "down_status")}
     statuses[f"{direction}_status"] = ("omega", [str(status)])
-    dataset = xarray.Dataset(variables | statuses, {"omega": [0.5], "xi": 0.26}, {"complete": 1})
+    variables |= {name: ("omega", [value]) for name, value in PREDICTION.items()}
+    attributes = {"complete": 1, **PREDICTED}
+    dataset = xarray.Dataset(variables | statuses, {"omega": [0.5], "xi": 0.26}, attributes)
     notes = threshold_table(dataset, dataset, TWO_LINES).splitlines()[3:]
-    assert len(notes) == 2
+    assert len(notes) == 3
     assert all(": " in note for note in notes)
 
 

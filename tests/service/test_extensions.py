@@ -15,6 +15,7 @@ from toy_study import TOY
 
 from kernel.params import Outcome
 from worker import studies
+from worker.cost import FOLLOWED_SHARE
 from worker.spec import SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS
 
@@ -38,7 +39,8 @@ GLUED: dict[str, Any] = {
 def test_a_contact_model_is_its_module_and_a_row(tmp_path: Path, glued: None):
     with computing(tmp_path) as client:
         cost = client.post("/v1/jobs", params={"validate_only": "true"}, json=GLUED).json()
-        assert cost["core_seconds"] == pytest.approx(10 * 5 * 0.01e-6)
+        followed = 2 * GLUED["observe"]  # plate periods of a cell without a mode
+        assert cost["core_seconds"] == pytest.approx(10 * (5 + FOLLOWED_SHARE * followed) * 0.01e-6)
         here = finished(client, GLUED)
         diagram = get(client, f"{here}/diagram", along="gamma", omega=0.5, xi=0.1)
         assert diagram["outcome"] == [Outcome.AT_REST] * 5
