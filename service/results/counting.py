@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from kernel.labels import LABELS, label_codes
 from kernel.recount import Modes, recount
 from worker import schema
+from worker.schema import MODE_ARRAYS
 from worker.spec import SweepSpec
-
-#: The stored arrays that tell a cell's mode.
-MODE_ARRAYS: Final = (schema.OUTCOME.name, "bounces", "periods")
 
 #: The stored arrays that a mode is found from.
 FLIGHT_ARRAYS: Final = ("flight_time", "takeoff_phase", "flights")

@@ -39,6 +39,7 @@ from worker.spec.contact_models import (
 )
 from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
 from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
+from worker.spec.refine import Refine, Refinement
 from worker.spec.time_steps import check_steps, corners
 
 #: The axes of a sweep in the order of the store's dimensions, slowest first.
@@ -71,6 +72,9 @@ def _label(name: str) -> str:
     return name
 
 
+#: 32 hex digits, as in the address of a job.
+JobId = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
+
 #: The name of a study: not part of its identity.
 Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
 
@@ -79,7 +83,7 @@ class SweepSpec(Strict):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
     `settle`, `observe` and `settle_until` are in plate periods, `keep` in flights, `micro_flight` and
-    `settle_tolerance` in rad. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names
+    `settle_tolerance` in rad. `parent` is the job of whose map this is a part: a label, like `name`. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names
     each field and rule.
     """
 
@@ -96,6 +100,8 @@ class SweepSpec(Strict):
     settle_tolerance: Annotated[float, Field(ge=0.0, le=MAX_SETTLE_TOLERANCE), NUMBER] = 0.0
     settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
     exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
+    refine: Refinement = None
+    parent: JobId | None = None
 
     def __init__(self, /, **data: object) -> None:
         try:
@@ -115,6 +121,9 @@ class SweepSpec(Strict):
             nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
             rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
             raise BrokenRuleError("settle_until", rule)
+        if self.refine is not None and not isinstance(self.protocol, Rest):
+            rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}: a ramp computes every cell; null works"
+            raise BrokenRuleError("refine", rule)
         self._check_exponents()
         self._check_depth()
         self._check_start()
@@ -228,12 +237,12 @@ class SweepSpec(Strict):
     def canonical(self) -> dict[str, Any]:
         """Plain JSON values of everything that determines the stored numbers.
 
-        Axes are lists of their values and defaults are filled in. The label is left out, and so are fields
+        Axes are lists of their values and defaults are filled in. The labels are left out, and so are fields
         of later releases that are off: job ids made before these fields existed must not change.
         """
-        later = ("settle_tolerance", "settle_until", "exponents")
+        later = ("settle_tolerance", "settle_until", "exponents", "refine")
         unused = {field for field in later if not getattr(self, field)}
-        plain = self.model_dump(exclude={"name", *AXES, *unused})
+        plain = self.model_dump(exclude={"name", "parent", *AXES, *unused})
         return {axis: self.axis_values(axis).tolist() for axis in AXES} | plain
 
     def as_submitted(self) -> dict[str, Any]:
@@ -284,5 +293,6 @@ def _fields() -> dict[str, tuple[str, ...]]:
         "<rest>": tuple(Rest.model_fields),
         "<ramp>": tuple(Ramp.model_fields),
         "<start>": tuple(OnCycle.model_fields),
+        "<refine>": tuple(Refine.model_fields),
         **model_fields(),
     }
