@@ -169,7 +169,7 @@ COORDINATES: Final = (
 
 
 def arrays(spec: SweepSpec) -> Iterator[Array]:
-    """The arrays of a sweep in the order they are written; ramps store `end_state`, adaptive maps `computed`."""
+    """The arrays of a sweep in the order they are written; `end_state` only of ramps."""
     yield from RECORD
     if spec.exponents:
         yield LYAPUNOV
