@@ -49,12 +49,13 @@ def classes(
     By bouncing: at rest, unresolved, diverged, any other. By mode, these others are told apart further: each
     mode of up to MAX_MODE_PERIODS plate periods is a class.
     """
-    kinds = _OF_OUTCOME[outcome]
+    kinds: NDArray[np.int64] = _OF_OUTCOME[outcome]
     if refine.by == "bouncing":
         return kinds
     short = (outcome == Outcome.PERIODIC) & (periods <= MAX_MODE_PERIODS)
     modes = _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods
-    return np.where(short, modes, kinds)
+    result: NDArray[np.int64] = np.where(short, modes, kinds)
+    return result
 
 
 class Refinement:

@@ -198,6 +198,11 @@ def bytes_per_cell(spec: SweepSpec) -> int:
     )
 
 
+def bytes_of_map(spec: SweepSpec) -> int:
+    """Stored bytes before compression of a cell that is not computed: those that hold no fill value."""
+    return sum(np.dtype(array.dtype).itemsize for array in arrays(spec) if not array.extra_dims)
+
+
 def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     length = sizes(spec)

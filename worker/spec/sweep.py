@@ -53,8 +53,8 @@ class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
     `settle`, `observe` and `settle_until` are in plate periods, `keep` in flights, `micro_flight` and
-    `settle_tolerance` in rad. `parent` is a label, the job in whose map this sweep is a window. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names
-    each field and rule.
+    `settle_tolerance` in rad. `parent` is a label: the job in whose map this sweep is a window.
+    `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
     AXES: ClassVar = AXES
