@@ -164,6 +164,6 @@ def _mean_square(flight_time: Any, takeoff_phase: Any, lag: int, first: int, par
         time = flight_time[i] - flight_time[i - lag]
         phase = takeoff_phase[i] - takeoff_phase[i - lag]
         # without a branch: on which side of the turn a chaotic flight lies cannot be predicted
-        phase -= TWO_PI * ((phase > math.pi) - (phase < -math.pi))
+        phase -= TWO_PI if phase > math.pi else (-TWO_PI if phase < -math.pi else 0.0)
         total += time * time + phase * phase
     return total / part
