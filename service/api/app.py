@@ -97,11 +97,12 @@ def _service(
 ) -> Service:
     readiness = Readiness(executor, ledger_fault=ledger.fault)
     metrics.add_jobs(ledger, readiness)
+    manager = JobManager(ledger, executor, settings)
     return Service(
         settings=settings,
         ledger=ledger,
-        manager=JobManager(ledger, executor, settings),
-        on_demand=OnDemandCache(executor),
+        manager=manager,
+        on_demand=OnDemandCache(executor, jobs_compute=manager.is_computing),
         capacity=Capacity(
             {
                 "read": settings.max_reads,

@@ -96,7 +96,7 @@ def job_threshold(
     threshold, and 202 with the progress until the workers have refined them all.
     """
     sweep = dependencies.sweep(service, job)
-    result = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
+    result = service.background.run(thresholds.on_grid, sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
@@ -160,7 +160,7 @@ def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQ
     sweep = dependencies.sweep(service, job)
     export_files.check_size(sweep.spec, service.settings.max_export_bytes)
     plan = service.manager.preparer.prepare(job).plan
-    file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
+    file = export_files.make(service.background, sweep, plan, query.format, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',
