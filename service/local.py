@@ -112,6 +112,7 @@ def run_to_file(
     """
     target = Path(output)
     with computed(spec, partial_of(target), workers=workers, progress=progress) as (record, job):
+        from service.background import InThisProcess
         from service.client.output_file import complete_file
         from service.render import answers, export
         from service.results.selection import Sweep
