@@ -126,9 +126,8 @@ def run_to_file(
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
             if format in EXPORTS:
-                made = export.make(
-                    sweep, job.plan, cast(ExportFormat, format), partial_of(target) / "exports"
-                )
+                kind, folder = cast(ExportFormat, format), limits.exports_path
+                made = export.make(InThisProcess(), sweep, job.plan, kind, folder)
                 file.writelines(export.pieces(made))
             else:
                 where, table = _line(line or {}), cast(DiagramFormat, format)
