@@ -33,7 +33,7 @@ import psutil
 
 from benchmarks.burst import used
 from benchmarks.machine import describe
-from benchmarks.serving import TIMEOUT, Cluster, Polls, Serving, sweep
+from benchmarks.serving import Cluster, Polls, Serving, sweep
 
 SWEEPS: Final = 8
 #: Jobs at a time.
@@ -43,7 +43,7 @@ WARM_SHARE: Final = 0.2
 MORE_MEMORY: Final = 0.05
 MORE_HANDLES: Final = 10
 LOCKED_SECONDS: Final = 8.0
-#: Seconds until damage must be repaired and a job done, on a busy machine with a scheduler killed meanwhile.
+#: Seconds until an answer must come, damage be repaired and a job done, on a busy machine with faults.
 PATIENCE: Final = 300.0
 #: What clients may be told instead of an answer: come again, or that there are no workers or it is repaired.
 LATER: Final = (202, 429, 503)
@@ -69,7 +69,7 @@ class Soak:
         self._bodies = {path: self._body(path) for path in self._paths}
 
     def _body(self, path: str) -> str:
-        answer = httpx2.get(f"{self._service.url}{self._kept}/{path}", timeout=TIMEOUT)
+        answer = httpx2.get(f"{self._service.url}{self._kept}/{path}", timeout=PATIENCE)
         answer.raise_for_status()
         return hashlib.sha256(answer.content).hexdigest()
 
@@ -84,13 +84,13 @@ class Soak:
 
     def _submit(self, spec: dict[str, Any]) -> str:
         url = f"{self._service.url}/v1/jobs"
-        answer = self._persist(lambda: httpx2.post(url, json=spec, timeout=TIMEOUT))
+        answer = self._persist(lambda: httpx2.post(url, json=spec, timeout=PATIENCE))
         return str(answer.headers["Location"])
 
     def _digest(self, spec: dict[str, Any]) -> str:
         path = self._submit(spec)
         digest = self._service.digest(self._service.wait(path))
-        self._persist(lambda: httpx2.delete(self._service.url + path, timeout=TIMEOUT))
+        self._persist(lambda: httpx2.delete(self._service.url + path, timeout=PATIENCE))
         return digest
 
     def _note_wrong(self, what: str) -> None:
@@ -136,7 +136,7 @@ class Soak:
         if rng.random() < 0.2:
             self._leave(path)
         else:
-            answer = httpx2.get(f"{self._service.url}{self._kept}/{path}", timeout=TIMEOUT)
+            answer = httpx2.get(f"{self._service.url}{self._kept}/{path}", timeout=PATIENCE)
             with self._lock:
                 self.answers[answer.status_code] += 1
             whole = answer.headers.get("Bounce-Complete", "true") == "true"
@@ -208,14 +208,14 @@ class Soak:
                 self._note_wrong(f"damage of {chunk.name} not repaired")
                 break
             for xi in ("0.1", "0.26"):
-                httpx2.get(f"{self._service.url}{self._kept}/diagram?xi={xi}", timeout=TIMEOUT)
+                httpx2.get(f"{self._service.url}{self._kept}/diagram?xi={xi}", timeout=PATIENCE)
             time.sleep(0.5)
         self._service.wait(self._kept)
         return "chunks damaged"
 
     def _hold_ledger(self, rng: random.Random) -> str:
         ledger = self._service.data / "ledger.sqlite"
-        with closing(sqlite3.connect(ledger, timeout=TIMEOUT, isolation_level=None)) as other:
+        with closing(sqlite3.connect(ledger, timeout=PATIENCE, isolation_level=None)) as other:
             other.execute("BEGIN IMMEDIATE")
             time.sleep(LOCKED_SECONDS)
             other.execute("ROLLBACK")
