@@ -30,6 +30,7 @@ from service.settings import Settings
 from worker.executors.base import Executor
 from worker.orbits import OrbitsSpec
 from worker.spec import SweepSpec
+from worker.spec.window import Window
 
 #: Chunks of stores read at a time.
 CHUNKS: Final = 4
@@ -127,7 +128,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for body_model in (SweepSpec, OrbitsSpec, TrajectorySpec, ProblemDocument):
+        for body_model in (SweepSpec, OrbitsSpec, Window, TrajectorySpec, ProblemDocument):
             schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
         app.openapi_schema = document

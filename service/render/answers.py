@@ -80,10 +80,11 @@ def modes(
     max_points: int,
     every: int,
     min_flight: float | None,
+    mask: bool,
 ) -> Answer:
-    """The mode map as JSON."""
+    """The mode map as JSON; mask: of an adaptive map, with which cells were computed."""
     plane = mode_map.modes(sweep, xi, direction, max_points, every, min_flight)
-    return Answer(text.mode_map_json(plane), plane.complete)
+    return Answer(text.mode_map_json(plane, mask and sweep.spec.refine is not None), plane.complete)
 
 
 def packed_line(sweep: Sweep, line: Line, view: View) -> Answer:

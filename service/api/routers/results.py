@@ -138,9 +138,13 @@ def job_orbits(
 )
 @costly(_modes_memory)
 def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
-    """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
+    """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ.
+
+    Of an adaptive map also the share of cells computed, and with `mask` which ones: the others have the
+    values of the nearest corner or centre of their block.
+    """
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    plane = (query.xi, query.direction, max_points, query.every, query.min_flight)
+    plane = (query.xi, query.direction, max_points, query.every, query.min_flight, query.mask)
     answer = service.background.run(answers.modes, sweep, *plane)
     return Response(answer.content, media_type=MEDIA_TYPES["json"], headers=_complete(answer.complete))
 
