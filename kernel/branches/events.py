@@ -53,6 +53,9 @@ _GRADING: Final = 0.1
 _ROUNDS: Final = 12
 _STEPS: Final = 8
 
+#: Rounds after which a bracket around a pole of Gamma(T), where conditions change too, is left.
+_POLE_ROUNDS: Final = 3
+
 #: How far beside an event at an end of a flight or contact others are looked for, rad.
 _NEXT: Final = 1e-7
 
@@ -327,7 +330,10 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros
         low, high, first = t[i], t[i + 1], broken[i]
         time = np.where(first, minima.time[i], minima.time[i + 1])
         low, high, first, time = _beside(k, periods, (low, high, first, time), edge, contact, at)
-        for _ in range(_ROUNDS):
+        for number in range(_ROUNDS):
+            if number == _POLE_ROUNDS:
+                graze = ~_around_pole(k, periods, low, high)
+                low, high, first, time = low[graze], high[graze], first[graze], time[graze]
             if not len(low):
                 break
             root, ok = _touch(k, periods, np.where(first, low, high), time, contact)
@@ -343,6 +349,12 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros
             low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
             time = np.where(broken, minima.time, time)
     return Roots(np.concatenate([np.empty(0, np.intp), *which]), np.concatenate([np.empty(0), *where]))
+
+
+def _around_pole(k: Spring, periods: int, low: Floats, high: Floats) -> NDArray[np.bool_]:
+    """Whether Gamma is infinite between flight times near each other: the plate's phase jumps by pi there."""
+    x, y = orbit(k, periods, low), orbit(k, periods, high)
+    return np.asarray(x.c * y.c + x.s * y.s < 0.0)
 
 
 def _beside(
