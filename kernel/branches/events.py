@@ -52,6 +52,8 @@ _GRADING: Final = 0.1
 #: Rounds of halving for grazes at which Newton's method fails, and its steps in each.
 _ROUNDS: Final = 12
 _STEPS: Final = 8
+#: Of which it may leave its bracket by more than the bracket's width in these.
+_FIRST_STEPS: Final = 3
 
 #: Rounds after which a bracket around a pole of Gamma(T), where conditions change too, is left.
 _POLE_ROUNDS: Final = 3
@@ -336,7 +338,7 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros
                 low, high, first, time = low[graze], high[graze], first[graze], time[graze]
             if not len(low):
                 break
-            root, ok = _touch(k, periods, np.where(first, low, high), time, contact)
+            root, ok = _touch(k, periods, (low, high, first, time), contact)
             ok &= (root >= low) & (root <= high)
             where.append(root[ok])
             which.append(np.full(int(ok.sum()), _KINDS.index(kind), np.intp))
@@ -387,14 +389,14 @@ def _beside(
     )
 
 
-def _touch(
-    k: Spring, periods: int, t: Floats, time: Floats, contact: bool
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Newton's method for the flight times T (m,) at which a minimum is zero, from t and the minimum's time.
+def _touch(k: Spring, periods: int, brackets: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:
+    """Newton's method for the flight times T (m,) at which a minimum is zero, from a bracket's broken end.
 
     Also whether it converged to a minimum inside the flight or contact.
     """
-    for _ in range(_STEPS):
+    low, high, first, time = brackets
+    t, width = np.where(first, low, high), high - low
+    for number in range(_STEPS):
         z = t + 1j * STEP
         x = orbit(k, periods, z)
         if contact:
@@ -408,7 +410,8 @@ def _touch(
         step, move = (f * f2 - f1 * f1) / det, (by_t * f1 - f1_by_t * f) / det
         t, time = t - step, time - move
         t = np.clip(t, 1e-9, TWO_PI * periods - 1e-9)
-        if (np.abs(step) < 1e-14 * t).all():
+        lost = (number >= _FIRST_STEPS) & ~((t > low - width) & (t < high + width))
+        if ((np.abs(step) < 1e-14 * t) | lost).all():
             break
     end = TWO_PI * periods - t if contact else t
     ok = (np.abs(step) < 1e-12 * t) & (np.abs(move) < 1e-9) & (f2 > 0.0) & (time > 1e-6) & (time < end - 1e-6)
