@@ -202,6 +202,22 @@ def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed
             assert len(service.executor.tried) == len(chunks)
 
 
+def test_of_a_grid_of_orbits_damaged_chunks_are_computed_again(tmp_path: Path):
+    grid = {"omega": {"start": 0.4, "stop": 1.2, "num": 60}, "xi": [0.05, 0.1], "points": 40}
+    chance = random.Random(6)
+    with running(tmp_path) as service:
+        here = service.submit(grid | {"protocol": {"kind": "orbits"}})
+        intact = files(service.store(here))
+        assert len(service.executor.tried) > 2
+    addresses = chance.sample(sorted(path for path in intact if path.startswith("event_gamma/c/")), 2)
+    for address, harm in zip(addresses, (flip, delete), strict=True):
+        harm(service.store(here) / address, chance)
+    with running(tmp_path) as service:
+        wait_for(lambda: files(service.store(here)) == intact)
+        service.wait(here)
+        assert len(service.executor.tried) == 2
+
+
 def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
     """The job is half done when the end state from which it continues is lost."""
     with running(tmp_path) as service:

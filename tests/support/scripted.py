@@ -13,6 +13,7 @@ from worker import store
 from worker.executors.inline import Inline
 from worker.plan import Chunk
 from worker.spec import SweepSpec
+from worker.studies import run_task
 from worker.tasks import ChunkReport, run_chunk
 
 #: Seconds within which anything must happen, on an overloaded machine.
@@ -40,7 +41,9 @@ class Scripted(Inline):
         self.before()
         if self.script[chunk.index]:
             raise self.script[chunk.index].pop(0)
-        return run_chunk(spec, chunk, store_url)
+        if isinstance(spec, SweepSpec):
+            return run_chunk(spec, chunk, store_url)  # in one piece
+        return run_task(spec, chunk, store_url)
 
 
 class Held:
