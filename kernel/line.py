@@ -1,9 +1,9 @@
 """A line of cells, from arrays of parameters to arrays of records: the entry to the kernels.
 
-Under the protocol `rest` every cell starts from rest at its own parameters. A ramp carries the state over
-from cell to cell: the physical motion is kept, and since A is proportional to Gamma/Omega**2, lengths in
-plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities by
-(Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
+Under the protocol `rest` every cell starts from rest at its own parameters, in a basin from a state of its
+own. A ramp carries the state over from cell to cell: the physical motion is kept, and since A is proportional
+to Gamma/Omega**2, lengths in plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and
+velocities by (Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ from kernel.models.rigid import RigidPlate
 from kernel.numerics.first_root import NON_FINITE, ROOT
 from kernel.numerics.jit import jit
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
-from kernel.validation import check_arrays, check_window, checked_state
+from kernel.validation import check_arrays, check_window, checked_state, checked_states
 
 #: More steps than any line takes.
 _ALL: Final = 2**62
@@ -75,13 +75,13 @@ def _allocate_walk(start: Start | None) -> Walk:
 
 @jit
 def _walk(
-    plate: Any, gamma: Any, omega: Any, xi: Any, carry: bool, window: Window, line: Line,
+    plate: Any, gamma: Any, omega: Any, xi: Any, carry: bool, states: Any, window: Window, line: Line,
     flights: Flights, walk: Walk, variations: Variations | None, steps: int,
 ) -> bool:  # fmt: skip
     """Run a line cell by cell and fill `line`, for `steps` contacts and flights; whether the line is done.
 
-    With `carry`, from cell to cell. The next call goes on from `flights`, `walk` and `variations`, which are
-    overwritten. `variations`: for the exponents, or None.
+    With `carry`, from cell to cell; `states`: (n, 6) where each cell begins, or (0, 6). The next call goes on
+    from `flights`, `walk` and `variations`, which are overwritten. `variations`: for the exponents, or None.
     """
     counts, state, before = walk.counts, walk.state, walk.before
     while counts[0] < len(gamma):
@@ -90,6 +90,8 @@ def _walk(
         if counts[1] == NOT_BEGUN:
             if carry and counts[2] != 0:
                 _rescale(state, before, gamma[i], omega[i])
+            elif len(states) > 0:
+                state[:] = states[i]
             else:
                 state[0], state[1] = 0.0, 0.0
                 state[2], state[3], state[4], state[5] = rest(cell)
@@ -166,7 +168,8 @@ class LineRun:
 
     gamma, omega, xi: float64 (n,). plate: made by a model's `plate` function from its own arrays (n,); its
     type selects the model. With `carry` each cell continues from its predecessor's end, the first from
-    `start` or from rest; without, every cell starts from rest. settle, observe: plate periods discarded
+    `start` or from rest; without, every cell starts from rest, or from its row of `states` (n, 6), in its
+    own units. settle, observe: plate periods discarded
     and recorded. keep: flights stored. micro_flight: rad; shorter flights do not count for the mode, unless
     all are. settle_tolerance: rad; if > 0, flights that repeat within it end the settling early.
     settle_until: plate periods that a cell still settling may take in all; None: no more than the window.
@@ -193,6 +196,7 @@ class LineRun:
         settle_until: int | None = None,
         exponents: int = 0,
         start: Start | None = None,
+        states: NDArray[np.float64] | None = None,
     ) -> None:
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
@@ -201,6 +205,7 @@ class LineRun:
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
         self._plate, self._carry = plate, bool(carry)
+        self._states = checked_states(states, len(gamma), carry=carry)
         self._window = Window(
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
             int(settle_until or 0), int(exponents),
@@ -214,12 +219,12 @@ class LineRun:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
         if isinstance(self._at, Lanes):
             return run_lockstep(
-                self._plate, self._gamma, self._omega, self._xi, self._window, self.line,
+                self._plate, self._gamma, self._omega, self._xi, self._states, self._window, self.line,
                 self._flights, self._at, steps,
             )  # fmt: skip
         return _walk(
-            self._plate, self._gamma, self._omega, self._xi, self._carry, self._window, self.line,
-            self._flights, self._at, self._variations, steps,
+            self._plate, self._gamma, self._omega, self._xi, self._carry, self._states, self._window,
+            self.line, self._flights, self._at, self._variations, steps,
         )  # fmt: skip
 
     def save(self) -> dict[str, NDArray[Any]]:

@@ -50,7 +50,7 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 #: Why a checkpoint may not be written, which is no reason to fail.
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
-#: The names of a checkpoint's arrays; before those of the line under way and of the record, these.
+#: The names of a checkpoint's arrays; before those of the line under way and of the record, prefixes.
 _DONE: Final = "lines_done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
@@ -104,7 +104,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
     starts = _starts(spec, chunk, store_url)
     indices = list(np.ndindex(lines["outcome"].shape[:2]))
-    work = _Work(store_url, chunk.index, record, len(indices), began, slice_seconds)
+    work = _SweepWork(store_url, chunk.index, record, len(indices), began, slice_seconds)
     for number, index in enumerate(indices):
         if number < work.lines_done:
             continue
@@ -121,27 +121,38 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
 
 
-class _Work:
+class Work:
     """The computing of a chunk's lines: looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. `record`: the chunk's arrays, in which lines that are done are.
+    The parts do not affect the results. A kind of study says in `_kept` what of the chunk is done, and takes
+    it back in `_restore`.
     """
 
-    def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, lines: int, began: float, slice_seconds: float
-    ) -> None:
-        self._url, self._chunk, self._record, self._lines = store_url, chunk, record, lines
+    def __init__(self, store_url: str, chunk: int, began: float, slice_seconds: float) -> None:
+        self._url, self._chunk = store_url, chunk
         self._began, self._slice_seconds = began, slice_seconds
         self._slice_began = time.thread_time()
         self._next_check = -math.inf  # of the cancel flag
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
         self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
-        self.lines_done = 0
         self._under_way: _Arrays = {}  # of the line at which the chunk was paused
         saved = store.read_checkpoint(store_url, chunk)
         self._has_checkpoint = saved is not None
         if saved is not None:
-            self._restore(saved)
+            with self._discarding_checkpoint():
+                self._before = saved[_SECONDS].reshape(2)
+                self._restore(saved)
+            self._under_way = {
+                name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)
+            }
+
+    def _kept(self) -> _Arrays:
+        """The arrays of what is done of the chunk, by names that do not begin with `line/`."""
+        raise NotImplementedError
+
+    def _restore(self, saved: _Arrays) -> None:
+        """Take back what `_kept` gave. Raises KeyError or ValueError for anything else."""
+        raise NotImplementedError
 
     @property
     def seconds(self) -> tuple[float, float]:
@@ -155,14 +166,8 @@ class _Work:
                 run.restore(self._under_way)
             self._under_way = {}
         while not self._advance(run):
-            self._pause_if_due(run.save())
+            self.pause_if_due(run.save())
         return run.line
-
-    def finish_line(self) -> None:
-        """The line is in the record now. Raises ChunkPaused, if there is another one."""
-        self.lines_done += 1
-        if self.lines_done < self._lines:
-            self._pause_if_due({})
 
     def remove_checkpoint(self) -> None:
         """Remove the chunk's checkpoint, once its results are stored."""
@@ -184,17 +189,15 @@ class _Work:
         self._steps = min(max(steps, 1), MOST_STEPS)
         return done
 
-    def _pause_if_due(self, under_way: _Arrays) -> None:
+    def pause_if_due(self, under_way: _Arrays) -> None:
         """Write a checkpoint and raise ChunkPaused if the slice is over. `under_way`: of a line, or empty.
 
         Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
         """
         if time.thread_time() - self._slice_began <= self._slice_seconds:
             return
-        arrays = {_DONE: np.array(self.lines_done), _SECONDS: np.array(self.seconds)}
+        arrays = {_SECONDS: np.array(self.seconds)} | self._kept()
         arrays |= {_LINE + name: array for name, array in under_way.items()}
-        if self.lines_done:
-            arrays |= {_RECORD + name: array for name, array in self._record.items()}
         try:
             store.write_checkpoint(self._url, self._chunk, arrays)
         except _UNWRITABLE as error:
@@ -202,15 +205,6 @@ class _Work:
             self._slice_seconds = math.inf
             return
         raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
-
-    def _restore(self, saved: _Arrays) -> None:
-        with self._discarding_checkpoint():
-            self.lines_done, self._before = int(saved[_DONE]), saved[_SECONDS].reshape(2)
-            if self.lines_done:
-                for name, array in self._record.items():
-                    array[...] = saved[_RECORD + name]
-        names = (name for name in saved if name.startswith(_LINE))
-        self._under_way = {name.removeprefix(_LINE): saved[name] for name in names}
 
     @contextmanager
     def _discarding_checkpoint(self) -> Iterator[None]:
@@ -220,6 +214,34 @@ class _Work:
         except (KeyError, ValueError) as error:
             self.remove_checkpoint()
             raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
+
+
+class _SweepWork(Work):
+    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are."""
+
+    def __init__(
+        self, store_url: str, chunk: int, record: _Arrays, lines: int, began: float, slice_seconds: float
+    ) -> None:
+        self._record, self._lines, self.lines_done = record, lines, 0
+        super().__init__(store_url, chunk, began, slice_seconds)
+
+    def finish_line(self) -> None:
+        """The line is in the record now. Raises ChunkPaused, if there is another one."""
+        self.lines_done += 1
+        if self.lines_done < self._lines:
+            self.pause_if_due({})
+
+    def _kept(self) -> _Arrays:
+        arrays: _Arrays = {_DONE: np.array(self.lines_done)}
+        if self.lines_done:
+            arrays |= {_RECORD + name: array for name, array in self._record.items()}
+        return arrays
+
+    def _restore(self, saved: _Arrays) -> None:
+        self.lines_done = int(saved[_DONE])
+        if self.lines_done:
+            for name, array in self._record.items():
+                array[...] = saved[_RECORD + name]
 
 
 @contextmanager

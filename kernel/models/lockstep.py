@@ -1,4 +1,4 @@
-"""The event loop of `rigid` from rest for many cells at a time, in lanes.
+"""The event loop of `rigid` for many independent cells at a time, in lanes.
 
 Every lane holds one cell and one of its contacts or flights. `lanes.advance` moves all lanes on. A lane
 whose phase has ended goes through the landing or take-off here and gets its next phase or, at the end of
@@ -172,12 +172,17 @@ def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float) 
 
 
 @jit
-def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
-    """A run from rest; `state` (6,) is overwritten."""
-    state[0] = 0.0
-    state[2], state[3], state[4], state[5] = rest(s)
-    state[1] = 1.0 if flies(s, 0.0, state[2], state[3], state[4], state[5]) else 0.0
-    return start_run(state, window, state[1] == 1.0)
+def _begin(s: Spring, states: Any, i: int, state: Any, window: Window) -> Progress:
+    """The run of cell i from its row of `states` (n, 6), or from rest; overwrites `state` (6,)."""
+    if len(states) > 0:
+        state[:] = states[i]
+    else:
+        state[0], state[1] = 0.0, 0.0
+        state[2], state[3], state[4], state[5] = rest(s)
+    in_flight = flies(s, state[0], state[2], state[3], state[4], state[5])
+    takes_off = in_flight and state[1] == 0.0
+    state[1] = 1.0 if in_flight else 0.0
+    return start_run(state, window, takes_off)
 
 
 class Lanes(NamedTuple):
@@ -202,10 +207,12 @@ def allocate_lanes() -> Lanes:
 
 @jit
 def run_lockstep(
-    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line,
+    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, states: Any, window: Window, line: Line,
     flights: Flights, lanes: Lanes, steps: int,
 ) -> bool:  # fmt: skip
-    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`.
+    """Run a line of independent cells and fill `line`; arrays (n,) as in `kernel.line.run_line`.
+
+    `states`: (n, 6) where each begins, or (0, 6): from rest.
 
     Pauses after `steps` moves of all lanes or scalar phases, or a few more; returns whether the line is
     done. The next call goes on from `flights` and `lanes`.
@@ -224,8 +231,9 @@ def run_lockstep(
                         break
                     i = counts[0]
                     springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
-                    runs[k] = _from_rest(springs[k], state, window)
-                    index[k], sin, cos = i, 0.0, 1.0
+                    runs[k] = _begin(springs[k], states, i, state, window)
+                    index[k] = i
+                    sin, cos = sincos(state[0])
                     counts[0] += 1
                 else:
                     before = runs[k]
