@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
+from worker.cost import cells_at_once
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
@@ -51,7 +52,7 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
 #: The names of a checkpoint's arrays; before those of the line under way and of the record, prefixes.
-_DONE: Final = "lines_done"
+_DONE: Final = "groups_done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
 _RECORD: Final = "record/"
@@ -103,22 +104,31 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
     starts = _starts(spec, chunk, store_url)
-    indices = list(np.ndindex(lines["outcome"].shape[:2]))
-    work = _SweepWork(store_url, chunk.index, record, len(indices), began, slice_seconds)
-    for number, index in enumerate(indices):
-        if number < work.lines_done:
+    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
+    work = _SweepWork(store_url, chunk.index, record, len(groups), began, slice_seconds)
+    for number, group in enumerate(groups):
+        if number < work.groups_done:
             continue
-        gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
+        gamma, omega, xi = (
+            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
+        )
         with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
+            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
         for name, array in lines.items():
-            array[index] = getattr(done, name)
-        work.finish_line()
+            parts = np.split(getattr(done, name), len(group))
+            for index, part in zip(group, parts, strict=True):
+                array[index] = part
+        work.finish_group()
     checksum = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took, kernel_seconds = work.seconds
     return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
+
+
+def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
+    """The lines of a chunk, those that are computed side by side together."""
+    return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
 
 
 class Work:
@@ -217,29 +227,29 @@ class Work:
 
 
 class _SweepWork(Work):
-    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are."""
+    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are, group by group."""
 
     def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, lines: int, began: float, slice_seconds: float
+        self, store_url: str, chunk: int, record: _Arrays, groups: int, began: float, slice_seconds: float
     ) -> None:
-        self._record, self._lines, self.lines_done = record, lines, 0
+        self._record, self._groups, self.groups_done = record, groups, 0
         super().__init__(store_url, chunk, began, slice_seconds)
 
-    def finish_line(self) -> None:
-        """The line is in the record now. Raises ChunkPaused, if there is another one."""
-        self.lines_done += 1
-        if self.lines_done < self._lines:
+    def finish_group(self) -> None:
+        """The group is in the record now. Raises ChunkPaused, if there is another one."""
+        self.groups_done += 1
+        if self.groups_done < self._groups:
             self.pause_if_due({})
 
     def _kept(self) -> _Arrays:
-        arrays: _Arrays = {_DONE: np.array(self.lines_done)}
-        if self.lines_done:
+        arrays: _Arrays = {_DONE: np.array(self.groups_done)}
+        if self.groups_done:
             arrays |= {_RECORD + name: array for name, array in self._record.items()}
         return arrays
 
     def _restore(self, saved: _Arrays) -> None:
-        self.lines_done = int(saved[_DONE])
-        if self.lines_done:
+        self.groups_done = int(saved[_DONE])
+        if self.groups_done:
             for name, array in self._record.items():
                 array[...] = saved[_RECORD + name]
 
@@ -267,7 +277,7 @@ def run_cells(
     gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
     None starts from rest. Raises KernelInputError for values that the kernel does not accept.
     """
-    run = _line_run(spec, gamma, omega, xi, start)
+    run = _line_run(spec, gamma, omega, xi, [start])
     run.advance()
     return run.line
 
@@ -277,9 +287,9 @@ def _line_run(
     gamma: NDArray[np.float64],
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
-    start: Start | None,
+    starts: list[Start | None],
 ) -> LineRun:
-    """A line of cells as a sweep computes it, at its beginning."""
+    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
     carry = spec.ramp_axis is not None
     return LineRun(
         np.ascontiguousarray(gamma),
@@ -294,7 +304,7 @@ def _line_run(
         settle_tolerance=spec.settle_tolerance,
         settle_until=spec.settle_until,
         exponents=spec.exponents,
-        start=start if carry else None,
+        start=starts if carry else None,
     )
 
 
@@ -398,11 +408,11 @@ def compile_kernels() -> None:
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what `compile_kernels` leaves out, if the sweep needs it: ramps of `rigid`, and exponents.
+    """Compile what `compile_kernels` leaves out, if the sweep needs it: exponents.
 
     Once compiled, it takes a fraction of a millisecond: one plate period of the first cell.
     """
-    if not spec.exponents and not (spec.model.kind == "rigid" and spec.ramp_axis is not None):
+    if not spec.exponents:
         return
     gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
     LineRun(

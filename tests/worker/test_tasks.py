@@ -241,6 +241,7 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
 #: Chunks whose lines and cells are many, for pauses at any place.
 PAUSING = {
     "in lanes": {"model": {"kind": "rigid"}},
+    "ramp in lanes": {"model": {"kind": "rigid"}, "protocol": ramp("gamma", "both")},
     "ramp": {"protocol": ramp("gamma", "both")},
     "settling": {"model": {"kind": "soft"}, "settle_until": 640},
     "exponents": {"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2},
@@ -284,7 +285,7 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     while done < 2:
         with pytest.raises(ChunkPaused, match="paused after 0 s"):
             run_chunk(spec, plan[0], url, slice_seconds=0.0)
-        done = store.read_checkpoint(url, 0)["lines_done"]
+        done = store.read_checkpoint(url, 0)["groups_done"]
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
     return spec, plan, url
 
