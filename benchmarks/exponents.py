@@ -39,8 +39,8 @@ def run(plate: object, cells: tuple[np.ndarray, ...], exponents: int, in_lanes: 
     """The cells as an up ramp; `in_lanes`: from rest, side by side."""
     gamma, omega, xi = cells
     return line.run_line(
-        gamma, omega, xi, plate=plate, carry=not in_lanes, in_lanes=in_lanes, settle=SETTLE, observe=OBSERVE, keep=64,
-        exponents=exponents,
+        gamma, omega, xi, plate=plate, carry=not in_lanes, in_lanes=in_lanes, settle=SETTLE,
+        observe=OBSERVE, keep=64, exponents=exponents,
     )  # fmt: skip
 
 

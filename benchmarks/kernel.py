@@ -73,8 +73,8 @@ def line(
     full = np.full_like
     return run_line(
         gamma, full(gamma, omega), full(gamma, xi), model=model, restitution=full(gamma, e),
-        penetration=full(gamma, d), adhesive=adhesive, carry=False, in_lanes=not alone, settle=settle, observe=observe,
-        keep=64,
+        penetration=full(gamma, d), adhesive=adhesive, carry=False, in_lanes=not alone, settle=settle,
+        observe=observe, keep=64,
     )  # fmt: skip
 
 

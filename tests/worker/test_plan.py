@@ -206,10 +206,10 @@ def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
 @pytest.mark.parametrize(
     ("lines", "cells", "shape"),
     [
-        (200, 1600, (1, 50, 2 * LANES)),
+        (200, 1600, (1, 50, 29)),  # 7 equal parts
         (200, 800, (1, 50, LANES)),
         (200, 320, (1, 17, LANES)),  # parts of lines, so that the lanes are full
-        (20, 1600, (1, 50, 10)),  # few lines: one vector at least, and no chunk much smaller than others
+        (20, 400, (1, 50, 7)),  # few lines: one vector at most, and no chunk much smaller than others
         (20, 300, (1, 25, 7)),
         (3, 1600, (1, 50, 3)),
         (1, 40, (1, 25, 1)),
