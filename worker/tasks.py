@@ -11,10 +11,11 @@ TaskError               why a chunk was not computed
 """
 
 import importlib
+import itertools
 import logging
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -27,9 +28,11 @@ from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
 from worker.cost import cells_at_once
 from worker.plan import Chunk
+from worker.refinement import Refinement
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 from worker.spec.protocols import Ramp
+from worker.spec.refine import Refine
 from worker.spec.sweep import start_of
 
 log = logging.getLogger(__name__)
@@ -52,7 +55,7 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
 #: The names of a checkpoint's arrays; before those of the line under way and of the record, prefixes.
-_DONE: Final = "groups_done"
+_DONE: Final = "lines_done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
 _RECORD: Final = "record/"
@@ -101,24 +104,11 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     began = time.perf_counter()
     store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
     record = _empty_record(spec, chunk)
-    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
-    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    starts = _starts(spec, chunk, store_url)
-    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
-    work = _SweepWork(store_url, chunk.index, record, len(groups), began, slice_seconds)
-    for number, group in enumerate(groups):
-        if number < work.groups_done:
-            continue
-        gamma, omega, xi = (
-            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
-        )
-        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
-        for name, array in lines.items():
-            parts = np.split(getattr(done, name), len(group))
-            for index, part in zip(group, parts, strict=True):
-                array[index] = part
-        work.finish_group()
+    work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
+    if spec.refine is None:
+        _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
+    else:
+        _refine_tile(spec, spec.refine, chunk, record, work)
     checksum = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
@@ -126,9 +116,58 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
 
 
+def _compute_lines(
+    spec: SweepSpec,
+    chunk: Chunk,
+    record: _Arrays,
+    work: "_SweepWork",
+    starts: Mapping[_LineIndex, Start | None],
+) -> None:
+    """Compute every cell of a chunk, line by line or many lines side by side."""
+    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
+    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
+    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
+    for group in groups[work.lines_done :]:
+        gamma, omega, xi = (
+            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
+        )
+        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
+            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
+        for name, array in lines.items():
+            for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
+                array[index] = part
+        work.finish_line(last=group is groups[-1])
+
+
 def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
-    """The lines of a chunk, those that are computed side by side together."""
+    """The lines of a chunk, those together that are computed side by side, as one line of the checkpoint."""
     return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
+
+
+def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork") -> None:
+    """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
+
+    A round that a task before this one has computed is in the record; the refinement is repeated from there.
+    """
+    flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in record.items()}
+    cells = {name: array.ravel() for name, array in _cells(spec, chunk).items()}
+    computed = flat[schema.COMPUTED.name]
+    tile = Refinement((chunk.shape[1], chunk.shape[2]), refine)
+    finished = work.lines_done
+    for number in itertools.count():
+        if not tile.cells.size:
+            break
+        if number >= finished:
+            gamma, omega, xi = (cells[axis][tile.cells] for axis in ("gamma", "omega", "xi"))
+            with _noting_cells(gamma=gamma, omega=omega, xi=xi):
+                done = work.compute(_line_run(spec, gamma, omega, xi, []))
+            for name, array in flat.items():
+                array[tile.cells] = 1 if array is computed else getattr(done, name)
+            work.finish_line()
+        tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
+    source = tile.sources()
+    for name in schema.MODE_ARRAYS:
+        flat[name][...] = flat[name][source]
 
 
 class Work:
@@ -227,29 +266,29 @@ class Work:
 
 
 class _SweepWork(Work):
-    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are, group by group."""
+    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are."""
 
     def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, groups: int, began: float, slice_seconds: float
+        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
     ) -> None:
-        self._record, self._groups, self.groups_done = record, groups, 0
+        self._record, self.lines_done = record, 0
         super().__init__(store_url, chunk, began, slice_seconds)
 
-    def finish_group(self) -> None:
-        """The group is in the record now. Raises ChunkPaused, if there is another one."""
-        self.groups_done += 1
-        if self.groups_done < self._groups:
+    def finish_line(self, *, last: bool = False) -> None:
+        """The line is in the record now. Raises ChunkPaused, unless it is known to be the last."""
+        self.lines_done += 1
+        if not last:
             self.pause_if_due({})
 
     def _kept(self) -> _Arrays:
-        arrays: _Arrays = {_DONE: np.array(self.groups_done)}
-        if self.groups_done:
+        arrays: _Arrays = {_DONE: np.array(self.lines_done)}
+        if self.lines_done:
             arrays |= {_RECORD + name: array for name, array in self._record.items()}
         return arrays
 
     def _restore(self, saved: _Arrays) -> None:
-        self.groups_done = int(saved[_DONE])
-        if self.groups_done:
+        self.lines_done = int(saved[_DONE])
+        if self.lines_done:
             for name, array in self._record.items():
                 array[...] = saved[_RECORD + name]
 
@@ -408,14 +447,12 @@ def compile_kernels() -> None:
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what `compile_kernels` leaves out, if the sweep needs it: exponents.
+    """Compile what computes the sweep, or load it: some of it `compile_kernels` leaves out.
 
     Once compiled, it takes a fraction of a millisecond: one plate period of the first cell.
     """
-    if not spec.exponents:
-        return
     gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
     LineRun(
         gamma, omega, xi, plate=plate_of(spec.model, gamma, omega, xi),
-        carry=True, settle=0, observe=1, keep=1, exponents=spec.exponents,
+        carry=spec.ramp_axis is not None, settle=0, observe=1, keep=1, exponents=spec.exponents,
     ).advance()  # fmt: skip

@@ -285,7 +285,7 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     while done < 2:
         with pytest.raises(ChunkPaused, match="paused after 0 s"):
             run_chunk(spec, plan[0], url, slice_seconds=0.0)
-        done = store.read_checkpoint(url, 0)["groups_done"]
+        done = store.read_checkpoint(url, 0)["lines_done"]
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
     return spec, plan, url
 
