@@ -114,7 +114,7 @@ def _ends(values: NDArray[Any]) -> str:
     return first if len(values) == 1 else f"{first} to {last}"
 
 
-_OUTCOMES: Final[dict[str, Any]] = {
+OUTCOME_FLAGS: Final[dict[str, Any]] = {
     "flag_values": [int(outcome) for outcome in Outcome],
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
@@ -148,7 +148,7 @@ LYAPUNOV: Final = _array(
     "exponent",
 )  # fmt: skip
 #: Written last: a cell that has an outcome has every other value too.
-OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | _OUTCOMES)
+OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | OUTCOME_FLAGS)
 
 COORDINATES: Final = (
     Coordinate("direction", {"long_name": "protocol: from rest, or the ramp's direction"}),

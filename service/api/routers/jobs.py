@@ -25,7 +25,8 @@ _SPEC_BODY: Final = {
             "application/json": {
                 "schema": {
                     "oneOf": [
-                        {"$ref": f"#/components/schemas/{spec}"} for spec in ("SweepSpec", "OrbitsSpec")
+                        {"$ref": f"#/components/schemas/{spec}"}
+                        for spec in ("SweepSpec", "OrbitsSpec", "BasinSpec")
                     ]
                 }
             }
