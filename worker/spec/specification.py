@@ -34,6 +34,10 @@ def _label(name: str) -> str:
 Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
 
 
+#: The id of a job: 32 hex digits.
+JobId = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
+
+
 class Specification(Strict):
     """The fields of a study; a subclass adds them. Invalid ones raise `SpecInvalid`, field by field."""
 

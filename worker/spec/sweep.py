@@ -28,7 +28,8 @@ from worker.spec.contact_models import (
 )
 from worker.spec.errors import BrokenRuleError, one_of
 from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
-from worker.spec.specification import Specification
+from worker.spec.refine import Refine, Refinement
+from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 
 #: The axes of a sweep in the order of the store's dimensions, slowest first.
@@ -52,8 +53,8 @@ class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
     `settle`, `observe` and `settle_until` are in plate periods, `keep` in flights, `micro_flight` and
-    `settle_tolerance` in rad. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names
-    each field and rule.
+    `settle_tolerance` in rad. `parent` is a label: the job in whose map this sweep is a window.
+    `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
     AXES: ClassVar = AXES
@@ -70,6 +71,8 @@ class SweepSpec(Specification):
     settle_tolerance: Annotated[float, Field(ge=0.0, le=MAX_SETTLE_TOLERANCE), NUMBER] = 0.0
     settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
     exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
+    refine: Refinement = None
+    parent: JobId | None = None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -83,6 +86,9 @@ class SweepSpec(Specification):
             nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
             rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
             raise BrokenRuleError("settle_until", rule)
+        if self.refine is not None and not isinstance(self.protocol, Rest):
+            rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}, every cell of which is computed"
+            raise BrokenRuleError("refine", f"{rule}; null works")
         self._check_exponents()
         self._check_depth()
         self._check_start()
@@ -158,6 +164,7 @@ class SweepSpec(Specification):
             "<rest>": tuple(Rest.model_fields),
             "<ramp>": tuple(Ramp.model_fields),
             "<start>": tuple(OnCycle.model_fields),
+            "<refine>": tuple(Refine.model_fields),
             **model_fields(),
         }
 
@@ -180,9 +187,9 @@ class SweepSpec(Specification):
         return len(self.directions), xi, omega, gamma
 
     def left_out(self) -> set[str]:
-        """The label, and fields of later releases that are off."""
-        later = ("settle_tolerance", "settle_until", "exponents")
-        return super().left_out() | {field for field in later if not getattr(self, field)}
+        """The labels, and fields of later releases that are off."""
+        later = ("settle_tolerance", "settle_until", "exponents", "refine")
+        return super().left_out() | {"parent"} | {field for field in later if not getattr(self, field)}
 
 
 @lru_cache(maxsize=2 * MAX_STARTS)
