@@ -39,8 +39,8 @@ WITH_EXPONENTS: Final = 1.5
 
 
 #: Shares of an adaptive map's cells that are computed, at least and at most, where it has REFINED_SIDE rows
-#: and columns: measured 0.2% to 1.0% by bouncing and 8% to 14% by mode at three xi, and up to three times as
-#: much in windows on their finest parts (`python -m benchmarks.adaptive`).
+#: and columns: measured 0.2% to 0.9% by bouncing and 8% to 13% by mode at three xi (`python -m
+#: benchmarks.adaptive`). Windows on their finest parts have more.
 REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
 REFINED_SIDE: Final = 1025
 #: Finer grids compute a smaller share: as the reciprocal of the rows to this power, by the dimension of the
@@ -51,6 +51,8 @@ REFINED_MARGIN: Final = 2.0
 #: A refined cell takes this many times as long as one of a full grid, at most: boundaries are where cells
 #: settle slowly, and the lanes are not full at the end of each round.
 REFINED_SECONDS: Final = 2.0
+#: Core-seconds that storing a tile takes, however few of its cells are computed.
+TILE_SECONDS: Final = 0.03
 
 
 class Cost(Strict):
@@ -145,7 +147,7 @@ def _estimate_map(spec: SweepSpec, refine: Refine, chunks: int) -> Cost:
         cells=cells,
         chunks=chunks,
         bytes=high * bytes_per_cell(spec) + (cells - high) * bytes_of_map(spec),
-        core_seconds=high * REFINED_SECONDS * cell_seconds(spec),
+        core_seconds=high * REFINED_SECONDS * cell_seconds(spec) + TILE_SECONDS * chunks,
         computed_cells=(low, high),
         least_core_seconds=low * cell_seconds(spec),
         longest_core_seconds=longest,

@@ -156,7 +156,7 @@ def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays,
                 array[tile.cells] = 1 if array is computed else getattr(done, name)
             work.finish_line()
         tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
-    source = tile.sources()
+    source = tile.sources(record["outcome"][0])
     for name in schema.MODE_ARRAYS:
         flat[name][...] = flat[name][source]
 
