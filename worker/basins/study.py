@@ -62,7 +62,7 @@ def _arrays(spec: BasinSpec) -> tuple[Array, ...]:
         _array("lifetime", ("id",), "<f8", "plate periods until aperiodic motion ends; inf: none ended"),
         _array("flight_time", ("id", "flight"), "<f8", "last flights of a window in order", "rad"),
         _array("takeoff_phase", ("id", "flight"), "<f8", "plate phase at take-off, modulo 2 pi", "rad"),
-        _array("state", ("id", "state"), "<f8", "a state on the attractor, in the cell's own units",
+        _array("attractor_state", ("id", "state"), "<f8", "a state on the attractor, in the cell's own units",
                fields=" ".join(STATE_FIELDS)),
         *(exponents if spec.exponents else ()),
         _array("attractor_count", (), "<i4", "attractors of the cell, also those beyond the dimension id"),
@@ -293,9 +293,10 @@ def _fill_in(spec: BasinSpec, found: Found, cell: _Arrays) -> None:
     cell["attractor"][...] = ids.reshape(spec.protocol.rows, spec.protocol.columns)
     for i, attractor in enumerate(found.attractors[:MAX_ATTRACTORS]):
         cell["attractor_outcome"][i] = attractor.outcome
-        for name in ("fraction", "bounces", "periods", "longest_flight", "lifetime", "state",
+        for name in ("fraction", "bounces", "periods", "longest_flight", "lifetime",
                      "flight_time", "takeoff_phase"):  # fmt: skip
             cell[name][i] = getattr(attractor, name)
+        cell["attractor_state"][i] = attractor.state
         if spec.exponents:
             cell["lyapunov"][i] = attractor.lyapunov
 
