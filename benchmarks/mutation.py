@@ -244,7 +244,7 @@ def copied(folder: Path) -> Path:
     exists = folder.exists()
     for name in filter(None, listed.split("\0")):
         original, copy = ROOT / name, folder / name
-        if not original.is_file() or (exists and not name.startswith("tests/")):
+        if not original.is_file() or (exists and not name.startswith(("tests/", "benchmarks/"))):
             continue
         if not copy.exists() or copy.read_bytes() != original.read_bytes():
             copy.parent.mkdir(parents=True, exist_ok=True)
