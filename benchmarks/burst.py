@@ -63,23 +63,51 @@ def wide() -> dict[str, Any]:
     }
 
 
+def family(service: Serving) -> dict[str, list[psutil.Process]]:
+    """The processes of the service by what they do; `answers` with those that write files for them."""
+    answers = service.answer_processes()
+    for process in list(answers):
+        with suppress(psutil.NoSuchProcess):
+            answers += process.children(recursive=True)
+    workers = []
+    for pid in service.worker_pids():
+        with suppress(psutil.NoSuchProcess):
+            workers.append(psutil.Process(pid))
+    return {
+        "service": [service.me],
+        "answers": answers,
+        "workers": [worker for worker in workers if worker not in answers],
+        "clients": [psutil.Process()],
+    }
+
+
 def used(service: Serving) -> tuple[float, int]:
     """Megabytes of the service with the processes that compute its answers, and its file handles."""
     megabytes, handles = service.used()
-    with suppress(psutil.NoSuchProcess):
-        megabytes += sum(process.memory_info().rss for process in service.answer_processes()) / MB
-    return megabytes, handles
+    processes = family(service)["answers"]
+    return megabytes + sum(map(_megabytes, processes)), handles
 
 
-class Memory:
-    """The service's memory, sampled in a thread during a block."""
+def _megabytes(process: psutil.Process) -> float:
+    try:
+        return float(process.memory_info().rss) / MB
+    except psutil.NoSuchProcess:
+        return 0.0
+
+
+class Usage:
+    """The service's memory and the processors' time of its processes, sampled in a thread during a block."""
 
     def __init__(self, service: Serving) -> None:
         self._service, self._over = service, threading.Event()
         self._thread = threading.Thread(target=self._sample)
         self.most, self.handles = 0.0, 0
+        self._first: dict[tuple[str, int], float] = {}
+        self._last: dict[tuple[str, int], float] = {}
 
-    def __enter__(self) -> "Memory":
+    def __enter__(self) -> "Usage":
+        self._note(family(self._service))
+        self._first = dict(self._last)
         self._thread.start()
         return self
 
@@ -87,10 +115,30 @@ class Memory:
         self._over.set()
         self._thread.join()
 
+    def seconds(self) -> dict[str, float]:
+        """Processor seconds during the block, by what the processes do."""
+        total: Counter[str] = Counter()
+        for (what, pid), seconds in self._last.items():
+            total[what] += seconds - self._first.get((what, pid), 0.0)
+        return dict(total)
+
     def _sample(self) -> None:
-        while not self._over.wait(0.02):
-            megabytes, handles = used(self._service)
+        """Memory many times a second; which processes there are twice a second, as that takes longer."""
+        processes, looked = family(self._service), time.monotonic()
+        while not self._over.wait(0.05):
+            if time.monotonic() - looked > 0.5:
+                processes, looked = family(self._service), time.monotonic()
+            megabytes, handles = self._service.used()
+            megabytes += sum(map(_megabytes, processes["answers"]))
             self.most, self.handles = max(self.most, megabytes), max(self.handles, handles)
+            self._note(processes)
+
+    def _note(self, processes: dict[str, list[psutil.Process]]) -> None:
+        for what, members in processes.items():
+            for process in members:
+                with suppress(psutil.NoSuchProcess):
+                    times = process.cpu_times()
+                    self._last[what, process.pid] = times.user + times.system
 
 
 class Jobs:
@@ -201,7 +249,7 @@ class Report:
         """Do some work beside polls; one line about polls and memory."""
         service = self._service
         began = time.perf_counter()
-        with Memory(service) as memory, Polls(service.port, self._path, 8, 0.25) as polls:
+        with Usage(service) as usage, Polls(service.port, self._path, 8, 0.25) as polls:
             result = work()
         took = time.perf_counter() - began
         time.sleep(1.0)  # for the last connections to close
@@ -209,11 +257,13 @@ class Report:
         print(
             f"{what}: {took:.0f} s, {len(polls.seconds)} polls, p99 {1e3 * p99:.0f} ms, "
             f"longest {1e3 * worst:.0f} ms, {len(polls.wrong)} errors {polls.wrong[:3]}; "
-            f"at most {memory.most:.0f} MB and {memory.handles} handles, "
+            f"at most {usage.most:.0f} MB and {usage.handles} handles, "
             f"then {used(service)[0]:.0f} MB and {used(service)[1]}",
             flush=True,
         )
-        self.broken |= p99 >= MAX_P99 or memory.most >= MAX_MEMORY_MB or bool(polls.wrong)
+        shares = ", ".join(f"{what} {seconds / took:.2f}" for what, seconds in usage.seconds().items())
+        print(f"    processors in use: {shares}", flush=True)
+        self.broken |= p99 >= MAX_P99 or usage.most >= MAX_MEMORY_MB or bool(polls.wrong)
         return result
 
     def throughput(self, alone: float, beside: float) -> None:

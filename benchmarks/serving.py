@@ -3,17 +3,21 @@
 import asyncio
 import hashlib
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import httpx2
 import psutil
+
+from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 
 MB = 1 << 20
 #: Time-out of a request, s; the machine may be busy.
@@ -37,12 +41,12 @@ def sweep(number: int, gammas: int = 400, settle: int = 4_000) -> dict[str, Any]
 class Serving:
     """The service on a free port with its own folder; the constructor returns when it is ready."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *more_options: str) -> None:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
         self.url, self.data = f"http://127.0.0.1:{self.port}", folder / "data"
-        options = ["--port", str(self.port), "--data", str(self.data)]
+        options = ["--port", str(self.port), "--data", str(self.data), *more_options]
         with (folder / "service.log").open("wb") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "service.cli.main", "serve", *options], stdout=log, stderr=log
@@ -106,6 +110,70 @@ class Serving:
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(60)
         return time.monotonic() - began
+
+
+class Restarted:
+    """A program of this environment that is restarted whenever it ends, until `end`."""
+
+    def __init__(self, log: Path, variables: Mapping[str, str], *command: str) -> None:
+        self._command, self._log, self._variables = command, log, variables
+        self._over = threading.Event()
+        self.process = self._start()
+        self._thread = threading.Thread(target=self._keep)
+        self._thread.start()
+
+    def _start(self) -> "subprocess.Popen[bytes]":
+        program = str(Path(sys.executable).with_name(self._command[0]))
+        with self._log.open("ab") as log:
+            return subprocess.Popen(
+                [program, *self._command[1:]], stdout=log, stderr=log, env=os.environ | dict(self._variables)
+            )
+
+    def _keep(self) -> None:
+        while not self._over.is_set():
+            self.process.wait()
+            if not self._over.wait(0.2):
+                self.process = self._start()
+
+    def family(self) -> list[psutil.Process]:
+        """The processes that it has started."""
+        try:
+            return psutil.Process(self.process.pid).children(recursive=True)
+        except psutil.NoSuchProcess:
+            return []
+
+    def end(self) -> None:
+        """Stop it and all that it has started."""
+        self._over.set()
+        family = self.family()
+        self.process.send_signal(signal.SIGCONT)
+        self.process.terminate()
+        self._thread.join(20)
+        for process in psutil.wait_procs(family, timeout=10)[1]:
+            process.kill()
+
+
+class Cluster:
+    """A Dask scheduler and two workers on loopback, each restarted whenever it ends."""
+
+    def __init__(self, folder: Path, port: int, variables: Mapping[str, str] | None = None) -> None:
+        self.address = f"tcp://127.0.0.1:{port}"
+        settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
+        settings |= variables or {}
+        self.scheduler = Restarted(
+            folder / "scheduler.log", settings, "dask", "scheduler", "--host", "127.0.0.1",
+            "--port", str(port), "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
+        )  # fmt: skip
+        self.workers = Restarted(
+            folder / "worker.log", settings, "dask", "worker", self.address, "--nworkers", "2",
+            "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard",
+            "--local-directory", str(folder / "dask"), "--death-timeout", "10",
+        )  # fmt: skip
+
+    def end(self) -> None:
+        """Stop all of its processes."""
+        self.workers.end()
+        self.scheduler.end()
 
 
 class Polls:

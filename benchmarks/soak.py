@@ -1,109 +1,310 @@
-"""Soak test: consecutive jobs, continuous polls, and one worker killed per minute.
+"""Soak test: jobs, faults and clients mixed, for an hour.
 
-    python -m benchmarks.soak [--minutes 30] [--connections 8] [--kill-every 60] [--rest 0]
+    python -m benchmarks.soak [--minutes 60] [--connections 8] [--fault-every 30] [--clients 3] [--rest 0]
 
-Runs `bounce serve` on a free port. Eight sweeps are repeated and deleted after each run; each must store the
-same bytes as without kills. Prints one line per minute and at the end the figures of the table in
+Runs `bounce serve` on a free port, with a scheduler and two workers that are restarted when they end. Eight
+sweeps are repeated and deleted after each run; each must store the same bytes as before the first fault.
+Meanwhile, one after the other in random order: a worker, the scheduler, or a process that computes answers is
+killed; a chunk of a job that is done is damaged; the ledger is locked from outside for eight seconds. Clients
+ask for pictures, tables, files and motions; each answer must have the same bytes as before, one client in
+five leaves without reading it. Prints a line per minute and at the end the figures of the table in
 docs/reliability.md; exits with 1 if a promise is broken.
 """
 
 import argparse
-import os
+import hashlib
 import random
 import signal
+import socket
+import sqlite3
 import sys
 import tempfile
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any, Final
 
+import httpx2
 import numpy as np
+import psutil
 
+from benchmarks.burst import used
 from benchmarks.machine import describe
-from benchmarks.serving import Polls, Serving, sweep
+from benchmarks.serving import Cluster, Polls, Serving, sweep
 
-SWEEPS = 8
+SWEEPS: Final = 8
+#: Jobs at a time.
+JOBS: Final = 2
 #: Share of the run before memory is compared: libraries load and caches fill.
-WARM_SHARE = 0.2
-MORE_MEMORY, MORE_HANDLES = 0.05, 10
+WARM_SHARE: Final = 0.2
+MORE_MEMORY: Final = 0.05
+MORE_HANDLES: Final = 10
+LOCKED_SECONDS: Final = 8.0
+#: Seconds until an answer must come, damage be repaired and a job done, on a busy machine with faults.
+PATIENCE: Final = 300.0
+#: What clients may be told instead of an answer: come again, or that there are no workers or it is repaired.
+LATER: Final = (202, 429, 503)
 
 
 class Soak:
-    """The run: counts of jobs, wrong results and kills, and samples of the service's memory and handles."""
+    """The run: counts of jobs, answers and faults, what was wrong, samples of memory and handles."""
 
-    def __init__(self, service: Serving) -> None:
-        self._service = service
-        self._expected = [self._digest(number) for number in range(SWEEPS)]
-        self.jobs = self.wrong = self.kills = 0
-        self.samples: list[tuple[float, int]] = []  # megabytes, file handles
+    def __init__(self, service: Serving, cluster: Cluster) -> None:
+        self._service, self._cluster = service, cluster
+        self._over, self._lock = threading.Event(), threading.Lock()
+        self.jobs, self.faults, self.answers = 0, Counter[str](), Counter[int]()
+        self.left, self.wrong = 0, list[str]()
+        self.samples: list[tuple[float, float, int]] = []  # MB of the service, with its processes; handles
+        self._expected = [self._digest(sweep(number)) for number in range(SWEEPS)]
+        self._kept = self._submit(sweep(SWEEPS, gammas=2_000, settle=100))
+        self._kept_digest = self._service.digest(self._service.wait(self._kept))
+        self._paths = [
+            "diagram?xi=0.26", "diagram?xi=0.26&format=csv", "diagram?xi=0.26&format=png",
+            "diagram?xi=0.1&format=svg", "modes?xi=0.26", "export?format=parquet",
+            "trajectory?gamma=2&xi=0.26", "threshold?xi=0.26",
+        ]  # fmt: skip
+        self._bodies = {path: self._body(path) for path in self._paths}
 
-    def _digest(self, number: int) -> str:
-        path = self._service.submit(sweep(number))
+    def _body(self, path: str) -> str:
+        answer = httpx2.get(f"{self._service.url}{self._kept}/{path}", timeout=PATIENCE)
+        answer.raise_for_status()
+        return hashlib.sha256(answer.content).hexdigest()
+
+    def _persist(self, send: Callable[[], Any]) -> Any:
+        """The answer of a request, repeated while the ledger is locked. Raises SystemExit on failure."""
+        until = time.monotonic() + PATIENCE
+        while (answer := send()).status_code == 503 and time.monotonic() < until:
+            time.sleep(1.0)
+        if answer.status_code >= 400:
+            raise SystemExit(f"{answer.status_code}: {answer.text[:500]}")
+        return answer
+
+    def _submit(self, spec: dict[str, Any]) -> str:
+        url = f"{self._service.url}/v1/jobs"
+        answer = self._persist(lambda: httpx2.post(url, json=spec, timeout=PATIENCE))
+        return str(answer.headers["Location"])
+
+    def _digest(self, spec: dict[str, Any]) -> str:
+        path = self._submit(spec)
         digest = self._service.digest(self._service.wait(path))
-        self._service.delete(path)
+        self._persist(lambda: httpx2.delete(self._service.url + path, timeout=PATIENCE))
         return digest
 
-    def compute(self) -> None:
-        """Compute one job and check its bytes."""
-        number = self.jobs % SWEEPS
-        self.wrong += self._digest(number) != self._expected[number]
-        self.jobs += 1
-        self.samples.append(self._service.used())
+    def _note_wrong(self, what: str) -> None:
+        with self._lock:
+            self.wrong.append(what)
 
-    def kill(self, rng: random.Random) -> None:
-        """Kill a random worker with SIGKILL."""
-        if pids := self._service.worker_pids():
-            os.kill(rng.choice(pids), signal.SIGKILL)
-            self.kills += 1
+    def _in_turn(self, name: str, work: Callable[[random.Random], None], seed: int) -> threading.Thread:
+        """A thread that works until the end; an error is noted and does not end it."""
 
-    def run(self, seconds: float, kill_every: float, rest: float) -> None:
-        """Compute jobs for `seconds`, about `rest` seconds apart, and kill workers at random moments."""
-        began = killed = reported = time.monotonic()
-        rng = random.Random(1)
-        while (now := time.monotonic()) - began < seconds:
-            if kill_every and now - killed > kill_every:
-                killed = now
-                threading.Timer(rng.uniform(0, 2), self.kill, [rng]).start()
-            self.compute()
-            if now - reported > 60:
-                reported = now
-                memory, handles = self.samples[-1]
-                work = f"{self.jobs} jobs, {self.wrong} wrong, {self.kills} kills"
-                print(f"{(now - began) / 60:.0f} min: {work}, {memory:.0f} MB, {handles} handles", flush=True)
-            time.sleep(rng.uniform(0, 2 * rest))
+        def loop() -> None:
+            rng = random.Random(seed)
+            while not self._over.is_set():
+                try:
+                    work(rng)
+                except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it is, it is wrong
+                    self._note_wrong(f"{name}: {type(error).__name__}: {error}")
+                    self._over.wait(1.0)
+
+        thread = threading.Thread(target=loop, name=name)
+        thread.start()
+        return thread
+
+    # Jobs
+
+    def _compute(self, numbers: list[int], rest: float) -> Callable[[random.Random], None]:
+        """Compute one job after another, and check the bytes of each."""
+
+        def work(rng: random.Random) -> None:
+            number = numbers[self.jobs % len(numbers)]
+            if self._digest(sweep(number)) != self._expected[number]:
+                self._note_wrong(f"job {number}")
+            with self._lock:
+                self.jobs += 1
+            self._over.wait(rng.uniform(0, 2 * rest))
+
+        return work
+
+    # Clients
+
+    def _ask(self, rng: random.Random) -> None:
+        """One costly request, and its bytes compared with those before the first fault."""
+        path = rng.choice(self._paths)
+        if rng.random() < 0.2:
+            self._leave(path)
+        else:
+            answer = httpx2.get(f"{self._service.url}{self._kept}/{path}", timeout=PATIENCE)
+            with self._lock:
+                self.answers[answer.status_code] += 1
+            whole = answer.headers.get("Bounce-Complete", "true") == "true"
+            if answer.status_code == 200:
+                same = hashlib.sha256(answer.content).hexdigest() == self._bodies[path]
+                if not same and whole and b'"complete":false' not in answer.content[-1000:]:
+                    self._note_wrong(f"answer {path}")
+            elif answer.status_code not in LATER:
+                self._note_wrong(f"{answer.status_code} {path}: {answer.text[:200]}")
+        self._over.wait(rng.uniform(0, 2.0))
+
+    def _leave(self, path: str) -> None:
+        """Ask, and leave while the answer is computed."""
+        with socket.create_connection(("127.0.0.1", self._service.port)) as connection:
+            connection.sendall(f"GET {self._kept}/{path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+            time.sleep(0.05)
+        with self._lock:
+            self.left += 1
+
+    # Faults
+
+    def _harm(self, every: float) -> Callable[[random.Random], None]:
+        """One fault after the other, all kinds in random order."""
+        kinds = [self._kill_worker, self._kill_scheduler, self._kill_answers, self._damage, self._hold_ledger]
+        left: list[Callable[[random.Random], str]] = []
+
+        def work(rng: random.Random) -> None:
+            if self._over.wait(rng.uniform(0.5, 1.5) * every):
+                return
+            if not left:
+                left.extend(rng.sample(kinds, len(kinds)))
+            what = left.pop()(rng)
+            with self._lock:
+                self.faults[what] += 1
+
+        return work
+
+    def _kill_worker(self, rng: random.Random) -> str:
+        family = self._cluster.workers.family()
+        processes = [process for process in family if process.memory_info().rss > 100 << 20]
+        return self._kill(processes, rng, "workers killed")
+
+    def _kill_scheduler(self, rng: random.Random) -> str:
+        self._cluster.scheduler.process.send_signal(signal.SIGKILL)
+        return "schedulers killed"
+
+    def _kill_answers(self, rng: random.Random) -> str:
+        return self._kill(self._service.answer_processes(), rng, "answer processes killed")
+
+    def _kill(self, processes: list[psutil.Process], rng: random.Random, what: str) -> str:
+        if not processes:
+            return f"{what} (none there)"
+        with suppress(psutil.NoSuchProcess):
+            rng.choice(processes).kill()
+        return what
+
+    def _damage(self, rng: random.Random) -> str:
+        """Change a byte of a stored chunk, ask until it is found, and wait until it is repaired."""
+        store = self._service.data / "stores" / f"{self._kept.rpartition('/')[2]}.zarr"
+        chunk = rng.choice(
+            sorted(path for path in (store / "flight_time" / "c").rglob("*") if path.is_file())
+        )
+        content = bytearray(chunk.read_bytes())
+        content[rng.randrange(len(content))] ^= 1 << rng.randrange(8)
+        chunk.write_bytes(content)
+        until = time.monotonic() + PATIENCE
+        while self._service.digest({"id": store.stem}) != self._kept_digest:
+            if time.monotonic() > until:
+                self._note_wrong(f"damage of {chunk.name} not repaired")
+                break
+            for xi in ("0.1", "0.26"):
+                httpx2.get(f"{self._service.url}{self._kept}/diagram?xi={xi}", timeout=PATIENCE)
+            time.sleep(0.5)
+        self._service.wait(self._kept)
+        return "chunks damaged"
+
+    def _hold_ledger(self, rng: random.Random) -> str:
+        ledger = self._service.data / "ledger.sqlite"
+        with closing(sqlite3.connect(ledger, timeout=PATIENCE, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            time.sleep(LOCKED_SECONDS)
+            other.execute("ROLLBACK")
+        return "ledger locked"
+
+    # The run
+
+    def run(self, seconds: float, fault_every: float, clients: int, rest: float) -> None:
+        """Everything at once for `seconds`; one line per minute."""
+        threads = [
+            self._in_turn(f"jobs {i}", self._compute(list(range(i, SWEEPS, JOBS)), rest), i)
+            for i in range(JOBS)
+        ]
+        threads += [self._in_turn(f"client {i}", self._ask, 100 + i) for i in range(clients)]
+        if fault_every:
+            threads.append(self._in_turn("faults", self._harm(fault_every), 1))
+        began = reported = time.monotonic()
+        try:
+            while (now := time.monotonic()) - began < seconds:
+                time.sleep(1.0)
+                memory, handles = self._service.used()
+                self.samples.append((memory, used(self._service)[0], handles))
+                if now - reported > 60:
+                    reported = now
+                    print(f"{(now - began) / 60:.0f} min: {self._line()}", flush=True)
+        finally:
+            self._over.set()
+            for thread in threads:
+                thread.join()
+
+    def _line(self) -> str:
+        memory, whole, handles = self.samples[-1]
+        return (
+            f"{self.jobs} jobs, {sum(self.answers.values())} answers, {sum(self.faults.values())} faults, "
+            f"{len(self.wrong)} wrong, {memory:.0f} MB ({whole:.0f} with answers), {handles} handles"
+        )
 
     def report(self, polls: Polls) -> int:
         """Print the figures; return 1 if a promise is broken."""
         settled = np.array(self.samples[int(WARM_SHARE * len(self.samples)) :])
         tenth = max(len(settled) // 10, 1)
         first, last = np.median(settled[:tenth], axis=0), np.median(settled[-tenth:], axis=0)
-        memory, handles = float(last[0] / first[0] - 1), int(last[1] - first[1])
+        memory, handles = float(last[0] / first[0] - 1), int(last[2] - first[2])
         p99 = float(np.percentile(polls.seconds, 99)) * 1e3
-        print(f"jobs {self.jobs}, wrong {self.wrong}; workers killed {self.kills}")
+        print(f"jobs {self.jobs}; answers {dict(self.answers)}, {self.left} left unread")
+        print(f"faults: {dict(self.faults)}")
+        print(f"wrong: {len(self.wrong)} {self.wrong[:10]}")
         print(f"polls {len(polls.seconds)}, p99 {p99:.0f} ms; errors {len(polls.wrong)} {polls.wrong[:3]}")
-        print(f"memory {memory:+.1%} of {first[0]:.0f} MB, file handles {handles:+d} of {first[1]:.0f}")
+        print(
+            f"memory {memory:+.1%} of {first[0]:.0f} MB, with the processes that compute answers "
+            f"{first[1]:.0f} MB, then {last[1]:.0f} MB, at most {settled[:, 1].max():.0f} MB; "
+            f"file handles {handles:+d} of {first[2]:.0f}"
+        )
         held = memory <= MORE_MEMORY and abs(handles) <= MORE_HANDLES
-        return int(self.wrong > 0 or bool(polls.wrong) or not held)
+        return int(bool(self.wrong) or bool(polls.wrong) or not held)
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def main() -> int:
     """Run the test and print the figures."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    options.add_argument("--minutes", type=float, default=30.0)
-    options.add_argument("--connections", type=int, default=8)
-    options.add_argument("--kill-every", type=float, default=60.0, help="seconds; 0 for no kills")
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument("--minutes", type=float, default=60.0)
+    options.add_argument("--connections", type=int, default=8, help="that poll the list of jobs")
+    options.add_argument("--fault-every", type=float, default=30.0, help="seconds; 0 for no faults")
+    options.add_argument("--clients", type=int, default=3)
     options.add_argument("--rest", type=float, default=0.0, help="approximate seconds between two jobs")
     arguments = options.parse_args()
-    print(describe("dask", "fastapi", "uvicorn"))
+    print(describe("dask", "fastapi", "uvicorn"), flush=True)
     with tempfile.TemporaryDirectory() as folder:
-        service = Serving(Path(folder))
+        cluster = Cluster(Path(folder), free_port())
         try:
-            soak = Soak(service)
-            with Polls(service.port, "/v1/jobs", arguments.connections, 0.1) as polls:
-                soak.run(arguments.minutes * 60, arguments.kill_every, arguments.rest)
-            return soak.report(polls)
+            service = Serving(Path(folder), "--scheduler", cluster.address)
+            try:
+                soak = Soak(service, cluster)
+                with Polls(service.port, "/v1/jobs", arguments.connections, 0.1) as polls:
+                    soak.run(arguments.minutes * 60, arguments.fault_every, arguments.clients, arguments.rest)
+                return soak.report(polls)
+            finally:
+                print(f"shut down in {service.end():.1f} s")
         finally:
-            print(f"shut down in {service.end():.1f} s")
+            cluster.end()
 
 
 if __name__ == "__main__":

@@ -126,11 +126,15 @@ def is_settling(flight_time: Any, takeoff_phase: Any) -> bool:
     n = len(flight_time)
     if n < FEWEST:
         return False
-    first, middle, last = math.inf, math.inf, math.inf
+    best, last = 0, math.inf
     for lag in range(1, min(LAGS, n // 4) + 1):
-        thirds = _thirds(flight_time, takeoff_phase, lag, (n - lag) // 3)
-        if thirds[2] < last:
-            first, middle, last = thirds
+        part = (n - lag) // 3
+        square = _mean_square(flight_time, takeoff_phase, lag, n - part, part)
+        if square < last:
+            best, last = lag, square
+    if best == 0:
+        return False
+    first, middle, last = _thirds(flight_time, takeoff_phase, best, (n - best) // 3)
     if last < middle < first:
         approaches = last < NEAR**2 and last < APPROACH**2 * first
         return approaches or (first < CLOSE**2 and last < (1.0 - DRIFT) ** 2 * first)
@@ -139,25 +143,27 @@ def is_settling(flight_time: Any, takeoff_phase: Any) -> bool:
 
 @jit
 def _thirds(flight_time: Any, takeoff_phase: Any, lag: int, part: int) -> tuple[float, float, float]:
-    """The mean square difference (rad**2) of flights `lag` apart, in each of the last three parts of `part`.
+    """`_mean_square` of flights `lag` apart, in each of the last three parts of `part` flights."""
+    n = len(flight_time)
+    return (
+        _mean_square(flight_time, takeoff_phase, lag, n - 3 * part, part),
+        _mean_square(flight_time, takeoff_phase, lag, n - 2 * part, part),
+        _mean_square(flight_time, takeoff_phase, lag, n - part, part),
+    )
+
+
+@jit
+def _mean_square(flight_time: Any, takeoff_phase: Any, lag: int, first: int, part: int) -> float:
+    """The mean square difference (rad**2) of flights `lag` apart, over `part` flights from the `first` on.
 
     The difference of two flights is the vector of those of their times and of their take-off phases, the
     latter modulo 2 pi.
     """
-    n = len(flight_time)
-    sums = (0.0, 0.0, 0.0)
-    for i in range(n - 3 * part, n):
+    total = 0.0
+    for i in range(first, first + part):
         time = flight_time[i] - flight_time[i - lag]
         phase = takeoff_phase[i] - takeoff_phase[i - lag]
-        if phase > math.pi:
-            phase -= TWO_PI
-        elif phase < -math.pi:
-            phase += TWO_PI
-        square = time * time + phase * phase
-        if i < n - 2 * part:
-            sums = (sums[0] + square, sums[1], sums[2])
-        elif i < n - part:
-            sums = (sums[0], sums[1] + square, sums[2])
-        else:
-            sums = (sums[0], sums[1], sums[2] + square)
-    return sums[0] / part, sums[1] / part, sums[2] / part
+        # without a branch: on which side of the turn a chaotic flight lies cannot be predicted
+        phase -= TWO_PI if phase > math.pi else (-TWO_PI if phase < -math.pi else 0.0)
+        total += time * time + phase * phase
+    return total / part

@@ -8,10 +8,12 @@ import ctypes
 import multiprocessing
 import os
 import pickle
-import queue
 import signal
+import threading
+import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
 from service.errors import NotComputed
@@ -19,8 +21,14 @@ from worker.kernel_cache import claim_cache
 
 Result = TypeVar("Result")
 
-#: Added to the niceness of these processes: two of them take a fifth of two busy processors.
-NICER: Final = 6
+#: Added to the niceness of these processes: three of them take a fifth of two busy processors.
+NICER: Final = 8
+#: A process that holds more bytes after an answer ends, and gives back what the C library would keep.
+MOST_KEPT: Final = 320 * 2**20
+#: Bytes more than before after which a process tells the C library to return memory.
+MUCH: Final = 16 * 2**20
+#: Seconds without work after which all processes end but one.
+IDLE_SECONDS: Final = 20.0
 
 
 class Background(Protocol):
@@ -43,37 +51,96 @@ class InThisProcess:
 
 
 class Processes:
-    """At most `count` processes, each started when all others are busy; they end with this process."""
+    """At most `count` processes, each started when all others are busy; they end with this process.
 
-    def __init__(self, count: int) -> None:
-        self._idle: queue.LifoQueue[_Process | None] = queue.LifoQueue()  # None: one may be started
+    One that holds more than `most_kept` bytes after an answer ends, and so do those that have had no work for
+    `idle_seconds`, all but one: the next answer need not wait for a process to start.
+    """
+
+    def __init__(self, count: int, *, most_kept: int = MOST_KEPT, idle_seconds: float = IDLE_SECONDS) -> None:
+        self._most_kept, self._idle_seconds = most_kept, idle_seconds
+        self._changed = threading.Condition()
+        self._may_start = count
+        self._idle: list[tuple[float, _Process]] = []  # since when, the latest last
         self._started: set[_Process] = set()
-        for _ in range(count):
-            self._idle.put(None)
+        self._closed = False
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
-        process = self._idle.get()
+        process: _Process | None = None
+        kept = 0
         try:
-            if process is None:
-                process = _Process()
-                self._started.add(process)
-            succeeded, value = process.call(function, arguments)
+            process = self._take()
+            succeeded, value, kept = process.call(function, arguments)
         except (EOFError, OSError) as error:
-            if process is not None:
-                self._started.discard(process)
-                process.end()
-                process = None
+            kept = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
         finally:
-            self._idle.put(process)
+            self._put_back(process, kept)
         if not succeeded:
             raise value
         result: Result = value
         return result
 
     def close(self) -> None:
-        for process in list(self._started):
+        with self._changed:
+            self._closed = True
+            processes = list(self._started)
+            self._changed.notify_all()
+        for process in processes:
             process.end()
+
+    def _take(self) -> "_Process":
+        """A process that is idle, or a new one. Raises OSError if none can be started."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._idle or self._may_start or self._closed)
+            if self._closed:
+                raise OSError("closed")
+            if self._idle:
+                return self._idle.pop()[1]
+            self._may_start -= 1
+        process = _Process()
+        with self._changed:
+            self._started.add(process)
+        return process
+
+    def _put_back(self, process: "_Process | None", kept: int) -> None:
+        """Make the process, or the place of one that could not be started, free for others."""
+        with self._changed:
+            if process is not None and kept <= self._most_kept and not self._closed:
+                self._idle.append((time.monotonic(), process))
+                self._changed.notify()
+                if len(self._idle) > 1:
+                    self._end_later()
+                return
+        if process is not None:
+            self._end(process)
+        else:
+            self._free_place()
+
+    def _end_later(self) -> None:
+        timer = threading.Timer(self._idle_seconds, self._end_idle)
+        timer.daemon = True
+        timer.start()
+
+    def _end_idle(self) -> None:
+        """End the processes that have been idle for long, but not the one that was busy last."""
+        with self._changed:
+            until = time.monotonic() - self._idle_seconds
+            long = [process for since, process in self._idle[:-1] if since <= until]
+            self._idle = [(since, process) for since, process in self._idle if process not in long]
+        for process in long:
+            self._end(process)
+
+    def _end(self, process: "_Process") -> None:
+        process.end()
+        with self._changed:
+            self._started.discard(process)
+        self._free_place()
+
+    def _free_place(self) -> None:
+        with self._changed:
+            self._may_start += 1
+            self._changed.notify()
 
 
 class _Process:
@@ -84,14 +151,18 @@ class _Process:
         self._process.start()
         theirs.close()  # so that either side notices when the other dies
 
-    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any]:
-        """Whether it succeeded, and the result or the exception. Raises EOFError or OSError if it died."""
+    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any, int]:
+        """Whether it succeeded, the result or the exception, and the bytes that the process holds after it.
+
+        Raises EOFError or OSError if it died.
+        """
         self._connection.send((function, arguments))
-        answer: tuple[bool, Any] = self._connection.recv()
-        return answer
+        succeeded, value = self._connection.recv()
+        return succeeded, value, self._connection.recv()
 
     def end(self) -> None:
         self._process.terminate()
+        self._process.join()
         self._connection.close()
 
 
@@ -101,6 +172,7 @@ def _compute(connection: Connection) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(NICER)
     claim_cache()  # before anything imports a kernel
+    trimmed = 0
     while True:
         try:
             function, arguments = connection.recv()
@@ -115,7 +187,20 @@ def _compute(connection: Connection) -> None:
         except (TypeError, AttributeError, pickle.PicklingError):
             connection.send((False, RuntimeError(f"cannot be sent: {answer[1]!r}")))
         del function, arguments, answer
-        return_memory()
+        kept = _bytes_held()
+        if kept > trimmed + MUCH:
+            return_memory()
+            kept = trimmed = _bytes_held()
+        connection.send(kept)
+
+
+def _bytes_held() -> int:
+    """Bytes of memory that this process holds; 0 where the system does not tell."""
+    try:
+        resident = Path("/proc/self/statm").read_text().split()[1]
+    except OSError:
+        return 0
+    return int(resident) * os.sysconf("SC_PAGE_SIZE")
 
 
 def return_memory() -> None:

@@ -122,7 +122,7 @@ class Settings(BaseSettings):
     turn_seconds: Positive = Field(
         5.0, description="Seconds that a costly request waits for its turn before it is refused."
     )
-    max_exports: Count = Field(2, description="Files exported at a time.")
+    max_exports: Count = Field(1, description="Files exported at a time.")
     max_trajectories: Count = Field(2, description="Trajectories computed at a time.")
     trajectory_seconds: Positive = Field(
         5.0, description="Estimated seconds that computing one trajectory may take."

@@ -7,11 +7,12 @@ from typing import Final, Literal
 from pydantic import Field
 
 from kernel.params import LANES, periods_followed
-from worker.schema import bytes_per_cell
+from worker.schema import bytes_of_map, bytes_per_cell
 from worker.spec import SweepSpec
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Rigid
 from worker.spec.errors import Problem, SpecTooLarge
+from worker.spec.refine import Refine
 
 #: Limits on one sweep where the settings of a service set no others.
 DEFAULT_MAX_CELLS: Final = 20_000_000
@@ -37,13 +38,32 @@ IDLE_LANES_US: Final = 1.3
 WITH_EXPONENTS: Final = 1.5
 
 
+#: Shares of an adaptive map's cells that are computed, at least and at most, where it has REFINED_SIDE rows
+#: and columns: measured 0.2% to 1.0% by bouncing and 8% to 14% by mode at three xi, and up to three times as
+#: much in windows on their finest parts (`python -m benchmarks.adaptive`).
+REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
+REFINED_SIDE: Final = 1025
+#: Finer grids compute a smaller share: as the reciprocal of the rows to this power, by the dimension of the
+#: boundaries, 1 of that of bouncing, about 1.3 of those of modes.
+REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
+#: With a margin, this many times the cells at most.
+REFINED_MARGIN: Final = 2.0
+#: A refined cell takes this many times as long as one of a full grid, at most: boundaries are where cells
+#: settle slowly, and the lanes are not full at the end of each round.
+REFINED_SECONDS: Final = 2.0
+
+
 class Cost(Strict):
     """What a sweep will take."""
 
     cells: int
     chunks: int
-    bytes: int = Field(description="of stored arrays before compression")
-    core_seconds: float
+    bytes: int = Field(description="of stored arrays before compression; of an adaptive map at most")
+    core_seconds: float = Field(description="of an adaptive map at most")
+    computed_cells: tuple[int, int] | None = Field(
+        None, description="of an adaptive map, as a rule: cells that are computed, at least and at most"
+    )
+    least_core_seconds: float | None = Field(None, description="of an adaptive map at least; null of others")
     longest_core_seconds: float | None = Field(
         None, description="if every cell settled until settle_until; null without it"
     )
@@ -101,7 +121,12 @@ def _extensions(spec: SweepSpec) -> Iterator[int]:
 
 
 def estimate(spec: SweepSpec, chunks: int) -> Cost:
-    """Cost of a sweep that is cut into `chunks` chunks, from the table of contact models."""
+    """Cost of a sweep that is cut into `chunks` chunks, from the table of contact models.
+
+    Of an adaptive map, which turns out only as it is computed, the most that such maps take as a rule.
+    """
+    if spec.refine is not None:
+        return _estimate_map(spec, spec.refine, chunks)
     cells = math.prod(spec.shape)
     return Cost(
         cells=cells,
@@ -112,6 +137,31 @@ def estimate(spec: SweepSpec, chunks: int) -> Cost:
     )
 
 
+def _estimate_map(spec: SweepSpec, refine: Refine, chunks: int) -> Cost:
+    cells = math.prod(spec.shape)
+    low, high = (math.ceil(share * cells) for share in computed_shares(spec, refine))
+    longest = None if spec.settle_until is None else high * longest_cell_seconds(spec)
+    return Cost(
+        cells=cells,
+        chunks=chunks,
+        bytes=high * bytes_per_cell(spec) + (cells - high) * bytes_of_map(spec),
+        core_seconds=high * REFINED_SECONDS * cell_seconds(spec),
+        computed_cells=(low, high),
+        least_core_seconds=low * cell_seconds(spec),
+        longest_core_seconds=longest,
+    )
+
+
+def computed_shares(spec: SweepSpec, refine: Refine) -> tuple[float, float]:
+    """Shares of an adaptive map's cells that are computed as a rule, at least and at most."""
+    _, _, omegas, gammas = spec.shape
+    side = math.sqrt(omegas * gammas)
+    finer = (REFINED_SIDE / side) ** REFINED_POWER[refine.by]
+    coarsest = 2.0 / refine.coarsest**2  # a corner and a centre for each block
+    low, high = (coarsest + share * finer for share in REFINED_SHARE[refine.by])
+    return min(low, 1.0), min(high * (REFINED_MARGIN if refine.margin else 1.0), 1.0)
+
+
 def check_size(
     cost: Cost,
     *,
@@ -119,11 +169,16 @@ def check_size(
     max_bytes: int = DEFAULT_MAX_BYTES,
     max_core_seconds: float = DEFAULT_MAX_CORE_SECONDS,
 ) -> None:
-    """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these."""
-    if cost.cells > max_cells:
-        raise SpecTooLarge(
-            [Problem("", f"asks for {cost.cells} cells; at most {max_cells} are allowed: take fewer values")]
-        )
+    """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these.
+
+    Of an adaptive map the cells that are computed count, and of each range the upper end.
+    """
+    cells, computed = (
+        (cost.cells, "") if cost.computed_cells is None else (cost.computed_cells[1], "computed ")
+    )
+    if cells > max_cells:
+        rule = f"asks for {cells} {computed}cells; at most {max_cells} are allowed: take fewer values"
+        raise SpecTooLarge([Problem("", rule)])
     if cost.bytes > max_bytes:
         per_cell = cost.bytes // cost.cells
         rule = f"asks for {cost.bytes} bytes, {per_cell} per cell; at most {max_bytes} are allowed"

@@ -4,19 +4,17 @@ Of the rigid contact without restitution. A cell is a spring, one (xi, omega). I
 the specification names, each on a number of points that is the same for all cells.
 """
 
-import hashlib
-import json
 import math
 import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Final, Literal, NamedTuple, Self, overload
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from kernel.branches.events import POINTS as GRID
 from kernel.branches.events import Branch, Events, Kind, branch_and_events
@@ -25,10 +23,10 @@ from worker import store
 from worker.cost import Cost
 from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS, Span
 from worker.schema import COORDINATES, OUTCOME, Array, Layout
-from worker.spec import LARGEST, SMALLEST, parsing
-from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
-from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, problems_of
-from worker.spec.sweep import Label
+from worker.spec import LARGEST, SMALLEST
+from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
+from worker.spec.errors import BrokenRuleError, describe
+from worker.spec.specification import Specification
 from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport
 
 #: Modes of one specification or answer, and plate periods of one mode.
@@ -115,13 +113,14 @@ class Orbits(Strict):
     kind: Literal["orbits"]
 
 
-class OrbitsSpec(Strict):
+class OrbitsSpec(Specification):
     """A grid of springs, the modes whose branches are computed, and the length of the records.
 
     `OrbitsSpec(omega=..., xi=..., protocol=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
-    name: Label = ""
+    AXES: ClassVar = _DIMS
+
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
     protocol: Orbits
@@ -129,12 +128,6 @@ class OrbitsSpec(Strict):
     gamma_max: Annotated[float, Field(gt=0.0, le=LARGEST), NUMBER] = 8.0
     points: Annotated[int, Field(ge=10, le=MAX_POINTS), WHOLE] = 128
     events: Annotated[int, Field(ge=1, le=MAX_EVENTS), WHOLE] = 128
-
-    def __init__(self, /, **data: object) -> None:
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise SpecInvalid(problems_of(error, _fields())) from None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -147,13 +140,6 @@ class OrbitsSpec(Strict):
             raise BrokenRuleError("omega", f"{rule}, not {float(lowest[0])!r}")
         return self
 
-    @classmethod
-    def parse(cls, data: object) -> Self:
-        """A specification from plain values. Raises `SpecInvalid`, which lists every broken rule."""
-        if isinstance(data, cls):
-            return data
-        return cls(**parsing.fields_of(data, "a specification"))
-
     @property
     def cycles(self) -> tuple[Mode, ...]:
         """The modes, in the order of the dimension `branch`."""
@@ -163,26 +149,6 @@ class OrbitsSpec(Strict):
     def shape(self) -> tuple[int, int]:
         """Cells along (xi, omega)."""
         return len(self.axis_values("xi")), len(self.axis_values("omega"))
-
-    def axis_values(self, axis: str) -> NDArray[np.float64]:
-        """The values of "omega" or "xi", (n,), strictly increasing."""
-        values: AxisValue = getattr(self, axis)
-        return values_of(values)
-
-    def as_submitted(self) -> dict[str, Any]:
-        """Plain JSON values as submitted, with defaults."""
-        return self.model_dump(mode="json")
-
-    def job_id(self, kernel_version: str) -> str:
-        """32 hex digits of a hash of what determines the stored numbers, and the kernel version."""
-        axes = {axis: self.axis_values(axis).tolist() for axis in _DIMS}
-        plain = self.model_dump(mode="json", exclude={"name", *_DIMS}) | axes
-        text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(f"{kernel_version}\n{text}".encode()).hexdigest()[:32]
-
-
-def _fields() -> dict[str, tuple[str, ...]]:
-    return {"": tuple(OrbitsSpec.model_fields), "<range>": tuple(Range.model_fields)}
 
 
 @dataclass(frozen=True, slots=True)

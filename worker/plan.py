@@ -31,6 +31,12 @@ FEWEST_CHUNKS: Final = 8
 #: Before compression; reading one cell reads its whole chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
 
+#: An adaptive map is cut into tiles of about so many rows and columns, each one chunk, which is refined by
+#: itself: what is computed of a tile depends on its own cells alone. Large enough that lanes are full in most
+#: rounds, small enough that a map of 513 rows and columns has some for every worker.
+TILE_SIDE: Final = 128
+MAX_TILE_BYTES: Final = 20 * 2**20
+
 Span = tuple[int, int]
 
 
@@ -148,18 +154,35 @@ def make_plan(
 ) -> Plan:
     """Divide a sweep into chunks of about `chunk_cells` cells, or of `chunk_shape` cells (xi, omega, gamma).
 
-    By default a chunk costs about TARGET_SECONDS. The division does not affect the stored numbers. Raises
-    ValueError for a size below 1.
+    By default a chunk costs about TARGET_SECONDS. The division does not affect the stored numbers, but for an
+    adaptive map, whose chunks are the tiles of `tile_shape` unless `chunk_shape` is given. Raises ValueError
+    for a size below 1.
     """
     _, *grid = spec.shape
+    if chunk_shape is None and spec.refine is not None:
+        chunk_shape = tile_shape(spec, spec.refine.coarsest)
     if chunk_shape is None:
         chunk_shape = _block(spec, chunk_cells if chunk_cells is not None else _cells_per_chunk(spec))
     if len(chunk_shape) != 3 or min(chunk_shape) < 1:
         raise ValueError(
             f"chunk_shape: must be three sizes of at least 1 (xi, omega, gamma), not {chunk_shape}"
         )
+    if spec.refine is not None and chunk_shape[0] > 1:
+        raise ValueError(f"chunk_shape: tiles of an adaptive map have one xi, not {chunk_shape[0]}")
     xi, omega, gamma = (min(size, n) for size, n in zip(chunk_shape, grid, strict=True))
     return Plan(spec.directions, (grid[0], grid[1], grid[2]), (xi, omega, gamma), spec.ramp_axis)
+
+
+def tile_shape(spec: SweepSpec, coarsest: int) -> tuple[int, int, int]:
+    """Cells of an adaptive map's tiles along (xi, omega, gamma).
+
+    As many blocks of `coarsest` as fit into TILE_SIDE, and one more row and column: those of the blocks' last
+    corners. The specification alone decides, not what it costs or who computes it.
+    """
+    most = math.isqrt(MAX_TILE_BYTES // bytes_per_cell(spec))
+    side = min(max(TILE_SIDE // coarsest, 1), max((most - 1) // coarsest, 1)) * coarsest + 1
+    side = max(min(side, most), 1)
+    return 1, side, side
 
 
 def _cells_per_chunk(spec: SweepSpec) -> int:

@@ -147,6 +147,16 @@ LYAPUNOV: Final = _array(
     },
     "exponent",
 )  # fmt: skip
+COMPUTED: Final = _array(
+    "computed", "|u1", "whether the cell was computed",
+    {
+        "flag_values": [0, 1],
+        "flag_meanings": "taken_from_its_block computed",
+        "comment": "0: outcome and mode are those of the nearest computed corner or centre of its block",
+    },
+)  # fmt: skip
+#: What a cell that is not computed takes from its block.
+MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 #: Written last: a cell that has an outcome has every other value too.
 OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | _OUTCOMES)
 
@@ -159,12 +169,14 @@ COORDINATES: Final = (
 
 
 def arrays(spec: SweepSpec) -> Iterator[Array]:
-    """The arrays of a sweep in the order they are written; only ramps store `end_state`."""
+    """The arrays of a sweep in the order they are written; `end_state` only of ramps."""
     yield from RECORD
     if spec.exponents:
         yield LYAPUNOV
     if spec.ramp_axis is not None:
         yield END_STATE
+    if spec.refine is not None:
+        yield COMPUTED
     yield OUTCOME
 
 
@@ -184,6 +196,11 @@ def bytes_per_cell(spec: SweepSpec) -> int:
         np.dtype(array.dtype).itemsize * math.prod(length[dim] for dim in array.extra_dims)
         for array in arrays(spec)
     )
+
+
+def bytes_of_map(spec: SweepSpec) -> int:
+    """Stored bytes before compression of a cell that is not computed: those that hold no fill value."""
+    return sum(np.dtype(array.dtype).itemsize for array in arrays(spec) if not array.extra_dims)
 
 
 def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:

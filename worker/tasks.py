@@ -11,10 +11,11 @@ TaskError               why a chunk was not computed
 """
 
 import importlib
+import itertools
 import logging
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -26,9 +27,11 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
 from worker.plan import Chunk
+from worker.refinement import Refinement
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 from worker.spec.protocols import Ramp
+from worker.spec.refine import Refine
 from worker.spec.sweep import start_of
 
 log = logging.getLogger(__name__)
@@ -100,25 +103,58 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     began = time.perf_counter()
     store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
     record = _empty_record(spec, chunk)
-    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
-    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    starts = _starts(spec, chunk, store_url)
-    indices = list(np.ndindex(lines["outcome"].shape[:2]))
-    work = _Work(store_url, chunk.index, record, len(indices), began, slice_seconds)
-    for number, index in enumerate(indices):
-        if number < work.lines_done:
-            continue
-        gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
-        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
-        for name, array in lines.items():
-            array[index] = getattr(done, name)
-        work.finish_line()
+    work = _Work(store_url, chunk.index, record, began, slice_seconds)
+    if spec.refine is None:
+        _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
+    else:
+        _refine_tile(spec, spec.refine, chunk, record, work)
     checksum = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took, kernel_seconds = work.seconds
     return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
+
+
+def _compute_lines(
+    spec: SweepSpec, chunk: Chunk, record: _Arrays, work: "_Work", starts: Mapping[_LineIndex, Start | None]
+) -> None:
+    """Compute every cell of a chunk, line by line."""
+    lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
+    cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    for index in indices[work.lines_done :]:
+        gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
+        with _noting_cells(gamma=gamma, omega=omega, xi=xi):
+            done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
+        for name, array in lines.items():
+            array[index] = getattr(done, name)
+        work.finish_line(last=index == indices[-1])
+
+
+def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_Work") -> None:
+    """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
+
+    A round that a task before this one has computed is in the record; the refinement is repeated from there.
+    """
+    flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in record.items()}
+    cells = {name: array.ravel() for name, array in _cells(spec, chunk).items()}
+    computed = flat[schema.COMPUTED.name]
+    tile = Refinement((chunk.shape[1], chunk.shape[2]), refine)
+    finished = work.lines_done
+    for number in itertools.count():
+        if not tile.cells.size:
+            break
+        if number >= finished:
+            gamma, omega, xi = (cells[axis][tile.cells] for axis in ("gamma", "omega", "xi"))
+            with _noting_cells(gamma=gamma, omega=omega, xi=xi):
+                done = work.compute(_line_run(spec, gamma, omega, xi, None))
+            for name, array in flat.items():
+                array[tile.cells] = 1 if array is computed else getattr(done, name)
+            work.finish_line()
+        tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
+    source = tile.sources()
+    for name in schema.MODE_ARRAYS:
+        flat[name][...] = flat[name][source]
 
 
 class _Work:
@@ -128,9 +164,9 @@ class _Work:
     """
 
     def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, lines: int, began: float, slice_seconds: float
+        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
     ) -> None:
-        self._url, self._chunk, self._record, self._lines = store_url, chunk, record, lines
+        self._url, self._chunk, self._record = store_url, chunk, record
         self._began, self._slice_seconds = began, slice_seconds
         self._slice_began = time.thread_time()
         self._next_check = -math.inf  # of the cancel flag
@@ -158,10 +194,10 @@ class _Work:
             self._pause_if_due(run.save())
         return run.line
 
-    def finish_line(self) -> None:
-        """The line is in the record now. Raises ChunkPaused, if there is another one."""
+    def finish_line(self, *, last: bool = False) -> None:
+        """The line is in the record now. Raises ChunkPaused, unless it is known to be the last."""
         self.lines_done += 1
-        if self.lines_done < self._lines:
+        if not last:
             self._pause_if_due({})
 
     def remove_checkpoint(self) -> None:
@@ -376,14 +412,12 @@ def compile_kernels() -> None:
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what `compile_kernels` leaves out, if the sweep needs it: ramps of `rigid`, and exponents.
+    """Compile what computes the sweep, or load it: some of it `compile_kernels` leaves out.
 
     Once compiled, it takes a fraction of a millisecond: one plate period of the first cell.
     """
-    if not spec.exponents and not (spec.model.kind == "rigid" and spec.ramp_axis is not None):
-        return
     gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
     LineRun(
         gamma, omega, xi, plate=plate_of(spec.model, gamma, omega, xi),
-        carry=True, settle=0, observe=1, keep=1, exponents=spec.exponents,
+        carry=spec.ramp_axis is not None, settle=0, observe=1, keep=1, exponents=spec.exponents,
     ).advance()  # fmt: skip

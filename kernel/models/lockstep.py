@@ -216,7 +216,7 @@ def run_lockstep(
     state = np.zeros(len(STATE_FIELDS))
     while counts[1] < len(gamma) and steps > 0:
         for k in range(LANES):
-            first, before = k * flights.size, runs[k]
+            first = k * flights.size
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
                 steps -= 1
                 if index[k] < 0:

@@ -30,6 +30,7 @@ from service.settings import Settings
 from worker.executors.base import Executor
 from worker.orbits import OrbitsSpec
 from worker.spec import SweepSpec
+from worker.spec.window import Window
 
 #: Chunks of stores read at a time.
 CHUNKS: Final = 4
@@ -97,11 +98,12 @@ def _service(
 ) -> Service:
     readiness = Readiness(executor, ledger_fault=ledger.fault)
     metrics.add_jobs(ledger, readiness)
+    manager = JobManager(ledger, executor, settings)
     return Service(
         settings=settings,
         ledger=ledger,
-        manager=JobManager(ledger, executor, settings),
-        on_demand=OnDemandCache(executor),
+        manager=manager,
+        on_demand=OnDemandCache(executor, jobs_compute=manager.is_computing),
         capacity=Capacity(
             {
                 "read": settings.max_reads,
@@ -126,7 +128,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for body_model in (SweepSpec, OrbitsSpec, TrajectorySpec, ProblemDocument):
+        for body_model in (SweepSpec, OrbitsSpec, Window, TrajectorySpec, ProblemDocument):
             schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
         app.openapi_schema = document

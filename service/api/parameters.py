@@ -138,6 +138,7 @@ class ModesQuery(PlaneQuery):
     """A plane, optionally thinned."""
 
     every: Every = 1
+    mask: bool = Field(False, description="of an adaptive map: which cells were computed as well")
 
 
 class ExportQuery(Query):

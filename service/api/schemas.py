@@ -97,7 +97,13 @@ class Modes(BaseModel):
         None,
         description="of a sweep with exponents: as outcome, 7 quasi-periodic and 8 chaotic for aperiodic",
     )
+    mask: list[list[int]] | None = Field(
+        None, description="of an adaptive map, if asked for: 1 computed, 0 taken from its block"
+    )
     min_flight: float = Field(description="rad; shorter flights do not count, unless all of a cell are")
+    computed: float | None = Field(
+        None, description="of an adaptive map: share of the plane's cells done that were computed"
+    )
     complete: bool
     every: int = Field(1, description="every n-th value of both axes; left out if 1")
 

@@ -53,9 +53,15 @@ def job_table(jobs: Sequence["Job"]) -> str:
 def estimate_line(estimate: "Estimate") -> str:
     """The estimated cost of a sweep."""
     basis = "from recent jobs" if estimate.basis == "measured" else "from the table of costs"
+    computed, seconds, most = "", "", ""
+    if estimate.computed_cells is not None:
+        low, high = estimate.computed_cells
+        computed = f", of which about {low:,} to {high:,} are computed,"
+        seconds, most = f"{estimate.least_core_seconds or 0:,.3g} to ", "at most "
     return (
-        f"{estimate.cells:,} cells in {estimate.chunks:,} chunks, {estimate.bytes / 1e6:,.3g} MB before "
-        f"compression, {estimate.core_seconds:,.3g} core-seconds ({basis}{_at_most(estimate)})"
+        f"{estimate.cells:,} cells{computed} in {estimate.chunks:,} chunks, "
+        f"{most}{estimate.bytes / 1e6:,.3g} MB before compression, "
+        f"{seconds}{estimate.core_seconds:,.3g} core-seconds ({basis}{_at_most(estimate)})"
     )
 
 

@@ -78,8 +78,8 @@ class Client:
         query = {"validate_only": "true"}
         answer = json_object(self._transport.post("/v1/jobs", body(spec), query=query, idempotent=True))
         try:
-            return Estimate(**{name: answer[name] for name in Estimate._fields})
-        except KeyError as error:
+            return Estimate(**{name: answer[name] for name in Estimate._fields if name in answer})
+        except TypeError as error:
             raise UnexpectedAnswer(f"the answer is not an estimate: {error!r}") from error
 
     def job(self, id: str) -> Job:

@@ -54,6 +54,8 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "predicted_down": (np.float64, {"long_name": "Γ at which bouncing ends, predicted", "units": "1"}),
     "cause": (np.str_, {"long_name": "what ends bouncing on the way down"}),
     "difference": (np.str_, {"long_name": "why down and predicted_down differ"}),
+    "up_computed": (np.bool_, {"long_name": "whether both cells beside up were computed"}),
+    "computed": (np.uint8, {"long_name": "1: computed, 0: taken from its block"}),
     "up_status": (np.str_, {"long_name": "why up is a number or NaN"}),
     "down_status": (np.str_, {"long_name": "why down is a number or NaN"}),
 }
@@ -135,7 +137,7 @@ def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray
         }
         counts = {
             field: _variable(field, along, answer[field])
-            for field in ("flights", "outcome", "bounces", "periods", "label")
+            for field in ("flights", "outcome", "bounces", "periods", "label", "computed")
             if field in answer
         }
         if "lyapunov" in answer:
@@ -160,6 +162,8 @@ def threshold_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         }
         for field in ("up_status", "down_status", "cause", "difference"):
             variables[field] = _variable(field, "omega", answer[field])
+        if answer.get("up_computed") is not None:
+            variables["up_computed"] = _variable("up_computed", "omega", answer["up_computed"])
         coordinates = {"omega": _variable("omega", "omega", answer["omega"])}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         dataset = _dataset(variables, coordinates, answer, "bouncing threshold", job_id)
@@ -178,11 +182,15 @@ def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
             for field in ("outcome", "bounces", "periods", "label")
             if answer.get(field) is not None
         }
+        if answer.get("mask") is not None:
+            variables["computed"] = _variable("computed", plane, answer["mask"])
         coordinates = {axis: _variable(axis, axis, answer[axis]) for axis in plane}
         coordinates["xi"] = _variable("xi", None, answer["xi"])
         coordinates["direction"] = _direction(answer)
         dataset = _dataset(variables, coordinates, answer, "mode map", job_id)
         dataset.attrs["min_flight"] = float(answer["min_flight"])
+        if answer.get("computed") is not None:
+            dataset.attrs["computed"] = float(answer["computed"])
         return dataset
 
 

@@ -14,6 +14,7 @@ from service.client.errors import (
     WaitTimeout,
 )
 from service.client.results import Results
+from service.client.specification import body
 from service.client.transport import Transport, json_object, retry_after
 
 if TYPE_CHECKING:
@@ -78,6 +79,27 @@ class Job(Results):
         with its `id`, and `notice` says so.
         """
         return self._post("resume")
+
+    def refine(
+        self,
+        gamma: tuple[float, float] | None = None,
+        omega: tuple[float, float] | None = None,
+        xi: float | None = None,
+        *,
+        finer: int = 4,
+        by: str = "mode",
+        margin: bool = False,
+    ) -> "Job":
+        """Submit an adaptive sweep of a window of this sweep's map, on a grid `finer` times as fine.
+
+        `gamma`, `omega`: the window's ends, None for the whole axis; `xi` takes the nearest grid value, None
+        if there is only one. `by` is mode or bouncing, `margin` computes the neighbours of blocks that change
+        as well. The new job's `spec["parent"]` is this job's id. Raises InvalidSpecification naming the
+        field, TooLarge, Busy.
+        """
+        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by, "margin": margin}
+        response = self._transport.post(self._path("refine"), body(fields), idempotent=True)
+        return Job(self._transport, response)
 
     def _post(self, action: str) -> "Job":
         response = self._transport.post(self._path(action), idempotent=True)

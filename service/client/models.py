@@ -76,9 +76,11 @@ class Estimate(NamedTuple):
     cells: int
     chunks: int
     bytes: int  # of the stored arrays, before compression
-    core_seconds: float
+    core_seconds: float  # of an adaptive map at most
     longest_core_seconds: float | None  # if every cell settled until settle_until; None without it
     basis: str  # measured: from recent jobs with the same contact model; table: from the table of costs
+    computed_cells: tuple[int, int] | None = None  # of an adaptive map, as a rule: at least and at most
+    least_core_seconds: float | None = None  # of an adaptive map
 
 
 class JobStatus:

@@ -140,18 +140,23 @@ class Results(JobStatus):
         *,
         min_flight: float | None = None,
         every: int | None = None,
+        mask: bool = False,
     ) -> "xarray.Dataset":
         """The mode map at the grid's ξ nearest to `xi`: `outcome`, `bounces`, `periods`.
 
         `min_flight` (rad) as in `diagram`: for a value other than the sweep's `micro_flight` the modes are
         found anew from the stored flights. `every` takes every n-th value of both axes. Returns a Dataset
         with dims (omega, gamma), of a sweep with exponents also `label`; its attribute `complete` is 0 while
-        cells are missing. Raises BadRequest naming the parameter, TooLarge naming the smallest `every` that
-        fits.
+        cells are missing. Of an adaptive map, the attribute `computed` is the share of cells computed, and
+        with `mask` the variable `computed` tells which ones. Raises BadRequest naming the parameter, TooLarge
+        naming the smallest `every` that fits.
         """
         from service.client.datasets import modes_dataset
 
-        query = {"xi": xi, "direction": direction, "min_flight": min_flight, "every": every}
+        query: dict[str, str | float | None] = {
+            "xi": xi, "direction": direction, "min_flight": min_flight, "every": every,
+            "mask": "true" if mask else None,
+        }  # fmt: skip
         return modes_dataset(json_object(self._transport.get(self._path("modes"), query)), self.id)
 
     def export(self, path: str | PathLike[str]) -> Path:

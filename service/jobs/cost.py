@@ -29,7 +29,7 @@ def cost(spec: Any, plan: Plan, paces: Sequence[Pace], preparer: JobPreparer) ->
         return by_table
     measured = {
         name: seconds * ratio
-        for name in ("core_seconds", "longest_core_seconds")
+        for name in ("core_seconds", "least_core_seconds", "longest_core_seconds")
         if (seconds := getattr(by_table, name)) is not None
     }
     return by_table.model_copy(update={**measured, "basis": "measured"})
@@ -50,7 +50,8 @@ def _measured_to_table(
             job = preparer.prepare(pace.job)
         except SpecError:  # an older version accepted it
             continue
-        if _kind(job.submitted) == kind:
+        # Of an adaptive map the cells done are not those computed: it says nothing of the speed.
+        if _kind(job.submitted) == kind and getattr(job.submitted, "refine", None) is None:
             taken += pace.seconds
             by_table = job.study.estimate(job.submitted, job.plan)
             expected += pace.cells * by_table.core_seconds / by_table.cells

@@ -51,6 +51,10 @@ class JobManager:
         self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate, self._deleter.repeat)
         self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self._supervisor.wake)
 
+    def is_computing(self) -> bool:
+        """Whether chunks of jobs are in flight."""
+        return self._supervisor.is_computing()
+
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
 

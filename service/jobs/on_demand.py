@@ -2,10 +2,11 @@
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
 continues, and a later request for the same result gets it. Jobs keep at least half of the workers, or of the
-time of a single one.
+time of a single one, and in the long run seven eighths of the workers' time.
 """
 
 import threading
+import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, InvalidStateError, wait
@@ -22,6 +23,13 @@ MAX_RESULTS: Final = 64
 
 #: Results computed at a time.
 MAX_PENDING: Final = 4
+
+#: Of the workers' time, what calls get in the long run while chunks of jobs are computed.
+SHARE: Final = 1 / 8
+#: Core-seconds of calls that are computed beside jobs before they have to keep to their share.
+CREDIT_SECONDS: Final = 10.0
+#: Seconds after which calls that have used up their share are looked at again.
+LOOK_SECONDS: Final = 0.2
 
 
 class Caller(Protocol):
@@ -46,11 +54,18 @@ class Pending(Exception):
 class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
-    `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits.
+    `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
+    `jobs_compute`: whether chunks of jobs want the workers.
     """
 
-    def __init__(self, executor: Executor, max_pending: int = MAX_PENDING, timeout: float = 2.0) -> None:
-        self._workers = _HalfOfTheWorkers(executor)
+    def __init__(
+        self,
+        executor: Executor,
+        max_pending: int = MAX_PENDING,
+        timeout: float = 2.0,
+        jobs_compute: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._workers = _ShareOfTheWorkers(executor, jobs_compute)
         self._max_pending, self._timeout = max_pending, timeout
         self._results: OrderedDict[Hashable, Sequence[Future[Any]]] = OrderedDict()
         self._lock = threading.Lock()
@@ -111,24 +126,30 @@ class _Call(NamedTuple):
     arguments: tuple[Any, ...]
 
 
-class _HalfOfTheWorkers:
+class _ShareOfTheWorkers:
     """Has as many calls computed at a time as half of the workers, at least one; the others wait here.
 
-    An executor begins calls before the chunks of jobs. All calls at once would stop every job.
+    An executor begins calls before the chunks of jobs. All calls at once would stop every job, and calls
+    without end would keep half of the workers. So beside jobs calls use up a credit of CREDIT_SECONDS, which
+    grows by SHARE of the workers' time; without credit the next one waits.
     """
 
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
+    def __init__(self, executor: Executor, jobs_compute: Callable[[], bool]) -> None:
+        self._executor, self._jobs_compute = executor, jobs_compute
         self._lock = threading.Lock()
         self._waiting: deque[_Call] = deque()
         self._limit, self._running = 1, 0
+        self._workers_count = 0
+        self._credit, self._credited = CREDIT_SECONDS, time.monotonic()
+        self._later: threading.Timer | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
         """Run `function(*arguments)` on a worker as soon as it is its turn; may be called from any thread.
 
         Raises ExecutorError if it is its turn and there is no cluster.
         """
-        self._limit = max(1, self._executor.workers() // 2)
+        self._workers_count = self._executor.workers()
+        self._limit = max(1, self._workers_count // 2)
         call = _Call(Future(), function, arguments)
         with self._lock:
             self._waiting.append(call)
@@ -139,35 +160,59 @@ class _HalfOfTheWorkers:
 
     def _start(self) -> None:
         while (call := self._next()) is not None:
+            began = time.monotonic()
             try:
                 computed = self._executor.call(call.function, *call.arguments)
             except ExecutorError as error:
-                self._end(call.future.set_exception, error)
+                self._end(began, call.future.set_exception, error)
                 continue
             call.future.add_done_callback(partial(_cancel_too, computed))
-            computed.add_done_callback(partial(self._finished, call.future))
+            computed.add_done_callback(partial(self._finished, call.future, began))
 
     def _next(self) -> _Call | None:
         with self._lock:
             while self._waiting and self._running < self._limit:
-                call = self._waiting.popleft()
-                if not call.future.cancelled():
+                if self._waiting[0].future.cancelled():
+                    self._waiting.popleft()
+                elif self._may_begin():
                     self._running += 1
-                    return call
+                    return self._waiting.popleft()
+                else:
+                    return None
             return None
 
-    def _finished(self, future: "Future[Any]", computed: "Future[Any]") -> None:
-        if computed.cancelled():
-            self._end(future.cancel)
-        elif error := computed.exception():
-            self._end(future.set_exception, error)
-        else:
-            self._end(future.set_result, computed.result())
+    def _may_begin(self) -> bool:
+        """Whether jobs leave a call its turn now; if not, look again later."""
+        now = time.monotonic()
+        earned = SHARE * self._workers_count * (now - self._credited)
+        self._credit, self._credited = min(self._credit + earned, CREDIT_SECONDS), now
+        if self._credit > 0.0 or not self._jobs_compute():
+            return True
+        if self._later is None:
+            self._later = threading.Timer(LOOK_SECONDS, self._look_again)
+            self._later.daemon = True
+            self._later.start()
+        return False
+
+    def _look_again(self) -> None:
+        with self._lock:
+            self._later = None
         self._start()
 
-    def _end(self, end: Callable[..., Any], *value: Any) -> None:
+    def _finished(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
+        if computed.cancelled():
+            self._end(began, future.cancel)
+        elif error := computed.exception():
+            self._end(began, future.set_exception, error)
+        else:
+            self._end(began, future.set_result, computed.result())
+        self._start()
+
+    def _end(self, began: float, end: Callable[..., Any], *value: Any) -> None:
         with self._lock:
             self._running -= 1
+            if self._jobs_compute():
+                self._credit -= time.monotonic() - began
         with suppress(InvalidStateError):  # cancelled meanwhile
             end(*value)
 

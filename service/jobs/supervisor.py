@@ -93,7 +93,8 @@ class Supervisor:
     are what the ledger has marked; one whose address still has results of a deleted job waits for it to be
     free. `after_writing` removes the store of a job that was deleted while the store was created.
 
-    `start`, `wake`, `invalidate` and `stop` may be called from any thread; all else runs in its own.
+    `start`, `is_computing`, `wake`, `invalidate` and `stop` may be called from any thread; all else runs in
+    its own.
     """
 
     def __init__(
@@ -126,6 +127,10 @@ class Supervisor:
         """Start the thread, with the ledger's unfinished jobs."""
         self.wake()
         self._thread.start()
+
+    def is_computing(self) -> bool:
+        """Whether chunks of jobs are in flight."""
+        return any(run.in_flight for run in list(self._runs.values()))
 
     def wake(self) -> None:
         """Have the ledger synced now. Call it after a change of the ledger."""

@@ -6,13 +6,21 @@ Arguments and results can be pickled. The functions raise what those of `service
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from service.formats import PICTURES, DiagramFormat
 from service.render import bifurcation, binary, text
+from service.render import orbits as orbits_text
 from service.results import diagram as diagrams
 from service.results import line as lines
-from service.results import mode_map
+from service.results import mode_map, orbits
+from service.results import trajectory as trajectories
 from service.results.diagram import Diagram
 from service.results.selection import Sweep
+from service.results.trajectory import TrajectorySpec
+from worker import kernel_cache
+from worker.orbits import Mode
 from worker.spec import SweepSpec
 
 
@@ -72,10 +80,11 @@ def modes(
     max_points: int,
     every: int,
     min_flight: float | None,
+    mask: bool,
 ) -> Answer:
-    """The mode map as JSON."""
+    """The mode map as JSON; mask: of an adaptive map, with which cells were computed."""
     plane = mode_map.modes(sweep, xi, direction, max_points, every, min_flight)
-    return Answer(text.mode_map_json(plane), plane.complete)
+    return Answer(text.mode_map_json(plane, mask and sweep.spec.refine is not None), plane.complete)
 
 
 def packed_line(sweep: Sweep, line: Line, view: View) -> Answer:
@@ -126,5 +135,24 @@ def packed_plane(
     return Answer(binary.packed(attributes, arrays), plane.complete, dense=True)
 
 
+def trajectory(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> bytes:
+    """One cell in motion as JSON, from rest, on a cycle, or on from a state."""
+    return text.trajectory_json(trajectories.compute(spec, state))
+
+
+def thresholds(omega: float, xi: float, delta: float) -> bytes:
+    """The thresholds of one spring as JSON."""
+    return orbits_text.thresholds_json(orbits.thresholds(omega, xi), delta)
+
+
+def branches(
+    omega: float, xi: float, modes: tuple[Mode, ...], gamma_max: float, points: int, energies: bool
+) -> bytes:
+    """The branches of one spring as JSON."""
+    return orbits_text.orbits_json(orbits.orbits(omega, xi, modes, gamma_max, points), energies)
+
+
 def warm() -> None:
-    """Does nothing; a process that is to run it imports what the others need."""
+    """Import what the others need, and load the compiled kernels if they are kept in a cache."""
+    if kernel_cache.claim_cache() is not None:
+        kernel_cache.warm()

@@ -13,6 +13,7 @@ from typing import IO, Final
 
 import numpy as np
 
+from service.background import Background
 from service.errors import ExportFailed, NoSpace, TooLarge
 from service.formats import ExportFormat
 from service.render import netcdf, parquet
@@ -47,18 +48,27 @@ def check_size(spec: SweepSpec, max_bytes: int) -> None:
         )
 
 
-def make(sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[bytes]:
-    """The sweep's file, open for reading and already unlinked.
+def make(background: Background, sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[bytes]:
+    """The sweep's file, written in the background; open for reading and already unlinked.
 
-    Raises NoSpace, another OSError, ExportFailed, a `store.StoreError`.
+    Raises NoSpace, another OSError, ExportFailed, NotComputed, a `store.StoreError`.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(suffix=f".{format}", dir=folder)
     os.close(handle)
     try:
-        layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
-        _WRITERS[format](sweep, layout, _while_there_is_room(blocks(sweep, plan), folder), Path(name))
+        background.run(write, sweep, plan, format, Path(name))
         return Path(name).open("rb")
+    finally:
+        Path(name).unlink()
+
+
+def write(sweep: Sweep, plan: Plan, format: ExportFormat, path: Path) -> None:
+    """Write the sweep's file. Raises NoSpace, another OSError, ExportFailed, a `store.StoreError`."""
+    folder = path.parent
+    layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
+    try:
+        _WRITERS[format](sweep, layout, _while_there_is_room(blocks(sweep, plan), folder), path)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise NoSpace(f"no space left for the export file: {error.strerror}") from error
@@ -67,8 +77,6 @@ def make(sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[byt
         if shutil.disk_usage(folder).free < FULL:
             raise NoSpace("no space left for the export file") from error
         raise
-    finally:
-        Path(name).unlink()
 
 
 def _while_there_is_room(blocks: Iterable[Block], folder: Path) -> Iterator[Block]:

@@ -36,7 +36,9 @@ def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> 
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env={name: value for name, value in os.environ.items() if not name.startswith("BOUNCE_")},
-        start_new_session=True,  # Ctrl-C is for the service, which waits for the file when it stops
+        # Ctrl-C is for the service, which waits for the file when it stops. Not a session of its own: Linux
+        # shares the processors among sessions first, so that its niceness would count for nothing.
+        process_group=0,
     ) as process:
         assert process.stdin
         assert process.stdout

@@ -35,6 +35,9 @@ COLUMNS: Final = (
     *(array.name for array in _PER_CELL),
 )
 
+#: The array that tells which cells of an adaptive map were computed.
+COMPUTED: Final = schema.COMPUTED.name
+
 #: A value as JSON, ten times as fast as the standard library; NaN and infinities as null.
 to_json: Final = TypeAdapter(Any).dump_json
 
@@ -62,15 +65,21 @@ def diagram_json(diagram: Diagram) -> bytes:
     return _object(members, diagram.complete, diagram.every)
 
 
-def mode_map_json(plane: Plane) -> bytes:
-    """A mode map as a JSON document; arrays as lists of rows, one for each Ω."""
+def mode_map_json(plane: Plane, mask: bool) -> bytes:
+    """A mode map as a JSON document; arrays as lists of rows, one for each Ω.
+
+    mask: with which cells were computed, of an adaptive map.
+    """
+    share = {} if plane.computed is None else {"computed": [to_json(plane.computed)]}
     members = {
         "xi": [to_json(plane.xi)],
         "direction": [to_json(plane.direction)],
         "omega": _list(plane.omega),
         "gamma": _list(plane.gamma),
-        **{name: _list(array) for name, array in plane.arrays.items()},
+        **{name: _list(array) for name, array in plane.arrays.items() if name != COMPUTED},
+        **({"mask": _list(plane.arrays[COMPUTED])} if mask else {}),
         "min_flight": [to_json(plane.min_flight)],
+        **share,
     }
     return _object(members, plane.complete, plane.every)
 

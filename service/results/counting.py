@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from kernel.labels import LABELS, label_codes
 from kernel.recount import Modes, recount
 from worker import schema
+from worker.schema import MODE_ARRAYS
 from worker.spec import SweepSpec
-
-#: The stored arrays that tell a cell's mode.
-MODE_ARRAYS: Final = (schema.OUTCOME.name, "bounces", "periods")
 
 #: The stored arrays that a mode is found from.
 FLIGHT_ARRAYS: Final = ("flight_time", "takeoff_phase", "flights")
@@ -48,7 +46,8 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     """The stored arrays that `recounted` needs."""
     exponents = (schema.LYAPUNOV.name,) if spec.exponents else ()
     flights = FLIGHT_ARRAYS if needs_flights(spec, min_flight) else ()
-    return (*flights, *MODE_ARRAYS, *exponents)
+    computed = () if spec.refine is None else (schema.COMPUTED.name,)
+    return (*flights, *MODE_ARRAYS, *exponents, *computed)
 
 
 def recounted(
@@ -56,12 +55,14 @@ def recounted(
 ) -> dict[str, NDArray[Any]]:
     """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and LABEL if there are exponents.
 
+    Of an adaptive map also `computed`: the other cells have no flights, and keep the mode of their block.
     `arrays` are those of any cells, at least `arrays_of_modes`.
     """
     modes = {name: arrays[name] for name in MODE_ARRAYS}
     if needs_flights(spec, min_flight):
         modes = _found_anew(spec, arrays, shortest(spec, min_flight))
-    return modes | labelled(spec, modes[schema.OUTCOME.name], arrays)
+    computed = {} if spec.refine is None else {schema.COMPUTED.name: arrays[schema.COMPUTED.name]}
+    return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 
 def labelled(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
+from service.errors import InvalidRequest
 from service.results.counting import arrays_of_modes, needs_flights, recounted, shortest
 from service.results.selection import (
     MAX_READ,
@@ -19,6 +20,7 @@ from service.results.selection import (
     resolve_direction,
     thinning,
 )
+from worker import schema
 from worker.spec import SweepSpec
 
 
@@ -34,6 +36,9 @@ class Plane:
     every: int = 1  # the cells are every n-th of both axes
     min_flight: float = 0.0  # rad; shorter flights do not count for the mode, unless all of a cell are
     repairing: bool = False  # of the sweep
+    computed: float | None = (
+        None  # of an adaptive map, the share of the plane's cells done that were computed
+    )
 
     @property
     def complete(self) -> bool:
@@ -61,7 +66,8 @@ def modes(
     fitting = _cells(sweep.spec, min_flight, max_points)
     check_points(omegas * gammas, fitting, what, thinning(lengths, 1, fitting))
     part = slice(None, None, every)
-    return replace(_recounted_plane(sweep, xi, direction, min_flight, part, part), every=every)
+    found = _recounted_plane(sweep, xi, direction, min_flight, part, part)
+    return replace(found, every=every, computed=_computed_share(sweep, xi, found.direction))
 
 
 def modes_between(
@@ -126,10 +132,36 @@ def _recounted_plane(
 ) -> Plane:
     """Outcome and mode over a part of (omega, gamma) if flights longer than `min_flight` (rad) count."""
     spec = sweep.spec
+    if spec.refine is not None and needs_flights(spec, min_flight):
+        rule = (
+            f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where its modes change, "
+            "and stores no flights of the other cells"
+        )
+        raise InvalidRequest.of("min_flight", rule)
     names = arrays_of_modes(spec, min_flight)
     cells = plane(sweep, xi, resolve_direction(spec, direction), names, omega, gamma)
     arrays = recounted(spec, cells.arrays, min_flight)
     return replace(cells, arrays=arrays, min_flight=shortest(spec, min_flight))
+
+
+def _computed_share(sweep: Sweep, xi: float | None, direction: str) -> float | None:
+    """Of an adaptive map, the share of its cells at one xi that were computed, of those done; else None.
+
+    Of every cell, also where an answer is thinned: rows and columns of a thinned one are those of blocks'
+    corners, most of which are computed.
+    """
+    spec = sweep.spec
+    if spec.refine is None:
+        return None
+    done = computed = 0
+    omegas, gammas = (len(spec.axis_values(axis)) for axis in ("omega", "gamma"))
+    rows = max(1, MAX_READ // gammas)
+    for low in range(0, omegas, rows):
+        names = (schema.OUTCOME.name, schema.COMPUTED.name)
+        part = plane(sweep, xi, direction, names, slice(low, low + rows)).arrays
+        done += int(np.count_nonzero(part[schema.OUTCOME.name] != Outcome.MISSING))
+        computed += int(np.count_nonzero(part[schema.COMPUTED.name]))
+    return computed / done if done else 0.0
 
 
 def _between(values: NDArray[np.float64], low: float | None, high: float | None) -> range:

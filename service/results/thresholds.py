@@ -1,7 +1,7 @@
 """Thresholds of bouncing per Ω: by Eq. 25, to the sweep's grid, and refined beyond it by the workers."""
 
 from concurrent.futures import Future
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from service.results.selection import MAX_READ, ROUNDING, Sweep, check_kernel, c
 from worker.analysis import thresholds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
+from worker.schema import COMPUTED
 from worker.spec import SweepSpec
 from worker.spec.contact_models import Rigid
 
@@ -61,6 +62,11 @@ class Thresholds(BaseModel):
     cause: list[str] = Field(description="of predicted_down: Eq. 25, fold (1,k), unresolved; not predicted")
     difference: list[str] = Field(description="why `down` and predicted_down differ; empty where they do not")
     prediction: str = Field(description="the contact that is predicted, and whether it is the sweep's")
+    up_computed: list[bool] | None = Field(
+        None,
+        description="of an adaptive map: whether the two cells that `up` lies between were computed, not "
+        "taken from their block; null of other sweeps",
+    )
     tolerance: float | None = Field(None, description="of up and down, in Γ; null: the spacing of the grid")
     complete: bool
 
@@ -85,8 +91,11 @@ def on_grid(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
     complete = True
     for direction in spec.directions:
         name = "down" if direction == "down" else "up"
-        results[name], results[f"{name}_status"], computed = _of_direction(sweep, value, direction)
-        complete = complete and computed
+        found = _of_direction(sweep, value, direction)
+        results[name], results[f"{name}_status"] = found.lowest, found.statuses
+        complete = complete and found.complete
+        if spec.refine is not None:
+            results["up_computed"] = found.computed
     coarse = Thresholds(
         xi=value, omega=omega, analytic=threshold(omega, value), complete=complete,
         **results, **_predicted(spec, omega, value),
@@ -123,25 +132,44 @@ def refined(
     joined: dict[str, Any] = {
         name: [value for part in parts for value in getattr(part, name)] for name in Refined._fields
     }
-    numbers = {name: np.array(joined[name]) for name in ("up", "down")}
-    return _compared(sweep.spec, coarse.model_copy(update={**joined, **numbers, "tolerance": tolerance}))
+    changed: dict[str, Any] = (
+        joined | {name: np.array(joined[name]) for name in ("up", "down")} | {"tolerance": tolerance}
+    )
+    if coarse.up_computed is not None:  # refinement computes the cells that decide
+        changed["up_computed"] = [status is Status.FOUND for status in joined["up_status"]]
+    return _compared(sweep.spec, coarse.model_copy(update=changed))
 
 
-def _of_direction(sweep: Sweep, xi: float, direction: str) -> tuple[NDArray[np.float64], list[Status], bool]:
-    """(n_omega,) the lowest Γ that bounces, NaN unless found; the statuses; whether all is computed."""
+class _OfDirection(NamedTuple):
+    """The thresholds to the grid in one direction, one per Ω."""
+
+    lowest: NDArray[np.float64]  # Γ that bounces, NaN unless found
+    statuses: list[Status]
+    complete: bool  # whether every cell is done
+    computed: list[bool]  # whether both cells beside the threshold were computed, where it was found
+
+
+def _of_direction(sweep: Sweep, xi: float, direction: str) -> _OfDirection:
     gamma = sweep.spec.axis_values("gamma")
     endless = endless_rest(sweep.spec, sweep.spec.axis_values("omega"), xi)
     rows = max(1, MAX_READ // len(gamma))
+    names = ("outcome",) if sweep.spec.refine is None else ("outcome", COMPUTED.name)
     lowest, statuses, complete = np.full(len(endless), np.nan), [], True
+    both_computed = []
     for low in range(0, len(endless), rows):
-        part = plane(sweep, xi, direction, ("outcome",), slice(low, low + rows))
+        part = plane(sweep, xi, direction, names, slice(low, low + rows))
         complete = complete and part.complete
+        was_computed = part.arrays.get(COMPUTED.name, np.ones_like(part.arrays["outcome"]))
         for i, row in enumerate(part.arrays["outcome"], low):
             found = thresholds.on_grid(row, direction == "down", bool(endless[i]))
             statuses.append(found.status)
-            if found.status is Status.FOUND:
+            both_computed.append(False)
+            if found.status is Status.FOUND and found.bouncing is not None:
                 lowest[i] = gamma[found.bouncing]
-    return lowest, statuses, complete
+                both_computed[-1] = bool(
+                    np.all(was_computed[i - low, found.bouncing - 1 : found.bouncing + 1])
+                )
+    return _OfDirection(lowest, statuses, complete, both_computed)
 
 
 def _predicted(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> dict[str, Any]:

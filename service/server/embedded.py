@@ -70,6 +70,9 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
         _with_own_token(settings, listener) as complete,
         _computing(settings, executor) as chosen,
     ):
+        if executor is None:
+            with _startup_errors():
+                _warm_in_background()
         with _startup_errors():
             server = WebServer(create_app(complete, chosen), settings, listener)
         thread = threading.Thread(target=server.serve_until_stopped, name="bounce-server")
@@ -98,7 +101,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         _listening(settings) as listener,
         _with_own_token(settings, listener) as complete,
         _computing(settings, None) as executor,
-        closing(Processes(settings.max_reads)) as background,
+        closing(Processes(settings.max_reads + settings.max_exports)) as background,
     ):
         threading.Thread(target=background.run, args=[answers.warm], name="warm-answers", daemon=True).start()
         with _startup_errors():
@@ -230,7 +233,6 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
                 cluster = stack.enter_context(connected_cluster(settings))
             except ClusterLost as error:
                 raise NotStarted(str(error)) from error
-            _warm_in_background()
         yield cluster
 
 

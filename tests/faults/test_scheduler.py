@@ -8,23 +8,20 @@ unless-stopped`. With the limits for a machine with nothing else to do:
 
 import os
 import signal
-import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 from paths import CACHE, ROOT
 from running import Counting, Running, costing, running
 from scripted import free_port, wait_for
 
+from benchmarks.serving import Cluster, Restarted
 from service.api.monitoring import Readiness
 from service.jobs.model import JobRecord, JobState
-from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
 from worker.executors.dask import Dask
 from worker.kernel_cache import warm
 
@@ -35,56 +32,12 @@ WINDOW = 4
 FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
 
 
-class Restarted:
-    """A command that is restarted whenever it ends, until `end`."""
-
-    def __init__(self, folder: Path, *command: str) -> None:
-        self._command, self._log = command, folder / f"{command[1]}.log"
-        self._over = threading.Event()
-        self.process = self._start()
-        self._thread = threading.Thread(target=self._keep)
-        self._thread.start()
-
-    def _start(self) -> "subprocess.Popen[bytes]":
-        program = str(Path(sys.executable).with_name(self._command[0]))
-        settings = {environment_variable(name): f"{value:g}" for name, value in SCHEDULER_SETTINGS.items()}
-        variables = os.environ | settings | {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)}
-        with self._log.open("ab") as log:
-            return subprocess.Popen([program, *self._command[1:]], stdout=log, stderr=log, env=variables)
-
-    def _keep(self) -> None:
-        while not self._over.is_set():
-            self.process.wait()
-            if not self._over.wait(0.2):
-                self.process = self._start()
-
-    def end(self) -> None:
-        self._over.set()
-        family = psutil.Process(self.process.pid).children(recursive=True)
-        self.process.send_signal(signal.SIGCONT)
-        self.process.terminate()
-        self._thread.join(20)
-        for process in psutil.wait_procs(family, timeout=10)[1]:
-            process.kill()
-
-
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[Restarted, str]]:
     warm(CACHE)
-    port = free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    scheduler = Restarted(
-        tmp_path, "dask", "scheduler", "--host", "127.0.0.1", "--port", str(port),
-        "--no-dashboard", "--dashboard-address", "127.0.0.1:0",
-    )  # fmt: skip
-    folder = str(tmp_path / "dask")
-    workers = Restarted(
-        tmp_path, "dask", "worker", address, "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1",
-        "--no-dashboard", "--local-directory", folder, "--death-timeout", "10",
-    )  # fmt: skip
-    yield scheduler, address
-    workers.end()
-    scheduler.end()
+    cluster = Cluster(tmp_path, free_port(), {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)})
+    yield cluster.scheduler, cluster.address
+    cluster.end()
 
 
 @pytest.mark.long

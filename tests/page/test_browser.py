@@ -16,7 +16,6 @@ import pytest
 from browser import (
     LONG_LINE,
     ROOT,
-    chromium,
     longest_task,
     needs_chromium,
     opened,
@@ -31,7 +30,6 @@ from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 from service.cli.main import main
 from service.server import embedded
 from service.settings import Settings
-from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 from worker.spec import SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS
@@ -63,18 +61,6 @@ MAP: dict[str, Any] = {
 }
 #: Far above what is measured even on a loaded machine; slower than this is a defect.
 SLOW_MS = 30_000
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
-    with embedded.running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
-        yield address
 
 
 def submitted(address: str, spec: dict[str, Any]) -> str:

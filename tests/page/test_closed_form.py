@@ -2,20 +2,16 @@
 
 import json
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import httpx2
 import pytest
-from browser import chromium, needs_chromium, opened, screenshot, wait_shown
+from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 
 from kernel.branches.starts import cycles_at
 from kernel.branches.thresholds import thresholds
 from kernel.params import Cell
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.dask import Dask
 
 pytestmark = needs_chromium
 
@@ -51,18 +47,6 @@ PIXELS = """([selector, property]) => {
 PLOT = ".panel .plot canvas"
 #: Chromium's advice on reading a canvas often, as only these tests do.
 READBACK = ("willReadFrequently",)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
-    with embedded.running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
-        yield address
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -68,6 +69,35 @@ def test_more_calls_than_processes_wait(processes: Processes):
     with ThreadPoolExecutor(8) as pool:
         pids = set(pool.map(lambda _: processes.run(os.getpid), range(40)))
     assert 1 <= len(pids) <= 2
+
+
+def hold(megabytes: int) -> int:
+    """Keep so much memory in this process for good."""
+    globals()["kept"] = b"x" * (megabytes << 20)
+    return os.getpid()
+
+
+def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
+    with closing(Processes(1, most_kept=400 << 20)) as processes:
+        first = processes.run(hold, 1)
+        assert processes.run(hold, 500) == first
+        child = psutil.Process(processes.run(os.getpid))
+        assert child.pid != first
+        assert not psutil.pid_exists(first)
+
+
+def test_processes_without_work_end_but_one():
+    with closing(Processes(3, idle_seconds=0.2)) as processes:
+        with ThreadPoolExecutor(3) as pool:
+            pids = set(pool.map(processes.run, [_sleep_and_tell] * 3))
+        assert len(pids) == 3
+        wait_for(lambda: sum(map(psutil.pid_exists, pids)) == 1)
+        assert processes.run(os.getpid) in pids
+
+
+def _sleep_and_tell() -> int:
+    time.sleep(1.0)
+    return os.getpid()
 
 
 def test_they_end_when_closed_also_while_computing():

@@ -138,7 +138,7 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
 
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
-    with taken(done.client, "export", slots=2):
+    with taken(done.client, "export"):
         answer = done.client.get(f"{done.here}/export?format=nc")
     assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
     assert done.client.get(f"{done.here}/export?format=nc").status_code == 200

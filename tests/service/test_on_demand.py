@@ -1,9 +1,12 @@
 """Results that workers compute on request: awaited for a short time, kept, computed once."""
 
+import time
 from concurrent.futures import Future
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from scripted import wait_for
 
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
@@ -154,6 +157,36 @@ def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers:
         assert len(pool.futures) == min(number + 1 + share, 11)
     assert cache.get("many", submit) == list(range(9))
     assert cache.get("more", submit) == [9, 10]
+
+
+def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
+    """Of 8 workers an eighth of the time is a core-second per second."""
+    now, jobs = [100.0], [True]
+    monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(on_demand, "LOOK_SECONDS", 0.01)
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01, jobs_compute=lambda: jobs[0])
+    with pytest.raises(Pending):
+        cache.get("many", lambda executor: [executor.call(print) for _ in range(16)])
+    assert len(pool.futures) == 4
+    now[0] += 5.0
+    for number in range(4):
+        pool.futures[number].set_result(number)
+    assert len(pool.futures) == 6  # two were begun before 15 core-seconds were used of 10 and 5 earned
+    now[0] += 4.0
+    time.sleep(0.1)
+    assert len(pool.futures) == 6  # 5 core-seconds too many were used: 4 are earned
+    now[0] += 2.0
+    wait_for(lambda: len(pool.futures) == 8)
+    now[0] += 100.0
+    for number in range(4, 8):
+        pool.futures[number].set_result(number)
+    assert len(pool.futures) == 8
+    jobs[0] = False
+    wait_for(lambda: len(pool.futures) == 12)
+    for number in range(8, 16):
+        pool.futures[number].set_result(number)
+    assert cache.get("many", submit) == list(range(16))
 
 
 def test_a_part_that_fails_leaves_its_turn_to_the_next():

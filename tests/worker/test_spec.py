@@ -28,7 +28,7 @@ POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
 AXES_ONLY = (
     "the fields are name, gamma, omega, xi, protocol, model, settle, observe, keep, "
-    "micro_flight, settle_tolerance, settle_until, exponents"
+    "micro_flight, settle_tolerance, settle_until, exponents, refine, parent"
 )
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from worker import store
+from worker.schema import COMPUTED
 from worker.spec import LARGEST, SMALLEST, SweepSpec
 from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_cells
@@ -132,8 +133,7 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
     for direction, name in enumerate(spec.directions):
         down = name == "down"
         for i, omega in enumerate(omegas):
-            row = store.read_slice(url, ("outcome",), direction=direction, xi=xi, omega=omega)["outcome"]
-            found = on_grid(row, down, bool(endless[i]))
+            found = _on_line(spec, url, (direction, xi, omega), down, bool(endless[i]))
             result = math.nan, found.status
             if found.resting is not None and found.bouncing is not None:
                 edge = (found.bouncing, found.resting) if down else (found.resting, found.bouncing)
@@ -145,6 +145,29 @@ def refine(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], toleranc
         tuple(status for _, status in results["up"]),
         tuple(status for _, status in results["down"]),
     )
+
+
+def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:
+    """What the line of cells at indices (direction, xi, omega) says of its threshold.
+
+    Of an adaptive map, cells that decide and were taken from their block are computed first.
+    """
+    names = ("outcome",) if spec.refine is None else ("outcome", COMPUTED.name)
+    direction, xi, omega = line
+    stored = store.read_slice(url, names, direction=direction, xi=xi, omega=omega)
+    outcome = stored["outcome"]
+    computed = stored.get(COMPUTED.name, np.ones(len(outcome)))
+    while True:
+        found = on_grid(outcome, down, endless)
+        lowest = next(iter(np.flatnonzero(outcome != Outcome.AT_REST)), None)
+        cells = (found.resting, lowest, found.bouncing)
+        deciding = {int(i) for i in cells if i is not None and not computed[i]}
+        if not deciding:
+            return found
+        values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
+        for i in deciding:
+            outcome[i], _ = _run(spec, Cell(float(spec.axis_values("gamma")[i]), *values), None)
+            computed[i] = 1
 
 
 def _patient(spec: SweepSpec) -> SweepSpec:

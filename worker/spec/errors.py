@@ -165,6 +165,7 @@ _RULES: Final[dict[str, Callable[[_Entry], str]]] = {
     "string_too_long": lambda e: (
         f"must have at most {e['ctx']['max_length']} characters, not {len(e['input'])}"
     ),
+    "string_pattern_mismatch": lambda e: f"must match {e['ctx']['pattern']}, not {describe(e['input'])}",
     "model_type": lambda e: f"must be an object, not {describe(e['input'])}",
     "finite_number": lambda e: f"must be finite, not {describe(e['input'])}",
     "literal_error": _literal,

@@ -4,29 +4,18 @@ worker.spec imports pydantic, numpy, and those modules of the kernel that need n
 can build a specification without loading kernels, Dask or zarr.
 """
 
-import hashlib
 import itertools
-import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from pathlib import Path
-from typing import Annotated, Any, Final, Self
-from unicodedata import category
+from typing import Annotated, ClassVar, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import (
-    AfterValidator,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.params import MAX_EXPONENTS, MAX_SETTLE_TOLERANCE, Cell, KernelInputError, Start
-from worker.spec import parsing
-from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, Strict, values_of, within
+from worker.spec.axes import NUMBER, WHOLE, Axis, AxisValue, Range, within
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     MAX_PENETRATION,
@@ -37,8 +26,10 @@ from worker.spec.contact_models import (
     model_fields,
     penetration_of,
 )
-from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
+from worker.spec.errors import BrokenRuleError, one_of
 from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
+from worker.spec.refine import Refine, Refinement
+from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 
 #: The axes of a sweep in the order of the store's dimensions, slowest first.
@@ -50,8 +41,6 @@ SMALLEST: Final = 1e-6
 LARGEST: Final = 1e6
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
-#: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
-MAX_MARKS: Final = 4
 
 #: Lines of a ramp that starts on cycles, each of which is looked for when the sweep is submitted (5 ms).
 MAX_STARTS: Final = 1_000
@@ -60,30 +49,16 @@ MAX_STARTS: Final = 1_000
 WITH_CYCLES: Final = ("rigid", "soft", "stepped")
 
 
-def _label(name: str) -> str:
-    if not name.isprintable():
-        raise BrokenRuleError("", "must be one line of printable characters")
-    marks = 0
-    for character in name:
-        marks = marks + 1 if category(character) in ("Mn", "Me") else 0
-        if marks > MAX_MARKS:
-            raise BrokenRuleError("", f"must have at most {MAX_MARKS} combining marks in a row")
-    return name
-
-
-#: The name of a study: not part of its identity.
-Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
-
-
-class SweepSpec(Strict):
+class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
     `settle`, `observe` and `settle_until` are in plate periods, `keep` in flights, `micro_flight` and
-    `settle_tolerance` in rad. `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names
-    each field and rule.
+    `settle_tolerance` in rad. `parent` is a label: the job in whose map this sweep is a window.
+    `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
     """
 
-    name: Label = ""
+    AXES: ClassVar = AXES
+
     gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
@@ -96,12 +71,8 @@ class SweepSpec(Strict):
     settle_tolerance: Annotated[float, Field(ge=0.0, le=MAX_SETTLE_TOLERANCE), NUMBER] = 0.0
     settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
     exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
-
-    def __init__(self, /, **data: object) -> None:
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise SpecInvalid(problems_of(error, _fields())) from None
+    refine: Refinement = None
+    parent: JobId | None = None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -115,6 +86,9 @@ class SweepSpec(Strict):
             nearest = f"{effective} or null" if effective <= MAX_PERIODS else "null"
             rule = f"must be at least settle + 2 * observe, or null: less has no effect; {nearest} works"
             raise BrokenRuleError("settle_until", rule)
+        if self.refine is not None and not isinstance(self.protocol, Rest):
+            rule = f"needs protocol.kind 'rest', not {self.protocol.kind!r}, every cell of which is computed"
+            raise BrokenRuleError("refine", f"{rule}; null works")
         self._check_exponents()
         self._check_depth()
         self._check_start()
@@ -183,29 +157,16 @@ class SweepSpec(Strict):
             yield Cell(gamma, omega, xi)
 
     @classmethod
-    def parse(cls, data: object) -> Self:
-        """A specification from the plain values of JSON or TOML.
-
-        Raises `SpecInvalid`, which lists every broken rule.
-        """
-        if isinstance(data, cls):
-            return data
-        return cls(**parsing.fields_of(data, "a specification"))
-
-    @classmethod
-    def from_json(cls, text: str | bytes) -> Self:
-        """A specification from JSON text. Raises `SpecUnreadable` or `SpecInvalid`."""
-        return cls.parse(parsing.read_json(text))
-
-    @classmethod
-    def from_file(cls, path: str | Path) -> Self:
-        """A specification from a .json or .toml file. Raises `SpecUnreadable` or `SpecInvalid`."""
-        return cls.parse(parsing.read_file(Path(path)))
-
-    def axis_values(self, axis: str) -> NDArray[np.float64]:
-        """The values of "gamma", "omega" or "xi", (n,), strictly increasing."""
-        values: AxisValue = getattr(self, axis)
-        return values_of(values)
+    def objects(cls) -> Mapping[str, tuple[str, ...]]:
+        """As of every specification, with the protocols and the contact models."""
+        return {
+            **super().objects(),
+            "<rest>": tuple(Rest.model_fields),
+            "<ramp>": tuple(Ramp.model_fields),
+            "<start>": tuple(OnCycle.model_fields),
+            "<refine>": tuple(Refine.model_fields),
+            **model_fields(),
+        }
 
     @property
     def directions(self) -> tuple[str, ...]:
@@ -225,25 +186,10 @@ class SweepSpec(Strict):
         xi, omega, gamma = (_length(getattr(self, axis)) for axis in AXES)
         return len(self.directions), xi, omega, gamma
 
-    def canonical(self) -> dict[str, Any]:
-        """Plain JSON values of everything that determines the stored numbers.
-
-        Axes are lists of their values and defaults are filled in. The label is left out, and so are fields
-        of later releases that are off: job ids made before these fields existed must not change.
-        """
-        later = ("settle_tolerance", "settle_until", "exponents")
-        unused = {field for field in later if not getattr(self, field)}
-        plain = self.model_dump(exclude={"name", *AXES, *unused})
-        return {axis: self.axis_values(axis).tolist() for axis in AXES} | plain
-
-    def as_submitted(self) -> dict[str, Any]:
-        """Plain JSON values as submitted: ranges stay ranges, and the label is included."""
-        return self.model_dump(mode="json")
-
-    def job_id(self, kernel_version: str) -> str:
-        """32 hex digits of a hash of the canonical specification and the kernel version."""
-        text = json.dumps(self.canonical(), sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(f"{kernel_version}\n{text}".encode()).hexdigest()[:32]
+    def left_out(self) -> set[str]:
+        """The labels, and fields of later releases that are off."""
+        later = ("settle_tolerance", "settle_until", "exponents", "refine")
+        return super().left_out() | {"parent"} | {field for field in later if not getattr(self, field)}
 
 
 @lru_cache(maxsize=2 * MAX_STARTS)
@@ -274,15 +220,3 @@ def _length(axis: AxisValue) -> int:
     if isinstance(axis, Range):
         return axis.num
     return len(axis) if isinstance(axis, tuple) else 1
-
-
-def _fields() -> dict[str, tuple[str, ...]]:
-    """The field names of every object of a specification by its tag, for `errors.problems_of`."""
-    return {
-        "": tuple(SweepSpec.model_fields),
-        "<range>": tuple(Range.model_fields),
-        "<rest>": tuple(Rest.model_fields),
-        "<ramp>": tuple(Ramp.model_fields),
-        "<start>": tuple(OnCycle.model_fields),
-        **model_fields(),
-    }

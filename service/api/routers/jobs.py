@@ -9,29 +9,24 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import parameters, schemas
 from service.api.conditional import NOT_MODIFIED, job_headers, not_modified
-from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job
+from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, find_job, sweep
 from service.api.schemas import JobView, job_view, problem_responses
 from service.jobs import cost as estimates
+from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
 from worker.cost import Cost
+from worker.spec.window import Window
 from worker.studies import from_json
 
 router = APIRouter(prefix="/v1")
 
-_SPEC_BODY: Final = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "application/json": {
-                "schema": {
-                    "oneOf": [
-                        {"$ref": f"#/components/schemas/{spec}"} for spec in ("SweepSpec", "OrbitsSpec")
-                    ]
-                }
-            }
-        },
-    }
-}
+
+def _json_schema(*names: str) -> dict[str, Any]:
+    """What the API document says of a body that is one of these models."""
+    schemas = [{"$ref": f"#/components/schemas/{name}"} for name in names]
+    schema = schemas[0] if len(schemas) == 1 else {"oneOf": schemas}
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+
 
 IdempotencyKey = Annotated[
     str | None,
@@ -57,7 +52,7 @@ _MAX_RETRY_AFTER: Final = 10
         200: {"model": JobView | Cost},
         **problem_responses(400, 408, 409, 413, 415, 422, 429),
     },
-    openapi_extra=_SPEC_BODY,
+    openapi_extra=_json_schema("SweepSpec", "OrbitsSpec"),
 )
 def submit(
     service: ServiceDep,
@@ -74,7 +69,11 @@ def submit(
     spec = from_json(body)
     if query.validate_only:
         return _cost(service, spec)
-    job, accepted = service.manager.submit(spec, idempotency_key, owner)
+    return _submitted(service.manager.submit(spec, idempotency_key, owner))
+
+
+def _submitted(submission: Submission) -> Response:
+    job, accepted = submission
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(_retry_after(job) or 0)
@@ -157,6 +156,23 @@ def resume(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     headers = {"Location": f"/v1/jobs/{record.id}"}
     notice = None if record.id == job.id else f"starts anew what job {job.id} is: {job.notice}"
     return _job_response(record, 202 if accepted else 200, headers, notice=notice)
+
+
+@router.post(
+    "/jobs/{job_id}/refine",
+    summary="Refine a window of a sweep's map",
+    status_code=202,
+    response_model=JobView,
+    responses={200: {"model": JobView}, **problem_responses(400, 404, 413, 415, 422, 429)},
+    openapi_extra=_json_schema("Window"),
+)
+def refine(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
+    """Submits an adaptive sweep of a window of the (Γ, Ω) map, on a grid `finer` times as fine.
+
+    202 if it is accepted, 200 if it is queued, running or done already. Its `spec.parent` is this job.
+    """
+    spec = Window.from_json(body).of(sweep(service, job).spec, job.id)
+    return _submitted(service.manager.submit(spec, None, owner))
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:

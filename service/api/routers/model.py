@@ -11,8 +11,8 @@ from service.api.dependencies import JsonBody, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, problem_responses
 from service.errors import InvalidRequest
 from service.formats import MEDIA_TYPES, PICTURES
+from service.render import answers
 from service.render import orbits as orbits_text
-from service.render import text
 from service.render import work_precision as work_precision_diagram
 from service.results import orbits, work_precision
 from service.results import trajectory as trajectories
@@ -47,8 +47,8 @@ def threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Q
 
     In closed form, of the rigid contact without restitution.
     """
-    predicted = orbits.thresholds(query.omega, query.xi)
-    return Response(orbits_text.thresholds_json(predicted, query.delta), media_type=MEDIA_TYPES["json"])
+    content = service.background.run(answers.thresholds, query.omega, query.xi, query.delta)
+    return Response(content, media_type=MEDIA_TYPES["json"])
 
 
 def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:
@@ -68,9 +68,8 @@ def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query
     In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes back
     is several pieces.
     """
-    modes = orbits.parse_modes(query.modes)
-    found = orbits.orbits(query.omega, query.xi, modes, query.gamma_max, query.points)
-    content = orbits_text.orbits_json(found, query.energy)
+    spring = (query.omega, query.xi, orbits.parse_modes(query.modes))
+    content = service.background.run(answers.branches, *spring, query.gamma_max, query.points, query.energy)
     return Response(content, media_type=MEDIA_TYPES["json"])
 
 
@@ -123,8 +122,8 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """
     spec = TrajectorySpec.from_json(body)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    motion = trajectories.compute(spec)
-    return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
+    content = service.background.run(answers.trajectory, spec)
+    return Response(content, media_type=MEDIA_TYPES["json"])
 
 
 @router.get(
@@ -141,7 +140,8 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
 def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 
-    Measured once in the service's lifetime, which takes a minute or two; until then 202 with the progress.
+    Measured once in the service's lifetime, which takes a minute or two, beside
+    jobs several times as long; until then 202 with the progress.
     """
     rows = service.on_demand.get("tradeoff", work_precision.submit)
     if query.format == "json":

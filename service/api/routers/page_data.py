@@ -13,7 +13,7 @@ from service.api.capacity import costly
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import Trajectory, problem_responses
 from service.formats import MEDIA_TYPES
-from service.render import answers, binary, text
+from service.render import answers, binary
 from service.render.answers import Answer
 from service.results import trajectory as trajectories
 from service.results.mode_map import plane_size
@@ -98,8 +98,8 @@ def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.Cel
     sweep = dependencies.sweep(service, job)
     spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
-    motion = trajectories.compute(spec, state)
-    return Response(text.trajectory_json(motion), media_type=MEDIA_TYPES["json"])
+    content = service.background.run(answers.trajectory, spec, state)
+    return Response(content, media_type=MEDIA_TYPES["json"])
 
 
 def _packed(answer: Answer, request: Request) -> Response:

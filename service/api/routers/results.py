@@ -96,7 +96,7 @@ def job_threshold(
     threshold, and 202 with the progress until the workers have refined them all.
     """
     sweep = dependencies.sweep(service, job)
-    result = thresholds.on_grid(sweep, query.xi, service.settings.max_points)
+    result = service.background.run(thresholds.on_grid, sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
@@ -138,9 +138,13 @@ def job_orbits(
 )
 @costly(_modes_memory)
 def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
-    """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ."""
+    """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ.
+
+    Of an adaptive map also the share of cells computed, and with `mask` which ones: the others have the
+    values of the nearest corner or centre of their block.
+    """
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    plane = (query.xi, query.direction, max_points, query.every, query.min_flight)
+    plane = (query.xi, query.direction, max_points, query.every, query.min_flight, query.mask)
     answer = service.background.run(answers.modes, sweep, *plane)
     return Response(answer.content, media_type=MEDIA_TYPES["json"], headers=_complete(answer.complete))
 
@@ -160,7 +164,7 @@ def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQ
     sweep = dependencies.sweep(service, job)
     export_files.check_size(sweep.spec, service.settings.max_export_bytes)
     plan = service.manager.preparer.prepare(job).plan
-    file = export_files.make(sweep, plan, query.format, service.settings.exports_path)
+    file = export_files.make(service.background, sweep, plan, query.format, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',

@@ -76,6 +76,36 @@ export function axisField(axis) {
 
 const PROTOCOLS = { rest: "every cell from rest", up: "ramp up", down: "ramp down", both: "ramp up, then down" };
 
+const REFINEMENTS = { "": "every cell", mode: "where the mode changes", bouncing: "where bouncing begins" };
+
+/** Every cell, or an adaptive map: only the cells near which it changes. */
+export function refineField() {
+  const by = h("select", { "data-field": "refine", onchange: () => show() }, Object.entries(REFINEMENTS).map(([value, text]) => h("option", { value }, text)));
+  const coarsest = h("input", { ...NUMBER_INPUT, inputmode: "numeric", "data-field": "refine.coarsest" });
+  const margin = h("input", { type: "checkbox", "data-field": "refine.margin" });
+  const blocks = h("label", {}, h("span", {}, "first blocks, cells wide"), coarsest);
+  const wider = h("label", {}, h("span", {}, "and the blocks beside"), margin);
+  const show = () => {
+    blocks.hidden = wider.hidden = !by.value;
+    coarsest.placeholder = by.value === "bouncing" ? "64" : "16";
+  };
+  return {
+    element: h("fieldset", { "data-group": "refine" },
+      h("legend", {}, "Cells", h("small", {}, "of a map from rest; those left out take the mode of their block")),
+      h("label", {}, h("span", {}, "compute"), by), blocks, wider),
+    read: () => {
+      const width = parseNumber(coarsest.value);
+      return by.value ? { by: by.value, ...(width !== null && { coarsest: width }), ...(margin.checked && { margin: true }) } : null;
+    },
+    write: (refine) => {
+      by.value = refine?.by ?? "";
+      coarsest.value = String(refine?.coarsest ?? "");
+      margin.checked = Boolean(refine?.margin);
+      show();
+    },
+  };
+}
+
 const CYCLES = 12; // plate periods of the cycles that a ramp can begin on
 
 /** Each cell from rest, or a ramp: each cell from the final state of the one before, the first from rest or on a cycle. */

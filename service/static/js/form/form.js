@@ -3,9 +3,9 @@
 import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, debounced, h } from "../lib/dom.js";
-import { bytes, duration, plural } from "../lib/format.js";
+import { bytes, count, duration, plural } from "../lib/format.js";
 import { loadPresets, loadSchema } from "./catalogue.js";
-import { axisField, nameField, numberField, protocolField } from "./fields.js";
+import { axisField, nameField, numberField, protocolField, refineField } from "./fields.js";
 import { modelField } from "./model-field.js";
 import { showProblems } from "./problems.js";
 
@@ -54,6 +54,7 @@ export class SweepForm {
       omega: axisField("omega"),
       xi: axisField("xi"),
       protocol: protocolField(),
+      refine: refineField(),
       model: modelField(models, defaults.model.kind),
       settle: numberField("settle", "settle", "plate periods, not recorded", defaults.settle),
       observe: numberField("observe", "observe", "plate periods, recorded", defaults.observe),
@@ -67,9 +68,9 @@ export class SweepForm {
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button" }, "Compute");
     this.json = h("pre", { tabindex: "0", "aria-label": "The specification as JSON" });
-    const { name, gamma, omega, xi, protocol, model, ...recording } = this.fields;
+    const { name, gamma, omega, xi, protocol, refine, model, ...recording } = this.fields;
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
-      name.element, gamma.element, omega.element, xi.element, protocol.element, model.element,
+      name.element, gamma.element, omega.element, xi.element, protocol.element, refine.element, model.element,
       h("fieldset", { className: "plain" }, h("legend", {}, "Recording"), Object.values(recording).map((field) => field.element)),
       this.problem,
       h("div", { className: "submit" }, this.button, this.cost));
@@ -130,7 +131,10 @@ export class SweepForm {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read(), signal: this.estimating.signal });
       showProblems(this.form, this.problem, null);
       const speed = cost.basis === "measured" ? "measured" : "typical";
-      this.cost.textContent = `${plural(cost.cells, "cell")} in ${plural(cost.chunks, "chunk")} · ${duration(cost.core_seconds)} on one core at the ${speed} speed · up to ${bytes(cost.bytes)}`;
+      const [least, most] = cost.computed_cells ?? [];
+      const computed = most === undefined ? "" : `, about ${count(least)} to ${count(most)} of them computed,`;
+      const seconds = most === undefined ? "" : `${duration(cost.least_core_seconds)} to `;
+      this.cost.textContent = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")} · ${seconds}${duration(cost.core_seconds)} on one core at the ${speed} speed · up to ${bytes(cost.bytes)}`;
       this.button.disabled = false;
     } catch (error) {
       this.#showError(error);

@@ -14,8 +14,10 @@ export function headings(lines, colourOf) {
   const title = Object.entries(lines[0].fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(",   ");
   const dot = (direction, i) => (ctx, x, y, theme) => disc(ctx, colourOf(direction, theme), x + 16, y, i ? 2.8 : 4.5);
   const every = Math.max(...lines.map((line) => line.every ?? 1)); // above 1 where the line has more cells than are sent
+  const computed = lines[0].arrays.computed;
+  const cells = computed ? `,   ${computed.reduce((sum, value) => sum + value, 0)} of ${computed.length} cells computed` : "";
   const thinned = every > 1 ? `,   every ${ordinal(every)} ${SYMBOL[lines[0].along]}` : "";
-  return { title: title + thinned, legend: lines.length > 1 ? lines.map(({ direction }, i) => [`ramp ${direction}`, dot(direction, i)]) : [] };
+  return { title: title + thinned + cells, legend: lines.length > 1 ? lines.map(({ direction }, i) => [`ramp ${direction}`, dot(direction, i)]) : [] };
 }
 
 /** Why a diagram is empty; null if it is not. */
@@ -64,6 +66,7 @@ export function describeCell({ line, cell }, along, withDirection) {
   if (withDirection) parts.push(`ramp ${line.direction}`);
   parts.push(outcomeText(labelsOf(line.arrays)[cell], bounces[cell], periods[cell]));
   if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+  if (line.arrays.computed && !line.arrays.computed[cell] && outcome[cell] !== OUTCOME.missing) parts.push("taken from its block, without flights");
   const times = flightsOf(line, cell);
   if (times?.length && times.length <= MAX_LISTED) parts.push(`flight times ${times.map((time) => number(time, 4)).join(", ")} rad`);
   else if (shown[cell]) parts.push(`${plural(shown[cell], "flight")} stored`);

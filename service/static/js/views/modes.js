@@ -1,7 +1,7 @@
 // The mode map: the outcome of every cell of a (Γ, Ω) plane, with the threshold of Eq. 25.
 
-import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestArrays } from "../lib/api.js";
+import { addressValue, navigate, setQuery } from "../lib/address.js";
+import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
@@ -24,12 +24,19 @@ export class Modes extends PlotView {
     super(view);
     this.xi = initialValue(this.grid.xi, this.initial.xi);
     this.direction = this.directions.includes(this.initial.dir) ? this.initial.dir : this.directions[0];
-    this.minFlight = minFlightOf(this.initial, this.job);
+    this.isAdaptive = Boolean(this.job.spec.refine);
+    this.minFlight = this.isAdaptive ? this.job.spec.micro_flight : minFlightOf(this.initial, this.job);
+    this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
+    this.refineButton = this.job.spec.protocol.kind === "rest" && h("button", {
+      type: "button", className: "quiet", onclick: () => this.#refineWindow(),
+      title: "Start an adaptive sweep of the visible window, on a grid four times as fine",
+    }, "Refine this window");
     this.legend = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)" });
     this.thinning = h("p", { className: "note", hidden: true });
+    this.refined = h("p", { className: "note", role: "status", hidden: true });
     this.build(root, {
       controls: this.#controls(), label: "Mode map", hint: HINT, ratio: 0.6,
-      below: h("div", {}, this.thinning, this.legend),
+      below: h("div", {}, this.thinning, this.refined, this.legend),
     });
     onThemeChange(() => this.plane && this.#showLegend(), this.plot.closing.signal);
   }
@@ -53,7 +60,27 @@ export class Modes extends PlotView {
     const options = this.directions.map((direction) => h("option", { value: direction, selected: direction === this.direction }, direction));
     return h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove),
       this.directions.length > 1 && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)),
-      minFlightInput(this.minFlight, onMinFlight));
+      !this.isAdaptive && minFlightInput(this.minFlight, onMinFlight),
+      this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
+      this.refineButton);
+  }
+
+  /** Start an adaptive sweep of the visible window on a finer grid, and show it. */
+  async #refineWindow() {
+    const { x0, x1, y0, y1 } = this.visible();
+    const ends = (axis, low, high) => (this.grid[axis].length > 1 ? [low, high] : null);
+    const body = { gamma: ends("gamma", x0, x1), omega: ends("omega", y0, y1), xi: this.xi, by: this.job.spec.refine?.by ?? "mode" };
+    this.refineButton.disabled = true;
+    try {
+      const job = await requestJson(`/v1/jobs/${this.job.id}/refine`, { method: "POST", body });
+      navigate(["job", job.id, "modes"]);
+    } catch (error) {
+      if (isHandledElsewhere(error)) return;
+      this.refined.hidden = false;
+      this.refined.textContent = error.message;
+    } finally {
+      this.refineButton.disabled = false;
+    }
   }
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
@@ -83,8 +110,18 @@ export class Modes extends PlotView {
     }));
     const steps = [[this.plane.every_gamma, SYMBOL.gamma], [this.plane.every_omega, SYMBOL.omega]].filter(([every]) => every > 1);
     this.isThinned ||= steps.length > 0;
+    this.refined.hidden = !this.isAdaptive;
+    this.refined.textContent = this.isAdaptive ? this.#computedText() : "";
     this.thinning.hidden = !steps.length;
     this.thinning.textContent = `Shown: every ${steps.map(([every, symbol]) => `${ordinal(every)} ${symbol}`).join(" and every ")}. Zoom in for more detail.`;
+  }
+
+  /** How many of the cells shown were computed. */
+  #computedText() {
+    const { computed, outcome } = this.plane.arrays;
+    const done = outcome.reduce((sum, value) => sum + (value !== OUTCOME.missing), 0);
+    const cells = computed.reduce((sum, value) => sum + value, 0);
+    return `Adaptive map: ${percentage(cells, Math.max(done, 1))} of the cells shown were computed; the others have the mode of their block.`;
   }
 
   whole() {
@@ -116,10 +153,15 @@ export class Modes extends PlotView {
     const columns = Int32Array.from({ length: width }, (_, i) => nearestIndex(gamma, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
     const colours = new Uint32Array(256);
     for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
+    const { computed } = this.plane.arrays;
+    const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
     const fill = (pixels) => {
       for (let row = 0; row < height; row++) {
         const first = nearestIndex(omega, box.y.value(box.top + ((row + 0.5) * box.height) / height)) * gamma.length;
-        for (let i = 0; i < width; i++) pixels[row * width + i] = colours[this.classes.ofCell[first + columns[i]]];
+        for (let i = 0; i < width; i++) {
+          const cell = first + columns[i];
+          pixels[row * width + i] = mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
+        }
       }
     };
     bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
@@ -165,13 +207,15 @@ export class Modes extends PlotView {
     const cell = row * gamma.length + column;
     const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(labelsOf(this.plane.arrays)[cell], bounces[cell], periods[cell])];
     if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+    if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(this.plane.arrays.computed[cell] ? "computed" : "taken from its block");
     return parts.join(" · ");
   }
 
   table() {
-    const { gamma, omega, outcome, label, bounces, periods } = this.plane.arrays;
-    const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], ...(label ? [label[i]] : []), bounces[i], periods[i]];
-    return csv(["gamma", "omega", "xi", "outcome", ...(label ? ["label"] : []), "bounces", "periods"], Array.from(outcome, row));
+    const { gamma, omega, outcome, label, bounces, periods, computed } = this.plane.arrays;
+    const extra = (array, i) => (array ? [array[i]] : []);
+    const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], ...extra(label, i), bounces[i], periods[i], ...extra(computed, i)];
+    return csv(["gamma", "omega", "xi", "outcome", ...(label ? ["label"] : []), "bounces", "periods", ...(computed ? ["computed"] : [])], Array.from(outcome, row));
   }
 }
 

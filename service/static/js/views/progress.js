@@ -45,7 +45,9 @@ export function summary({ spec, choice }) {
     .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
   if (!isSweep(spec)) return [...axes, h("span", {}, `study: ${spec.protocol.kind}`)];
   const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
-  return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`)];
+  const refined = spec.refine ? [" · ", h("span", {}, `adaptive, by ${spec.refine.by}`)] : [];
+  const parent = spec.parent ? [" · ", h("a", { href: link(["job", spec.parent, "modes"]) }, "window of another sweep")] : [];
+  return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`), ...refined, ...parent];
 }
 
 /** That another kernel version computed a sweep, and a link to the one that replaces it; nothing for any other sweep. */

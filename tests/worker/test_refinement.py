@@ -1,0 +1,326 @@
+"""Adaptive maps: the refinement of a tile, and maps against full grids."""
+
+import json
+from concurrent.futures import wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kernel.params import Outcome
+from worker import schema, store, tasks
+from worker.cost import check_size, computed_shares, estimate
+from worker.executors.base import Executor
+from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
+from worker.refinement import Refinement, classes
+from worker.schema import MODE_ARRAYS, layout
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecInvalid, SpecTooLarge
+from worker.spec.refine import COARSEST, MAX_COARSEST, Refine
+from worker.tasks import ChunkPaused, run_chunk
+
+#: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
+SPACE: dict[str, Any] = {
+    "omega": {"start": 0.35, "stop": 1.0, "num": 45},
+    "gamma": {"start": 0.4, "stop": 3.4, "num": 52},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 60,
+    "observe": 40,
+    "keep": 8,
+}
+#: Tiles of it, in place of the default ones, which are larger than the plane.
+TILE = (1, 17, 17)
+
+
+def sweep(**changes: Any) -> SweepSpec:
+    return SweepSpec(**SPACE | changes)
+
+
+def adaptive(**refine: Any) -> SweepSpec:
+    return sweep(refine={"by": "mode", "coarsest": 8} | refine)
+
+
+def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
+    """The plane of a map, computed chunk by chunk in this process."""
+    plan = make_plan(spec, chunk_shape=shape)
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    for chunk in plan:
+        run_chunk(spec, chunk, str(url))
+    return plane(spec, url)
+
+
+def plane(spec: SweepSpec, url: Path) -> dict[str, np.ndarray]:
+    stored = store.read_slice(str(url), [array.name for array in schema.arrays(spec)], complete=True)
+    return {name: array[0, 0] for name, array in stored.items()}
+
+
+def files(url: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+    return compute(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
+
+
+def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells of a tile are computed, and every cell's source, of cells that bounce `kinds` times."""
+    arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
+    tile = Refinement(kinds.shape, refine)
+    computed = np.zeros(kinds.shape, np.bool_)
+    while tile.cells.size:
+        assert not computed.flat[tile.cells].any(), "computed twice"
+        computed.flat[tile.cells] = True
+        tile.split(*arrays)
+    return computed, tile.sources().reshape(kinds.shape)
+
+
+MODE = Refine(by="mode", coarsest=8)
+
+
+def test_of_a_uniform_tile_corners_and_centres_are_computed():
+    computed, source = refined(np.ones((17, 17), int), MODE)
+    expected = np.zeros((17, 17), np.bool_)
+    expected[::8, ::8] = expected[4::8, 4::8] = True
+    assert np.array_equal(computed, expected)
+    assert computed.flat[source].all()
+
+
+def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
+    _, source = refined(np.ones((9, 9), int), MODE)
+    vertices = {(0, 0), (0, 8), (4, 4), (8, 0), (8, 8)}
+    for cell in np.ndindex(9, 9):
+        taken = tuple(int(i) for i in divmod(source[cell], 9))
+        assert taken in vertices
+        nearest = min((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in vertices)
+        assert (cell[0] - taken[0]) ** 2 + (cell[1] - taken[1]) ** 2 == nearest
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)]
+)
+@pytest.mark.parametrize("margin", [False, True])
+def test_every_shape_of_tile_is_covered(shape, margin):
+    rng = np.random.default_rng(7)
+    for kinds in (np.ones(shape, int), rng.integers(1, 3, shape)):
+        computed, source = refined(kinds, MODE.model_copy(update={"margin": margin}))
+        assert computed.flat[source].all()
+        assert np.array_equal(source[computed], np.flatnonzero(computed))
+        assert computed[[0, 0, -1, -1], [0, -1, 0, -1]].all()
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, -0.7])
+def test_straight_borders_are_found_exactly(slope):
+    row, column = np.mgrid[:65, :65]
+    kinds = np.where(column - 30.5 > slope * (row - 32), 2, 1)
+    computed, source = refined(kinds, Refine(by="mode", coarsest=64))
+    assert np.array_equal(kinds.flat[source], kinds)
+    assert np.mean(computed) < 0.15
+
+
+def test_a_tongue_that_one_block_sees_is_followed_into_the_next_ones():
+    kinds = np.ones((65, 65), int)
+    kinds[31:34] = 2  # through the centre of the first blocks' rows only where they are split
+    kinds[:, 40:] = 1
+    computed, source = refined(kinds, Refine(by="mode", coarsest=32))
+    assert np.array_equal(kinds.flat[source], kinds)
+    assert computed[31:34, :40].any(axis=0).all()
+
+
+def test_a_margin_computes_more_and_misses_no_more(full):
+    kinds = full["bounces"] * 100 + full["periods"]
+    plain, sources = refined(kinds, MODE)
+    wide, wide_sources = refined(kinds, MODE.model_copy(update={"margin": True}))
+    assert wide.sum() > plain.sum()
+    assert np.sum(kinds.flat[wide_sources] != kinds) <= np.sum(kinds.flat[sources] != kinds)
+
+
+def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
+    outcome = np.array(
+        [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
+    )
+    bounces, periods = np.array([0, 1, 1, 7, 0]), np.array([0, 1, 2, 9, 0])
+    by_bouncing = classes(Refine(by="bouncing", coarsest=8), outcome, bounces, periods)
+    assert by_bouncing[0] != by_bouncing[1] == by_bouncing[2] == by_bouncing[3] == by_bouncing[4]
+    by_mode = classes(MODE, outcome, bounces, periods)
+    assert len(set(by_mode.tolist())) == 4
+    assert by_mode[3] == by_mode[4]  # longer cycles and none are one class
+
+
+@pytest.mark.parametrize("by", ["mode", "bouncing"])
+@pytest.mark.parametrize("margin", [False, True])
+def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by, margin):
+    refine = Refine(by=by, coarsest=8, margin=margin)
+    found = compute(sweep(refine=refine), tmp_path / "a.zarr")
+    computed = found["computed"] == 1
+    assert 0.05 < computed.mean() < 0.9
+    for name, array in full.items():
+        assert array[computed].tobytes() == found[name][computed].tobytes(), name
+    assert np.isnan(found["flight_time"][~computed]).all()
+    assert not found["flights"][~computed].any()
+    kinds = [classes(refine, *(plane[name] for name in MODE_ARRAYS)) for plane in (full, found)]
+    assert np.mean(kinds[0] != kinds[1]) < (0.04 if by == "mode" else 0.001)
+
+
+def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_path):
+    found = compute(adaptive(), tmp_path / "a.zarr")
+    cells = np.stack([found[name] for name in MODE_ARRAYS], axis=-1)
+    for rows in range(0, 45, 17):
+        for columns in range(0, 52, 17):
+            tile = np.s_[rows : rows + 17, columns : columns + 17]
+            computed = found["computed"][tile] == 1
+            known = {tuple(cell) for cell in cells[tile][computed].tolist()}
+            assert {tuple(cell) for cell in cells[tile][~computed].tolist()} <= known
+
+
+def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
+    spec = adaptive()
+    compute(spec, tmp_path / "whole.zarr")
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 64)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 0.0))
+    plan, url = make_plan(spec, chunk_shape=TILE), tmp_path / "paused.zarr"
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    pauses = 0
+    for chunk in plan:
+        while True:
+            try:
+                run_chunk(spec, chunk, str(url), 0.002)
+            except ChunkPaused:
+                pauses += 1
+                assert pauses < 10_000
+            else:
+                break
+    assert pauses > len(plan)
+    assert files(url) == files(tmp_path / "whole.zarr")
+
+
+def test_same_bytes_with_two_worker_processes(cluster: Executor, tmp_path):
+    spec, url = adaptive(), tmp_path / "executed.zarr"
+    compute(spec, tmp_path / "here.zarr")
+    plan = make_plan(spec, chunk_shape=TILE)
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    futures = [cluster.submit(spec, chunk, str(url)) for chunk in reversed(plan)]
+    wait(futures)
+    assert all(future.result().cells for future in futures)
+    assert files(url) == files(tmp_path / "here.zarr")
+
+
+def test_a_repaired_chunk_has_its_bytes_again(tmp_path):
+    spec, url = adaptive(), tmp_path / "a.zarr"
+    compute(spec, url)
+    before, plan = files(url), make_plan(spec, chunk_shape=TILE)
+    store.discard(str(url), layout(spec, plan.chunk_shape), plan[3])
+    assert files(url) != before
+    run_chunk(spec, plan[3], str(url))
+    assert files(url) == before
+
+
+def test_a_map_with_exponents_has_those_of_computed_cells(tmp_path):
+    spec = adaptive().model_copy(update={"exponents": 1, "settle": 10, "observe": 10})
+    found = compute(spec, tmp_path / "a.zarr")
+    bouncing = (found["computed"] == 1) & (found["outcome"] != Outcome.AT_REST)
+    assert np.isfinite(found["lyapunov"][bouncing, 0]).any()
+    assert np.isnan(found["lyapunov"][found["computed"] == 0]).all()
+
+
+@pytest.mark.parametrize("coarsest", [2, 3, 16, 64, 128])
+def test_tiles_are_whole_blocks_and_bounded(coarsest):
+    for keep in (1, 64, 1000, 10_000):
+        spec = sweep(keep=keep, refine={"by": "mode", "coarsest": coarsest})
+        one, side, same = tile_shape(spec, coarsest)
+        assert (one, side) == (1, same)
+        assert 1 <= side <= TILE_SIDE + 1
+        assert side**2 * schema.bytes_per_cell(spec) <= MAX_TILE_BYTES
+        if keep <= 64:
+            assert (side - 1) % coarsest == 0
+
+
+def test_a_tile_has_one_xi():
+    with pytest.raises(ValueError, match="one xi"):
+        make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=(2, 17, 17))
+    plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}))
+    assert {chunk.shape[0] for chunk in plan} == {1}
+
+
+def test_a_line_along_gamma_is_refined_too(tmp_path):
+    spec = sweep(omega=0.5, refine={"by": "bouncing", "coarsest": 16})
+    found = compute(spec, tmp_path / "line.zarr", None)
+    whole = compute(sweep(omega=0.5), tmp_path / "full.zarr", None)
+    assert np.array_equal(found["outcome"] == Outcome.AT_REST, whole["outcome"] == Outcome.AT_REST)
+    assert found["computed"].sum() < 20
+
+
+@pytest.mark.parametrize(
+    ("refine", "field", "rule"),
+    [
+        ({}, "refine.by", "is required"),
+        ({"by": "flights"}, "refine.by", "'mode' or 'bouncing'"),
+        ({"by": 3}, "refine.by", "'mode' or 'bouncing'"),
+        ({"by": "mode", "coarsest": 1}, "refine.coarsest", "at least 2"),
+        ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
+        ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
+        ({"by": "mode", "coarsest": None}, "refine.coarsest", "whole number"),
+        ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
+        ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
+        ("mode", "refine", "object"),
+        (True, "refine", "object"),
+        ([], "refine", "object"),
+    ],
+)
+def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
+    with pytest.raises(SpecInvalid) as caught:
+        sweep(refine=refine)
+    [problem] = caught.value.problems
+    assert problem.field == field
+    assert rule in problem.rule
+
+
+def test_a_ramp_is_not_refined():
+    with pytest.raises(SpecInvalid, match="rest"):
+        sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+
+
+def test_the_width_of_the_first_blocks_depends_on_what_is_told_apart():
+    for by, coarsest in COARSEST.items():
+        spec = sweep(refine={"by": by})
+        assert spec.refine == Refine(by=by, coarsest=coarsest, margin=False)
+        assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
+        assert spec.job_id("3") == sweep(refine={"by": by, "coarsest": coarsest}).job_id("3")
+
+
+def test_a_full_sweep_has_the_id_it_had_and_the_parent_is_a_label():
+    assert "refine" not in sweep().canonical()
+    assert "parent" not in sweep().canonical()
+    window = sweep(refine={"by": "mode"}, parent="0" * 32)
+    assert window.job_id("3") == sweep(refine={"by": "mode"}).job_id("3") != sweep().job_id("3")
+    with pytest.raises(SpecInvalid, match="parent"):
+        sweep(parent="job 7")
+
+
+def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
+    spec = sweep(
+        omega={"start": 0.2, "stop": 1.2, "num": 10_000}, gamma={"start": 0.9, "stop": 6, "num": 10_000},
+        keep=64, refine={"by": "mode"},
+    )  # fmt: skip
+    cost = estimate(spec, len(make_plan(spec)))
+    low, high = cost.computed_cells
+    assert cost.cells == 10**8
+    assert 10**5 < low < high < 10**7
+    assert 0 < cost.least_core_seconds < cost.core_seconds
+    check_size(cost)
+    with pytest.raises(SpecTooLarge, match=f"{high} computed cells"):
+        check_size(cost, max_cells=high - 1)
+    with pytest.raises(SpecTooLarge, match="bytes"):
+        check_size(cost, max_bytes=cost.bytes - 1)
+    coarse = sweep(refine={"by": "mode"})
+    assert computed_shares(coarse, coarse.refine)[1] == 1.0
+
+
+def test_the_measured_share_is_in_the_range_of_the_estimate(tmp_path):
+    for by in ("mode", "bouncing"):
+        spec = sweep(refine={"by": by})
+        share = compute(spec, tmp_path / f"{by}.zarr", None)["computed"].mean()
+        low, high = computed_shares(spec, spec.refine)
+        assert low <= share <= high

@@ -1,0 +1,200 @@
+"""Adaptive maps: which cells of a tile are computed, round by round, and whose values the others take.
+
+A tile is a block of cells over (omega, gamma). It is cut into blocks whose corners are cells; neighbouring
+blocks share them. The corners and the centre of a block are computed. A block of which two computed cells
+are of different classes is split at its centre; the corners of a smaller neighbour on its edge count, so
+that a thin tongue is followed from block to block. Of the smallest blocks, 3 x 3 cells, the cell between two
+corners is computed only if these and the centre are not of one class.
+
+With a margin, the neighbours of a block that differs are split too, and its smallest blocks are computed
+whole. A cell that is not computed takes the values of the nearest corner, or the centre, of its block.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.params import Outcome
+from worker.spec.refine import MAX_MODE_PERIODS, Refine
+
+#: Blocks: first and last row, first and last column, which are those of the corners.
+_Blocks = NDArray[np.int64]  # (n, 4)
+#: Rows and columns of cells.
+_Points = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+#: Rows and columns from the first to the last corner of the smallest blocks that are split.
+_SMALLEST: Final = 2
+
+#: The corners of these blocks in pairs, and the cell between: (row, column) from the first corner.
+_EDGES: Final = (
+    ((0, 0), (0, 1), (0, 2)),
+    ((0, 0), (1, 0), (2, 0)),
+    ((2, 0), (2, 1), (2, 2)),
+    ((0, 2), (1, 2), (2, 2)),
+)
+
+#: Classes of cells, before those of the modes.
+_AT_REST, _BOUNCING, _UNRESOLVED, _DIVERGED, _MODES = range(5)
+_OF_OUTCOME: Final = np.full(len(Outcome), _BOUNCING)
+_OF_OUTCOME[[Outcome.AT_REST, Outcome.UNRESOLVED, Outcome.DIVERGED]] = _AT_REST, _UNRESOLVED, _DIVERGED
+
+
+def classes(
+    refine: Refine, outcome: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]
+) -> NDArray[np.int64]:
+    """The class of each cell, in the arrays' shape.
+
+    By bouncing: at rest, unresolved, diverged, any other. By mode, these others are told apart further: each
+    mode of up to MAX_MODE_PERIODS plate periods is a class.
+    """
+    kinds: NDArray[np.int64] = _OF_OUTCOME[outcome]
+    if refine.by == "bouncing":
+        return kinds
+    short = (outcome == Outcome.PERIODIC) & (periods <= MAX_MODE_PERIODS)
+    modes = _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods
+    result: NDArray[np.int64] = np.where(short, modes, kinds)
+    return result
+
+
+class Refinement:
+    """The rounds of one tile of `shape` = (rows, columns) cells; they depend on its cells alone.
+
+    `cells`: those to compute next, flat indices in the order of the tile; none at the end.
+    """
+
+    def __init__(self, shape: tuple[int, int], refine: Refine) -> None:
+        self._shape, self._refine = shape, refine
+        self._computed: NDArray[np.bool_] = np.zeros(shape, np.bool_)
+        self._wanted = self._computed.copy()
+        self._blocks = _coarsest(shape, refine.coarsest)
+        self._want_vertices()
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """The cells of this round."""
+        return np.flatnonzero(self._wanted & ~self._computed)
+
+    def split(self, outcome: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> None:
+        """Take what the round's cells turned out to be, and split blocks; arrays of the tile's shape."""
+        self._computed |= self._wanted
+        kinds = classes(self._refine, outcome, bounces, periods)
+        splits = self._differing(kinds)
+        small = np.all(_sizes(self._blocks) == _SMALLEST, axis=1)
+        if self._refine.margin:
+            splits = self._with_neighbours(splits)
+        else:
+            self._want_between(kinds, self._blocks[splits & small])
+            splits &= ~small
+        splits &= np.any(_sizes(self._blocks) > 1, axis=1)
+        self._blocks = np.concatenate([self._blocks[~splits], _children(self._blocks[splits])])
+        self._want_vertices()
+
+    def sources(self) -> NDArray[np.int64]:
+        """For each cell of the tile, flat, the index of the cell whose values it has: its own if computed."""
+        rows, columns = self._shape
+        source = np.arange(rows * columns).reshape(self._shape)
+        # A row or column that two blocks share belongs to the later one. At the tile's ends there is none:
+        # so each block first takes all that it spans, then what belongs to it.
+        for ends in (1, 0):
+            for size, which in _by_size(self._blocks):
+                top, left = self._blocks[which, 0, None, None], self._blocks[which, 2, None, None]
+                row, column = np.ogrid[: size[0] + ends, : size[1] + ends]
+                at_row, at_column = _nearest(size, row, column)
+                source[top + row, left + column] = (top + at_row) * columns + left + at_column
+        return np.where(self._computed.ravel(), np.arange(rows * columns), source.ravel())
+
+    def _differing(self, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(n,) the blocks of which two computed cells are of different classes."""
+        differs = np.zeros(len(self._blocks), np.bool_)
+        for size, which in _by_size(self._blocks):
+            row, column = np.ogrid[: size[0] + 1, : size[1] + 1]
+            cells = self._blocks[which, 0, None, None] + row, self._blocks[which, 2, None, None] + column
+            found = kinds[cells]
+            differs[which] = np.any((found != found[:, :1, :1]) & self._computed[cells], axis=(1, 2))
+        return differs
+
+    def _with_neighbours(self, splits: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """With the blocks of equal size that share a corner, but for the smallest ones."""
+        result = splits.copy()
+        for size, which in _by_size(self._blocks):
+            if max(size) <= _SMALLEST:
+                continue
+            touched = np.zeros(self._shape, np.bool_)
+            for corner in _corners(self._blocks[which[splits[which]]]):
+                touched[corner] = True
+            for corner in _corners(self._blocks[which]):
+                result[which] |= touched[corner]
+        return result
+
+    def _want_between(self, kinds: NDArray[np.int64], blocks: _Blocks) -> None:
+        """Want the cells on the edges of the smallest blocks, where the corners or the centre differ."""
+        top, left = blocks[:, 0], blocks[:, 2]
+        centre = kinds[top + 1, left + 1]
+        for first, between, last in _EDGES:
+            ends = [kinds[top + row, left + column] for row, column in (first, last)]
+            differs = (ends[0] != ends[1]) | (ends[0] != centre)
+            self._wanted[top[differs] + between[0], left[differs] + between[1]] = True
+
+    def _want_vertices(self) -> None:
+        for point in (*_corners(self._blocks), _centre(self._blocks)):
+            self._wanted[point] = True
+
+
+def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:
+    """The blocks that a tile begins with, of `width` rows and columns; the last ones may be narrower."""
+    rows, columns = (
+        [(low, min(low + width, n - 1)) for low in range(0, max(n - 1, 1), width)] for n in shape
+    )
+    return np.array([(*row, *column) for row in rows for column in columns], np.int64)
+
+
+def _corners(blocks: _Blocks) -> Iterator[_Points]:
+    """The four corners of every block, in the order of the rows."""
+    top, bottom, left, right = blocks.T
+    return ((row, column) for row in (top, bottom) for column in (left, right))
+
+
+def _centre(blocks: _Blocks) -> _Points:
+    top, bottom, left, right = blocks.T
+    return (top + bottom) // 2, (left + right) // 2
+
+
+def _sizes(blocks: _Blocks) -> NDArray[np.int64]:
+    """(n, 2) rows and columns from the first to the last corner of every block."""
+    return blocks[:, 1::2] - blocks[:, ::2]
+
+
+def _by_size(blocks: _Blocks) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
+    """Every size of block, with the indices of its blocks."""
+    sizes = _sizes(blocks)
+    for rows, columns in np.unique(sizes, axis=0).tolist():
+        yield (rows, columns), np.flatnonzero((sizes[:, 0] == rows) & (sizes[:, 1] == columns))
+
+
+def _children(blocks: _Blocks) -> _Blocks:
+    """The parts of every block, cut at its centre."""
+    top, bottom, left, right = blocks.T
+    row, column = _centre(blocks)
+    tall, wide = bottom - top > 1, right - left > 1
+    row_end, column_end = np.where(tall, row, bottom), np.where(wide, column, right)
+    parts = (
+        (tall | wide, (top, row_end, left, column_end)),
+        (wide, (top, row_end, column, right)),
+        (tall, (row, bottom, left, column_end)),
+        (tall & wide, (row, bottom, column, right)),
+    )
+    return np.concatenate([np.stack(spans, axis=1)[exists] for exists, spans in parts])
+
+
+def _nearest(size: tuple[int, int], row: NDArray[Any], column: NDArray[Any]) -> _Points:
+    """The corner, or the centre, nearest to each (row, column) of a block; the first of equally near ones.
+
+    All are counted from the block's first corner; `size` is where the last one is.
+    """
+    block = np.array([[0, size[0], 0, size[1]]])
+    points = np.array([*_corners(block), _centre(block)])[:, :, 0]
+    distance = [(row - at_row) ** 2 + (column - at_column) ** 2 for at_row, at_column in points]
+    nearest = points[np.argmin(distance, axis=0)]
+    return nearest[..., 0], nearest[..., 1]

@@ -1,0 +1,46 @@
+"""Adaptive maps: the field `refine` of a sweep from rest over gamma and omega."""
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from worker.spec.axes import WHOLE, Strict
+
+#: The widest block that a map may begin with, in cells: wider ones miss more, and hardly save any cells.
+MAX_COARSEST: Final = 128
+
+#: The longest cycles, in plate periods, that a map by mode tells apart. Longer ones, and motions without a
+#: cycle, are one class: where they mix, every cell would be computed.
+MAX_MODE_PERIODS: Final = 4
+
+
+#: `coarsest` where it is not given. Modes have islands and tongues of a few cells, which blocks of 64 miss;
+#: the region that bounces has none (`python -m benchmarks.adaptive`).
+COARSEST: Final = {"mode": 16, "bouncing": 64}
+
+
+class Refine(Strict):
+    """Compute only the cells near which the map changes; the others take their values from their block.
+
+    `by`: what is a change. `coarsest`: rows and columns of the blocks that the map begins with, in cells; by
+    default COARSEST. `margin`: whether the neighbours of a block that is split are split too.
+    """
+
+    by: Literal["mode", "bouncing"]
+    coarsest: Annotated[int, Field(ge=2, le=MAX_COARSEST), WHOLE]
+    margin: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default(cls, fields: Any) -> Any:
+        if isinstance(fields, dict) and "coarsest" not in fields:
+            by = fields.get("by")
+            return fields | {"coarsest": COARSEST.get(by if isinstance(by, str) else "", 64)}
+        return fields
+
+
+#: Tagged, so that errors name its fields and not those of the specification.
+Refinement = Annotated[
+    Annotated[Refine, Tag("<refine>")] | Annotated[None, Tag("<every cell>")],
+    Discriminator(lambda value: "<every cell>" if value is None else "<refine>"),
+]

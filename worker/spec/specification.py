@@ -1,0 +1,107 @@
+"""What every specification is: named fields read strictly, axes, and an id that its numbers decide."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Self
+from unicodedata import category
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, ValidationError
+
+from worker.spec import parsing
+from worker.spec.axes import AxisValue, Range, Strict, values_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, problems_of
+
+#: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
+MAX_MARKS: Final = 4
+
+
+def _label(name: str) -> str:
+    if not name.isprintable():
+        raise BrokenRuleError("", "must be one line of printable characters")
+    marks = 0
+    for character in name:
+        marks = marks + 1 if category(character) in ("Mn", "Me") else 0
+        if marks > MAX_MARKS:
+            raise BrokenRuleError("", f"must have at most {MAX_MARKS} combining marks in a row")
+    return name
+
+
+#: The name of a study: not part of its identity.
+Label = Annotated[str, Field(max_length=200), AfterValidator(_label)]
+
+
+#: The id of a job: 32 hex digits.
+JobId = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
+
+
+class Specification(Strict):
+    """The fields of a study; a subclass adds them. Invalid ones raise `SpecInvalid`, field by field."""
+
+    #: Names of the fields that are axes, in the order of the store's dimensions, slowest first.
+    AXES: ClassVar[tuple[str, ...]]
+
+    name: Label = ""
+
+    def __init__(self, /, **data: object) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise SpecInvalid(problems_of(error, self.objects())) from None
+
+    @classmethod
+    def objects(cls) -> Mapping[str, tuple[str, ...]]:
+        """The field names of every object of a specification by its tag, for `errors.problems_of`."""
+        return {"": tuple(cls.model_fields), "<range>": tuple(Range.model_fields)}
+
+    @classmethod
+    def parse(cls, data: object) -> Self:
+        """A specification from the plain values of JSON or TOML.
+
+        Raises `SpecInvalid`, which lists every broken rule.
+        """
+        if isinstance(data, cls):
+            return data
+        return cls(**parsing.fields_of(data, "a specification"))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Self:
+        """A specification from JSON text. Raises `SpecUnreadable` or `SpecInvalid`."""
+        return cls.parse(parsing.read_json(text))
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> Self:
+        """A specification from a .json or .toml file. Raises `SpecUnreadable` or `SpecInvalid`."""
+        return cls.parse(parsing.read_file(Path(path)))
+
+    def axis_values(self, axis: str) -> NDArray[np.float64]:
+        """The values of an axis by its name, (n,), strictly increasing."""
+        values: AxisValue = getattr(self, axis)
+        return values_of(values)
+
+    def left_out(self) -> set[str]:
+        """Fields that do not determine the stored numbers, or that are of a later release and off.
+
+        Job ids made before these fields existed must not change.
+        """
+        return {"name"}
+
+    def canonical(self) -> dict[str, Any]:
+        """Plain JSON values of everything that determines the stored numbers.
+
+        Axes are lists of their values and defaults are filled in.
+        """
+        plain = self.model_dump(mode="json", exclude={*self.AXES, *self.left_out()})
+        return {axis: self.axis_values(axis).tolist() for axis in self.AXES} | plain
+
+    def as_submitted(self) -> dict[str, Any]:
+        """Plain JSON values as submitted: ranges stay ranges, and the label is included."""
+        return self.model_dump(mode="json")
+
+    def job_id(self, kernel_version: str) -> str:
+        """32 hex digits of a hash of the canonical specification and the kernel version."""
+        text = json.dumps(self.canonical(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(f"{kernel_version}\n{text}".encode()).hexdigest()[:32]
