@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
+from worker.cost import cells_at_once
 from worker.plan import Chunk
 from worker.refinement import Refinement
 from worker.spec import AXES, SweepSpec
@@ -122,17 +123,25 @@ def _compute_lines(
     work: "_SweepWork",
     starts: Mapping[_LineIndex, Start | None],
 ) -> None:
-    """Compute every cell of a chunk, line by line."""
+    """Compute every cell of a chunk, line by line or many lines side by side."""
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    indices = list(np.ndindex(lines["outcome"].shape[:2]))
-    for index in indices[work.lines_done :]:
-        gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
+    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
+    for group in groups[work.lines_done :]:
+        gamma, omega, xi = (
+            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
+        )
         with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
+            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
         for name, array in lines.items():
-            array[index] = getattr(done, name)
-        work.finish_line(last=index == indices[-1])
+            for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
+                array[index] = part
+        work.finish_line(last=group is groups[-1])
+
+
+def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
+    """The lines of a chunk, those together that are computed side by side, as one line of the checkpoint."""
+    return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
 
 
 def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork") -> None:
@@ -151,7 +160,7 @@ def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays,
         if number >= finished:
             gamma, omega, xi = (cells[axis][tile.cells] for axis in ("gamma", "omega", "xi"))
             with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-                done = work.compute(_line_run(spec, gamma, omega, xi, None))
+                done = work.compute(_line_run(spec, gamma, omega, xi, []))
             for name, array in flat.items():
                 array[tile.cells] = 1 if array is computed else getattr(done, name)
             work.finish_line()
@@ -307,7 +316,7 @@ def run_cells(
     gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
     None starts from rest. Raises KernelInputError for values that the kernel does not accept.
     """
-    run = _line_run(spec, gamma, omega, xi, start)
+    run = _line_run(spec, gamma, omega, xi, [start])
     run.advance()
     return run.line
 
@@ -317,9 +326,9 @@ def _line_run(
     gamma: NDArray[np.float64],
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
-    start: Start | None,
+    starts: list[Start | None],
 ) -> LineRun:
-    """A line of cells as a sweep computes it, at its beginning."""
+    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
     carry = spec.ramp_axis is not None
     return LineRun(
         np.ascontiguousarray(gamma),
@@ -334,7 +343,7 @@ def _line_run(
         settle_tolerance=spec.settle_tolerance,
         settle_until=spec.settle_until,
         exponents=spec.exponents,
-        start=start if carry else None,
+        start=starts if carry else None,
     )
 
 
