@@ -101,6 +101,7 @@ AXIS_RULES = [
         "(protocol.direction turns a ramp round)",
     ),
     (range_(start=1.0, stop=1.0), "gamma.num: must be 1 where start equals stop"),
+    (range_(start=1.0, stop=1.0, num=2), "gamma.num: must be 1 where start equals stop"),
     (range_(num=1), "gamma.num: must be at least 2 to reach from start to stop"),
     (range_(start=0.0), "gamma.start: must be at least 1e-06, not 0.0"),
     (range_(stop=1e7), "gamma.stop: must be at most 1e+06, not 10000000.0"),
