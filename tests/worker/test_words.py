@@ -41,3 +41,11 @@ def test_a_leap_of_the_flights_is_not_a_flip():
     """They change their order without being equal in between."""
     apart = np.repeat([-0.4, 0.4], 5)
     assert len(_up_to_shorter(doubled(5.0 + apart, 5.0 - apart), settled(5.4, 4.6)).gamma) == 10
+
+
+def test_a_word_of_four_flights_may_be_one_of_two_gone_through_twice():
+    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
+    times = np.column_stack([5.0 + APART, np.full(10, 4.0), 5.0 - 2.0 * APART, np.full(10, 4.0)])
+    twice = branch._replace(word="slsl", flight_time=times)
+    above = _up_to_shorter(twice, settled(5.35, 4.0, 4.3, 4.0))
+    assert above.gamma.tolist() == branch.gamma[5:].tolist()
