@@ -281,6 +281,36 @@ def _counted(compute: Callable[..., Any], threads: threading.Semaphore, *argumen
         threads.release()
 
 
+def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: Path):
+    """What they asked for leaves the queue; the one that was computed gives back what it took."""
+    began, go = threading.Semaphore(0), threading.Event()
+
+    def hold(*_: object, **__: object) -> Any:
+        began.release()
+        go.wait(DEADLINE)
+        raise Busy("enough")
+
+    app = create_app(Settings(data=tmp_path, max_trajectories=1, turn_seconds=DEADLINE), Held())
+    body = b'{"gamma": 2.0, "omega": 0.5, "xi": 0.26}'
+    request = (
+        b"POST /v1/trajectories HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
+    )
+    with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 99)) as address:
+        patch.setattr("service.results.trajectory.compute", hold)
+        capacity = app.state.service.capacity
+        with contextlib.ExitStack() as connections:
+            for _ in range(20):
+                connection = connections.enter_context(socket.create_connection(address, timeout=DEADLINE))
+                connection.sendall(request)
+            assert began.acquire(timeout=DEADLINE)
+            wait_for(lambda: len(capacity._waiting["trajectory"]) == 19)
+        wait_for(lambda: not capacity._waiting["trajectory"])
+        go.set()
+        wait_for(lambda: capacity.used == 0)
+        assert not began.acquire(blocking=False)
+
+
 def test_an_answer_that_nobody_reads_ends(tmp_path: Path):
     """The client's connection is closed, and what its answer took is free again."""
     app = create_app(Settings(data=tmp_path), Held())
