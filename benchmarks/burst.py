@@ -220,31 +220,35 @@ class Burst:
             list(pool.map(self._client, range(clients)))
 
     def _client(self, _: int) -> None:
-        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=600)
-        with closing(connection):
-            while True:
-                with self._lock:
-                    number = next(self._numbers)
-                if number >= self._requests:
-                    return
-                self._request(connection, self._paths[number % len(self._paths)])
+        while True:
+            with self._lock:
+                number = next(self._numbers)
+            if number >= self._requests:
+                return
+            self._request(self._paths[number % len(self._paths)])
 
-    def _request(self, connection: http.client.HTTPConnection, path: str) -> None:
+    def _request(self, path: str) -> None:
         began = time.perf_counter()
         while True:
+            status, pause = self._try(path)
+            took = time.perf_counter() - began
+            if status != 429 or took > PATIENCE:
+                break
+            with self._lock:
+                self.refusals += 1
+            time.sleep(pause)
+        with self._lock:
+            self.statuses[status] += 1
+            self.seconds.append(took)
+
+    def _try(self, path: str) -> tuple[int, float]:
+        """The status of an answer, and the seconds after which to come again."""
+        with closing(http.client.HTTPConnection("127.0.0.1", self._port, timeout=600)) as connection:
             connection.request("GET", path)
             answer = connection.getresponse()
             while answer.read(MB):
                 pass
-            took = time.perf_counter() - began
-            if answer.status != 429 or took > PATIENCE:
-                break
-            with self._lock:
-                self.refusals += 1
-            time.sleep(float(answer.headers["Retry-After"]))
-        with self._lock:
-            self.statuses[answer.status] += 1
-            self.seconds.append(took)
+            return answer.status, float(answer.headers.get("Retry-After", 0.0))
 
     def __str__(self) -> str:
         median, late = np.percentile(self.seconds, (50, 95))
