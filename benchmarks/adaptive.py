@@ -29,6 +29,7 @@ from service.jobs.model import JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.dask import Dask
+from worker.kernel_cache import warm
 from worker.plan import make_plan
 from worker.refinement import Refinement, classes
 from worker.schema import MODE_ARRAYS
@@ -197,7 +198,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=16)
     options = parser.parse_args()
     xis, sides = map(float, options.xi.split(",")), [int(side) for side in options.sides.split(",")]
-    print(describe("zarr", "distributed"))
+    print(describe("zarr", "distributed"), flush=True)
+    warm()  # so that one process compiles instead of three
     rows = []
     with serving() as service:
         service.run(sweep(0.26, 129, options.keep))  # starts the workers

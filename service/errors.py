@@ -17,6 +17,7 @@
     ├── Busy                   too many concurrent expensive requests
     ├── TooManyListeners       too many event streams
     ├── NotComputed            no worker could compute the response
+    ├── RunFailed              a study without a service could not be computed
     ├── NoSpace                no disk space for an export
     ├── ExportFailed           the process that writes an export has died
     ├── LedgerUnavailable      the ledger cannot be read or written at the moment
@@ -113,6 +114,10 @@ class TooManyListeners(ServiceError):
 
 class NotComputed(ServiceError):
     """No worker could compute the response."""
+
+
+class RunFailed(ServiceError):
+    """A study that `service.local` ran could not be computed."""
 
 
 class NoSpace(ServiceError):

@@ -412,14 +412,12 @@ def compile_kernels() -> None:
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what `compile_kernels` leaves out, if the sweep needs it: ramps of `rigid`, and exponents.
+    """Compile what computes the sweep, or load it: some of it `compile_kernels` leaves out.
 
     Once compiled, it takes a fraction of a millisecond: one plate period of the first cell.
     """
-    if not spec.exponents and not (spec.model.kind == "rigid" and spec.ramp_axis is not None):
-        return
     gamma, omega, xi = (spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi"))
     LineRun(
         gamma, omega, xi, plate=plate_of(spec.model, gamma, omega, xi),
-        carry=True, settle=0, observe=1, keep=1, exponents=spec.exponents,
+        carry=spec.ramp_axis is not None, settle=0, observe=1, keep=1, exponents=spec.exponents,
     ).advance()  # fmt: skip

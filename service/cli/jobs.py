@@ -1,12 +1,22 @@
-"""The commands on jobs: submit, status, wait, follow, cancel, resume, delete, list."""
+"""The commands on jobs: submit, run, status, wait, follow, cancel, resume, delete, list."""
 
 import json
 import sys
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli.options import job_argument, json_option, open_client, service_options
+from service.cli.options import (
+    format_option,
+    job_argument,
+    json_option,
+    line_options,
+    open_client,
+    output_format,
+    service_options,
+)
+from service.formats import EXPORTS, PICTURES, TABLES
 
 if TYPE_CHECKING:
     from service.client import Job
@@ -40,6 +50,42 @@ def submit(
         click.echo(job.id)
         if wait_for_job:
             _wait(job)
+
+
+@click.command()
+@click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
+@line_options
+@format_option("zarr", *EXPORTS, *PICTURES, *TABLES)
+@click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
+@click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
+def run(
+    spec: str, output: str, format: str | None, workers: int | None, every: int | None, **line: Any
+) -> None:
+    """Compute a sweep without a service, and write it.
+
+    The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
+    .png, .svg, .csv or .json. SPEC is as of "bounce submit". Interrupted, it leaves the folder
+    OUTPUT.partial, and the same command goes on there. For example:
+
+      bounce run sweep.toml -o sweep.zarr
+
+      bounce run sweep.toml -o diagram.png --along gamma --omega 0.5 --xi 0.26
+    """
+    from service import local
+    from service.cli.local_service import ended_by_signals
+    from service.client.specification import read
+
+    format = output_format(output, ("zarr", *EXPORTS, *PICTURES, *TABLES), format)
+    specification = spec if spec != "-" else read(sys.stdin.buffer.read())
+    try:
+        with ended_by_signals():
+            if format == "zarr":
+                local.run(specification, output, workers=workers)
+            else:
+                local.run_to_file(specification, output, format, line, every=every or 1, workers=workers)
+    except KeyboardInterrupt:
+        click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
+        sys.exit(130)
 
 
 @click.command()
@@ -133,7 +179,7 @@ def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> 
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 
-COMMANDS: Final = (submit, status, wait, follow, cancel, resume, delete, list_jobs)
+COMMANDS: Final = (submit, run, status, wait, follow, cancel, resume, delete, list_jobs)
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:

@@ -48,7 +48,7 @@ _SIGNALS: Final = (signal.SIGTERM, signal.SIGHUP)
 def temporary_service(workers: int | None) -> Iterator[Address]:
     """A service whose data is removed at the end of the block."""
     with (
-        _ended_by_signals(),
+        ended_by_signals(),
         tempfile.TemporaryDirectory(prefix="bounce-") as folder,
         _local_service(workers=workers, data=folder) as address,
     ):
@@ -66,7 +66,7 @@ def persistent_service(workers: int | None, data: str | None, token: str | None)
     from service.errors import DataFolderBusy
 
     with ExitStack() as stack:
-        stack.enter_context(_ended_by_signals())
+        stack.enter_context(ended_by_signals())
         try:
             address = stack.enter_context(_local_service(workers=workers, data=data))
         except DataFolderBusy:
@@ -95,7 +95,7 @@ def _local_service(**options: str | int | None) -> Iterator[Address]:
 
 
 @contextmanager
-def _ended_by_signals() -> Iterator[None]:
+def ended_by_signals() -> Iterator[None]:
     """The signals end the block by SystemExit; only the main thread can handle signals."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -33,7 +33,7 @@ class Scripted(Inline):
         self.before: Callable[[], object] = lambda: None  # runs before each chunk
 
     def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
-        return self._thread.submit(self._run, spec, chunk, store_url)
+        return self._threads.submit(self._run, spec, chunk, store_url)
 
     def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
         self.tried.append(chunk.index)

@@ -159,7 +159,9 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
     computed = stored.get(COMPUTED.name, np.ones(len(outcome)))
     while True:
         found = on_grid(outcome, down, endless)
-        deciding = [i for i in (found.resting, found.bouncing) if i is not None and not computed[i]]
+        lowest = next(iter(np.flatnonzero(outcome != Outcome.AT_REST)), None)
+        cells = (found.resting, lowest, found.bouncing)
+        deciding = {int(i) for i in cells if i is not None and not computed[i]}
         if not deciding:
             return found
         values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])

@@ -15,6 +15,7 @@ from kernel.branches.events import Events
 from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
+from worker.schema import COMPUTED
 from worker.spec import SweepSpec
 
 Floats = NDArray[np.float64]
@@ -70,7 +71,8 @@ def continue_words(
 
     A cell whose cycle lies on a branch followed already is not followed again. Raises a `store.StoreError`.
     """
-    names = ("flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome")
+    names = ["flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome"]
+    names += [] if spec.refine is None else [COMPUTED.name]
     arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
     at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
     branches: list[WordBranch] = []
@@ -96,8 +98,12 @@ def continue_words(
 def _cycles(
     gamma: Floats, arrays: dict[str, NDArray[np.generic]], skipped: list[Skipped]
 ) -> Iterator[_Cycle]:
-    """The cycles of the periodic cells; cells that do not hold two rounds of theirs are skipped."""
-    for i in np.flatnonzero(arrays["outcome"] == Outcome.PERIODIC):
+    """The cycles of the periodic cells; cells that do not hold two rounds of theirs are skipped.
+
+    Of an adaptive map, of those that were computed: the others have no flights.
+    """
+    settled = arrays["outcome"] == Outcome.PERIODIC
+    for i in np.flatnonzero(settled & (arrays.get(COMPUTED.name, settled) != 0)):
         times, phases = np.asarray(arrays["flight_time"][i]), np.asarray(arrays["takeoff_phase"][i])
         stored = min(int(arrays["flights"][i]), len(times))
         bounces, periods = int(arrays["bounces"][i]), int(arrays["periods"][i])

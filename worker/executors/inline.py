@@ -1,4 +1,4 @@
-"""Computes chunks in a thread of this process: for tests, scripts, and machines without worker processes."""
+"""Computes chunks in threads of this process: for `service.local`, tests, and scripts."""
 
 import math
 from collections.abc import Callable
@@ -11,29 +11,31 @@ from worker.tasks import ChunkReport
 
 
 class Inline:
-    """An executor with one worker, a thread of this process. Tasks run in the order of submission.
+    """An executor whose workers are threads of this process. Tasks begin in the order of submission.
 
-    Ignores `seconds` and `priority`: a thread cannot be interrupted.
+    Kernels run without the interpreter's lock. Ignores `seconds` and `priority`: a thread cannot be
+    interrupted.
     """
 
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="chunks")
+    def __init__(self, workers: int = 1) -> None:
+        self._threads = ThreadPoolExecutor(max_workers=workers, thread_name_prefix="chunks")
+        self._workers = workers
         self._open = True
 
     def submit(
         self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        return self._thread.submit(run_task, spec, chunk, store_url)
+        return self._threads.submit(run_task, spec, chunk, store_url)
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._thread.submit(function, *arguments)
+        return self._threads.submit(function, *arguments)
 
     def ready(self) -> bool:
         return self._open
 
     def workers(self) -> int:
-        return 1 if self._open else 0
+        return self._workers if self._open else 0
 
     def close(self) -> None:
         self._open = False
-        self._thread.shutdown(cancel_futures=True)
+        self._threads.shutdown(cancel_futures=True)

@@ -83,8 +83,8 @@ export function refineField() {
   const by = h("select", { "data-field": "refine", onchange: () => show() }, Object.entries(REFINEMENTS).map(([value, text]) => h("option", { value }, text)));
   const coarsest = h("input", { ...NUMBER_INPUT, inputmode: "numeric", "data-field": "refine.coarsest" });
   const margin = h("input", { type: "checkbox", "data-field": "refine.margin" });
-  const blocks = h("label", {}, h("span", {}, "first blocks of"), coarsest, h("span", {}, "cells"));
-  const wider = h("label", { className: "option" }, margin, " and in the blocks beside");
+  const blocks = h("label", {}, h("span", {}, "first blocks, cells wide"), coarsest);
+  const wider = h("label", {}, h("span", {}, "and the blocks beside"), margin);
   const show = () => {
     blocks.hidden = wider.hidden = !by.value;
     coarsest.placeholder = by.value === "bouncing" ? "64" : "16";

@@ -1,0 +1,302 @@
+"""Computes a study in this process, without a service: the same plan, chunks, kernel and store.
+
+    from service.local import run
+
+    sweep = run({"gamma": {"start": 0.5, "stop": 6, "num": 111}, "omega": 0.5, "xi": 0.26})
+    sweep = run("sweep.toml", store="sweep.zarr")
+
+The jobs of the service compute it, in a data folder of their own and on threads of this process: kernels run
+without the interpreter's lock. So what is interrupted goes on where it stopped, and the stored bytes are
+those that a service would store.
+"""
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from service.client.display import display_job
+from service.client.models import JobStatus
+from service.client.specification import Specification, body
+from service.errors import InvalidRequest, NotStarted, RunFailed
+from service.formats import EXPORTS, DiagramFormat, ExportFormat
+from worker.kernel_cache import CacheRefused, claim_cache
+
+if TYPE_CHECKING:
+    import xarray
+
+    from service.jobs.ledger import Ledger
+    from service.jobs.manager import JobManager
+    from service.jobs.model import JobRecord
+    from service.jobs.prepare import PreparedJob
+    from service.render.answers import Line
+    from service.settings import Settings
+
+#: Seconds between two looks at the job's progress.
+LOOK_SECONDS: Final = 0.05
+#: Seconds that an interrupted run waits for its chunks to see that it was cancelled.
+CANCEL_SECONDS: Final = 2.0
+
+#: Seconds of compiling after which it is told, and how.
+MESSAGE_SECONDS: Final = 1.0
+_COMPILING: Final = "compiling the kernel of this contact; later runs find it in the cache"
+
+#: Called with the job after every look at it.
+ProgressCallback = Callable[[JobStatus], None]
+
+
+def run(
+    spec: Specification,
+    store: str | os.PathLike[str] | None = None,
+    *,
+    workers: int | None = None,
+    progress: bool | ProgressCallback = True,
+) -> "xarray.Dataset":
+    """Compute a study and return its results: dims, coordinates and arrays of docs/specification.md.
+
+    `spec`: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file. `store`: a folder to
+    be made, the study's zarr store; the Dataset then reads values where they are used. Without one, the
+    results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
+    `Job.wait`.
+
+    An interrupted run leaves `STORE.partial`; the same call goes on there. A store that is there already is
+    returned if it is of the same study and complete. Raises SpecError naming field and rule, FileExistsError
+    for a store of anything else, RunFailed if a chunk could not be computed, DataFolderBusy while another
+    process computes the same store.
+    """
+    import xarray
+
+    def opened(url: str) -> "xarray.Dataset":
+        dataset: xarray.Dataset = xarray.open_zarr(url, consolidated=True, chunks=None)
+        return dataset
+
+    if store is None:
+        with (
+            tempfile.TemporaryDirectory(prefix="bounce-") as folder,
+            computed(spec, Path(folder), workers=workers, progress=progress) as (_, job),
+        ):
+            return opened(job.store_url).load()
+    target = Path(store)
+    if not _is_computed(target, spec):
+        with computed(spec, partial_of(target), workers=workers, progress=progress) as (_, job):
+            computed_store = Path(job.store_url)
+        computed_store.rename(target)
+        shutil.rmtree(partial_of(target))
+    return opened(str(target.absolute()))
+
+
+def run_to_file(
+    spec: Specification,
+    output: str | os.PathLike[str],
+    format: str,
+    line: Mapping[str, Any] | None = None,
+    *,
+    every: int = 1,
+    workers: int | None = None,
+    progress: bool | ProgressCallback = True,
+) -> JobStatus:
+    """Compute a sweep and write it to a file, which appears once it is complete; returns its job.
+
+    `format`: one of `service.formats.EXPORTS` for all of it, or of a diagram's formats for every `every`-th
+    cell of a `line` of the grid: `along`, the values of the other axes, `direction` and `min_flight`, as of
+    `Job.diagram`. An interrupted run goes on as of `run`. Raises as `run`, and InvalidRequest for a line that
+    the sweep does not have, TooLarge, NoSpace.
+    """
+    target = Path(output)
+    with computed(spec, partial_of(target), workers=workers, progress=progress) as (record, job):
+        from service.background import InThisProcess
+        from service.client.output_file import complete_file
+        from service.render import answers, export
+        from service.results.selection import Sweep
+        from worker.spec import SweepSpec
+
+        if not isinstance(job.spec, SweepSpec):
+            raise InvalidRequest.of(
+                "format", "only a sweep is written as one file; name a zarr store instead"
+            )
+        sweep = Sweep(job.spec, job.store_url, complete=True)
+        limits = _settings(partial_of(target))
+        with complete_file(target) as file:
+            if format in EXPORTS:
+                kind, folder = cast(ExportFormat, format), limits.exports_path
+                made = export.make(InThisProcess(), sweep, job.plan, kind, folder)
+                file.writelines(export.pieces(made))
+            else:
+                where, table = _line(line or {}), cast(DiagramFormat, format)
+                file.write(answers.diagram(sweep, where, table, limits.max_points, every).content)
+    shutil.rmtree(partial_of(target))
+    return _status(record)
+
+
+def _line(options: Mapping[str, Any]) -> "Line":
+    from service.render.answers import Line
+
+    values = {axis: options.get(axis) for axis in ("gamma", "omega", "xi")}
+    return Line(options.get("along", "gamma"), values, options.get("direction"), options.get("min_flight"))
+
+
+def partial_of(output: Path) -> Path:
+    """The folder in which the study of an output is computed: results move from there once complete."""
+    return output.with_name(f"{output.name}.partial")
+
+
+@contextmanager
+def computed(
+    spec: Specification, folder: Path, *, workers: int | None = None, progress: bool | ProgressCallback = True
+) -> "Iterator[tuple[JobRecord, PreparedJob]]":
+    """The job of a study, done, in the data folder `folder`, which is made and kept. Raises as `run`."""
+    _claim_kernels()
+    # Not at the top of the module: kernels are declared here, with the cache that was just claimed.
+    from service.jobs.manager import JobManager
+    from service.jobs.stores.adoption import open_ledger
+    from worker.executors.inline import Inline
+    from worker.studies import from_json
+
+    parsed = from_json(body(spec))
+    settings = _settings(folder)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    with open_ledger(settings) as ledger, closing(Inline(workers or cores())) as executor:
+        manager = JobManager(ledger, executor, settings)
+        manager.check(parsed)
+        _check_folder(ledger, parsed, folder)
+        _compile(parsed, progress)
+        manager.start()
+        try:
+            job_id = manager.submit(parsed).job.id
+            with _cancelled_on_error(manager, ledger.find, job_id):
+                record = _wait(ledger.find, job_id, progress)
+            yield record, manager.preparer.prepare(record)
+        finally:
+            manager.stop()
+
+
+def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
+    """Raise FileExistsError if another study was begun in the folder: its results would be removed."""
+    with ledger.reading() as reading:
+        others = [job for job in reading.newest(None, 2) if json.loads(job.spec) != spec.as_submitted()]
+    if others:
+        raise FileExistsError(17, "holds a run of another specification; remove it first", str(folder))
+
+
+def cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _settings(folder: Path) -> "Settings":
+    """Of a data folder that no service listens for, whatever BOUNCE_* variables say."""
+    from service.settings import Settings
+
+    fields = {
+        name: field.get_default(call_default_factory=True) for name, field in Settings.model_fields.items()
+    }
+    return Settings(**(fields | {"data": folder.absolute()}))
+
+
+def _claim_kernels() -> None:
+    try:
+        claim_cache()
+    except CacheRefused as error:
+        raise NotStarted(str(error)) from error
+
+
+def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
+    """Compile in this thread, which Ctrl-C interrupts, rather than in all workers at once."""
+    from worker.spec import SweepSpec
+    from worker.tasks import compile_for
+
+    if not isinstance(spec, SweepSpec) or spec.model.kind == "auto":
+        return
+    message = threading.Timer(MESSAGE_SECONDS, print, [_COMPILING], {"file": sys.stderr, "flush": True})
+    if progress is True:
+        message.start()
+    try:
+        compile_for(spec)
+    finally:
+        message.cancel()
+
+
+def _is_computed(target: Path, spec: Specification) -> bool:
+    """Whether `target` is the complete store of the study. Raises FileExistsError if it is anything else."""
+    if not target.exists() and not target.is_symlink():
+        if not target.absolute().parent.is_dir():
+            raise FileNotFoundError(2, "there is no such folder", str(target.absolute().parent))
+        return False
+    from kernel.params import KERNEL_VERSION
+    from worker import store
+    from worker.studies import from_json
+
+    parsed = from_json(body(spec))
+    try:
+        same = store.read_attrs(str(target.absolute())).get("job") == parsed.job_id(KERNEL_VERSION)
+    except store.StoreError:
+        same = False
+    if not same:
+        raise FileExistsError(17, "exists, and is not the store of this study", str(target))
+    return True
+
+
+def _wait(
+    find: "Callable[[str], JobRecord | None]", job_id: str, progress: bool | ProgressCallback
+) -> "JobRecord":
+    """The job once it is done. Raises RunFailed."""
+    from service.jobs.model import UNFINISHED, JobState
+
+    with display_job(progress) as show:
+        while True:
+            record = find(job_id)
+            if record is None:
+                raise RunFailed("the folder of the run was changed while it computed")
+            show(_status(record))
+            if record.state not in UNFINISHED:
+                break
+            time.sleep(LOOK_SECONDS)
+    if record.state is not JobState.DONE:
+        raise RunFailed(record.error or f"the study was {record.state}")
+    return record
+
+
+def _status(record: "JobRecord") -> JobStatus:
+    progress = record.progress(time.time())
+    status = JobStatus()
+    status._update(
+        {
+            "id": record.id,
+            "name": record.name,
+            "state": str(record.state),
+            "error": record.error,
+            "progress": asdict(progress) | {"percent": progress.percent, "eta_seconds": progress.eta_seconds},
+        }
+    )
+    return status
+
+
+@contextmanager
+def _cancelled_on_error(
+    manager: "JobManager", find: "Callable[[str], JobRecord | None]", job_id: str
+) -> Iterator[None]:
+    """Cancel the job if the block is interrupted, so that its chunks stop; what is stored stays."""
+    from service.errors import IllegalTransition, UnknownJob
+    from service.jobs.model import UNFINISHED
+
+    try:
+        yield
+    except RunFailed:
+        raise
+    except BaseException:
+        try:
+            manager.cancel(job_id)
+            deadline = time.monotonic() + CANCEL_SECONDS
+            while (job := find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
+                time.sleep(LOOK_SECONDS)
+        except (IllegalTransition, UnknownJob):
+            pass
+        raise

@@ -1,0 +1,114 @@
+"""Adaptive maps on the page: the form, the map and its computed cells, windows, in a real Chromium."""
+
+import re
+from typing import Any
+
+import httpx2
+import pytest
+from browser import needs_chromium, opened, screenshot, wait_shown
+from scripted import DEADLINE, wait_for
+
+pytestmark = needs_chromium
+
+MAP: dict[str, Any] = {
+    "name": "An adaptive map",
+    "gamma": {"start": 0.3, "stop": 4.2, "num": 257},
+    "omega": {"start": 0.28, "stop": 1.4, "num": 257},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 40,
+    "observe": 20,
+    "keep": 8,
+    "refine": {"by": "mode"},
+}
+
+
+def job_of(address: str, id: str) -> dict[str, Any]:
+    view: dict[str, Any] = httpx2.get(f"{address}/v1/jobs/{id}", timeout=DEADLINE).json()
+    return view
+
+
+def done(address: str, spec: dict[str, Any]) -> str:
+    id = str(httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).json()["id"])
+    wait_for(lambda: job_of(address, id)["state"] == "done")
+    return id
+
+
+def picture(page: Any) -> str:
+    return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
+
+
+def test_the_form_submits_an_adaptive_map(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new") as page:
+        cost = page.locator(".cost")
+        cost.filter(has_text="cells in").wait_for()
+        page.locator("[data-field='refine.coarsest']").wait_for(state="hidden")
+        page.locator("[data-field=refine]").select_option("bouncing")
+        assert page.locator("[data-field='refine.coarsest']").get_attribute("placeholder") == "64"
+        page.locator("[data-field='refine.margin']").check()
+        page.locator("[data-field='refine.coarsest']").fill("8")
+        cost.filter(has_text=re.compile(r"about \d+ to \d+ of them computed")).wait_for()
+        page.get_by_label("contact model").select_option("rigid")
+        screenshot(page, "form-adaptive")
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile("#/job/"))
+        id = page.evaluate("location.href").split("/job/")[1][:32]
+        assert job_of(address, id)["spec"]["refine"] == {"by": "bouncing", "coarsest": 8, "margin": True}
+
+
+def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: Any, address: str):
+    parent = done(address, MAP)
+    share = httpx2.get(f"{address}/v1/jobs/{parent}/modes", timeout=DEADLINE).json()["computed"]
+    with opened(browser, f"{address}/#/job/{parent}/modes") as page:
+        wait_shown(page, xi=0.05)
+        note = page.locator(".panel .note", has_text="Adaptive map")
+        note.wait_for()
+        shown = re.search(r"([\d.]+) %", note.inner_text())
+        assert shown is not None
+        assert float(shown[1]) == pytest.approx(100 * share, rel=0.05)
+        assert page.get_by_label("Count flights above").count() == 0
+        plain = picture(page)
+        screenshot(page, "modes-adaptive")
+        page.get_by_label("Show which cells were computed").check()
+        wait_for(lambda: picture(page) != plain)
+        screenshot(page, "modes-computed")
+        page.get_by_label("Show which cells were computed").uncheck()
+        plot = page.locator(".panel .plot")
+        plot.focus()
+        for _ in range(2):
+            page.keyboard.press("ArrowRight")
+        assert re.search("computed|taken from its block", page.locator(".panel .readout").inner_text())
+        for _ in range(4):
+            page.keyboard.press("+")
+        page.wait_for_url(re.compile("x0="))
+        page.get_by_role("button", name="Refine this window").click()
+        page.wait_for_url(lambda url: "#/job/" in url and parent not in url)
+        page.locator("header.job", has_text="Window of An adaptive map").wait_for()
+        child = page.evaluate("location.href").split("/job/")[1][:32]
+        wait_for(lambda: job_of(address, child)["state"] == "done")
+        spec = job_of(address, child)["spec"]
+        assert spec["parent"] == parent
+        assert 0.3 < spec["gamma"]["start"] < spec["gamma"]["stop"] < 4.2
+        wait_shown(page, xi=0.05)
+        page.locator(".panel .note", has_text="Adaptive map").wait_for()
+        screenshot(page, "modes-window")
+        page.get_by_role("link", name="window of another sweep").click()
+        page.locator("header.job h1", has_text=re.compile("^An adaptive map$")).wait_for()
+
+
+def test_the_diagram_of_an_adaptive_map_says_how_many_cells_have_flights(browser: Any, address: str):
+    id = done(address, MAP)
+    with opened(browser, f"{address}/#/job/{id}/diagram?omega=0.6") as page:
+        wait_shown(page, along="gamma")
+        page.locator(".panel .plot").focus()
+        readouts = set()
+        for _ in range(MAP["gamma"]["num"]):
+            page.keyboard.press("ArrowLeft")
+            readouts.add("taken from its block" in page.locator(".panel .readout").inner_text())
+            if len(readouts) == 2:
+                break
+        assert readouts == {True, False}
+        screenshot(page, "diagram-adaptive")
+        page.get_by_role("link", name="Thresholds").click()
+        wait_shown(page, xi=0.05)
+        screenshot(page, "thresholds-adaptive")

@@ -1,0 +1,233 @@
+"""`service.local`: studies computed without a service."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+import xarray
+from served import service
+
+from kernel.params import KERNEL_VERSION
+from service import local
+from service.client import Client
+from service.client.errors import InvalidSpecification
+from service.client.models import JobStatus
+from service.errors import DataFolderBusy, InvalidRequest
+from worker.executors.inline import Inline
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecError
+
+SPEC = {
+    "name": "local",
+    "gamma": {"start": 0.6, "stop": 3.0, "num": 25},
+    "omega": [0.5, 0.6],
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 30,
+    "observe": 20,
+    "keep": 4,
+}
+#: Cells of which a chunk takes tenths of a second, and the whole some seconds.
+LONG = SPEC | {
+    "gamma": {"start": 1.0, "stop": 4.0, "num": 40},
+    "omega": {"start": 0.5, "stop": 0.6, "num": 10},
+    "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
+    "settle": 4000,
+}
+ORBITS = {"omega": [0.6, 0.62], "xi": 0.05, "protocol": {"kind": "orbits"}, "points": 40}
+
+
+def files(store: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()
+    }
+
+
+def test_a_run_stores_the_bytes_of_a_service_whatever_the_number_of_threads(tmp_path: Path):
+    (tmp_path / "data").mkdir()
+    with (
+        closing(Inline()) as executor,
+        service(tmp_path / "data", executor) as http,
+        Client("http://localhost", http=cast(Any, http)) as client,
+    ):
+        job = client.submit(SPEC).wait(progress=False)
+    local.run(SPEC, tmp_path / "one.zarr", workers=1, progress=False)
+    local.run(SPEC, tmp_path / "three.zarr", workers=3, progress=False)
+    stored = files(tmp_path / "data" / "stores" / f"{job.id}.zarr")
+    assert stored
+    assert files(tmp_path / "one.zarr") == files(tmp_path / "three.zarr") == stored
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "one.zarr", "three.zarr"]
+
+
+def test_the_dataset_in_memory_is_that_of_the_store(tmp_path: Path):
+    in_memory = local.run(SPEC, progress=False)
+    stored = local.run(SPEC, tmp_path / "sweep.zarr", progress=False)
+    assert in_memory.sizes == {"direction": 1, "xi": 1, "omega": 2, "gamma": 25, "flight": 4}
+    assert (in_memory.outcome > 0).all()
+    xarray.testing.assert_identical(in_memory, stored.load())
+
+
+def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
+    target = tmp_path / "sweep.zarr"
+    local.run(SPEC, target, progress=False)
+    before = {path: path.stat().st_mtime_ns for path in target.rglob("*")}
+    seen: list[JobStatus] = []
+    again = local.run(SweepSpec.parse(SPEC), target, progress=seen.append)
+    assert not seen
+    assert {path: path.stat().st_mtime_ns for path in target.rglob("*")} == before
+    assert again.attrs["job"] == SweepSpec.parse(SPEC).job_id(KERNEL_VERSION)
+
+
+def test_progress_is_reported_to_a_function():
+    seen: list[tuple[str, float]] = []
+    local.run(SPEC, progress=lambda job: seen.append((job.state, job.progress.percent)))
+    assert seen[-1] == ("done", 100.0)
+    assert [percent for _, percent in seen] == sorted(percent for _, percent in seen)
+
+
+def test_grids_of_orbits_run_too(tmp_path: Path):
+    orbits = local.run(ORBITS, tmp_path / "orbits.zarr", progress=False)
+    assert orbits.sizes["omega"] == 2
+    assert np.isfinite(orbits.gamma).any()
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet", "csv", "json", "png", "svg"])
+def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
+    output = tmp_path / f"sweep.{format}"
+    line = {"along": "gamma", "omega": 0.6}
+    job = local.run_to_file(SPEC, output, format, line, progress=False)
+    assert (job.state, job.progress.cells_done) == ("done", 50)
+    assert list(tmp_path.iterdir()) == [output]
+    expected = local.run(SPEC, progress=False)
+    content = output.read_bytes()
+    match format:
+        case "nc":
+            with xarray.open_dataset(output, engine="h5netcdf") as written:
+                np.testing.assert_array_equal(written.flight_time, expected.flight_time)
+        case "parquet":
+            np.testing.assert_array_equal(
+                pyarrow.parquet.read_table(output)["bounces"], expected.bounces.values.ravel()
+            )
+        case "json":
+            bounces = expected.sel(omega=0.6).bounces.values.ravel().tolist()
+            assert json.loads(content)["bounces"] == bounces
+        case "csv":
+            at_one_omega = expected.sel(omega=0.6).flight_time.values
+            assert len(content.splitlines()) == 1 + np.count_nonzero(np.isfinite(at_one_omega))
+        case "png":
+            assert content.startswith(b"\x89PNG")
+        case "svg":
+            assert b"<svg" in content
+
+
+def test_a_line_that_the_sweep_does_not_have_is_told_and_nothing_is_written(tmp_path: Path):
+    with pytest.raises(InvalidRequest, match="omega"):
+        local.run_to_file(SPEC, tmp_path / "a.png", "png", {"along": "gamma"}, progress=False)
+    assert not (tmp_path / "a.png").exists()
+
+
+# Errors
+
+
+def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path: Path):
+    with pytest.raises(SpecError, match=r"gamma.num"):
+        local.run(SPEC | {"gamma": {"start": 1, "stop": 2, "num": 0}}, tmp_path / "a.zarr", progress=False)
+    with pytest.raises(InvalidSpecification, match="omega: must be finite"):
+        local.run(SPEC | {"omega": float("nan")}, tmp_path / "a.zarr", progress=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_sweep_beyond_the_limits_is_refused_before_anything_is_made(tmp_path: Path):
+    axis = {"start": 1, "stop": 2, "num": 10**5}
+    huge = SPEC | {"gamma": axis, "omega": axis}
+    with pytest.raises(SpecError, match="cells"):
+        local.run(huge, tmp_path / "a.zarr", progress=False)
+
+
+def test_what_is_there_is_not_replaced(tmp_path: Path):
+    file = tmp_path / "a.zarr"
+    file.write_text("mine")
+    with pytest.raises(FileExistsError, match="not the store of this study"):
+        local.run(SPEC, file, progress=False)
+    assert file.read_text() == "mine"
+    local.run(SPEC, tmp_path / "b.zarr", progress=False)
+    with pytest.raises(FileExistsError, match="not the store of this study"):
+        local.run(SPEC | {"settle": 31}, tmp_path / "b.zarr", progress=False)
+
+
+def test_a_missing_folder_is_named(tmp_path: Path):
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        local.run(SPEC, tmp_path / "nowhere" / "a.zarr", progress=False)
+
+
+def test_a_file_of_a_study_that_is_no_sweep_is_refused(tmp_path: Path):
+    with pytest.raises(InvalidRequest, match="only a sweep"):
+        local.run_to_file(ORBITS, tmp_path / "a.nc", "nc", progress=False)
+    assert not (tmp_path / "a.nc").exists()
+
+
+# Interrupted
+
+
+def interrupted(tmp_path: Path, number: int) -> subprocess.Popen[str]:
+    """A `bounce run` that got a signal after chunks were stored."""
+    spec = tmp_path / "long.json"
+    spec.write_text(json.dumps(LONG))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli.main", "run", str(spec), "-o", "long.zarr", "--workers", "1"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stderr=subprocess.PIPE,
+        text=True,
+        restore_signals=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    )
+    deadline = time.monotonic() + 300
+    while len(list((tmp_path / "long.zarr.partial").glob("stores/*/outcome/c/*/*/*/*"))) < 3:
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(number)
+    return process
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path, number: signal.Signals):
+    process = interrupted(tmp_path, number)
+    _, text = process.communicate(timeout=60)
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert "the same command goes on in long.zarr.partial" in text
+        assert "Traceback" not in text
+    assert not (tmp_path / "long.zarr").exists()
+    first: list[JobStatus] = []
+    local.run(LONG, tmp_path / "long.zarr", progress=first.append)
+    assert first[0].progress.chunks_done > 0
+    assert first[-1].progress.cells_done == 400
+    local.run(LONG, tmp_path / "whole.zarr", progress=False)
+    assert files(tmp_path / "long.zarr") == files(tmp_path / "whole.zarr")
+    assert not (tmp_path / "long.zarr.partial").exists()
+
+
+def test_another_study_does_not_take_over_an_interrupted_one(tmp_path: Path):
+    interrupted(tmp_path, signal.SIGKILL).communicate(timeout=60)
+    with pytest.raises(FileExistsError, match="another specification"):
+        local.run(SPEC, tmp_path / "long.zarr", progress=False)
+
+
+def test_two_processes_do_not_compute_the_same_store(tmp_path: Path):
+    folder = local.partial_of(tmp_path / "a.zarr")
+    with (
+        local.computed(SPEC, folder, progress=False),
+        pytest.raises(DataFolderBusy),
+    ):
+        local.run(SPEC, tmp_path / "a.zarr", progress=False)
