@@ -21,7 +21,7 @@ from worker.kernel_cache import claim_cache
 
 Result = TypeVar("Result")
 
-#: Added to the niceness of these processes: three of them take a seventh of two busy processors.
+#: Added to the niceness of these processes: two of them take a tenth of two busy processors.
 NICER: Final = 10
 #: A process that holds more bytes after an answer ends, and gives back what the C library would keep.
 MOST_KEPT: Final = 320 * 2**20
