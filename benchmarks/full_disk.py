@@ -126,7 +126,8 @@ class Moments:
         if done.returncode:
             left = " (a part of the file is left)" if target.exists() else ""
             return f"refused: {(done.stderr or done.stdout).strip()[-200:]}{left}"
-        with closing(sqlite3.connect(target)) as backup:
+        # Immutable: nothing is written beside it, for which there may be no room.
+        with closing(sqlite3.connect(f"file:{target}?immutable=1", uri=True)) as backup:
             (whole,) = backup.execute("PRAGMA integrity_check").fetchone()
             (kept,) = backup.execute(
                 "SELECT state FROM jobs WHERE id = ?", [Path(self._kept).name]
@@ -159,7 +160,7 @@ class Moments:
         results: list[str] = []
         working = threading.Thread(target=lambda: results.append(self._kinds[kind]()))
         working.start()
-        moment = self._rng.uniform(0.0, 1.2 * self._took[kind])
+        moment = self._rng.uniform(0.0, self._took[kind])
         time.sleep(moment)
         ballast.mkdir()
         try:
