@@ -64,7 +64,7 @@ def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
     before = (folder / "backup.sqlite").read_bytes()
     answer = bounce("backup", str(folder / "no" / "such"), "--data", str(folder / "data"))
     assert answer.exit_code == 1
-    assert "unable to open database file" in answer.output
+    assert "No such file or directory" in answer.output
     (folder / "data" / "ledger.sqlite").write_bytes(b"no ledger at all" * 999)
     answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
     assert answer.exit_code == 1
