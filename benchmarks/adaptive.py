@@ -211,7 +211,7 @@ def main() -> None:
     print(
         table(["xi, grid, by", "computed, %", "wrong", "wrong, %", "full, s", "adaptive, s", "ratio"], rows)
     )
-    for by in ("bouncing", "mode"):
+    for by in ("bouncing", "mode") if options.rounds else ():
         cost = cost_of_rounds(sweep(0.05, max(sides), options.keep, {"by": by}), options.rounds)
         print(f"rounds one after the other, by {by}: {cost:.2f} times the time of one line")
 

@@ -8,6 +8,7 @@ user, and are left out otherwise. Exits with 1 if anything succeeded. Takes abou
 """
 
 import argparse
+import asyncio
 import json
 import os
 import socket
@@ -15,7 +16,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ import psutil
 
 from benchmarks.tables import table
 from service import tokens
+from service.settings import Settings
 
 ROOT = Path(__file__).parents[1]
 #: A user without rights: nobody.
@@ -339,6 +342,67 @@ def hostile_bodies(service: Target) -> Row:
     return "a body that is accepted, breaks its reader, or takes longer than 2 s", len(bodies), wrong
 
 
+def many_listeners(service: Target) -> Row:
+    """More event streams at once than allowed: those beyond the limit get 503, all within SECONDS."""
+    allowed = Settings().max_listeners
+    tried = allowed + 100
+    endless = {**SWEEP, "omega": 0.9, "settle": 10**7, "observe": 10**7}
+    job = str(service.ask("POST", "/v1/jobs", json=endless, headers=service.own).json()["id"])
+    statuses, slowest, polls = asyncio.run(
+        streams_at_once(service.url, f"/v1/jobs/{job}", tried, service.own)
+    )
+    service.ask("POST", f"/v1/jobs/{job}/cancel", headers=service.own)
+    print(
+        f"{tried:,} event streams at once: {statuses[200]:,} opened, {statuses[503]:,} refused; the slowest "
+        f"answer after {slowest:.1f} s; of {len(polls)} polls meanwhile the slowest took {max(polls):.2f} s",
+        file=sys.stderr,
+    )
+    wrong = abs(statuses[200] - allowed) + abs(statuses[503] - (tried - allowed))
+    return "an event stream beyond the limit is opened, or one within it is not", tried, wrong
+
+
+async def streams_at_once(
+    url: str, job: str, count: int, headers: Mapping[str, str]
+) -> tuple[Counter[int], float, list[float]]:
+    """Statuses of so many event streams of a job, seconds until the last is answered, and of polls meanwhile.
+
+    They stay open until all are answered; 503 counts as 0 unless it says when to come again.
+    """
+    address = httpx2.URL(url)
+    lines = [f"GET {job}/events HTTP/1.1", "Host: 127.0.0.1", *map(": ".join, headers.items())]
+    head = "".join(f"{line}\r\n" for line in [*lines, ""]).encode()
+    streams: list[asyncio.StreamWriter] = []
+
+    async def open_stream() -> int:
+        reader, writer = await asyncio.open_connection(address.host, address.port)
+        streams.append(writer)
+        writer.write(head)
+        answer = await reader.readuntil(b"\r\n\r\n")
+        status = int(answer.split()[1])
+        if status == 200:
+            await reader.readuntil(b"event: progress")
+        return status if status != 503 or b"retry-after:" in answer.lower() else 0
+
+    async def poll() -> list[float]:
+        times: list[float] = []
+        async with httpx2.AsyncClient(timeout=SECONDS, trust_env=False, headers=headers) as http:
+            while not all(stream.done() for stream in waiting) or not times:
+                began = time.monotonic()
+                (await http.get(f"{url}{job}")).raise_for_status()
+                times.append(time.monotonic() - began)
+        return times
+
+    began = time.monotonic()
+    waiting = [asyncio.ensure_future(open_stream()) for _ in range(count)]
+    polling = asyncio.ensure_future(poll())
+    statuses = Counter(await asyncio.gather(*waiting))
+    slowest = time.monotonic() - began
+    polls = await polling
+    for writer in streams:
+        writer.close()
+    return statuses, slowest, polls
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -349,7 +413,7 @@ def main() -> None:
         rows = other_user(service) if os.geteuid() == 0 else []
         attacks = (
             inherited, without_token, writes_of_foreign_pages, costly_reads_of_foreign_pages, foreign_hosts,
-            traversal, smuggled, hostile_bodies,
+            traversal, smuggled, hostile_bodies, many_listeners,
         )  # fmt: skip
         for attack in attacks:
             rows.append(attack(service))

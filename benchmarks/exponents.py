@@ -35,12 +35,12 @@ ROWS = (
 )
 
 
-def run(plate: object, cells: tuple[np.ndarray, ...], exponents: int, carry: bool = True) -> Line:
-    """The cells as an up ramp, or from rest, where `rigid` goes through its lanes."""
+def run(plate: object, cells: tuple[np.ndarray, ...], exponents: int, in_lanes: bool = False) -> Line:
+    """The cells as an up ramp; `in_lanes`: from rest, side by side."""
     gamma, omega, xi = cells
     return line.run_line(
-        gamma, omega, xi, plate=plate, carry=carry, settle=SETTLE, observe=OBSERVE, keep=64,
-        exponents=exponents,
+        gamma, omega, xi, plate=plate, carry=not in_lanes, in_lanes=in_lanes, settle=SETTLE,
+        observe=OBSERVE, keep=64, exponents=exponents,
     )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def main() -> None:
         plate = plate_of(model, np.full(len(gamma), e), np.full(len(gamma), d), adhesive)
         runs: list[Callable[[], Line]] = [partial(run, plate, cells, k) for k in (0, *counts)]
         if model is Model.RIGID:
-            runs.append(partial(run, plate, cells, 0, carry=False))
+            runs.append(partial(run, plate, cells, 0, in_lanes=True))
         spent = medians(runs, arguments.repeat)
         ratios = {count: f"{spent[i + 1] / spent[0]:.2f}" for i, count in enumerate(counts)}
         in_lanes = f"{spent[-1] / spent[0]:.2f}" if model is Model.RIGID else "-"

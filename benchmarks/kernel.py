@@ -68,12 +68,13 @@ def line(
     gamma: Any, omega: float, xi: float, model: Model = Model.RIGID, *, e: float = 0.0, d: float = 1e-3,
     adhesive: bool = True, alone: bool = False, settle: int = 200, observe: int = PERIODS - 200,
 ) -> Line:  # fmt: skip
-    """A line of cells from rest; a single cell `alone` runs as a ramp of one."""
+    """A line of cells from rest; `alone`: by the scalar functions."""
     gamma = np.atleast_1d(np.asarray(gamma, float))
     full = np.full_like
     return run_line(
         gamma, full(gamma, omega), full(gamma, xi), model=model, restitution=full(gamma, e),
-        penetration=full(gamma, d), adhesive=adhesive, carry=alone, settle=settle, observe=observe, keep=64,
+        penetration=full(gamma, d), adhesive=adhesive, carry=False, in_lanes=not alone, settle=settle,
+        observe=observe, keep=64,
     )  # fmt: skip
 
 

@@ -1,20 +1,25 @@
 """Whether the tests notice: random changes to `service/` and `worker/`, each tried on the tests that run it.
 
-    python -m benchmarks.mutation --count 200 --seed 1
+    python -m benchmarks.mutation --count 200 --seed 1 --keep FOLDER
 
 A change is one of: another comparison, a condition negated, another sign or operator, `return None`, a call
 left out, another constant. It is made in a copy of the project, and up to 40 of the tests that run the
-changed line are run, those first that run the fewest lines. A change is noticed if one of them fails or does
-not end.
+changed line are run: those first that run few lines and take little time. A change is noticed if one of them
+fails that passes without it, or if they do not end.
 
-Which tests run which line is measured first, test file by test file, and kept in the folder `--keep`. Tests
-whose work is done in other processes (a cluster, a browser, the documents) do not take part; `--tests` names
-others. Only lines that some test runs are changed; how many others there are is printed. What only somebody
-who looks at a picture or reads a text can judge is not changed: colours, sizes, fonts, texts, the log.
+Which tests run which line is measured first, test file by test file. Tests whose work is done in other
+processes (a browser, a service of its own, the documents) do not take part; `--tests` names others. Only
+lines that some test runs are changed; how many others there are is printed. What only somebody who looks at a
+picture or reads a text can judge is not changed: colours, sizes, fonts, texts, the log.
+
+FOLDER keeps the copy, what is measured, and the results. Called again, the program goes on where it was: the
+copy keeps its sources, so that a sample stays the same; test files that changed are copied and measured anew.
+`--again` tries the changes of this sample again that were not noticed, `--minutes` ends after so long.
 """
 
 import argparse
 import ast
+import hashlib
 import json
 import os
 import random
@@ -26,10 +31,13 @@ import tempfile
 import time
 import traceback
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import pytest
 
 from benchmarks.tables import table
 
@@ -37,14 +45,24 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("service", "worker")
 #: Tests of one change at most.
 MOST_TESTS = 40
+#: Seconds that the first tests of a change may take, as measured; the others follow if these notice nothing.
+FIRST_SECONDS = 8.0
+#: A test that takes longer is not run for a change.
+LONGEST = 60.0
+#: What the processes of a cluster take to start.
+CLUSTER_SECONDS = 6.0
 #: Times what its tests took unchanged, and seconds beside, after which a change counts as noticed: it hangs.
-SLACK, PATIENCE = 10.0, 90.0
+SLACK, PATIENCE = 8.0, 60.0
 
-#: Test files that do their work in other processes, or that compare source texts.
+#: Test files that take part.
+TEST_FILES = (
+    "service/test_*.py", "worker/test_*.py", "page/test_page.py", "faults/test_damage.py",
+    "faults/test_earlier_release.py", "faults/test_ledger_faults.py", "faults/test_machine.py",
+)  # fmt: skip
+#: Of these, the ones that do their work in other processes, or that take long and run everything.
 ELSEWHERE = (
-    "service/test_cluster.py", "service/test_documents.py", "service/test_figures.py", "service/test_fuzz.py",
-    "service/test_import_light.py", "service/test_tokens.py", "service/test_tradeoff.py",
-    "worker/test_executors.py", "worker/test_kernel_cache.py", "worker/test_s3.py",
+    "service/test_fuzz.py", "service/test_import_light.py", "worker/test_executors.py",
+    "worker/test_kernel_cache.py", "worker/test_s3.py",
 )  # fmt: skip
 
 #: Loaded once, for all runs of tests.
@@ -218,24 +236,34 @@ def _short(text: str) -> str:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of what git tracks or would track, without the kernel: its compiled code belongs to its path."""
+    """A copy of what git tracks or would track; one that exists keeps its sources, only tests are renewed."""
     listed = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
         cwd=ROOT, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
+    exists = folder.exists()
     for name in filter(None, listed.split("\0")):
-        if not name.startswith("kernel/") and (ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
-    if (ROOT / ".numba-cache").is_dir():
-        shutil.copytree(ROOT / ".numba-cache", folder / ".numba-cache")
+        original, copy = ROOT / name, folder / name
+        if not original.is_file() or (exists and not name.startswith(("tests/", "benchmarks/"))):
+            continue
+        if not copy.exists() or copy.read_bytes() != original.read_bytes():
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(original, copy)
     return folder
 
 
 def preload(folder: Path) -> None:
-    """Import the libraries here, once for all runs of tests; each run imports what a change may touch."""
+    """Import libraries and kernels here, once for all runs of tests; each run imports what may change."""
     os.chdir(folder)
     sys.path[:0] = [str(folder), str(folder / "tests" / "support")]
+    os.environ["PYTHONPATH"] = str(folder)  # for the processes that tests start
+    for name in [name for name in sys.modules if name.split(".")[0] in (*PACKAGES, "kernel")]:
+        del sys.modules[name]
+    from worker.kernel_cache import warm
+
+    warm(folder / ".numba-cache")
+    for name in [name for name in sys.modules if name.split(".")[0] in PACKAGES]:
+        del sys.modules[name]
     for name in LIBRARIES:
         __import__(name)
 
@@ -274,15 +302,16 @@ def _end_group(leader: int) -> None:
 
 
 def run_pytest(arguments: Sequence[str], plugins: Sequence[object] = ()) -> int:
-    import pytest
-
     common = ["-q", "-n", "0", "-p", "no:cacheprovider", "--no-header", "--tb=short"]
     preloaded = ["-W", "ignore:Module already imported"]  # plugins among the libraries
     return int(pytest.main([*common, *preloaded, *arguments], plugins=list(plugins)))
 
 
 class Recorder:
-    """A pytest plugin: which lines each test runs, how long it takes, and whether it passes."""
+    """A pytest plugin: which lines each test runs, how long it takes, and whether it passes.
+
+    The lines of a fixture that several tests share count for each test of the file that uses it.
+    """
 
     def __init__(self, folder: Path) -> None:
         import coverage
@@ -292,58 +321,99 @@ class Recorder:
         )
         self.seconds: dict[str, float] = {}
         self.failed: set[str] = set()
+        self.users: dict[str, list[str]] = defaultdict(list)  # of fixtures, by name
+        self.test = ""
         self.coverage.start()
 
+    def pytest_collection_finish(self, session: Any) -> None:
+        for item in session.items:
+            for name in item.fixturenames:
+                self.users[f"fixture {name}"].append(item.nodeid)
+            self.seconds[item.nodeid] = CLUSTER_SECONDS if "cluster" in item.fixturenames else 0.0
+
     def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self.test = nodeid
         self.coverage.switch_context(nodeid)
 
-    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+    def pytest_runtest_logfinish(self) -> None:
         self.coverage.switch_context("")
 
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Generator[None, Any, Any]:
+        if fixturedef.scope != "function":
+            self.coverage.switch_context(f"fixture {fixturedef.argname}")
+        try:
+            return (yield)
+        finally:
+            self.coverage.switch_context(self.test)
+
     def pytest_runtest_logreport(self, report: Any) -> None:
-        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        self.seconds[report.nodeid] += report.duration
         if not report.passed:
             self.failed.add(report.nodeid)
 
-    def write(self, folder: Path, target: Path) -> None:
+    def write(self, folder: Path, target: Path, digest: str) -> None:
         self.coverage.stop()
         data = self.coverage.get_data()
         lines = {
             str(Path(file).relative_to(folder)): {
-                line: [test for test in tests if test]
-                for line, tests in data.contexts_by_lineno(file).items()
+                line: sorted({test for name in contexts if name for test in self.users.get(name, [name])})
+                for line, contexts in data.contexts_by_lineno(file).items()
             }
             for file in data.measured_files()
         }
-        target.write_text(
-            json.dumps({"lines": lines, "seconds": self.seconds, "failed": sorted(self.failed)})
-        )
+        content = {"digest": digest, "lines": lines, "seconds": self.seconds, "failed": sorted(self.failed)}
+        target.write_text(json.dumps(content))
 
 
 def record(folder: Path, test_file: str, target: Path, seconds: float) -> None:
-    """Measure a test file, unless that was done before."""
+    """Measure a test file, unless that was done with the same text."""
+    digest = hashlib.sha256((folder / test_file).read_bytes()).hexdigest()
+    if target.exists() and json.loads(target.read_text())["digest"] == digest:
+        return
 
     def work() -> int:
         recorder = Recorder(folder)
         status = run_pytest([test_file, "-m", "not long"], [recorder])
-        recorder.write(folder, target)
+        recorder.write(folder, target, digest)
         return status
 
-    if not target.exists():
-        status = in_child(work, seconds, target.with_suffix(".log"))
-        print(f"measured {test_file}: {'did not end' if status is None else f'status {status}'}", flush=True)
+    start = time.monotonic()
+    status = in_child(work, seconds, target.with_suffix(".log"))
+    how = "did not end" if status is None else f"status {status}"
+    print(f"measured {test_file}: {how}, {time.monotonic() - start:.0f} s", flush=True)
+    if status is None:
+        target.write_text(json.dumps({"digest": digest, "lines": {}, "seconds": {}, "failed": []}))
 
 
 class Coverage(NamedTuple):
     """The passing tests that run each line of each file, and the seconds that each test takes."""
 
-    tests: dict[tuple[str, int], list[str]]
+    tests: dict[tuple[str, int], set[str]]
     seconds: dict[str, float]
     breadth: Counter[str]  # lines that each test runs
 
+    def nearest(self, change: Change) -> list[str]:
+        """Tests that run the changed line: those first that run few lines and take little time."""
+        tests = self.tests[change.file, change.line]
+        short = [name for name in tests if self.seconds.get(name, 0.0) <= LONGEST] or list(tests)
+        return sorted(short, key=lambda name: self.breadth[name] * (1.0 + self.seconds.get(name, 0.0)))[
+            :MOST_TESTS
+        ]
+
+    def stages(self, tests: Sequence[str]) -> list[list[str]]:
+        """The first tests, which together take little time, and the others."""
+        spent, first = 0.0, 0
+        for name in tests:
+            spent += self.seconds.get(name, 0.0)
+            if spent > FIRST_SECONDS:
+                break
+            first += 1
+        return [stage for stage in (list(tests[:first]), list(tests[first:])) if stage]
+
 
 def coverage_in(folder: Path) -> Coverage:
-    tests: dict[tuple[str, int], list[str]] = defaultdict(list)
+    tests: dict[tuple[str, int], set[str]] = defaultdict(set)
     seconds: dict[str, float] = {}
     breadth: Counter[str] = Counter()
     for kept in sorted(folder.glob("*.json")):
@@ -353,35 +423,76 @@ def coverage_in(folder: Path) -> Coverage:
         for file, lines in content["lines"].items():
             for line, names in lines.items():
                 passing = [name for name in names if name not in failed]
-                tests[file, int(line)] += passing
+                tests[file, int(line)].update(passing)
                 breadth.update(passing)
     return Coverage(tests, seconds, breadth)
 
 
-def noticed(folder: Path, change: Change, tests: Sequence[str], seconds: float, log: Path) -> str | None:
-    """The test that fails after the change, or "does not end"; None if all pass."""
-    path = folder / change.file
-    original = path.read_bytes()
-    tree = ast.parse(original)
-    make = next(make for found, make in changes(change.file, tree) if found.number == change.number)
-    make()
-    ast.fix_missing_locations(tree)
-    path.write_text(ast.unparse(tree))
-    try:
-        status = in_child(lambda: run_pytest(["-x", *tests]), seconds, log)
-    finally:
-        path.write_bytes(original)
-    if status is None:
-        return "does not end"
-    if status == 0:
+class Trials:
+    """Tries changes in the copy, with what is measured, and remembers which tests pass without a change."""
+
+    def __init__(self, folder: Path, keep: Path) -> None:
+        self.folder, self.keep = folder, keep
+        self.measured = coverage_in(keep / "lines")
+        self._fails_unchanged: dict[str, bool] = {}
+
+    def noticed(self, change: Change) -> str | None:
+        """The test that fails after the change, or "does not end"; None if all pass."""
+        tests = self.measured.nearest(change)
+        while True:
+            result = self._try(change, tests)
+            if result not in tests or not self._fails(result):
+                return result
+            tests.remove(result)
+
+    def _fails(self, test: str) -> bool:
+        """Whether a test fails without any change, run by itself."""
+        if test not in self._fails_unchanged:
+            self._fails_unchanged[test] = self._run([test]) != 0
+        return self._fails_unchanged[test]
+
+    def _run(self, tests: Sequence[str]) -> int | None:
+        seconds = PATIENCE + SLACK * sum(self.measured.seconds.get(name, 0.0) for name in tests)
+        return in_child(lambda: run_pytest(["-x", *tests]), seconds, self.keep / "last.log")
+
+    def _try(self, change: Change, tests: Sequence[str]) -> str | None:
+        path = self.folder / change.file
+        compiled = Path(cache_from_source(str(path)))
+        original = path.read_bytes()
+        tree = ast.parse(original)
+        make = next(make for found, make in changes(change.file, tree) if found.number == change.number)
+        make()
+        ast.fix_missing_locations(tree)
+        saved = self.keep / "original.json"
+        saved.write_text(json.dumps([change.file, original.decode()]))
+        try:
+            path.write_text(ast.unparse(tree))
+            compiled.unlink(missing_ok=True)  # it may have the same second and size
+            for stage in self.measured.stages(tests):
+                status = self._run(stage)
+                if status != 0:
+                    return "does not end" if status is None else self._first_failure(status)
+        finally:
+            path.write_bytes(original)
+            compiled.unlink(missing_ok=True)
+            saved.unlink()
         return None
-    output = log.read_text(errors="replace")
-    names = [line.split()[1] for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-    return names[0] if names else f"status {status}"
+
+    def _first_failure(self, status: int) -> str:
+        output = (self.keep / "last.log").read_text(errors="replace")
+        starts = ("FAILED ", "ERROR ")
+        lines = [line.split(" ", 1)[1] for line in output.splitlines() if line.startswith(starts)]
+        return lines[0].split(" - ")[0] if lines else f"status {status}"
 
 
-def sources() -> list[str]:
-    return [str(path.relative_to(ROOT)) for name in PACKAGES for path in sorted((ROOT / name).rglob("*.py"))]
+def possible_changes(folder: Path, only: str) -> list[Change]:
+    return [
+        change
+        for package in PACKAGES
+        for path in sorted((folder / package).rglob("*.py"))
+        if (file := str(path.relative_to(folder))) not in LOOKS and file.startswith(only)
+        for change, _ in changes(file, ast.parse(path.read_bytes()))
+    ]
 
 
 def main() -> None:
@@ -392,61 +503,60 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder that keeps what is measured, and the results")
     parser.add_argument(
-        "--tests", nargs="*", help="test files; all of tests/service and tests/worker but some"
+        "--tests", nargs="*", help="test files; those in one process of service, worker, page and faults"
     )
     parser.add_argument("--only", default="", help="change files whose path begins so")
     parser.add_argument("--seconds", type=float, default=1200.0, help="for one test file to be measured")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin nothing after so long")
+    parser.add_argument("--again", action="store_true", help="first try again what was not noticed")
     parser.add_argument("--measure-only", action="store_true")
     options = parser.parse_args()
+    deadline = time.monotonic() + 60.0 * options.minutes
     with tempfile.TemporaryDirectory() as temporary:
-        keep = (options.keep or Path(temporary) / "keep").absolute()
+        keep = (options.keep or Path(temporary)).absolute()
         (keep / "lines").mkdir(parents=True, exist_ok=True)
-        folder = copied(Path(temporary) / "copy")
+        folder = copied(keep / "project")
+        if (keep / "original.json").exists():  # the last call was ended in the middle of a change
+            file, text = json.loads((keep / "original.json").read_text())
+            (folder / file).write_text(text)
         preload(folder)
         files = options.tests or [
-            str(path.relative_to(ROOT))
-            for path in sorted([*ROOT.glob("tests/service/test_*.py"), *ROOT.glob("tests/worker/test_*.py")])
-            if str(path.relative_to(ROOT / "tests")) not in ELSEWHERE
+            str(path.relative_to(folder))
+            for pattern in TEST_FILES
+            for path in sorted((folder / "tests").glob(pattern))
+            if str(path.relative_to(folder / "tests")) not in ELSEWHERE
         ]
         for file in files:
-            record(folder, file, keep / "lines" / f"{file.replace('/', '.')}.json", options.seconds)
+            if time.monotonic() < deadline:
+                record(folder, file, keep / "lines" / f"{file.replace('/', '.')}.json", options.seconds)
         if not options.measure_only:
-            _try(folder, keep, coverage_in(keep / "lines"), options)
+            _try_sample(Trials(folder, keep), options, deadline)
 
 
-def _try(folder: Path, keep: Path, measured: Coverage, options: argparse.Namespace) -> None:
-    possible = [
-        change
-        for file in sources()
-        if file not in LOOKS and file.startswith(options.only)
-        for change, _ in changes(file, ast.parse((ROOT / file).read_bytes()))
-    ]
-    covered = [change for change in possible if measured.tests.get((change.file, change.line))]
-    print(
-        f"{len(possible)} changes are possible, {len(covered)} of them on lines that a test runs", flush=True
-    )
-    chosen = random.Random(options.seed).sample(covered, min(options.count, len(covered)))
-    results = keep / f"results-{options.seed}{options.only.replace('/', '.')}.jsonl"
-    done = {}
+def _try_sample(trials: Trials, options: argparse.Namespace, deadline: float) -> None:
+    possible = possible_changes(trials.folder, options.only)
+    covered = [change for change in possible if trials.measured.tests.get((change.file, change.line))]
+    print(f"{len(possible)} changes are possible, {len(covered)} of them on lines that a test runs")
+    results = trials.keep / f"results-{options.seed}{options.only.replace('/', '.')}.jsonl"
+    done: dict[Change, str | None] = {}
     for line in results.read_text().splitlines() if results.exists() else ():
-        *change, result = json.loads(line)
-        done[Change(*change)] = result
+        *fields, result = json.loads(line)
+        done[Change(*fields)] = result
+    # The sample stays the same when new tests run more lines.
+    drawn = random.Random(options.seed).sample(covered, len(covered))
+    chosen = [*done, *(change for change in drawn if change not in done)][: options.count]
+    waiting = [change for change in chosen if change not in done or (options.again and done[change] is None)]
     with results.open("a") as file:
-        for i, change in enumerate(chosen, 1):
-            if change not in done:
-                tests = sorted(
-                    set(measured.tests[change.file, change.line]), key=lambda name: measured.breadth[name]
-                )
-                tests = tests[:MOST_TESTS]
-                seconds = PATIENCE + SLACK * sum(measured.seconds.get(name, 0.0) for name in tests)
-                done[change] = noticed(folder, change, tests, seconds, keep / "last.log")
-                file.write(json.dumps([*change, done[change]]) + "\n")
-                file.flush()
+        for change in waiting:
+            if time.monotonic() >= deadline:
+                print(f"{sum(change not in done for change in chosen)} changes are left to try")
+                break
+            done[change] = trials.noticed(change)
+            file.write(json.dumps([*change, done[change]]) + "\n")
+            file.flush()
             if done[change] is None:
-                print(
-                    f"{i}: not noticed: {change.file}:{change.line} {change.kind}: {change.text}", flush=True
-                )
-    _report({change: done[change] for change in chosen})
+                print(f"not noticed: {change.file}:{change.line} {change.kind}: {change.text}", flush=True)
+    _report({change: done[change] for change in chosen if change in done})
 
 
 def _report(done: dict[Change, str | None]) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.exponents import Variations, carry, forget
-from kernel.interface import contact, flight, replay
+from kernel.interface import contact, flies, flight, replay, rest
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
@@ -120,6 +120,56 @@ def start_run(state: Any, window: Window, takes_off: bool) -> Progress:
         window.settle,
         window.settle + window.observe,
     )
+
+
+@jit
+def begin_line(cell: Any, states: Any, number: int, state: Any, window: Window) -> Progress:
+    """The run of the first cell of the line of this number; overwrites `state` (6,).
+
+    `states` (lines, 6), in the units of the line's first cell: a row whose phase is NaN begins from rest, and
+    if there are no rows, all lines do.
+    """
+    given = len(states) > 0 and not math.isnan(states[number, 0])
+    for field in range(len(state)):
+        state[field] = states[number, field] if given else 0.0
+    return _begin(cell, given, state, window)
+
+
+@jit
+def begin_next(
+    cell: Any, run: Progress, gamma: float, omega: float, next_gamma: float, next_omega: float,
+    state: Any, window: Window,
+) -> Progress:  # fmt: skip
+    """The run of the next cell of a line, of `next_gamma` and `next_omega`; overwrites `state` (6,).
+
+    It goes on from `run`, which has ended at gamma and omega, or begins from rest if that diverged.
+    """
+    store_state(run, state)
+    rescale(state, gamma, omega, next_gamma, next_omega)
+    return _begin(cell, run.ending != NON_FINITE, state, window)
+
+
+@jit
+def _begin(cell: Any, given: bool, state: Any, window: Window) -> Progress:
+    """The run of a cell from `state` (6,), if it is given, or from rest; `state` is made to be its start."""
+    if not given:
+        state[0], state[1] = 0.0, 0.0
+        state[2], state[3], state[4], state[5] = rest(cell)
+    in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
+    takes_off = in_flight and state[1] == 0.0
+    state[1] = 1.0 if in_flight else 0.0
+    return start_run(state, window, takes_off)
+
+
+@jit
+def rescale(state: Any, gamma: float, omega: float, next_gamma: float, next_omega: float) -> None:
+    """Convert `state` (6,) from the plate amplitude at gamma and omega to that at the next ones."""
+    velocity = gamma / next_gamma * (next_omega / omega)
+    length = velocity * (next_omega / omega)
+    state[2] *= length
+    state[3] *= velocity
+    state[4] *= length
+    state[5] *= velocity
 
 
 @inlined

@@ -1,12 +1,12 @@
 """A line of cells, from arrays of parameters to arrays of records: the entry to the kernels.
 
-Under the protocol `rest` every cell starts from rest at its own parameters. A ramp carries the state over
-from cell to cell: the physical motion is kept, and since A is proportional to Gamma/Omega**2, lengths in
-plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and velocities by
-(Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
+Under the protocol `rest` every cell starts from rest at its own parameters, in a basin from a state of its
+own. A ramp carries the state over from cell to cell: the physical motion is kept, and since A is proportional
+to Gamma/Omega**2, lengths in plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and
+velocities by (Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,13 +18,15 @@ from kernel.cell import (
     Flights,
     Window,
     allocate_flights,
+    begin_line,
+    begin_next,
     decide,
     extend,
     follow,
     load_run,
+    rescale,
     run_cell,
     shows_no_mode,
-    start_run,
     store_run,
     store_state,
     write_record,
@@ -36,14 +38,14 @@ from kernel.exponents import (
     start_variations,
     write_exponents,
 )
-from kernel.interface import flies, prepare, rest
+from kernel.interface import prepare
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
 from kernel.models.rigid import RigidPlate
-from kernel.numerics.first_root import NON_FINITE, ROOT
+from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import jit
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
-from kernel.validation import check_arrays, check_window, checked_state
+from kernel.validation import check_arrays, check_window, checked_state, checked_states
 
 #: More steps than any line takes.
 _ALL: Final = 2**62
@@ -55,54 +57,46 @@ FOLLOWED: Final = 2  # beyond its window
 
 
 class Walk(NamedTuple):
-    """Where a line is that is computed cell by cell."""
+    """Where lines are that are computed cell by cell."""
 
-    counts: Any  # (3,) int64: cells done; stage of the cell under way; 1 if there is a state to carry over
-    state: Any  # (len(STATE_FIELDS),) the state at the last cell's end
-    before: Any  # (2,) gamma and omega, in whose units the state is
-    run: Any  # (RUN_FIELDS,) the run of the cell under way
+    counts: Any  # (2,) int64: cells done; stage of the cell under way
+    run: Any  # (RUN_FIELDS,) the run of the cell under way, or of the last one
     end: Any  # (RUN_FIELDS,) while it is followed, the run at its window's end
     cache: Any  # (CACHE_SIZE,) its model's
 
 
-def _allocate_walk(start: Start | None) -> Walk:
-    """At the first cell, which goes on from `start` if the line carries its state."""
-    state = np.zeros(len(STATE_FIELDS)) if start is None else checked_state(start)
-    before = np.ones(2) if start is None else np.array([start.cell.gamma, start.cell.omega])
-    counts = np.array([0, 0, start is not None], np.int64)
-    return Walk(counts, state, before, np.zeros(RUN_FIELDS), np.zeros(RUN_FIELDS), np.zeros(CACHE_SIZE))
+def _allocate_walk() -> Walk:
+    """At the first cell."""
+    return Walk(np.zeros(2, np.int64), np.zeros(RUN_FIELDS), np.zeros(RUN_FIELDS), np.zeros(CACHE_SIZE))
 
 
 @jit
 def _walk(
-    plate: Any, gamma: Any, omega: Any, xi: Any, carry: bool, window: Window, line: Line,
+    plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
     flights: Flights, walk: Walk, variations: Variations | None, steps: int,
 ) -> bool:  # fmt: skip
-    """Run a line cell by cell and fill `line`, for `steps` contacts and flights; whether the line is done.
+    """Run lines of `length` cells, cell by cell, for `steps` contacts and flights; whether all is done.
 
-    With `carry`, from cell to cell. The next call goes on from `flights`, `walk` and `variations`, which are
-    overwritten. `variations`: for the exponents, or None.
+    `states`: (n / length, 6) where each line begins, as in `cell.begin_line`. Fills `line`. The next call
+    goes on from `flights`, `walk` and `variations`, which are overwritten. `variations`: for the exponents,
+    or None.
     """
-    counts, state, before = walk.counts, walk.state, walk.before
+    counts, state = walk.counts, np.zeros(len(STATE_FIELDS))
     while counts[0] < len(gamma):
         i = counts[0]
         cell = prepare(plate, i, gamma[i], omega[i], xi[i])
+        run = load_run(walk.run)
         if counts[1] == NOT_BEGUN:
-            if carry and counts[2] != 0:
-                _rescale(state, before, gamma[i], omega[i])
+            if i % length == 0:
+                run = begin_line(cell, states, i // length, state, window)
             else:
-                state[0], state[1] = 0.0, 0.0
-                state[2], state[3], state[4], state[5] = rest(cell)
-            in_flight = flies(cell, state[0], state[2], state[3], state[4], state[5])
-            takes_off = in_flight and state[1] == 0.0
-            state[1] = 1.0 if in_flight else 0.0
-            run = start_run(state, window, takes_off)
+                run = begin_next(
+                    cell, run, gamma[i - 1], omega[i - 1], gamma[i], omega[i], state, window
+                )  # fmt: skip
             if variations is not None:
                 start_variations(variations)
             walk.cache[:] = 0.0
             counts[1] = IN_WINDOW
-        else:
-            run = load_run(walk.run)
         if counts[1] == FOLLOWED:
             _, run, steps = run_cell(cell, run, window, flights, walk.cache, None, steps)
             if run.ending != ROOT:
@@ -127,27 +121,13 @@ def _walk(
                     begin_window(variations)
                 walk.cache[:] = 0.0
                 counts[1] = IN_WINDOW
+        store_run(run, walk.run)
         if run.ending != ROOT:
-            before[0], before[1] = gamma[i], omega[i]
-            counts[2] = run.ending != NON_FINITE  # after a diverged cell the next one starts from rest
             counts[0] += 1
             counts[1] = NOT_BEGUN
-        else:
-            store_run(run, walk.run)
-            if steps <= 0:
-                return False
+        elif steps <= 0:
+            return False
     return True
-
-
-@jit
-def _rescale(state: Any, before: Any, gamma: float, omega: float) -> None:
-    """Convert `state` (6,) from the plate amplitude of `before` = (gamma, omega) to that of the new cell."""
-    velocity = before[0] / gamma * (omega / before[1])
-    length = velocity * (omega / before[1])
-    state[2] *= length
-    state[3] *= velocity
-    state[4] *= length
-    state[5] *= velocity
 
 
 def _check_plate(plate: Any, n: int) -> None:
@@ -159,6 +139,27 @@ def _check_plate(plate: Any, n: int) -> None:
             raise KernelInputError(name, f"must have the shape of gamma, ({n},), got {array.shape}")
 
 
+def _first_states(
+    starts: Sequence[Start | None], gamma: NDArray[np.float64], omega: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Where each of as many lines begins, (lines, len(STATE_FIELDS)) in its first cell's units; NaN: at rest.
+
+    Raises KernelInputError.
+    """
+    if not starts or len(gamma) % len(starts):
+        rule = (
+            f"must be one for each of several lines of equal length, got {len(starts)} for {len(gamma)} cells"
+        )
+        raise KernelInputError("start", rule)
+    states = np.full((len(starts), len(STATE_FIELDS)), np.nan)
+    for number, start in enumerate(starts):
+        if start is not None:
+            states[number] = checked_state(start)
+            first = number * (len(gamma) // len(starts))
+            rescale(states[number], start.cell.gamma, start.cell.omega, gamma[first], omega[first])
+    return states
+
+
 class LineRun:
     """A line of cells under way: computed in parts, its state saved between them and restored elsewhere.
 
@@ -166,12 +167,15 @@ class LineRun:
 
     gamma, omega, xi: float64 (n,). plate: made by a model's `plate` function from its own arrays (n,); its
     type selects the model. With `carry` each cell continues from its predecessor's end, the first from
-    `start` or from rest; without, every cell starts from rest. settle, observe: plate periods discarded
-    and recorded. keep: flights stored. micro_flight: rad; shorter flights do not count for the mode, unless
-    all are. settle_tolerance: rad; if > 0, flights that repeat within it end the settling early.
-    settle_until: plate periods that a cell still settling may take in all; None: no more than the window.
+    `start` or from rest (None). A sequence of starts makes the cells as many lines of equal length, one after
+    another, each from its own. Without `carry` every cell starts from rest, or from its row of `states`
+    (n, 6), in its own units. settle, observe: plate periods discarded and recorded. keep: flights stored.
+    micro_flight: rad; shorter flights do not count for the mode, unless all are. settle_tolerance: rad; if
+    > 0, flights that repeat within it end the settling early. settle_until: plate periods that a cell still
+    settling may take in all; None: no more than the window.
     The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
-    exponents: Lyapunov exponents to compute.
+    exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
+    for comparison; the last digits differ.
 
     A trajectory that fails is an outcome, not an exception. Raises KernelInputError for arguments outside
     what a kernel can compute.
@@ -192,7 +196,9 @@ class LineRun:
         settle_tolerance: float = 0.0,
         settle_until: int | None = None,
         exponents: int = 0,
-        start: Start | None = None,
+        start: Start | Sequence[Start | None] | None = None,
+        states: NDArray[np.float64] | None = None,
+        in_lanes: bool = True,
     ) -> None:
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
@@ -200,26 +206,31 @@ class LineRun:
         _check_plate(plate, len(gamma))
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
-        self._plate, self._carry = plate, bool(carry)
+        self._plate, self._length = plate, 1
+        self._states = checked_states(states, len(gamma), carry=carry)
+        if carry:
+            starts = [start] if start is None or isinstance(start, Start) else start
+            self._states = _first_states(starts, self._gamma, self._omega)
+            self._length = len(gamma) // len(starts)
         self._window = Window(
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
             int(settle_until or 0), int(exponents),
         )  # fmt: skip
         self._variations = allocate_variations(plate, exponents) if exponents else None
-        in_lanes = isinstance(plate, RigidPlate) and not carry and self._variations is None
-        self._at: Lanes | Walk = allocate_lanes() if in_lanes else _allocate_walk(start)
+        in_lanes = in_lanes and isinstance(plate, RigidPlate) and self._variations is None
+        self._at: Lanes | Walk = allocate_lanes() if in_lanes else _allocate_walk()
         self._flights = allocate_flights(keep, LANES if in_lanes else 1)
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
         if isinstance(self._at, Lanes):
             return run_lockstep(
-                self._plate, self._gamma, self._omega, self._xi, self._window, self.line,
-                self._flights, self._at, steps,
+                self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
+                self.line, self._flights, self._at, steps,
             )  # fmt: skip
         return _walk(
-            self._plate, self._gamma, self._omega, self._xi, self._carry, self._window, self.line,
-            self._flights, self._at, self._variations, steps,
+            self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
+            self.line, self._flights, self._at, self._variations, steps,
         )  # fmt: skip
 
     def save(self) -> dict[str, NDArray[Any]]:

@@ -104,3 +104,18 @@ def checked_state(start: Start) -> NDArray[np.float64]:
     if not all(np.isfinite(v) and v > 0.0 for v in start.cell[:2]):
         raise KernelInputError("start", "must name the gamma > 0 and omega > 0 of the cell it comes from")
     return state
+
+
+def checked_states(states: NDArray[np.float64] | None, n: int, *, carry: bool) -> NDArray[np.float64]:
+    """The states (n, len(STATE_FIELDS)) that n cells start from, checked; without any rows for None."""
+    if states is None:
+        return np.empty((0, len(STATE_FIELDS)))
+    if carry:
+        raise KernelInputError("states", "must be None on a line that carries its state: give `start`")
+    array = np.ascontiguousarray(states, dtype=np.float64)
+    if array.shape != (n, len(STATE_FIELDS)) or not np.all(np.isfinite(array)):
+        rule = f"must hold {len(STATE_FIELDS)} finite numbers for each of {n} cells"
+        raise KernelInputError("states", f"{rule}: {', '.join(STATE_FIELDS)}")
+    if not np.all((array[:, 0] >= 0.0) & (array[:, 0] < 2.0 * np.pi)):
+        raise KernelInputError("states", "must have phases from 0 to 2 pi")
+    return array

@@ -11,6 +11,8 @@ PictureFormat = Literal["png", "svg"]
 
 #: A bifurcation diagram is sent as a table or as a picture.
 DiagramFormat = Literal[TableFormat, PictureFormat]
+#: A basin of attraction.
+BasinFormat = Literal["json", PictureFormat]
 #: The table of costs and errors of the contact models.
 TradeoffFormat = Literal["json", PictureFormat]
 #: A whole sweep in one file.

@@ -29,18 +29,14 @@ STILL_SETTLING_SHARE: Final = 0.35
 #: Share of the cells whose window shows no mode, and which are followed beyond it: of 24,000 random ones.
 FOLLOWED_SHARE: Final = 0.25
 
-#: Core-microseconds per plate period that a cell in lanes costs more if it is computed alone, because every
-#: step is taken for all lanes: measured 1.5 in place of 0.14 at restitution 0, 2.2 of 1.1 at 0.3.
-IDLE_LANES_US: Final = 1.3
-
 #: Cost of a cell with Lyapunov exponents relative to one without, both computed one by one, at most
 #: (`python -m benchmarks.exponents`).
 WITH_EXPONENTS: Final = 1.5
 
 
 #: Shares of an adaptive map's cells that are computed, at least and at most, where it has REFINED_SIDE rows
-#: and columns: measured 0.2% to 1.0% by bouncing and 8% to 14% by mode at three xi, and up to three times as
-#: much in windows on their finest parts (`python -m benchmarks.adaptive`).
+#: and columns: measured 0.2% to 0.9% by bouncing and 8% to 13% by mode at three xi (`python -m
+#: benchmarks.adaptive`). Windows on their finest parts have more.
 REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
 REFINED_SIDE: Final = 1025
 #: Finer grids compute a smaller share: as the reciprocal of the rows to this power, by the dimension of the
@@ -51,6 +47,8 @@ REFINED_MARGIN: Final = 2.0
 #: A refined cell takes this many times as long as one of a full grid, at most: boundaries are where cells
 #: settle slowly, and the lanes are not full at the end of each round.
 REFINED_SECONDS: Final = 2.0
+#: Core-seconds that storing a tile takes, however few of its cells are computed.
+TILE_SECONDS: Final = 0.03
 
 
 class Cost(Strict):
@@ -93,23 +91,27 @@ def longest_cell_seconds(spec: SweepSpec) -> float:
 def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     """Core-seconds per cell of a sweep and plate period, from the table of contact models.
 
-    alone: of a cell that is computed by itself, as those of a refinement: its lanes but one are idle.
+    alone: of a cell that is computed by itself, as those of a refinement.
     """
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     base = CONTACT_MODELS[spec.model.kind].cost_us
-    at_once = cells_at_once(spec)
-    period_us = spec.model.cost_us(base, gamma, omega, ramp=at_once == 1)
-    if alone and at_once > 1:
-        period_us += IDLE_LANES_US
+    period_us = spec.model.cost_us(base, gamma, omega, at_once=1 if alone else cells_at_once(spec))
     if spec.exponents:
         period_us *= WITH_EXPONENTS
     return period_us * 1e-6
 
 
 def cells_at_once(spec: SweepSpec) -> int:
-    """Cells of a sweep that the kernel computes side by side: fewer at a time leave lanes idle."""
-    in_lanes = isinstance(spec.model, Rigid) and spec.ramp_axis is None and not spec.exponents
-    return LANES if in_lanes else 1
+    """Cells, or lines of a ramp, that the kernel computes side by side: fewer leave lanes idle."""
+    if not isinstance(spec.model, Rigid) or spec.exponents:
+        return 1
+    return LANES if spec.ramp_axis is None else min(LANES, lines_of(spec))
+
+
+def lines_of(spec: SweepSpec) -> int:
+    """Lines of a ramp, both directions counted once."""
+    _, *grid = spec.shape
+    return math.prod(grid) // len(spec.axis_values(spec.ramp_axis)) if spec.ramp_axis else math.prod(grid)
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:
@@ -145,7 +147,7 @@ def _estimate_map(spec: SweepSpec, refine: Refine, chunks: int) -> Cost:
         cells=cells,
         chunks=chunks,
         bytes=high * bytes_per_cell(spec) + (cells - high) * bytes_of_map(spec),
-        core_seconds=high * REFINED_SECONDS * cell_seconds(spec),
+        core_seconds=high * REFINED_SECONDS * cell_seconds(spec) + TILE_SECONDS * chunks,
         computed_cells=(low, high),
         least_core_seconds=low * cell_seconds(spec),
         longest_core_seconds=longest,

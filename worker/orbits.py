@@ -8,9 +8,7 @@ import math
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self, overload
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +19,8 @@ from kernel.branches.events import Branch, Events, Kind, branch_and_events
 from kernel.params import KERNEL_VERSION, KernelInputError, Outcome
 from worker import store
 from worker.cost import Cost
-from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS, Span
+from worker.grid_plan import Block, GridPlan
+from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import COORDINATES, OUTCOME, Array, Layout
 from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
@@ -151,75 +150,7 @@ class OrbitsSpec(Specification):
         return len(self.axis_values("xi")), len(self.axis_values("omega"))
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """A block of springs: half-open index spans of the grid. None waits for another."""
-
-    index: int
-    xi: Span
-    omega: Span
-    after: None = None
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Cells along (xi, omega)."""
-        return self.xi[1] - self.xi[0], self.omega[1] - self.omega[0]
-
-    @property
-    def cells(self) -> int:
-        return math.prod(self.shape)
-
-    @property
-    def slices(self) -> tuple[slice, slice]:
-        """Its cells along (xi, omega)."""
-        return slice(*self.xi), slice(*self.omega)
-
-
-@dataclass(frozen=True)
-class Plan(Sequence[Chunk]):
-    """The chunks of a grid of springs, row by row."""
-
-    grid: tuple[int, int]  # cells along (xi, omega)
-    chunk_shape: tuple[int, int]
-
-    @property
-    def cells(self) -> int:
-        return math.prod(self.grid)
-
-    @property
-    def lines(self) -> int:
-        return len(self)
-
-    @cached_property
-    def counts(self) -> tuple[int, int]:
-        """Chunks along (xi, omega)."""
-        xi, omega = (-(-n // size) for n, size in zip(self.grid, self.chunk_shape, strict=True))
-        return xi, omega
-
-    def __len__(self) -> int:
-        return math.prod(self.counts)
-
-    @overload
-    def __getitem__(self, index: int) -> Chunk: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Chunk]: ...
-    def __getitem__(self, index: int | slice) -> Chunk | Sequence[Chunk]:
-        if isinstance(index, slice):
-            return [self[i] for i in range(len(self))[index]]
-        index = range(len(self))[index]
-        xi, omega = (self._span(axis, coord) for axis, coord in enumerate(divmod(index, self.counts[1])))
-        return Chunk(index, xi, omega)
-
-    def number(self, *coords: int) -> int:
-        """Index of the chunk at (xi, omega) of the grid of chunks."""
-        return coords[0] * self.counts[1] + coords[1]
-
-    def _span(self, axis: int, coord: int) -> Span:
-        size = self.chunk_shape[axis]
-        return coord * size, min((coord + 1) * size, self.grid[axis])
-
-
-def make_plan(spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> Plan:
+def make_plan(spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
     """Chunks of `chunk_shape` cells along (xi, omega), or of about a second of work: rows of omega.
 
     Raises ValueError for a size below 1.
@@ -231,9 +162,7 @@ def make_plan(spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> P
         cells = max(1, int(min(fitting, math.ceil(xis * omegas / 8))))
         row = -(-omegas // -(-omegas // min(cells, omegas)))
         chunk_shape = (max(1, cells // row), row)
-    if len(chunk_shape) != 2 or min(chunk_shape) < 1:
-        raise ValueError(f"chunk_shape: must be two sizes of at least 1 (xi, omega), not {chunk_shape}")
-    return Plan((xis, omegas), (min(chunk_shape[0], xis), min(chunk_shape[1], omegas)))
+    return GridPlan((xis, omegas), chunk_shape)
 
 
 def estimate_seconds(spec: OrbitsSpec) -> float:
@@ -331,7 +260,7 @@ def layout(spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
     )
 
 
-def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
     """Compute every cell of `chunk` and store it; the store must exist.
 
     Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
@@ -354,7 +283,7 @@ def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     return ChunkReport(chunk.index, chunk.cells, took, seconds, checksum, tuple(outcomes.tolist()))
 
 
-def _empty_record(spec: OrbitsSpec, chunk: Chunk) -> dict[str, NDArray[Any]]:
+def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:
     sizes = _sizes(spec)
     return {
         array.name: np.full(
@@ -426,13 +355,13 @@ class OrbitsStudy:
     def parse(self, data: object) -> OrbitsSpec:
         return OrbitsSpec.parse(data)
 
-    def plan(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> Plan:
+    def plan(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
         return make_plan(spec, chunk_shape)
 
     def variables(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
         return layout(spec, chunk_shape)
 
-    def estimate(self, spec: OrbitsSpec, plan: Plan) -> Cost:
+    def estimate(self, spec: OrbitsSpec, plan: GridPlan) -> Cost:
         cells = plan.cells
         return Cost(
             cells=cells,
@@ -441,7 +370,7 @@ class OrbitsStudy:
             core_seconds=estimate_seconds(spec),
         )
 
-    def task(self, spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+    def task(self, spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
         return run_chunk(spec, chunk, store_url)
 
 

@@ -7,7 +7,8 @@ the grid. On a ramp, the first chunks of all lines precede the second ones, and 
 depends only on lower numbers, and consecutive numbers rarely depend on each other.
 
 From rest there are about as many chunks along every axis, so that a line of cells along any axis crosses few
-chunks. On a ramp a chunk spans the whole ramp axis if that fits.
+chunks. On a ramp a chunk has as many lines as are computed side by side, and spans the whole ramp axis if
+that fits.
 """
 
 import math
@@ -17,7 +18,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, overload
 
-from worker.cost import cell_seconds, cells_at_once
+from kernel.params import LANES
+from worker.cost import cell_seconds, cells_at_once, lines_of
 from worker.schema import bytes_per_cell
 from worker.spec import AXES, SweepSpec
 
@@ -28,6 +30,9 @@ TARGET_SECONDS: Final = 0.75
 #: SMALLEST_SECONDS each.
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
+#: Lines of a ramp from which on chunks fill all lanes. With fewer, twice as many chunks of half the lanes
+#: keep more workers busy.
+LINES_TO_FILL: Final = 4 * LANES
 #: Before compression; reading one cell reads its whole chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
 
@@ -194,13 +199,24 @@ def _cells_per_chunk(spec: SweepSpec) -> int:
 
 
 def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:
-    """Chunk shape of at most `cells` cells: first as long as possible along the ramp, then balanced."""
+    """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced."""
     if cells < 1:
         raise ValueError(f"chunk_cells: must be at least 1, not {cells}")
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
-    along = {spec.ramp_axis: _even(grid.pop(spec.ramp_axis), cells)} if spec.ramp_axis else {}
-    size = along | _balanced(grid, max(1, cells // math.prod(along.values())))
+    along: dict[str, int] = {}
+    if spec.ramp_axis:
+        at_once = _lines_at_once(spec)
+        length = _even(grid.pop(spec.ramp_axis), max(1, cells // at_once))
+        along, cells = {spec.ramp_axis: length}, cells // length
+        cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
+    size = along | _balanced(grid, max(1, cells))
     return size["xi"], size["omega"], size["gamma"]
+
+
+def _lines_at_once(spec: SweepSpec) -> int:
+    """Lines of a ramp in a chunk at least: all lanes, or where there are few lines, one vector of them."""
+    at_once = cells_at_once(spec)
+    return at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
 
 
 def _balanced(grid: Mapping[str, int], cells: int) -> dict[str, int]:

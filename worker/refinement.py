@@ -7,7 +7,10 @@ that a thin tongue is followed from block to block. Of the smallest blocks, 3 x 
 corners is computed only if these and the centre are not of one class.
 
 With a margin, the neighbours of a block that differs are split too, and its smallest blocks are computed
-whole. A cell that is not computed takes the values of the nearest corner, or the centre, of its block.
+whole.
+
+A cell that is not computed takes the values of the nearest corner, or the centre, of its block; by
+mode, where some of these are aperiodic, of the nearest that is.
 """
 
 from collections.abc import Iterator
@@ -91,19 +94,36 @@ class Refinement:
         self._blocks = np.concatenate([self._blocks[~splits], _children(self._blocks[splits])])
         self._want_vertices()
 
-    def sources(self) -> NDArray[np.int64]:
-        """For each cell of the tile, flat, the index of the cell whose values it has: its own if computed."""
+    def sources(self, outcome: NDArray[Any]) -> NDArray[np.int64]:
+        """For each cell of the tile, flat, the index of the cell whose values it has: its own if computed.
+
+        outcome: of the computed cells, an array of the tile's shape.
+        """
         rows, columns = self._shape
         source = np.arange(rows * columns).reshape(self._shape)
+        points = [*_corners(self._blocks), _centre(self._blocks)]
+        usable = self._usable(np.stack([outcome[point] for point in points], axis=1))
         # A row or column that two blocks share belongs to the later one. At the tile's ends there is none:
         # so each block first takes all that it spans, then what belongs to it.
         for ends in (1, 0):
-            for size, which in _by_size(self._blocks):
-                top, left = self._blocks[which, 0, None, None], self._blocks[which, 2, None, None]
+            for size, same in _by_size(self._blocks):
                 row, column = np.ogrid[: size[0] + ends, : size[1] + ends]
-                at_row, at_column = _nearest(size, row, column)
-                source[top + row, left + column] = (top + at_row) * columns + left + at_column
+                for taken in np.unique(usable[same], axis=0):
+                    which = same[np.all(usable[same] == taken, axis=1)]
+                    top, left = self._blocks[which, 0, None, None], self._blocks[which, 2, None, None]
+                    at_row, at_column = _nearest(size, row, column, taken)
+                    source[top + row, left + column] = (top + at_row) * columns + left + at_column
         return np.where(self._computed.ravel(), np.arange(rows * columns), source.ravel())
+
+    def _usable(self, outcomes: NDArray[Any]) -> NDArray[np.bool_]:
+        """(n, 5) which corners and centres of every block, of these outcomes, others may take values from.
+
+        By mode, aperiodic and settling cells are of one class, and chaotic regions are full of both. There
+        aperiodic ones stand for all: blocks of either would draw a pattern that is not there.
+        """
+        aperiodic = outcomes == Outcome.APERIODIC
+        mixed = np.any(aperiodic, axis=1, keepdims=True) & (self._refine.by == "mode")
+        return np.where(mixed, aperiodic, True)
 
     def _differing(self, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(n,) the blocks of which two computed cells are of different classes."""
@@ -188,13 +208,15 @@ def _children(blocks: _Blocks) -> _Blocks:
     return np.concatenate([np.stack(spans, axis=1)[exists] for exists, spans in parts])
 
 
-def _nearest(size: tuple[int, int], row: NDArray[Any], column: NDArray[Any]) -> _Points:
+def _nearest(
+    size: tuple[int, int], row: NDArray[Any], column: NDArray[Any], usable: NDArray[np.bool_]
+) -> _Points:
     """The corner, or the centre, nearest to each (row, column) of a block; the first of equally near ones.
 
-    All are counted from the block's first corner; `size` is where the last one is.
+    All are counted from the block's first corner; `size` is where the last one is. usable: (5,) which count.
     """
     block = np.array([[0, size[0], 0, size[1]]])
-    points = np.array([*_corners(block), _centre(block)])[:, :, 0]
+    points = np.array([*_corners(block), _centre(block)])[usable, :, 0]
     distance = [(row - at_row) ** 2 + (column - at_column) ** 2 for at_row, at_column in points]
     nearest = points[np.argmin(distance, axis=0)]
     return nearest[..., 0], nearest[..., 1]

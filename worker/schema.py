@@ -114,7 +114,7 @@ def _ends(values: NDArray[Any]) -> str:
     return first if len(values) == 1 else f"{first} to {last}"
 
 
-_OUTCOMES: Final[dict[str, Any]] = {
+OUTCOME_FLAGS: Final[dict[str, Any]] = {
     "flag_values": [int(outcome) for outcome in Outcome],
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
@@ -158,7 +158,7 @@ COMPUTED: Final = _array(
 #: What a cell that is not computed takes from its block.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 #: Written last: a cell that has an outcome has every other value too.
-OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | _OUTCOMES)
+OUTCOME: Final = _array("outcome", "|u1", "what became of the cell", _COUNT | OUTCOME_FLAGS)
 
 COORDINATES: Final = (
     Coordinate("direction", {"long_name": "protocol: from rest, or the ramp's direction"}),

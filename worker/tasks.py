@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
+from worker.cost import cells_at_once
 from worker.plan import Chunk
 from worker.refinement import Refinement
 from worker.spec import AXES, SweepSpec
@@ -53,7 +54,7 @@ LOOK_SECONDS: Final = (0.02, 0.1)
 #: Why a checkpoint may not be written, which is no reason to fail.
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
-#: The names of a checkpoint's arrays; before those of the line under way and of the record, these.
+#: The names of a checkpoint's arrays; before those of the line under way and of the record, prefixes.
 _DONE: Final = "lines_done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
@@ -103,7 +104,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     began = time.perf_counter()
     store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
     record = _empty_record(spec, chunk)
-    work = _Work(store_url, chunk.index, record, began, slice_seconds)
+    work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
     if spec.refine is None:
         _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
     else:
@@ -116,22 +117,34 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
 
 
 def _compute_lines(
-    spec: SweepSpec, chunk: Chunk, record: _Arrays, work: "_Work", starts: Mapping[_LineIndex, Start | None]
+    spec: SweepSpec,
+    chunk: Chunk,
+    record: _Arrays,
+    work: "_SweepWork",
+    starts: Mapping[_LineIndex, Start | None],
 ) -> None:
-    """Compute every cell of a chunk, line by line."""
+    """Compute every cell of a chunk, line by line or many lines side by side."""
     lines = {name: _in_visiting_order(spec, chunk, array) for name, array in record.items()}
     cells = {name: _in_visiting_order(spec, chunk, array) for name, array in _cells(spec, chunk).items()}
-    indices = list(np.ndindex(lines["outcome"].shape[:2]))
-    for index in indices[work.lines_done :]:
-        gamma, omega, xi = (cells[axis][index] for axis in ("gamma", "omega", "xi"))
+    groups = _groups(spec, list(np.ndindex(lines["outcome"].shape[:2])))
+    for group in groups[work.lines_done :]:
+        gamma, omega, xi = (
+            np.concatenate([cells[axis][index] for index in group]) for axis in ("gamma", "omega", "xi")
+        )
         with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-            done = work.compute(_line_run(spec, gamma, omega, xi, starts.get(index)))
+            done = work.compute(_line_run(spec, gamma, omega, xi, [starts.get(index) for index in group]))
         for name, array in lines.items():
-            array[index] = getattr(done, name)
-        work.finish_line(last=index == indices[-1])
+            for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
+                array[index] = part
+        work.finish_line(last=group is groups[-1])
 
 
-def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_Work") -> None:
+def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]]:
+    """The lines of a chunk, those together that are computed side by side, as one line of the checkpoint."""
+    return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
+
+
+def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork") -> None:
     """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
 
     A round that a task before this one has computed is in the record; the refinement is repeated from there.
@@ -147,37 +160,48 @@ def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays,
         if number >= finished:
             gamma, omega, xi = (cells[axis][tile.cells] for axis in ("gamma", "omega", "xi"))
             with _noting_cells(gamma=gamma, omega=omega, xi=xi):
-                done = work.compute(_line_run(spec, gamma, omega, xi, None))
+                done = work.compute(_line_run(spec, gamma, omega, xi, []))
             for name, array in flat.items():
                 array[tile.cells] = 1 if array is computed else getattr(done, name)
             work.finish_line()
         tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
-    source = tile.sources()
+    source = tile.sources(record["outcome"][0])
     for name in schema.MODE_ARRAYS:
         flat[name][...] = flat[name][source]
 
 
-class _Work:
+class Work:
     """The computing of a chunk's lines: looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. `record`: the chunk's arrays, in which lines that are done are.
+    The parts do not affect the results. A kind of study says in `_kept` what of the chunk is done, and takes
+    it back in `_restore`.
     """
 
-    def __init__(
-        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
-    ) -> None:
-        self._url, self._chunk, self._record = store_url, chunk, record
+    def __init__(self, store_url: str, chunk: int, began: float, slice_seconds: float) -> None:
+        self._url, self._chunk = store_url, chunk
         self._began, self._slice_seconds = began, slice_seconds
         self._slice_began = time.thread_time()
         self._next_check = -math.inf  # of the cancel flag
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
         self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
-        self.lines_done = 0
         self._under_way: _Arrays = {}  # of the line at which the chunk was paused
         saved = store.read_checkpoint(store_url, chunk)
         self._has_checkpoint = saved is not None
         if saved is not None:
-            self._restore(saved)
+            with self._discarding_checkpoint():
+                self._before = saved[_SECONDS].reshape(2)
+                self._restore(saved)
+            self._under_way = {
+                name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)
+            }
+
+    def _kept(self) -> _Arrays:
+        """The arrays of what is done of the chunk, by names that do not begin with `line/`."""
+        raise NotImplementedError
+
+    def _restore(self, saved: _Arrays) -> None:
+        """Take back what `_kept` gave. Raises KeyError or ValueError for anything else."""
+        raise NotImplementedError
 
     @property
     def seconds(self) -> tuple[float, float]:
@@ -191,14 +215,8 @@ class _Work:
                 run.restore(self._under_way)
             self._under_way = {}
         while not self._advance(run):
-            self._pause_if_due(run.save())
+            self.pause_if_due(run.save())
         return run.line
-
-    def finish_line(self, *, last: bool = False) -> None:
-        """The line is in the record now. Raises ChunkPaused, unless it is known to be the last."""
-        self.lines_done += 1
-        if not last:
-            self._pause_if_due({})
 
     def remove_checkpoint(self) -> None:
         """Remove the chunk's checkpoint, once its results are stored."""
@@ -220,17 +238,15 @@ class _Work:
         self._steps = min(max(steps, 1), MOST_STEPS)
         return done
 
-    def _pause_if_due(self, under_way: _Arrays) -> None:
+    def pause_if_due(self, under_way: _Arrays) -> None:
         """Write a checkpoint and raise ChunkPaused if the slice is over. `under_way`: of a line, or empty.
 
         Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
         """
         if time.thread_time() - self._slice_began <= self._slice_seconds:
             return
-        arrays = {_DONE: np.array(self.lines_done), _SECONDS: np.array(self.seconds)}
+        arrays = {_SECONDS: np.array(self.seconds)} | self._kept()
         arrays |= {_LINE + name: array for name, array in under_way.items()}
-        if self.lines_done:
-            arrays |= {_RECORD + name: array for name, array in self._record.items()}
         try:
             store.write_checkpoint(self._url, self._chunk, arrays)
         except _UNWRITABLE as error:
@@ -238,15 +254,6 @@ class _Work:
             self._slice_seconds = math.inf
             return
         raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
-
-    def _restore(self, saved: _Arrays) -> None:
-        with self._discarding_checkpoint():
-            self.lines_done, self._before = int(saved[_DONE]), saved[_SECONDS].reshape(2)
-            if self.lines_done:
-                for name, array in self._record.items():
-                    array[...] = saved[_RECORD + name]
-        names = (name for name in saved if name.startswith(_LINE))
-        self._under_way = {name.removeprefix(_LINE): saved[name] for name in names}
 
     @contextmanager
     def _discarding_checkpoint(self) -> Iterator[None]:
@@ -256,6 +263,34 @@ class _Work:
         except (KeyError, ValueError) as error:
             self.remove_checkpoint()
             raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
+
+
+class _SweepWork(Work):
+    """Of a sweep. `record`: the chunk's arrays, in which lines that are done are."""
+
+    def __init__(
+        self, store_url: str, chunk: int, record: _Arrays, began: float, slice_seconds: float
+    ) -> None:
+        self._record, self.lines_done = record, 0
+        super().__init__(store_url, chunk, began, slice_seconds)
+
+    def finish_line(self, *, last: bool = False) -> None:
+        """The line is in the record now. Raises ChunkPaused, unless it is known to be the last."""
+        self.lines_done += 1
+        if not last:
+            self.pause_if_due({})
+
+    def _kept(self) -> _Arrays:
+        arrays: _Arrays = {_DONE: np.array(self.lines_done)}
+        if self.lines_done:
+            arrays |= {_RECORD + name: array for name, array in self._record.items()}
+        return arrays
+
+    def _restore(self, saved: _Arrays) -> None:
+        self.lines_done = int(saved[_DONE])
+        if self.lines_done:
+            for name, array in self._record.items():
+                array[...] = saved[_RECORD + name]
 
 
 @contextmanager
@@ -281,7 +316,7 @@ def run_cells(
     gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
     None starts from rest. Raises KernelInputError for values that the kernel does not accept.
     """
-    run = _line_run(spec, gamma, omega, xi, start)
+    run = _line_run(spec, gamma, omega, xi, [start])
     run.advance()
     return run.line
 
@@ -291,9 +326,9 @@ def _line_run(
     gamma: NDArray[np.float64],
     omega: NDArray[np.float64],
     xi: NDArray[np.float64],
-    start: Start | None,
+    starts: list[Start | None],
 ) -> LineRun:
-    """A line of cells as a sweep computes it, at its beginning."""
+    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
     carry = spec.ramp_axis is not None
     return LineRun(
         np.ascontiguousarray(gamma),
@@ -308,7 +343,7 @@ def _line_run(
         settle_tolerance=spec.settle_tolerance,
         settle_until=spec.settle_until,
         exponents=spec.exponents,
-        start=start if carry else None,
+        start=starts if carry else None,
     )
 
 

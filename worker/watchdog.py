@@ -17,6 +17,7 @@ from typing import Any, Final
 from distributed import get_worker
 
 from worker import store
+from worker.basins.spec import BasinSpec
 from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, TaskError, compile_for
@@ -56,8 +57,9 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
         time.sleep(REPORT_SECONDS)
         os._exit(1)
 
-    if isinstance(spec, SweepSpec):
-        compile_for(spec)  # not on the chunk's time
+    sweep = spec.sweep() if isinstance(spec, BasinSpec) else spec
+    if isinstance(sweep, SweepSpec):
+        compile_for(sweep)  # not on the chunk's time
     with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):
         try:
             return run_task(spec, chunk, store_url)

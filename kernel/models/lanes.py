@@ -124,8 +124,8 @@ def _safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) 
 
 
 @jit
-def advance(table: Any) -> None:
-    """Evaluate every lane's F once and move the lane on; a lane whose phase has ended stays where it is.
+def advance(table: Any, used: int) -> None:
+    """Evaluate F once in the first `used` lanes and move them on; one whose phase has ended stays.
 
     The loop runs over the lanes, its body is straight-line code: conditions choose between values that are
     both computed. Its blocks, in order:
@@ -139,7 +139,7 @@ def advance(table: Any) -> None:
     5. the status: AT_ROOT where F is zero to rounding or the step's error is, AT_HORIZON, or FALLBACK;
     6. the new tau and the state of the search.
     """
-    for k in range(LANES):
+    for k in range(used):
         # 1. the oscillator
         tau = table[TAU * LANES + k]
         sin, cos = sincos_small(table[PHI * LANES + k] + tau)

@@ -1,10 +1,11 @@
-"""The event loop of `rigid` from rest for many cells at a time, in lanes.
+"""The event loop of `rigid` for many lines of cells at a time, in lanes.
 
 Every lane holds one cell and one of its contacts or flights. `lanes.advance` moves all lanes on. A lane
 whose phase has ended goes through the landing or take-off here and gets its next phase or, at the end of
-its window, the next cell of the line. Phases that lanes cannot compute well, such as flights so short that
-they need the power series, are computed by the scalar functions of `rigid` at once, so that a cell's record
-depends on nothing but the cell.
+its window, the next cell of its line, or of the next line. Cells from rest are lines of one cell. Phases
+that lanes cannot compute well, such as flights so short that they need the power series, are computed by the
+scalar functions of `rigid` at once, so that a cell's record depends on nothing but the cell and those before
+it on its line.
 """
 
 from typing import Any, Final, NamedTuple
@@ -16,6 +17,8 @@ from kernel.cell import (
     Flights,
     Progress,
     Window,
+    begin_line,
+    begin_next,
     decide,
     end_settling,
     extend,
@@ -24,12 +27,11 @@ from kernel.cell import (
     load_run,
     record,
     shows_no_mode,
-    start_run,
     store_run,
     store_state,
     write_record,
 )
-from kernel.interface import contact, flies, flight, prepare, rest
+from kernel.interface import contact, flight, prepare
 from kernel.models.lanes import (
     AT_ROOT,
     COS,
@@ -66,6 +68,9 @@ SHORT_FLIGHT: Final = 0.05
 #: order of the cube, 1e-12, is near the rounding of the closed form.
 SHORT_START: Final = 1e-4
 
+#: Up to so many lines are computed one by one, more in a vector.
+FEW: Final = 3
+
 
 @inlined
 def _load_contact(
@@ -90,16 +95,20 @@ def _load_contact(
 def _load_flight(
     table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
 ) -> bool:
-    """Put a flight into lane k, unless it begins with a hop or too close to the plate."""
-    if run.gap != 0.0 or run.gap1 != 0.0:
-        return False
+    """Put a flight into lane k, unless it begins with a short hop or too close to the plate."""
     q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
-    gap2 = max(cos - s.gravity - 0.5 * q2, 0.0)
-    start = departure_step(gap2, -sin - 0.5 * q3, 1.0 + 0.5 * q4)
-    if start < SHORT_START:
+    gap2, start = cos - s.gravity - 0.5 * q2, 0.0
+    if run.gap == 0.0 and run.gap1 == 0.0:
+        start = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
+        if start < SHORT_START:
+            return False
+    elif run.gap == 0.0 and 2.0 * run.gap1 < -gap2 * SHORT_FLIGHT:
         return False
     load(table, k, s.flight, run.phase, run.q, run.q1, start, horizon)
-    coefficients(table, k, -0.5, 0.0, cos + 0.5 * run.q, 0.5 * run.q1 - sin, 0.5 * s.gravity, -1.0, 0.0)
+    coefficients(
+        table, k, -0.5, 0.0, run.gap + (cos + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin),
+        0.5 * s.gravity, -1.0, 0.0,
+    )  # fmt: skip
     return True
 
 
@@ -171,22 +180,13 @@ def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float) 
     return loaded and supports(s.stuck) and supports(s.flight)
 
 
-@jit
-def _from_rest(s: Spring, state: Any, window: Window) -> Progress:
-    """A run from rest; `state` (6,) is overwritten."""
-    state[0] = 0.0
-    state[2], state[3], state[4], state[5] = rest(s)
-    state[1] = 1.0 if flies(s, 0.0, state[2], state[3], state[4], state[5]) else 0.0
-    return start_run(state, window, state[1] == 1.0)
-
-
 class Lanes(NamedTuple):
     """What is in the lanes of a line under way."""
 
     table: Any  # (ROWS * LANES,) the phases, see `lanes`
     runs: Any  # (LANES, RUN_FIELDS) the cells' runs
     index: Any  # (LANES,) int64, the cell in each lane; -1: none
-    counts: Any  # (2,) int64: cells put into a lane so far, cells done
+    counts: Any  # (2,) int64: lines put into a lane so far, cells done
     followed: Any  # (LANES,) bool, whether the cell is followed beyond its window
     ends: Any  # (LANES, RUN_FIELDS) of cells that are, the run at the window's end
 
@@ -202,30 +202,35 @@ def allocate_lanes() -> Lanes:
 
 @jit
 def run_lockstep(
-    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, window: Window, line: Line,
+    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
     flights: Flights, lanes: Lanes, steps: int,
 ) -> bool:  # fmt: skip
-    """Run a line of independent cells from rest and fill `line`; arrays (n,) as in `kernel.line.run_line`.
+    """Run lines of `length` cells each and fill `line`; arrays (n,) as in `kernel.line.run_line`.
 
-    Pauses after `steps` moves of all lanes or scalar phases, or a few more; returns whether the line is
-    done. The next call goes on from `flights` and `lanes`.
+    `states`: (n / length, 6) where each line begins, as in `cell.begin_line`. Within a line the state is
+    carried from cell to cell. Pauses after `steps` moves of all lanes or scalar phases, or a few more;
+    returns whether all is done. The next call goes on from `flights` and `lanes`.
     """
     table, index, counts, followed = lanes.table, lanes.index, lanes.counts, lanes.followed
     springs = [prepare(plate, i, gamma[i], omega[i], xi[i]) for i in np.maximum(index, 0)]
     runs = [load_run(lanes.runs[k]) for k in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
+    lines = len(gamma) // length
+    used = lanes_used(lines)
     while counts[1] < len(gamma) and steps > 0:
-        for k in range(LANES):
+        for k in range(used):
             first = k * flights.size
             while index[k] < 0 or table[STATUS * LANES + k] != SEARCHING:
                 steps -= 1
-                if index[k] < 0:
-                    if counts[0] == len(gamma):
+                i = index[k]
+                if i < 0:
+                    if counts[0] == lines:
                         break
-                    i = counts[0]
+                    i = counts[0] * length
                     springs[k] = prepare(plate, i, gamma[i], omega[i], xi[i])
-                    runs[k] = _from_rest(springs[k], state, window)
-                    index[k], sin, cos = i, 0.0, 1.0
+                    runs[k] = begin_line(springs[k], states, counts[0], state, window)
+                    index[k] = i
+                    sin, cos = sincos(runs[k].phase)
                     counts[0] += 1
                 else:
                     before = runs[k]
@@ -239,34 +244,50 @@ def run_lockstep(
                         runs[k] = end_settling(before, runs[k], window, flights, first)
                     if scalar:
                         sin, cos = sincos(runs[k].phase)
-                if runs[k].ending != ROOT:
-                    i = index[k]
-                    if followed[k]:
-                        line.outcome[i] = decide(line.outcome[i], runs[k], flights, first, window)
-                        runs[k], followed[k] = load_run(lanes.ends[k]), False
-                    else:
-                        store_state(runs[k], state)
-                        write_record(line, i, runs[k], flights, first, state, window)
-                        if shows_no_mode(line.outcome[i]):
-                            store_run(runs[k], lanes.ends[k])
-                            runs[k], followed[k] = follow(before, window), True
-                            sin, cos = sincos(before.phase)
-                if runs[k].ending != ROOT:
-                    runs[k] = extend(runs[k], line.outcome[i], window)
-                    sin, cos = 0.0, 1.0  # a window ends at phase zero
-                if runs[k].ending != ROOT:
-                    index[k] = -1
-                    counts[1] += 1
-                else:
+                    if runs[k].ending != ROOT:
+                        if followed[k]:
+                            line.outcome[i] = decide(line.outcome[i], runs[k], flights, first, window)
+                            runs[k], followed[k] = load_run(lanes.ends[k]), False
+                        else:
+                            store_state(runs[k], state)
+                            write_record(line, i, runs[k], flights, first, state, window)
+                            if shows_no_mode(line.outcome[i]):
+                                store_run(runs[k], lanes.ends[k])
+                                runs[k], followed[k] = follow(before, window), True
+                                sin, cos = sincos(before.phase)
+                    if runs[k].ending != ROOT:
+                        runs[k] = extend(runs[k], line.outcome[i], window)
+                        sin, cos = 0.0, 1.0  # a window ends at phase zero
+                    if runs[k].ending != ROOT:
+                        counts[1] += 1
+                        if (i + 1) % length == 0:
+                            index[k] = -1
+                        else:
+                            index[k] = i + 1
+                            springs[k] = prepare(plate, i + 1, gamma[i + 1], omega[i + 1], xi[i + 1])
+                            runs[k] = begin_next(
+                                springs[k], runs[k], gamma[i], omega[i], gamma[i + 1], omega[i + 1], state,
+                                window,
+                            )  # fmt: skip
+                            sin, cos = sincos(runs[k].phase)
+                if index[k] >= 0:
                     loaded = _load(table, k, springs[k], runs[k], sin, cos)
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
                     if not loaded and steps <= 0:  # the next call goes on with this lane
                         _store_runs(runs, lanes.runs)
                         return False
-        advance(table)
+        advance(table, used)
         steps -= 1
     _store_runs(runs, lanes.runs)
     return bool(counts[1] == len(gamma))
+
+
+@jit
+def lanes_used(lines: int) -> int:
+    """Lanes that so many lines are computed in: one by one, one vector (half of all), or all."""
+    if lines <= FEW:
+        return lines
+    return LANES // 2 if lines <= LANES // 2 else LANES
 
 
 @inlined

@@ -17,7 +17,7 @@ from service.api.middleware.body_limit import BodyLimit
 from service.api.middleware.head import HeadAsGet
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
-from service.api.routers import docs, health, jobs, model, page, page_data, results
+from service.api.routers import basins, docs, health, jobs, model, page, page_data, results
 from service.api.schemas import ProblemDocument
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
@@ -27,6 +27,7 @@ from service.jobs.stores.adoption import open_ledger
 from service.render import export
 from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
+from worker.basins.spec import BasinSpec
 from worker.executors.base import Executor
 from worker.orbits import OrbitsSpec
 from worker.spec import SweepSpec
@@ -63,7 +64,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
             metrics=metrics,
         ),
     )
-    for module in (jobs, results, model, health, docs, page, page_data):
+    for module in (jobs, results, basins, model, health, docs, page, page_data):
         app.include_router(module.router)
     app.mount("/static", page.static_files(), name="static")
     problems.install(app)
@@ -128,7 +129,7 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for body_model in (SweepSpec, OrbitsSpec, Window, TrajectorySpec, ProblemDocument):
+        for body_model in (SweepSpec, OrbitsSpec, BasinSpec, Window, TrajectorySpec, ProblemDocument):
             schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
         app.openapi_schema = document

@@ -17,8 +17,10 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
+from service.results.basins import Basins
 from service.results.selection import Sweep
 from service.settings import Settings
+from worker.basins.spec import BasinSpec
 from worker.spec import SweepSpec
 
 
@@ -74,6 +76,16 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
     done = job.state is JobState.DONE
     return Sweep(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing)
+
+
+def basins(service: Service, job: JobRecord) -> Basins:
+    """The basins of a job and where they are. Raises InvalidRequest for other kinds of study."""
+    prepared = service.manager.preparer.prepare(job)
+    if not isinstance(prepared.spec, BasinSpec):
+        kind = prepared.spec.protocol.kind
+        rule = f"must be a job with the protocol basin; that of this job is {kind}"
+        raise InvalidRequest.of("job_id", rule)
+    return Basins(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
 
 
 def line(query: LineQuery) -> Line:

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from kernel.branches.curves import CURVES
-from service.formats import DiagramFormat, ExportFormat, TradeoffFormat
+from service.formats import BasinFormat, DiagramFormat, ExportFormat, TradeoffFormat
 from service.jobs.model import JobState
 from service.results.trajectory import MAX_SAMPLES
 from worker.orbits import MAX_POINTS
@@ -139,6 +139,15 @@ class ModesQuery(PlaneQuery):
 
     every: Every = 1
     mask: bool = Field(False, description="of an adaptive map: which cells were computed as well")
+
+
+class BasinQuery(Query):
+    """The cell of a job with the protocol basin, and the format of the answer."""
+
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+    format: BasinFormat = "json"
 
 
 class ExportQuery(Query):

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from kernel.branches.events import Kind
 from kernel.params import Outcome
+from service.formats import MEDIA_TYPES
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
 from worker.analysis.model_selection import ModelChoice
@@ -300,6 +301,45 @@ class Trajectory(BaseModel):
     cycle: CycleView | None = Field(description="with a start on a cycle")
 
 
+class AttractorView(BaseModel):
+    """An attractor of a cell; lengths in plate amplitudes."""
+
+    id: int = Field(description="from 1, by the share of the starts that reach it")
+    fraction: float
+    outcome: int = Field(description="1 periodic, 2 aperiodic, 3 at rest")
+    label: str = Field(
+        description="rest, a mode as (3,4), aperiodic; with exponents quasi-periodic or chaotic"
+    )
+    bounces: int
+    periods: int
+    longest_flight: float = Field(description="rad; 0 at rest")
+    lifetime: float | None = Field(
+        description="plate periods until such motion ends, if it was seen to end; else null"
+    )
+    state: dict[str, float] = Field(description="on the attractor, at phase 0")
+    flight_time: list[float] = Field(description="rad, of a window")
+    takeoff_phase: list[float] = Field(description="rad")
+    lyapunov: list[float] | None = Field(None, description="where the job has exponents")
+
+
+class BasinView(BaseModel):
+    """The basin of one cell: which attractor each start of the plane reaches."""
+
+    gamma: float
+    omega: float
+    xi: float
+    plane: Literal["drop", "contact"]
+    height: float
+    rows: list[float] = Field(description="height, or elongation beyond the static one, in plate amplitudes")
+    columns: list[float] = Field(description="phase in rad, or velocity of the elongation times omega")
+    attractors: list[AttractorView]
+    map: list[list[int]] = Field(description="ids, rows of starts; 0: undecided or not computed")
+    undecided: float | None = Field(description="share of the starts without an attractor")
+    basin_entropy: float | None
+    boundary_entropy: float | None
+    complete: bool
+
+
 class BrokenRule(BaseModel):
     """A field and the rule that it breaks."""
 
@@ -379,7 +419,18 @@ def job_view(
 
 
 #: Resources of a job.
-_PARTS: Final = ("cancel", "resume", "events", "diagram", "threshold", "modes", "orbits", "export", "zarr")
+_PARTS: Final = (
+    "cancel",
+    "resume",
+    "events",
+    "diagram",
+    "threshold",
+    "modes",
+    "orbits",
+    "basins",
+    "export",
+    "zarr",
+)
 
 
 def _links(job_id: str) -> dict[str, str]:
@@ -395,6 +446,11 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Entries of the API document for responses that are problem documents."""
     content = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}}
     return {status: {"description": "Problem document", "content": content} for status in statuses}
+
+
+def content(*formats: str) -> dict[int | str, dict[str, Any]]:
+    """Entry of the API document for a successful answer in one of these formats."""
+    return {200: {"content": {MEDIA_TYPES[format]: {} for format in formats}}}
 
 
 #: Entry of the API document for responses that workers compute on demand.

@@ -1,7 +1,8 @@
-"""The commands on results: diagram, threshold, modes, export, trajectory."""
+"""The commands on results: diagram, threshold, modes, basins, export, trajectory."""
 
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast, get_args
 
 import click
 
@@ -17,12 +18,15 @@ from service.cli.options import (
     service_options,
     write_file,
 )
-from service.formats import EXPORTS, PICTURES, TABLES
+from service.formats import EXPORTS, PICTURES, TABLES, BasinFormat
 
 if TYPE_CHECKING:
+    import xarray
+
     from service.client import Job
 
 _DIAGRAMS: Final = (*PICTURES, *TABLES)
+_BASINS: Final[tuple[str, ...]] = get_args(BasinFormat)
 
 
 @click.command()
@@ -197,7 +201,52 @@ def _spring(
     click.echo(output.as_json(orbits.plain(found)) if as_json else orbits.threshold_text(found))
 
 
-COMMANDS: Final = (diagram, threshold, modes, export, trajectory)
+@click.command()
+@job_argument
+@click.option("--gamma", type=float, help="Γ of the cell.")
+@click.option("--omega", type=float, help="Ω of the cell.")
+@click.option("--xi", type=float, help="ξ of the cell.")
+@format_option(*_BASINS)
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
+    help="File to write; - is standard output.  [default: print a table of the attractors]",
+)  # fmt: skip
+@service_options
+def basins(
+    job_id: str, output: str | None, format: str | None, url: str, token: str | None, **cell: float | None
+) -> None:
+    """Show a cell's attractors and their basins.
+
+    Of a job with the protocol basin, the cell nearest to the given values; an axis that has only one value
+    may be left out. Prints the attractors, or draws the plane of starts. For example:
+
+      bounce basins ID --gamma 3.6 -o basin.png
+    """
+    format = None if output is None else output_format(output, _BASINS, format)
+    with open_client(url, token) as client:
+        job = client.job(job_id)
+        if output is None:
+            click.echo(_attractors(job.basins(**cell)))
+        else:
+            write_file(output, job.basin_picture(cast(BasinFormat, format), **cell))
+    _warn(job, "the basin may be incomplete")
+
+
+def _attractors(found: "xarray.Dataset") -> str:
+    """One line per attractor, then the undecided starts and the entropies."""
+    lines = [f"{'ID':>3}  {'SHARE':>8}  {'LONGEST FLIGHT':>14}  {'LIFETIME':>10}  ATTRACTOR"]
+    columns = [
+        found[name].values.tolist() for name in ("id", "fraction", "longest_flight", "lifetime", "label")
+    ]
+    for id, fraction, longest, lifetime, label in zip(*columns, strict=True):
+        life = f"{lifetime:.0f}" if isfinite(lifetime) else "-"
+        lines.append(f"{id:>3}  {fraction:>8.4f}  {longest:>14.7f}  {life:>10}  {label}")
+    numbers = ("undecided", "basin_entropy", "boundary_entropy")
+    lines.append(", ".join(f"{name.replace('_', ' ')} {found[name].item():.4f}" for name in numbers))
+    return "\n".join(lines)
+
+
+COMMANDS: Final = (diagram, threshold, modes, basins, export, trajectory)
 
 
 def _warn(job: "Job", consequence: str) -> None:

@@ -8,7 +8,7 @@ from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS
+from service.formats import EXPORTS, BasinFormat
 
 if TYPE_CHECKING:
     import httpx2
@@ -158,6 +158,35 @@ class Results(JobStatus):
             "mask": "true" if mask else None,
         }  # fmt: skip
         return modes_dataset(json_object(self._transport.get(self._path("modes"), query)), self.id)
+
+    def basins(
+        self, gamma: float | None = None, omega: float | None = None, xi: float | None = None
+    ) -> "xarray.Dataset":
+        """The basin of one cell of a job with the protocol basin: which start reaches which attractor.
+
+        `gamma`, `omega`, `xi` take the nearest grid value; one that has only one value may be left out.
+        Returns a Dataset with dims (row, column): `attractor`, an id or 0; with dim id: `fraction`, `label`,
+        `outcome`, `bounces`, `periods`, `longest_flight` (rad), `lifetime` (plate periods, infinite where no
+        such motion was seen to end); with dims (id, flight): `flight_time`, `takeoff_phase` (rad); scalars
+        `undecided`, `basin_entropy`, `boundary_entropy`. Its attribute `complete` is 0 until the cell is
+        computed. Raises BadRequest.
+        """
+        from service.client.datasets import basin_dataset
+
+        query = {"gamma": gamma, "omega": omega, "xi": xi}
+        return basin_dataset(json_object(self._transport.get(self._path("basins"), query)), self.id)
+
+    def basin_picture(
+        self,
+        format: BasinFormat = "png",
+        *,
+        gamma: float | None = None,
+        omega: float | None = None,
+        xi: float | None = None,
+    ) -> bytes:
+        """The basin of one cell as a PNG or SVG with their shares, or as JSON. Raises BadRequest."""
+        query = {"gamma": gamma, "omega": omega, "xi": xi, "format": format}
+        return self._transport.get(self._path("basins"), query).content
 
     def export(self, path: str | PathLike[str]) -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.

@@ -9,13 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats import PICTURES, DiagramFormat
+from service.formats import PICTURES, BasinFormat, DiagramFormat
+from service.render import basins as basin_pictures
 from service.render import bifurcation, binary, text
 from service.render import orbits as orbits_text
+from service.results import basins as basin_results
 from service.results import diagram as diagrams
 from service.results import line as lines
 from service.results import mode_map, orbits
 from service.results import trajectory as trajectories
+from service.results.basins import Basins
 from service.results.diagram import Diagram
 from service.results.selection import Sweep
 from service.results.trajectory import TrajectorySpec
@@ -138,6 +141,15 @@ def packed_plane(
 def trajectory(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> bytes:
     """One cell in motion as JSON, from rest, on a cycle, or on from a state."""
     return text.trajectory_json(trajectories.compute(spec, state))
+
+
+def basin(
+    basins: Basins, place: tuple[float | None, float | None, float | None], format: BasinFormat
+) -> Answer:
+    """The basin of the cell nearest to `place`, (gamma, omega, xi), as JSON or as a picture."""
+    cell = basin_results.basin(basins, *place)
+    content = basin_pictures.basin_json(cell) if format == "json" else basin_pictures.draw(cell, format)
+    return Answer(content, cell.complete)
 
 
 def thresholds(omega: float, xi: float, delta: float) -> bytes:

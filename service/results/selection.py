@@ -18,6 +18,7 @@ from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from worker import schema, store
 from worker.spec import AXES, SweepSpec
 from worker.spec.errors import one_of
+from worker.spec.specification import Specification
 
 #: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
 MAX_READ: Final = 8_000_000
@@ -71,7 +72,7 @@ class GridValue:
     value: float
 
 
-def nearest_index(spec: SweepSpec, axis: str, value: float | None) -> GridValue:
+def nearest_index(spec: Specification, axis: str, value: float | None) -> GridValue:
     """The grid value nearest to `value`; None selects the value of an axis that has only one.
 
     Raises InvalidRequest for a value outside the axis, and for None where the axis has several values.

@@ -26,7 +26,7 @@ from service.jobs.stores.adoption import open_ledger
 from service.render import answers
 from service.server.cluster import connected_cluster
 from service.server.logging import log_to_stderr
-from service.server.web_server import WebServer, raise_file_limit
+from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
@@ -173,7 +173,7 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
     host, port = settings.host, settings.port
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        listener = socket.create_server((host, port), family=family, backlog=2048)
+        listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise NotStarted(f"cannot listen on {host} port {port}: {error.strerror or error}") from error
     # Connections inherit it; without, the client's delayed acknowledgement holds each response up by 40 ms.

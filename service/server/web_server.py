@@ -22,6 +22,10 @@ _LOG: Final = logging.getLogger("uvicorn.error")
 
 #: Of the files that a process may have open, those kept for ledger, stores and workers.
 OTHER_FILES: Final = 256
+#: Connections accepted at a time. Each takes a file until it is refused, which happens a little later.
+ACCEPTED_AT_A_TIME: Final = 16
+#: Connections that wait to be accepted.
+BACKLOG: Final = 2048
 #: More files at a time are not asked for, although some systems allow a thousand million.
 MOST_FILES: Final = 65_536
 
@@ -48,6 +52,7 @@ class WebServer(uvicorn.Server):
                 self._app,
                 http=limited(settings.body_seconds, connections_allowed(), settings.stall_seconds),
                 lifespan="on",
+                backlog=ACCEPTED_AT_A_TIME,
                 log_config=None,
                 log_level=logging.CRITICAL,
                 access_log=False,
@@ -80,6 +85,7 @@ class WebServer(uvicorn.Server):
         host, port = self._listener.getsockname()[:2]
         self._url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
         await super().startup(sockets)
+        self._listener.listen(BACKLOG)  # asyncio has one number for both
         _LOG.setLevel(logging.WARNING)
         self._on_start(self._url)
         self._started_or_failed.set()

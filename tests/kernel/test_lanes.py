@@ -7,26 +7,22 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 
+import kernel.line
+from kernel.models.lockstep import FEW
+from kernel.models.rigid import RigidPlate
 from kernel.numerics import elementary
-from kernel.params import LANES, Line, Outcome
+from kernel.params import LANES, Cell, KernelInputError, Line, Outcome, Start
 
 
-def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, one_by_one=False) -> Line:
-    """Cells from rest; `one_by_one` takes each through the scalar functions, as a ramp of one."""
+def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0, one_by_one=False) -> Line:
+    """Cells from rest, or so many lines of a ramp; `one_by_one` takes each through the scalar functions."""
     gamma, omega, xi = (np.ascontiguousarray(a) for a in np.broadcast_arrays(gamma, omega, xi))
-    n = len(gamma)
-
-    def run(part: slice) -> Line:
-        return run_line(
-            gamma[part], omega[part], xi[part], model=Model.RIGID,
-            restitution=np.full(n, restitution)[part], penetration=np.full(n, 1e-3)[part], adhesive=True,
-            carry=one_by_one, settle=settle, observe=observe, keep=40,
-        )  # fmt: skip
-
-    if not one_by_one:
-        return run(slice(0, n))
-    parts = [run(slice(i, i + 1)) for i in range(n)]
-    return Line(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+    return run_line(
+        gamma, omega, xi, model=Model.RIGID, restitution=np.full(len(gamma), restitution),
+        penetration=np.full(len(gamma), 1e-3), adhesive=True, carry=lines > 0,
+        start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40,
+        in_lanes=not one_by_one,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 10.0, 1e3, 9e4])
@@ -122,6 +118,82 @@ def test_a_cell_does_not_depend_on_its_neighbours():
         single = rigid(gamma[i : i + 1], omega[i : i + 1], xi[i : i + 1], settle=20, observe=20)
         for name, field in together._asdict().items():
             assert np.array_equal(field[i : i + 1], getattr(single, name), equal_nan=True), name
+
+
+def ramps(lines: int, length: int = 7) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lines of a ramp of gamma, each with its own range, omega and xi."""
+    rng = np.random.default_rng(lines)
+    first, last = rng.uniform(0.4, 2, (lines, 1)), rng.uniform(2, 6, (lines, 1))
+    gamma = first + (last - first) * np.linspace(0, 1, length)
+    return (
+        gamma.ravel(),
+        np.repeat(rng.uniform(0.2, 2, lines), length),
+        np.repeat(10 ** rng.uniform(-2, 0.3, lines), length),
+    )
+
+
+@pytest.mark.parametrize("lines", [1, FEW, FEW + 1, LANES // 2 + 1, 2 * LANES + 1])
+@pytest.mark.parametrize("restitution", [0.0, 0.3])
+def test_a_line_does_not_depend_on_the_others(lines, restitution):
+    """Same bytes however many lines of a ramp run beside it, in whatever order."""
+    length = 7
+    cells = ramps(lines, length)
+    together = rigid(*cells, restitution=restitution, lines=lines, settle=10, observe=20)
+    assert len(set(together.outcome)) > 1
+    parts = [slice(i * length, (i + 1) * length) for i in reversed(range(lines))]
+    for part in parts:
+        alone = rigid(
+            *(axis[part] for axis in cells), restitution=restitution, lines=1, settle=10, observe=20
+        )
+        for name, field in together._asdict().items():
+            assert field[part].tobytes() == getattr(alone, name).tobytes(), name
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.3])
+def test_short_ramps_agree_to_rounding(restitution):
+    """Two cells of two plate periods, the second of which begins in the air or in contact."""
+    lines = 300
+    cells = ramps(lines, 2)
+    lanes = rigid(*cells, restitution=restitution, lines=lines, settle=0, observe=2)
+    alone = rigid(*cells, restitution=restitution, lines=lines, settle=0, observe=2, one_by_one=True)
+    second = lanes.end_state[:-1:2, 1] == 1.0
+    assert 0.1 * lines < second.sum() < 0.9 * lines
+    close = np.isclose(lanes.flight_time, alone.flight_time, rtol=1e-9, atol=1e-10, equal_nan=True).all(
+        axis=1
+    )
+    close &= np.isclose(lanes.end_state, alone.end_state, rtol=1e-8, atol=1e-8).all(axis=1)
+    assert (~close).sum() <= 2  # where a landing grazes
+    assert (lanes.flights == alone.flights).mean() > 0.99
+
+
+def test_lines_have_starts_of_their_own():
+    """As a line given a start alone; a line without one begins at rest."""
+    length, lines = 5, 4
+    cells = ramps(lines, length)
+    first = rigid(*cells, lines=lines, settle=5, observe=5)
+    ends = slice(length - 1, None, length)
+    starts = [
+        Start(state, Cell(*(float(axis[i]) for axis in cells)))
+        for i, state in zip(range(lines * length)[ends], first.end_state[ends], strict=True)
+    ]
+    starts[2] = None
+    down = [axis.reshape(lines, length)[:, ::-1].ravel() for axis in cells]
+    options = {
+        "plate": RigidPlate(np.zeros(length * lines)),
+        "carry": True,
+        "settle": 5,
+        "observe": 5,
+        "keep": 8,
+    }
+    together = kernel.line.run_line(*down, start=starts, **options)
+    options["plate"] = RigidPlate(np.zeros(length))
+    for i, start in enumerate(starts):
+        part = slice(i * length, (i + 1) * length)
+        alone = kernel.line.run_line(*(axis[part] for axis in down), start=start, **options)
+        for name, field in together._asdict().items():
+            assert field[part].tobytes() == getattr(alone, name).tobytes(), name
+    with pytest.raises(KernelInputError, match="one for each of several lines of equal length, got 3 for 20"):
+        kernel.line.run_line(*down, start=starts[:3], **options | {"plate": RigidPlate(np.zeros(20))})
 
 
 def test_slow_springs_with_strong_dashpots_are_left_to_the_scalar_functions():

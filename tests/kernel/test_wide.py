@@ -204,8 +204,8 @@ def test_lanes_say_what_the_scalar_functions_say(gamma, omega, xi, epsilon):
     onset = float(threshold(omega, xi))
     assume(abs(gamma - onset) > 1e-3 * onset)
     lanes, alone = (
-        run(gamma, omega, xi, restitution=epsilon, settle=0, observe=2, keep=8192, carry=carry)
-        for carry in (False, True)
+        run(gamma, omega, xi, restitution=epsilon, settle=0, observe=2, keep=8192, in_lanes=in_lanes)
+        for in_lanes in (True, False)
     )
     long = [times[times > 1e-4][:4] for times in (recorded(lanes), recorded(alone))]
     assert len(long[0]) == len(long[1])

@@ -137,9 +137,12 @@ async def test_one_withdrawn_in_the_moment_of_its_turn_gives_it_back():
 
 @in_loop
 async def test_an_unread_answer_holds_its_bytes_and_no_thread():
-    limits, read, pieces = capacity(slots=1, memory=10 * MB), asyncio.Event(), []
+    limits, read = capacity(slots=1, memory=10 * MB), asyncio.Event()
+    pieces: list[int] = []
+    more: list[object] = []
 
     async def send(message: Message) -> None:
+        more.append(message.get("more_body"))
         pieces.append(len(message.get("body", b"")))
         if len(pieces) == 3:
             await read.wait()
@@ -155,6 +158,8 @@ async def test_an_unread_answer_holds_its_bytes_and_no_thread():
     assert limits.used == 0
     assert sum(pieces) == MB
     assert max(pieces) == PIECE
+    assert more[-1] is False  # without it the connection would stay open
+    assert all(more[1:-1])
 
 
 @in_loop

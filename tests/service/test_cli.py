@@ -33,7 +33,7 @@ from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "adopt", "backup", "cancel", "curves", "delete", "diagram", "doctor", "export", "figure",
+    "adopt", "backup", "basins", "cancel", "curves", "delete", "diagram", "doctor", "export", "figure",
     "follow", "list", "metrics", "modes", "open", "orbits", "restore", "resume", "run", "serve",
     "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip

@@ -2,8 +2,17 @@
 
 import pytest
 
+from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
-from service.jobs.model import LEGAL, RESUMABLE, UNFINISHED, JobState, Progress, check_transition
+from service.jobs.model import (
+    LEGAL,
+    RESUMABLE,
+    UNFINISHED,
+    JobRecord,
+    JobState,
+    Progress,
+    check_transition,
+)
 
 #: Every transition there is; anything else is illegal.
 ALLOWED = {
@@ -50,3 +59,25 @@ def test_eta_uses_the_rate_of_this_run_alone():
 def test_eta_is_unknown_without_a_rate():
     assert Progress(0, 9, 0, 1000, run_seconds=3.0, run_cells=0).eta_seconds is None
     assert Progress(5, 9, 500, 1000).eta_seconds is None
+
+
+@pytest.mark.parametrize(
+    ("state", "finished", "repairing"),
+    [
+        (JobState.RUNNING, 5.0, True),
+        (JobState.RUNNING, None, False),
+        (JobState.DONE, 5.0, False),
+        (JobState.FAILED, 5.0, False),
+        (JobState.QUEUED, None, False),
+    ],
+)
+def test_only_a_running_job_that_was_done_before_is_repairing(
+    state: JobState, finished: float | None, repairing: bool
+):
+    job = JobRecord(
+        id="a" * 32, name="", spec="{}", kernel_version=KERNEL_VERSION, chunk_shape=(1, 1, 1), chunks_total=1,
+        cells_total=1, seq=1, state=state, cancel_requested=False, error=None, created=0.0, started=0.0,
+        finished=finished, run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0,
+        choice=None, replaced_by=None,
+    )  # fmt: skip
+    assert job.repairing is repairing

@@ -1,8 +1,10 @@
 """Endpoints of jobs: idempotency keys, estimates, lists, links, ETags, resume, delete, events, metrics."""
 
+import asyncio
 import json
 import threading
 import time
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 from scripted import DEADLINE, Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
 
+from benchmarks.attack import streams_at_once
 from service.server import embedded
 from service.settings import Settings
 
@@ -308,6 +311,20 @@ def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
             assert "at most 1 at a time; poll the job" in refused.json()["detail"]
             began = time.monotonic()
         assert time.monotonic() - began < DEADLINE  # and does not wait shutdown_seconds for the open response
+
+
+def test_of_more_listeners_than_allowed_the_others_are_told_to_come_again(tmp_path: Path):
+    """At once, with the limit as it is: nobody waits for a place, and every place is free afterwards."""
+    settings = Settings(data=tmp_path, port=0)
+    allowed = settings.max_listeners
+    with embedded.running(settings, Held()) as address, httpx2.Client(base_url=address) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+
+        def statuses(count: int) -> Counter[int]:
+            return asyncio.run(streams_at_once(address, here, count, {}))[0]
+
+        assert statuses(allowed + 100) == {200: allowed, 503: 100}
+        wait_for(lambda: statuses(allowed) == {200: allowed})
 
 
 # Metrics

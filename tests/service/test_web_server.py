@@ -5,20 +5,25 @@ import json
 import logging
 import resource
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import httpx2
 import pytest
-from scripted import DEADLINE, Held, wait_for
+from scripted import DEADLINE, Held, free_port, sweep, wait_for
 from served import listening
 
 from service.api.app import create_app
+from service.client import Client
+from service.server import embedded
 from service.server.logging import JsonLines, OncePerSecond
 from service.server.web_server import MOST_FILES, OTHER_FILES, connections_allowed, limited, raise_file_limit
 from service.settings import Settings
+from worker.executors.inline import Inline
 
 MOST = 4
 
@@ -53,6 +58,42 @@ def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str
         assert b"Retry-After: 2" in answer
         assert not healthy()
     wait_for(healthy)
+
+
+#: Opens connections as soon as there is somebody to listen, and holds them.
+IDLE = """
+import contextlib, resource, socket, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
+idle = []
+print("begins", flush=True)
+while len(idle) < int(sys.argv[2]):
+    with contextlib.suppress(ConnectionRefusedError):
+        idle.append(socket.create_connection(("127.0.0.1", int(sys.argv[1]))))
+print("connected", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_more_connections_than_files_leave_some_for_jobs(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    """They wait to be accepted when the service starts, and are refused a few at a time."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    files = len(list(Path("/proc/self/fd").iterdir())) + 300
+    settings = Settings(data=tmp_path, port=free_port())
+    command = [sys.executable, "-c", IDLE, str(settings.port), str(files)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as flood:
+        assert flood.stdin is not None
+        assert flood.stdout is not None
+        assert flood.stdout.readline() == b"begins\n"
+        resource.setrlimit(resource.RLIMIT_NOFILE, (files, before[1]))
+        try:
+            with closing(Inline()) as executor, embedded.running(settings, executor) as url:
+                assert flood.stdout.readline() == b"connected\n"
+                flood.stdin.close()
+                with Client(url) as client:
+                    assert client.submit(sweep("after it")).wait(progress=False).state == "done"
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert "out of system resource" not in caplog.text
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/v1/nothing"])

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_runs import Model, run
 
-from kernel.params import KERNEL_VERSION, Line
+from kernel.params import KERNEL_VERSION, Line, Outcome
 from kernel.threshold import threshold
 from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
@@ -231,3 +231,14 @@ def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
     bad = good._replace(outcome=np.array([4], dtype=np.uint8))
     assert math.isnan(between(bad, good))
     assert between(good, bad) == math.inf
+
+
+def test_aperiodic_cells_without_flights_that_count_are_apart_only_if_the_other_has_some():
+    chaotic = cell(5.0, settle=50, observe=50)
+    assert chaotic.outcome[0] == Outcome.APERIODIC
+    longest = float(np.nanmax(chaotic.flight_time))
+    silent = chaotic._replace(flights=np.zeros_like(chaotic.flights))
+    assert deviations(chaotic, chaotic, 2.0 * longest).tolist() == [0.0]
+    assert deviations(silent, silent, 0.0).tolist() == [0.0]
+    assert deviations(chaotic, silent, 0.0).tolist() == [math.inf]
+    assert deviations(silent, chaotic, 0.0).tolist() == [math.inf]

@@ -101,7 +101,7 @@ def test_a_plan_covers_every_cell_once(grid: tuple[int, int], shape: tuple[int, 
     for i, chunk in enumerate(plan):
         cells[chunk.slices] += 1
         assert chunk.index == i
-        assert plan.number(chunk.xi[0] // shape[0], chunk.omega[0] // shape[1]) == i
+        assert plan.number(*(span[0] // size for span, size in zip(chunk.spans, shape, strict=True))) == i
     assert (cells == 1).all()
     assert plan.cells == cells.size
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from kernel.params import LANES
 from worker.cost import (
     FOLLOWED_SHARE,
-    IDLE_LANES_US,
     SETTLING_SHARE,
     STILL_SETTLING_SHARE,
     WITH_EXPONENTS,
@@ -30,7 +29,7 @@ from worker.plan import (
 )
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
-from worker.spec.contact_models import CONTACT_MODELS, RIGID_ELASTIC_US, RIGID_RAMP_US
+from worker.spec.contact_models import CONTACT_MODELS, RIGID_ALONE_US, RIGID_ELASTIC_US
 from worker.spec.errors import SpecTooLarge
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
@@ -199,13 +198,26 @@ def test_chunks_fit_into_memory_however_many_flights_are_kept():
 
 
 def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
-    ramped = make_plan(sweep(omega=50, gamma=20, ramp=("omega", "up")), chunk_cells=100)
-    assert ramped.chunk_shape == (1, 50, 2)
-    assert make_plan(sweep(omega=50, gamma=20, ramp=("omega", "up")), chunk_cells=20).chunk_shape == (
-        1,
-        17,
-        1,
-    )
+    spec = sweep(omega=50, gamma=20, ramp=("omega", "up"), model={"kind": "soft"})
+    assert make_plan(spec, chunk_cells=100).chunk_shape == (1, 50, 2)
+    assert make_plan(spec, chunk_cells=20).chunk_shape == (1, 17, 1)
+
+
+@pytest.mark.parametrize(
+    ("lines", "cells", "shape"),
+    [
+        (200, 1600, (1, 50, 29)),  # 7 equal parts
+        (200, 800, (1, 50, LANES)),
+        (200, 320, (1, 17, LANES)),  # parts of lines, so that the lanes are full
+        (20, 400, (1, 50, 7)),  # few lines: one vector at most, and no chunk much smaller than others
+        (20, 300, (1, 25, 7)),
+        (3, 1600, (1, 50, 3)),
+        (1, 40, (1, 25, 1)),
+    ],
+)
+def test_a_chunk_of_a_ramp_in_lanes_has_lines_to_fill_them(lines, cells, shape):
+    spec = sweep(omega=50, gamma=lines, ramp=("omega", "up"))
+    assert make_plan(spec, chunk_cells=cells).chunk_shape == shape
 
 
 @given(grids, st.integers(1, 500))
@@ -263,7 +275,7 @@ def test_estimate_counts_what_the_store_holds():
     # flight_time and takeoff_phase, flights, bounces and periods, end_state, outcome
     assert found.bytes == found.cells * (2 * 10 * 8 + 4 + 4 + 4 + 6 * 8 + 1)
     assert found.core_seconds == pytest.approx(
-        found.cells * (300 + FOLLOWED_SHARE * 200) * RIGID_RAMP_US * 1e-6
+        found.cells * (300 + FOLLOWED_SHARE * 200) * CONTACT_MODELS["rigid"].cost_us * LANES / 2 / 6 * 1e-6
     )
 
 
@@ -295,8 +307,8 @@ def test_a_short_window_is_followed_for_twice_its_length():
 
 
 def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
-    alone, among = (cell_seconds(sweep(), alone=alone) for alone in (True, False))
-    assert alone - among == pytest.approx((300 + FOLLOWED_SHARE * 200) * IDLE_LANES_US * 1e-6)
+    periods = 300 + FOLLOWED_SHARE * 200
+    assert cell_seconds(sweep(), alone=True) == pytest.approx(periods * RIGID_ALONE_US * 1e-6)
     for one_by_one in (
         sweep(gamma=2, ramp=("gamma", "up")),
         sweep(model={"kind": "soft"}),

@@ -74,7 +74,7 @@ def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
         assert not computed.flat[tile.cells].any(), "computed twice"
         computed.flat[tile.cells] = True
         tile.split(*arrays)
-    return computed, tile.sources().reshape(kinds.shape)
+    return computed, tile.sources(arrays[0]).reshape(kinds.shape)
 
 
 MODE = Refine(by="mode", coarsest=8)
@@ -118,6 +118,20 @@ def test_straight_borders_are_found_exactly(slope):
     computed, source = refined(kinds, Refine(by="mode", coarsest=64))
     assert np.array_equal(kinds.flat[source], kinds)
     assert np.mean(computed) < 0.15
+
+
+def test_where_aperiodic_and_settling_cells_mix_aperiodic_ones_stand_for_all():
+    outcome = np.full((9, 9), Outcome.SETTLING)
+    outcome[0, 8] = outcome[8, 8] = Outcome.APERIODIC
+    none = np.zeros_like(outcome)
+    tile = Refinement(outcome.shape, MODE)
+    tile.split(outcome, none, none)
+    assert not tile.cells.size
+    source = tile.sources(outcome).reshape(outcome.shape)
+    computed = np.zeros(outcome.shape, np.bool_)
+    computed[[0, 0, 4, 8, 8], [0, 8, 4, 0, 8]] = True
+    assert np.all(outcome.flat[source][~computed] == Outcome.APERIODIC)
+    assert np.array_equal(source[computed], np.flatnonzero(computed))
 
 
 def test_a_tongue_that_one_block_sees_is_followed_into_the_next_ones():

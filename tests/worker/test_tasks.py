@@ -241,7 +241,8 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
 #: Chunks whose lines and cells are many, for pauses at any place.
 PAUSING = {
     "in lanes": {"model": {"kind": "rigid"}},
-    "ramp": {"protocol": ramp("gamma", "both")},
+    "ramp in lanes": {"model": {"kind": "rigid"}, "protocol": ramp("gamma", "both")},
+    "ramp": {"model": {"kind": "soft"}, "protocol": ramp("gamma", "both")},
     "settling": {"model": {"kind": "soft"}, "settle_until": 640},
     "exponents": {"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2},
     "ball": {"model": {"kind": "ball", "restitution": 0.3}, "protocol": ramp("gamma", "up")},
@@ -278,7 +279,7 @@ def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeyp
 def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     """A sweep whose first chunk has paused after some of its lines, in another."""
     monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
-    spec = small_spec(protocol=ramp("gamma", "up"))
+    spec = small_spec(model={"kind": "soft"}, protocol=ramp("gamma", "up"))
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     done = 0
     while done < 2:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, Field, GetCoreSchemaHandler, Tag, model_validator
 
-from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, SPRING_DIMENSION
+from kernel.params import BALL_DIMENSION, INELASTIC_DIMENSION, LANES, SPRING_DIMENSION
 from kernel.restitution import restitution_of as spring_restitution
 from kernel.step_limits import steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict
@@ -31,10 +31,11 @@ MIN_TOLERANCE: Final = 1e-9
 
 MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
-#: Core-microseconds per cell per plate period of `rigid` where cells cannot be computed in parallel lanes:
-#: on a ramp, and with restitution above 0.
-RIGID_RAMP_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 2.0
+#: Core-microseconds per cell per plate period of `rigid`: of a cell computed by itself, and with restitution
+#: above 0, in lanes and by itself.
+RIGID_ALONE_US: Final = 0.75
+RIGID_ELASTIC_US: Final = 1.0
+RIGID_ELASTIC_ALONE_US: Final = 1.9
 
 _Array = NDArray[np.float64]
 _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
@@ -49,11 +50,10 @@ class ContactFields(Strict):
         """Keyword arguments of the kernel module's `plate` for cells (n,)."""
         raise NotImplementedError
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """Core-microseconds per cell per plate period of a sweep with these axis values.
 
-        base: `ContactModel.cost_us`, which holds for cells from rest. ramp: whether cells are computed one by
-        one, as on a ramp.
+        base: `ContactModel.cost_us`. at_once: cells, or lines of a ramp, that are computed side by side.
         """
         return base
 
@@ -120,7 +120,7 @@ class Stepped(_SoftContact):
         steps = {"steps_per_contact": self.steps_per_contact, "scheme": self.scheme}
         return super().plate_arguments(gamma, omega, xi) | steps
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
         """`base` times the number of steps per plate period: the geometric mean of the sweep's two ends."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
@@ -146,10 +146,11 @@ class Rigid(ContactFields):
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         return {"restitution": np.full(np.shape(xi), self.restitution)}
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, ramp: bool) -> float:
-        if self.restitution > 0:
-            return RIGID_ELASTIC_US
-        return RIGID_RAMP_US if ramp else base
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+        """`base` holds for full lanes; half of them, one vector, cost the same whatever is in them."""
+        alone = RIGID_ELASTIC_ALONE_US if self.restitution > 0.0 else RIGID_ALONE_US
+        in_lanes = RIGID_ELASTIC_US if self.restitution > 0.0 else base
+        return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
 
     @property
     def exponents(self) -> int:

@@ -1,7 +1,7 @@
 """Endpoints that read a job's results, also while the job is running."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import StreamingResponse
@@ -10,7 +10,7 @@ from service.api import dependencies, parameters, schemas
 from service.api.capacity import costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
-from service.api.schemas import PENDING_RESPONSE, problem_responses
+from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import NotInStore
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord, JobState
@@ -27,11 +27,6 @@ router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
 
 #: Bytes of an answer with the branches of words.
 _WORDS_MEMORY: Final = 16 * 2**20
-
-
-def _content(*formats: str) -> dict[int | str, dict[str, Any]]:
-    """What the API document says of a successful answer in one of these formats."""
-    return {200: {"content": {MEDIA_TYPES[format]: {} for format in formats}}}
 
 
 #: Bytes of memory per flight of a diagram, and per cell of a map, with its numbers as text or as dots.
@@ -55,7 +50,7 @@ def _diagram_memory(service: ServiceDep, job: JobRecord, query: parameters.Diagr
 @router.get(
     "/diagram",
     summary="Read a bifurcation diagram",
-    responses={**_content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
+    responses={**content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
 @costly(_diagram_memory)
 def diagram(
@@ -156,7 +151,7 @@ def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.Export
 @router.get(
     "/export",
     summary="Export the sweep as a file",
-    responses={**_content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
+    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
 )
 @costly(_export_memory, "export")
 def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]) -> Response:

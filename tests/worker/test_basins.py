@@ -1,0 +1,284 @@
+"""Basins: their specification, the attractors that are told apart, and what is stored, however it is cut."""
+
+import functools
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+
+from kernel.line import LineRun
+from kernel.models.rigid import plate
+from kernel.params import Line, Outcome
+from worker import store, studies
+from worker.basins import attractors
+from worker.basins.attractors import Found, Request, Rules, find, ks_distance
+from worker.basins.spec import BasinSpec
+from worker.basins.study import BASINS, entropies, run_chunk, starts_of
+from worker.spec import SpecError
+from worker.tasks import ChunkCancelled, ChunkPaused
+
+SPEC: dict[str, Any] = {
+    "gamma": 1.27, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
+    "protocol": {"kind": "basin", "plane": "drop", "rows": 16, "columns": 16, "height": 10.0},
+}  # fmt: skip
+
+
+def basin(**fields: Any) -> BasinSpec:
+    """A specification like SPEC with some fields of the protocol, or others, changed."""
+    protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
+    return BasinSpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
+
+
+def computed(url: str, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> xarray.Dataset:
+    plan = BASINS.plan(spec, chunk_shape)
+    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    for chunk in plan:
+        report = run_chunk(spec, chunk, url)
+        assert sum(report.outcomes) == report.cells == chunk.cells
+    return xarray.open_zarr(url, chunks=None).load()
+
+
+def search(gamma: float, omega: float, xi: float, side: int = 32, **fields: Any) -> Found:
+    """The attractors of side * side drops on a rigid plate."""
+    spec = basin(gamma=gamma, omega=omega, xi=xi, rows=side, columns=side, **fields)
+    rules = Rules(spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
+
+    def run(request: Request, reduce: Callable[[Line], Any]) -> Any:
+        cells = [np.full(len(request.states), x) for x in (gamma, omega, xi)]
+        line = LineRun(
+            *cells, plate=plate(restitution=0.0 * cells[0]), carry=False, settle=request.settle,
+            observe=request.observe, keep=request.keep, micro_flight=spec.micro_flight,
+            exponents=request.exponents, states=request.states,
+        )  # fmt: skip
+        line.advance()
+        return reduce(line.line)
+
+    return find(starts_of(spec, gamma, omega, xi), rules, run)
+
+
+def told(found: Found) -> list[tuple[int, int, int]]:
+    return [(a.outcome, a.bounces, a.periods) for a in found.attractors]
+
+
+#: Fractions of 128 x 128 drops, and what tells the attractors apart: `branches.json` of the project's
+#: references, computed independently with the same windows.
+REFERENCE = (
+    ((3.6, 0.5, 0.26), 500, [(3, 4, 7.9564431, 0.51154), (1, 2, 11.2466043, 0.48846)], 0.377710, 0.519859),
+    ((1.27, 0.5, 0.26), 500, [(1, 1, 4.6313007, 0.539), (1, 1, 3.3746433, 0.461)], 0.085043, 0.463215),
+    ((0.7, 0.6, 0.05), 1500, [(1, 1, 4.4089826, 0.50989), (0, 0, 0.0, 0.49011)], 0.107099, 0.449465),
+)
+
+
+@pytest.mark.parametrize(("cell", "settle", "expected", "entropy", "boundary"), REFERENCE)
+def test_fractions_and_entropies_are_those_of_the_reference(
+    tmp_path: Path, cell: Any, settle: int, expected: Any, entropy: float, boundary: float
+):
+    gamma, omega, xi = cell
+    spec = basin(gamma=gamma, omega=omega, xi=xi, settle=settle, rows=128, columns=128)
+    stored = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0)
+    n = int(stored.attractor_count)
+    assert n == len(expected)
+    for i, (bounces, periods, longest, fraction) in enumerate(expected):
+        assert (int(stored.bounces[i]), int(stored.periods[i])) == (bounces, periods)
+        assert float(stored.longest_flight[i]) == pytest.approx(longest, abs=1e-6)
+        assert float(stored.fraction[i]) == pytest.approx(fraction, abs=0.003)
+        assert float(stored.fraction[i]) == float((stored.attractor == i + 1).mean())
+    assert float(stored.undecided) == 0.0
+    assert float(stored.basin_entropy) == pytest.approx(entropy, abs=0.005)
+    assert float(stored.boundary_entropy) == pytest.approx(boundary, abs=0.01)
+
+
+def test_three_cycles_of_one_mode_are_three_attractors():
+    found = search(1.0, 0.34, 0.05, settle=1500)
+    assert told(found) == [(Outcome.PERIODIC, 1, 1)] * 3
+    assert [round(a.longest_flight, 3) for a in found.attractors] == [5.179, 1.054, 2.905]
+
+
+def test_one_chaotic_set_is_one_attractor_whatever_was_settled():
+    """A grouping by extremes splits it into several."""
+    for settle in (20, 100, 500):
+        found = search(5.0, 0.5, 0.26, settle=settle, exponents=1)
+        assert told(found) == [(Outcome.APERIODIC, 0, 0)], settle
+        assert found.attractors[0].fraction == 1.0
+        assert math.isinf(found.attractors[0].lifetime)
+        assert found.attractors[0].lyapunov[0] == pytest.approx(0.52, abs=0.05)
+
+
+def test_a_torus_beside_a_cycle():
+    found = search(3.8, 1.0, 0.05, settle=1500, exponents=1)
+    assert told(found) == [(Outcome.APERIODIC, 0, 0), (Outcome.PERIODIC, 2, 2)]
+    assert [a.fraction for a in found.attractors] == pytest.approx([0.711, 0.289], abs=0.02)
+    assert abs(found.attractors[0].lyapunov[0]) < 1e-3
+
+
+def test_starts_that_have_hardly_settled_make_no_attractors_of_their_own():
+    """After 10 periods many starts are on no cycle yet, or on one to 1e-3."""
+    for settle in (10, 60):
+        found = search(3.6, 0.5, 0.26, settle=settle, observe=20)
+        assert told(found) == [(Outcome.PERIODIC, 3, 4), (Outcome.PERIODIC, 1, 2)], settle
+        assert (found.ids > 0).all()
+
+
+def test_a_state_of_each_attractor_stays_on_it():
+    found = search(1.27, 0.5, 0.26)
+    for attractor in found.attractors:
+        repeated = attractor.flight_time[np.isfinite(attractor.flight_time)][-5:]
+        assert len(repeated) == 5
+        np.testing.assert_allclose(repeated, attractor.longest_flight, atol=1e-6)
+        assert attractor.state[0] == 0.0
+
+
+def test_distances_of_distributions():
+    x = np.linspace(0.0, 1.0, 100)
+    assert ks_distance(x, x) == 0.0
+    assert ks_distance(x, x + 2.0) == 1.0
+    assert ks_distance(x, np.linspace(0.0, 0.5, 50)) == pytest.approx(0.5, abs=0.02)
+    rows = np.stack([x[::10], x[::10] + 2.0])
+    distance = attractors._distance_of_rows(rows, np.zeros_like(rows), x, np.zeros(100))
+    assert distance[0] < 0.15
+    assert distance[1] == 1.0
+
+
+def test_two_interleaved_distributions_are_two_attractors_whatever_their_extremes():
+    """Samples of two distributions with the same extremes, in any order."""
+    generator = np.random.default_rng(5)
+
+    def sample(i: int) -> attractors._Sample:
+        x = generator.beta(0.5, 0.5, 800) if i % 2 else generator.beta(2.0, 2.0, 800)
+        x[:2] = 0.0, 1.0
+        return attractors._Sample(x, np.zeros(800), np.zeros(6), (0, 0))
+
+    samples = [sample(i) for i in range(12)]
+    assert attractors._linked(samples) == [[0, 2, 4, 6, 8, 10], [1, 3, 5, 7, 9, 11]]
+
+
+def test_entropies_of_known_maps():
+    halves = np.ones((16, 16), np.uint8)
+    halves[:, 8:] = 2
+    assert entropies(halves) == (0.0, 0.0)
+    mixed = halves.copy()
+    mixed[:8, :4] = 2
+    expected = math.log(2.0)
+    assert entropies(mixed) == pytest.approx((expected / 4.0, expected))
+    assert all(math.isnan(x) for x in entropies(np.ones((7, 16), np.uint8)))
+    undecided = mixed.copy()
+    undecided[0, 0] = 0
+    assert entropies(undecided)[0] != entropies(mixed)[0]
+
+
+def test_planes_of_starts():
+    drops = starts_of(basin(rows=2, columns=4), 1.27, 0.5, 0.26).reshape(2, 4, 6)
+    assert drops[:, 0, 2].tolist() == [2.5, 7.5]
+    np.testing.assert_allclose(drops[0, :, 0], [0.0, math.pi / 2, math.pi, 1.5 * math.pi])
+    np.testing.assert_allclose(drops[0, :, 3], [0.0, 1.0, 0.0, -1.0], atol=1e-15)
+    contact = starts_of(basin(plane="contact", rows=2, columns=2), 1.27, 0.5, 0.26).reshape(2, 2, 6)
+    assert (contact[..., :4] == 0.0).all()
+    np.testing.assert_allclose(contact[:, 0, 4], -0.25 / 1.27 + np.array([-5.0, 5.0]))
+    np.testing.assert_allclose(contact[0, :, 5], np.array([-5.0, 5.0]) / 0.5)
+
+
+GRID = {"gamma": [1.1, 1.27, 3.6], "xi": [0.1, 0.26], "rows": 9, "columns": 8, "settle": 200}
+
+
+@functools.cache
+def _whole(folder: Path) -> dict[str, bytes]:
+    data = computed(str(folder / "whole.zarr"), basin(**GRID))
+    return {name: data[name].values.tobytes() for name in data.data_vars}
+
+
+def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path):
+    whole = _whole(tmp_path)
+    for i, shape in enumerate(((1, 1, 1), (2, 1, 2))):
+        data = computed(str(tmp_path / f"{i}.zarr"), basin(**GRID), shape)
+        for name, content in whole.items():
+            assert data[name].values.tobytes() == content, (name, shape)
+
+
+@pytest.mark.parametrize("slice_seconds", [0.0, 0.05])
+def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(tmp_path: Path, slice_seconds: float):
+    spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
+    plan = BASINS.plan(spec, (2, 1, 3))
+    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    for attempt in itertools.count():
+        assert attempt < 5000
+        try:
+            run_chunk(spec, plan[0], url, slice_seconds)
+            break
+        except ChunkPaused:
+            continue
+    assert attempt > 2
+    data = xarray.open_zarr(url, chunks=None).load()
+    for name, content in _whole(tmp_path).items():
+        assert data[name].values.tobytes() == content, name
+
+
+def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
+    spec, url = basin(), str(tmp_path / "a.zarr")
+    plan = BASINS.plan(spec)
+    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled):
+        run_chunk(spec, plan[0], url)
+    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
+
+
+@pytest.mark.parametrize("kind", ["soft", "ball", "stepped"])
+def test_other_contacts_have_basins(tmp_path: Path, kind: str):
+    model = {"kind": kind, "penetration": 0.01} if kind != "ball" else {"kind": kind}
+    spec = basin(model=model, rows=4, columns=4, settle=60, observe=20, settle_until=200)
+    stored = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0)
+    n = int(stored.attractor_count)
+    assert n >= 1
+    assert float(stored.fraction[:n].sum()) + float(stored.undecided) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"rows": 0}, "protocol.rows: must be at least 1, not 0"),
+        ({"rows": 1024, "columns": 512}, "protocol.rows: must be at most 512 with 512 columns"),
+        ({"height": -1.0}, "protocol.height: must be above 0"),
+        ({"plane": "phase"}, "protocol.plane: must be 'drop' or 'contact', not text 'phase'"),
+        ({"plane": "contact", "model": {"kind": "ball"}}, "protocol.plane: must be 'drop' where"),
+        ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
+        ({"exponents": 4}, "exponents: must be at most 3"),
+        (
+            {"settle_until": 10},
+            "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 620",
+        ),
+        ({"setle": 10}, "setle: is not a field here; did you mean 'settle'?"),
+    ],
+)
+def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
+    with pytest.raises(SpecError) as caught:
+        basin(**changes)
+    assert rule in str(caught.value)
+
+
+def test_a_misspelt_field_of_the_protocol_is_named():
+    with pytest.raises(SpecError, match="protocol: 'hight' is not a field here; did you mean 'height'"):
+        studies.parse(SPEC | {"protocol": {"kind": "basin", "hight": 3}})
+
+
+def test_the_same_basin_is_the_same_job_whatever_its_name():
+    spec = basin()
+    assert studies.parse(spec.as_submitted()) == spec
+    assert basin(name="another").job_id("3") == spec.job_id("3")
+    assert basin(rows=17).job_id("3") != spec.job_id("3")
+    assert isinstance(studies.study_of(spec), type(BASINS))
+
+
+def test_cost_grows_with_the_starts_and_with_settle_until():
+    def seconds(**fields: Any) -> Any:
+        spec = basin(**fields)
+        return BASINS.estimate(spec, BASINS.plan(spec))
+
+    small, large = seconds(rows=16), seconds(rows=64)
+    assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
+    assert large.longest_core_seconds > 5.0 * large.core_seconds
+    assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds

@@ -1,0 +1,491 @@
+"""The attractors that many starts of one cell reach, told apart (docs/basins.md).
+
+A search is a pure function of its starts. It asks for runs and gets their records, so that whoever computes
+them may pause between runs and answer from what is kept.
+
+1. Every start is run as the cells of a sweep are.
+2. Starts of one mode and alike flights are a group. Representatives of each group run on until `until`; the
+   group belongs to the cycle that they reach, if they reach the same one. So cycles that had not settled to
+   1e-4, and slow passages beside unstable cycles, make no attractors of their own.
+3. Starts that still settle go on, their periods doubled, and are grouped again. Of the aperiodic ones,
+   representatives run on until `until`: if some end on a cycle or at rest, the motion is transient, and all
+   aperiodic starts go on as well. At `until`, what is left is an attractor with a lifetime.
+4. Aperiodic representatives are of one attractor if the distributions of their flights agree, directly or by
+   way of others, within what two halves of a run differ by. The other aperiodic starts belong to the
+   attractor with the nearest distribution; those farthest from all are representatives as well, until these
+   find no further attractor.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.params import STATE_FIELDS, Line, Outcome
+
+APERIODIC: Final = int(Outcome.APERIODIC)
+
+#: Flights of two cycles of one mode are the same if they differ by at most this, rad, when sorted.
+SAME_CYCLE: Final = 1e-4
+
+#: Starts run at a time, so that little is lost and little memory taken. A multiple of `kernel.params.LANES`.
+BLOCK: Final = 2048
+
+#: Flights of a window from which a cycle is read: the kernel finds cycles of up to a third as many.
+CYCLE_FLIGHTS: Final = 256
+
+#: Flights of a start without a cycle, from which its distribution is estimated.
+START_FLIGHTS: Final = 64
+
+#: Representatives of a group of starts on a cycle, and of starts without one.
+CYCLE_REPRESENTATIVES: Final = 4
+REPRESENTATIVES: Final = 32
+
+#: Plate periods, and flights at most, from which the distribution of an aperiodic representative is taken.
+LONG_WINDOW: Final = 2000
+LONG_FLIGHTS: Final = 2048
+
+#: Plate periods over which exponents are measured.
+EXPONENT_WINDOW: Final = 1000
+
+#: Distributions agree within this distance (Kolmogorov and Smirnov), or within HALVES times the distance of
+#: the two halves of one run, where that is more. A torus fills its distribution as the inverse of the
+#: flights, chaos as the inverse of their root.
+SAME_DISTRIBUTION: Final = 0.05
+HALVES: Final = 1.5
+
+#: Searches for further aperiodic attractors among the starts farthest from those known.
+SEARCHES: Final = 4
+
+#: A start that still settles belongs to a cycle if all its flights are this near, rad, to one of the cycle's.
+NEAR_CYCLE: Final = 0.02
+
+
+class Request(NamedTuple):
+    """A run that a search asks for: n states of one cell, followed for settle + observe plate periods."""
+
+    states: NDArray[np.float64]  # (n, len(STATE_FIELDS))
+    settle: int
+    observe: int
+    keep: int
+    exponents: int = 0
+
+
+#: Answers a request with what a function makes of its record: that is what needs to be kept of it.
+Run = Callable[[Request, Callable[[Line], dict[str, NDArray[Any]]]], dict[str, NDArray[Any]]]
+
+
+class Rules(NamedTuple):
+    """What a specification says of the runs of a search."""
+
+    settle: int  # plate periods
+    observe: int
+    until: int  # plate periods that a start may take in all
+    keep: int  # flights recorded of each attractor
+    micro_flight: float  # rad; shorter flights do not count, unless all are
+    exponents: int
+
+
+@dataclass
+class Attractor:
+    """An attractor of one cell. Lengths in plate amplitudes, times in rad."""
+
+    outcome: int  # an Outcome: periodic, aperiodic or at rest
+    bounces: int  # 0 without a cycle
+    periods: int
+    flights: NDArray[np.float64]  # (m,) sorted: of the cycle, or of its representatives
+    phases: NDArray[np.float64]  # (m,) of an aperiodic one: take-off phases of these flights; else empty
+    state: NDArray[np.float64]  # (len(STATE_FIELDS),) on the attractor, at phase 0
+    lifetime: float = np.inf  # plate periods; finite if representatives left it
+    fraction: float = 0.0
+    flight_time: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))  # (keep,) of its window
+    takeoff_phase: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    lyapunov: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def longest_flight(self) -> float:
+        """Rad; 0 at rest."""
+        return float(self.flights[-1]) if len(self.flights) else 0.0
+
+    @property
+    def key(self) -> tuple[float, ...]:
+        """What attractors of equal fractions are ordered by."""
+        return (self.outcome, self.bounces, self.periods, *self.flights[::-1][:16].tolist())
+
+
+class Found(NamedTuple):
+    """Where the starts of a cell lead."""
+
+    ids: NDArray[np.uint16]  # (n,) index into `attractors` from 1; 0: undecided
+    attractors: tuple[Attractor, ...]  # by fraction, the largest first
+
+
+@dataclass
+class _Ends:
+    """The ends of runs: arrays of n."""
+
+    outcome: NDArray[np.uint8]
+    bounces: NDArray[np.int32]
+    periods: NDArray[np.int32]
+    state: NDArray[np.float64]  # (n, len(STATE_FIELDS))
+    cycle: NDArray[np.float64]  # (n, 4) of a cycle: sum, sum of squares, shortest and longest flight
+    time: NDArray[np.float32]  # (n, START_FLIGHTS) last flights that count, without a cycle; NaN beyond
+    phase: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, n: int) -> "_Ends":
+        flights = np.full((n, START_FLIGHTS), np.nan, np.float32)
+        return cls(
+            np.zeros(n, np.uint8), np.zeros(n, np.int32), np.zeros(n, np.int32),
+            np.zeros((n, len(STATE_FIELDS))), np.zeros((n, 4)), flights, flights.copy(),
+        )  # fmt: skip
+
+
+def find(starts: NDArray[np.float64], rules: Rules, run: Run) -> Found:
+    """The attractors that `starts` (n, len(STATE_FIELDS)) of one cell reach.
+
+    `run` answers requests. The result depends on nothing but the arguments.
+    """
+    return _Search(starts, rules, run).found()
+
+
+class _Search:
+    def __init__(self, starts: NDArray[np.float64], rules: Rules, run: Run) -> None:
+        self._rules, self._run = rules, run
+        self._owner = np.full(len(starts), -1)  # index into _attractors
+        self._attractors: list[Attractor] = []
+        self._ends = _Ends.empty(len(starts))
+        self._starts = starts
+
+    def found(self) -> Found:
+        rules = self._rules
+        taken = rules.settle + rules.observe
+        everything = np.arange(len(self._starts))
+        self._advance(everything, self._starts, rules.settle, rules.observe)
+        undecided = self._assign_cycles(everything, taken)
+        rate = 0.0
+        while len(undecided):
+            aperiodic = self._ends.outcome[undecided] == Outcome.APERIODIC
+            rate = self._rate_of_leaving(undecided[aperiodic], taken)
+            goes_on = undecided if rate > 0.0 else undecided[~aperiodic]
+            added = min(taken, rules.until - taken)
+            if len(goes_on) == 0 or added < rules.observe:
+                break
+            # a longer window: it shows longer cycles
+            observe = min(max(rules.observe, added // 2), LONG_WINDOW)
+            self._advance(goes_on, self._ends.state[goes_on], added - observe, observe)
+            taken += added
+            still = self._assign_cycles(goes_on, taken)
+            undecided = np.union1d(np.setdiff1d(undecided, goes_on), still)
+        self._assign_aperiodic(undecided, taken, rate)
+        return self._numbered()
+
+    def _advance(
+        self, which: NDArray[np.intp], states: NDArray[np.float64], settle: int, observe: int
+    ) -> None:
+        """Run starts on from `states` and put down where they end."""
+        for first in range(0, len(which), BLOCK):
+            part = slice(first, first + BLOCK)
+            request = Request(states[part], settle, observe, CYCLE_FLIGHTS)
+            self._put(
+                which[part], self._run(request, partial(_reduced, micro_flight=self._rules.micro_flight))
+            )
+
+    def _put(self, which: NDArray[np.intp], answer: dict[str, NDArray[Any]]) -> None:
+        ends = self._ends
+        for name in ("outcome", "bounces", "periods", "state", "cycle"):
+            getattr(ends, name)[which] = answer[name]
+        ends.time[which] = ends.phase[which] = np.nan
+        without = which[answer["outcome"] != Outcome.PERIODIC]
+        ends.time[without], ends.phase[without] = answer["time"], answer["phase"]
+
+    def _line(self, request: Request) -> Line:
+        """The whole record of a request."""
+        return Line(**self._run(request, lambda line: line._asdict()))
+
+    def _run_on(self, which: NDArray[np.intp], taken: int, observe: int, keep: int) -> Line:
+        """Representatives, run on until `until`, or for another window."""
+        settle = max(self._rules.until - taken - observe, self._rules.observe)
+        return self._line(Request(self._ends.state[which], settle, observe, keep))
+
+    def _assign_cycles(self, which: NDArray[np.intp], taken: int) -> NDArray[np.intp]:
+        """Assign starts at rest or on cycles to attractors; returns those that still have none."""
+        outcome = self._ends.outcome[which]
+        undecided = [which[np.isin(outcome, (Outcome.APERIODIC, Outcome.SETTLING))]]
+        groups = _alike(self._ends, which)
+        chosen = [_spread(group, CYCLE_REPRESENTATIVES) for group in groups]
+        if not groups:
+            return undecided[0]
+        line = self._run_on(np.concatenate(chosen), taken, self._rules.observe, CYCLE_FLIGHTS)
+        first = 0
+        for group, some in zip(groups, chosen, strict=True):
+            reached = {self._cycle_of(line, i) for i in range(first, first + len(some))}
+            first += len(some)
+            if len(reached) == 1 and (owner := reached.pop()) is not None:
+                self._owner[group] = owner
+            else:
+                undecided.append(group)
+        return np.sort(np.concatenate(undecided))
+
+    def _cycle_of(self, line: Line, i: int) -> int | None:
+        """The attractor on which run i of a record ends: a known one or a new one; None without a cycle."""
+        if line.outcome[i] not in (Outcome.PERIODIC, Outcome.AT_REST):
+            return None
+        flights = self._cycle_flights(line, i)
+        known = self._known(line, i)
+        if known is not None:
+            return known
+        mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
+        return self._new(Attractor(*mode, flights, np.empty(0), line.end_state[i].copy()))
+
+    def _cycle_flights(self, line: Line, i: int) -> NDArray[np.float64]:
+        time, _ = counted(line, i, self._rules.micro_flight)
+        return np.sort(time[len(time) - line.bounces[i] :])
+
+    def _known(self, line: Line, i: int) -> int | None:
+        """The attractor known already on which run i of a record ends; None if it ends on none of them."""
+        mode, flights = (line.outcome[i], line.bounces[i], line.periods[i]), self._cycle_flights(line, i)
+        for number, known in enumerate(self._attractors):
+            same = (known.outcome, known.bounces, known.periods) == mode and known.outcome != APERIODIC
+            if same and np.all(np.abs(known.flights - flights) <= SAME_CYCLE):
+                return number
+        return None
+
+    def _new(self, attractor: Attractor) -> int:
+        self._attractors.append(attractor)
+        return len(self._attractors) - 1
+
+    def _rate_of_leaving(self, which: NDArray[np.intp], taken: int) -> float:
+        """How often aperiodic motion ends on a cycle or at rest, per plate period, by representatives."""
+        if len(which) == 0:
+            return 0.0
+        some = _spread(which, REPRESENTATIVES)
+        line = self._run_on(some, taken, self._rules.observe, CYCLE_FLIGHTS)
+        left = int(np.isin(line.outcome, (Outcome.PERIODIC, Outcome.AT_REST)).sum())
+        followed = max(self._rules.until - taken, 2 * self._rules.observe)
+        return left / (followed * (len(some) - 0.5 * left))
+
+    def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
+        """Assign starts without a cycle to attractors that are told apart by the distribution of flights."""
+        settling = which[self._ends.outcome[which] == Outcome.SETTLING]
+        for number, known in enumerate(self._attractors):
+            self._owner[settling[_near(self._ends.time[settling], known.flights)]] = number
+        which = which[self._ends.outcome[which] == Outcome.APERIODIC]
+        samples: list[_Sample] = []
+        groups: list[list[int]] = []
+        chosen = _spread(which, REPRESENTATIVES)
+        for _ in range(SEARCHES if len(which) else 0):
+            line = self._run_on(chosen, taken, LONG_WINDOW, LONG_FLIGHTS)
+            samples += self._samples(line)
+            before, groups = len(groups), _linked(samples)
+            if len(groups) == before or len(chosen) == len(which):
+                break
+            distance = self._distances(which, samples, groups).min(axis=1)
+            chosen = which[np.argsort(-distance, kind="stable")[:REPRESENTATIVES]]
+        if not groups:
+            return
+        nearest = self._distances(which, samples, groups).argmin(axis=1)
+        numbers = [self._new(_pooled([samples[i] for i in group], rate)) for group in groups]
+        self._owner[which] = np.array(numbers)[nearest]
+
+    def _samples(self, line: Line) -> list["_Sample"]:
+        """The runs of a record that end on no attractor known already: aperiodic, or on long cycles."""
+        samples = []
+        for i in range(len(line.outcome)):
+            time, phase = counted(line, i, self._rules.micro_flight)
+            ended = line.outcome[i] not in (Outcome.DIVERGED, Outcome.UNRESOLVED)
+            if ended and len(time) > 1 and self._known(line, i) is None:
+                mode = int(line.bounces[i]), int(line.periods[i])
+                samples.append(_Sample(time, phase, line.end_state[i].copy(), mode))
+        return samples
+
+    def _distances(
+        self, which: NDArray[np.intp], samples: Sequence["_Sample"], groups: Sequence[Sequence[int]]
+    ) -> NDArray[np.float64]:
+        """(n, groups) of the flights of starts from the flights of groups of representatives."""
+        columns = []
+        for group in groups:
+            time = np.concatenate([samples[i].time for i in group])
+            phase = np.concatenate([samples[i].phase for i in group])
+            columns.append(_distance_of_rows(self._ends.time[which], self._ends.phase[which], time, phase))
+        return np.stack(columns, axis=1)
+
+    def _numbered(self) -> Found:
+        counts = np.bincount(self._owner[self._owner >= 0], minlength=len(self._attractors))
+        order = sorted(np.flatnonzero(counts).tolist(), key=lambda i: (-counts[i], *self._attractors[i].key))
+        ids = np.zeros(len(self._attractors) + 1, np.uint16)  # the last one: of starts without an owner
+        for place, number in enumerate(order):
+            ids[number] = place + 1
+            self._attractors[number].fraction = float(counts[number] / len(self._owner))
+        attractors = tuple(self._attractors[i] for i in order)
+        if attractors:
+            self._observe(attractors)
+        return Found(ids[self._owner], attractors)
+
+    def _observe(self, attractors: Sequence[Attractor]) -> None:
+        """Record a window of each attractor, and its exponents."""
+        rules = self._rules
+        states = np.stack([attractor.state for attractor in attractors])
+        line = self._line(Request(states, 0, rules.observe, rules.keep))
+        for i, attractor in enumerate(attractors):
+            attractor.flight_time, attractor.takeoff_phase = line.flight_time[i], line.takeoff_phase[i]
+        if rules.exponents:
+            window = EXPONENT_WINDOW
+            line = self._line(Request(states, 2 * window, window, 1, rules.exponents))
+            for i, attractor in enumerate(attractors):
+                attractor.lyapunov = line.lyapunov[i]
+
+
+class _Sample(NamedTuple):
+    """Flights of an aperiodic run, in order."""
+
+    time: NDArray[np.float64]
+    phase: NDArray[np.float64]
+    state: NDArray[np.float64]
+    mode: tuple[int, int]  # of a long cycle; (0, 0) without one
+
+    @property
+    def features(self) -> tuple[NDArray[np.float64], ...]:
+        return _features(self.time, self.phase)
+
+
+def counted(line: Line, i: int, micro_flight: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times and take-off phases of the stored flights of run i that count: those longer, or all."""
+    stored = np.isfinite(line.flight_time[i])
+    longer = stored & (line.flight_time[i] > micro_flight)
+    rows = longer if longer.any() else stored
+    return line.flight_time[i][rows], line.takeoff_phase[i][rows]
+
+
+def _reduced(line: Line, micro_flight: float) -> dict[str, NDArray[Any]]:
+    """What of a record of n runs is kept: `_Ends`, with flights of those runs only that have no cycle."""
+    cycle = np.zeros((len(line.outcome), 4))
+    times, phases = [], []
+    for i, outcome in enumerate(line.outcome):
+        time, phase = counted(line, i, micro_flight)
+        if outcome == Outcome.PERIODIC:
+            last = time[-line.bounces[i] :]
+            cycle[i] = last.sum(), (last * last).sum(), last.min(), last.max()
+        else:
+            missing = max(START_FLIGHTS - len(time), 0)
+            times.append(np.pad(time[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
+            phases.append(np.pad(phase[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
+    flights = [np.array(rows, np.float32).reshape(-1, START_FLIGHTS) for rows in (times, phases)]
+    return {
+        "outcome": line.outcome, "bounces": line.bounces, "periods": line.periods, "state": line.end_state,
+        "cycle": cycle, "time": flights[0], "phase": flights[1],
+    }  # fmt: skip
+
+
+def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Groups of starts that end at rest, or on cycles of one mode whose flights differ by little steps."""
+    rest = which[ends.outcome[which] == Outcome.AT_REST]
+    cycles = which[ends.outcome[which] == Outcome.PERIODIC]
+    groups = [rest] if len(rest) else []
+    if len(cycles) == 0:
+        return groups
+    modes = np.stack([ends.bounces[cycles], ends.periods[cycles]], axis=1)
+    label = np.unique(modes, axis=0, return_inverse=True)[1].reshape(-1)
+    bounces = ends.bounces[cycles]
+    steps = (bounces, 2.0 * ends.cycle[cycles, 0] + 1.0, np.ones(len(cycles)), np.ones(len(cycles)))
+    for step, values in zip(steps, ends.cycle[cycles].T, strict=True):
+        order = np.lexsort((values, label))
+        wide = np.diff(values[order]) > SAME_CYCLE * step[order][1:]
+        label[order] = np.cumsum(np.concatenate([[False], wide | (np.diff(label[order]) != 0)]))
+    order = np.argsort(label, kind="stable")
+    return groups + np.split(cycles[order], np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _spread(which: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """At most `count` of them, evenly spaced."""
+    return which[np.unique(np.linspace(0, len(which) - 1, min(count, len(which))).round().astype(np.intp))]
+
+
+def _near(time: NDArray[np.float32], flights: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) whether all flights of a row of `time` (n, m) are near to one of the sorted `flights`."""
+    if len(flights) == 0:
+        return np.zeros(len(time), np.bool_)
+    at = np.searchsorted(flights, time)
+    below, above = flights[np.maximum(at - 1, 0)], flights[np.minimum(at, len(flights) - 1)]
+    near = np.minimum(np.abs(time - below), np.abs(above - time)) <= NEAR_CYCLE
+    flown = np.isfinite(time)
+    return np.asarray(np.all(near | ~flown, axis=1) & flown.any(axis=1))
+
+
+def _features(time: NDArray[np.float64], phase: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """What is compared of flights: their times, and sine and cosine of their take-off phases."""
+    return time, np.sin(phase), np.cos(phase)
+
+
+def ks_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """The two-sample statistic of Kolmogorov and Smirnov: of equal distributions 0, of separate ones 1."""
+    both = np.sort(np.concatenate([a, b]))
+    return float(
+        np.abs(
+            np.searchsorted(np.sort(a), both, "right") / len(a)
+            - np.searchsorted(np.sort(b), both, "right") / len(b)
+        ).max()
+    )
+
+
+def _distance_of_rows(
+    time: NDArray[np.float32],
+    phase: NDArray[np.float32],
+    pool_time: NDArray[np.float64],
+    pool_phase: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(n,) the distance of each row (n, m) of flights from a pool of them; NaN is no flight."""
+    distance = np.zeros(len(time))
+    pools = _features(pool_time, pool_phase)
+    for pool, rows in zip(pools, _features(time.astype(float), phase.astype(float)), strict=True):
+        values = np.sort(rows, axis=1)  # NaN last
+        count = np.isfinite(values).sum(axis=1)
+        ordered = np.sort(pool)
+        below, up_to = (np.searchsorted(ordered, values, side) / len(pool) for side in ("left", "right"))
+        rank = np.arange(values.shape[1])
+        size = np.maximum(count, 1)[:, None]
+        apart = np.maximum((rank + 1) / size - up_to, below - rank / size)
+        distance = np.maximum(distance, np.where(rank < count[:, None], apart, 0.0).max(axis=1))
+    return distance
+
+
+def _linked(samples: Sequence[_Sample]) -> list[list[int]]:
+    """Groups of samples whose distributions agree, directly or by way of others."""
+    features = [sample.features for sample in samples]
+    noise = [max(ks_distance(x[: len(x) // 2], x[len(x) // 2 :]) for x in feature) for feature in features]
+    groups: list[list[int]] = []
+    for i, own in enumerate(features):
+        linked, others = [i], []
+        for group in groups:
+            if any(_agree(own, features[j], noise[i], noise[j]) for j in group):
+                linked += group
+            else:
+                others.append(group)
+        groups = [*others, sorted(linked)]
+    return sorted(groups)
+
+
+def _agree(
+    a: tuple[NDArray[np.float64], ...], b: tuple[NDArray[np.float64], ...], noise_a: float, noise_b: float
+) -> bool:
+    allowed = max(SAME_DISTRIBUTION, HALVES * max(noise_a, noise_b))
+    return all(ks_distance(x, y) <= allowed for x, y in zip(a, b, strict=True))
+
+
+def _pooled(samples: Sequence[_Sample], rate: float) -> Attractor:
+    """The attractor of samples that agree."""
+    time = np.concatenate([sample.time for sample in samples])
+    phase = np.concatenate([sample.phase for sample in samples])
+    lifetime = 1.0 / rate if rate > 0.0 else np.inf
+    modes = {sample.mode for sample in samples}
+    if len(modes) == 1 and samples[0].mode[0]:
+        bounces, periods = samples[0].mode
+        cycle = np.sort(samples[0].time[-bounces:])
+        return Attractor(
+            int(Outcome.PERIODIC), bounces, periods, cycle, np.empty(0), samples[0].state, lifetime
+        )
+    order = np.argsort(time, kind="stable")
+    return Attractor(APERIODIC, 0, 0, time[order], phase[order], samples[0].state, lifetime)

@@ -1,0 +1,136 @@
+"""The specification of a basin: a plane of starts in each cell of a grid."""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, model_validator
+
+from kernel.params import MAX_EXPONENTS
+from worker.spec import AXES, LARGEST, SMALLEST, SpecError, SweepSpec
+from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
+from worker.spec.contact_models import Auto, Ball, Contact, Soft, model_fields
+from worker.spec.errors import BrokenRuleError, did_you_mean
+from worker.spec.specification import Specification
+from worker.spec.sweep import MAX_KEEP, MAX_PERIODS
+
+#: Starts of one cell at most, and rows or columns: a cell's starts are computed and stored together.
+MAX_STARTS: Final = 512 * 512
+MAX_SIDE: Final = 4096
+MAX_HEIGHT: Final = 1e6
+
+#: Plate periods that a start may take in all where `settle_until` is null, over those of the window.
+UNTIL: Final = 10
+
+
+class Basin(Strict):
+    """The protocol, whose kind chooses the study: the plane of starts.
+
+    drop: rows are heights above the plate, columns the plate's phases at which the spring is let go, relaxed
+    and at rest in the laboratory. contact: the states of a spring that sticks at phase 0; rows are its
+    elongation beyond the static one, columns the velocity of the elongation times omega, each up to `height`
+    in both directions.
+    """
+
+    kind: Literal["basin"]
+    plane: Literal["drop", "contact"] = "drop"
+    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+    height: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT), NUMBER] = 10.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, data: object) -> object:
+        """Unknown fields named with those of this object."""
+        for name in data if isinstance(data, dict) else ():
+            if name not in cls.model_fields:
+                fields = tuple(cls.model_fields)
+                hint = did_you_mean(name, fields) or ";"
+                raise BrokenRuleError(
+                    "", f"{name[:40]!a} is not a field here{hint} the fields are {', '.join(fields)}"
+                )
+        return data
+
+    @model_validator(mode="after")
+    def _size(self) -> Self:
+        if self.rows * self.columns > MAX_STARTS:
+            fitting = MAX_STARTS // self.columns
+            rule = f"must be at most {fitting} with {self.columns} columns, not {self.rows}"
+            raise BrokenRuleError("rows", f"{rule}: a cell has at most {MAX_STARTS:,} starts")
+        return self
+
+    @property
+    def row_values(self) -> NDArray[np.float64]:
+        """(rows,) heights above the plate, or elongations beyond the static one, in plate amplitudes."""
+        middles = (np.arange(self.rows) + 0.5) * (self.height / self.rows)
+        return np.asarray(middles if self.plane == "drop" else 2.0 * middles - self.height)
+
+    @property
+    def column_values(self) -> NDArray[np.float64]:
+        """(columns,) phases in rad, or velocities of the elongation times omega in plate amplitudes."""
+        if self.plane == "drop":
+            return np.asarray(2.0 * math.pi * np.arange(self.columns) / self.columns)
+        middles = (2.0 * np.arange(self.columns) + 1.0) * (self.height / self.columns)
+        return np.asarray(middles - self.height)
+
+
+class BasinSpec(Specification):
+    """A grid of cells, the plane of starts, and the window of each start.
+
+    Fields as of a `SweepSpec`; `keep` flights of each attractor are stored.
+    """
+
+    AXES: ClassVar = AXES
+
+    gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
+    omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
+    xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
+    protocol: Basin
+    model: Contact = Soft()
+    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 500
+    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 60
+    keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
+    micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.05
+    settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
+    exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
+
+    @model_validator(mode="after")
+    def _rules(self) -> Self:
+        if isinstance(self.model, Auto):
+            rule = "must be 'soft', 'stepped', 'rigid' or 'ball' for a basin: no model is chosen for one"
+            raise BrokenRuleError("model.kind", rule)
+        if isinstance(self.model, Ball) and self.protocol.plane == "contact":
+            raise BrokenRuleError(
+                "protocol.plane", "must be 'drop' where model.kind is 'ball': it has no spring"
+            )
+        try:
+            self.sweep()
+        except SpecError as error:
+            problem = error.problems[0]
+            raise BrokenRuleError(problem.field, problem.rule) from error
+        return self
+
+    @classmethod
+    def objects(cls) -> Mapping[str, tuple[str, ...]]:
+        """As of every specification, with the contact models."""
+        return {**super().objects(), **model_fields()}
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Cells along (xi, omega, gamma)."""
+        xi, omega, gamma = (len(self.axis_values(axis)) for axis in AXES)
+        return xi, omega, gamma
+
+    @property
+    def until(self) -> int:
+        """Plate periods that a start may take in all."""
+        return self.settle_until or UNTIL * (self.settle + self.observe)
+
+    def sweep(self) -> SweepSpec:
+        """The sweep of these cells with this window, from rest. Raises SpecInvalid."""
+        fields: dict[str, Any] = {
+            name: getattr(self, name) for name in BasinSpec.model_fields if name not in ("name", "protocol")
+        }
+        return SweepSpec(**fields)
