@@ -167,7 +167,7 @@ class Cluster:
         self.workers = Restarted(
             folder / "worker.log", settings, "dask", "worker", self.address, "--nworkers", "2",
             "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard",
-            "--local-directory", str(folder / "dask"), "--death-timeout", "10",
+            "--local-directory", str(folder / "dask"), "--death-timeout", "60",
         )  # fmt: skip
 
     def end(self) -> None:

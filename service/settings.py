@@ -114,7 +114,7 @@ class Settings(BaseSettings):
     max_export_bytes: Count = Field(
         2 * 2**30, description="Bytes of a sweep that may be exported as one file, before compression."
     )
-    max_reads: Count = Field(2, description="Diagrams, maps and tables read or drawn at a time.")
+    max_reads: Count = Field(1, description="Diagrams, maps and tables read or drawn at a time.")
     answer_memory: Count = Field(
         512 * 2**20,
         description="Bytes that diagrams, maps, files and trajectories take together until they are sent.",

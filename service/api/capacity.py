@@ -7,13 +7,14 @@ client has read it. All other requests keep the threads of the event loop's pool
 
 import asyncio
 import functools
+import inspect
 from collections import deque
 from collections.abc import Callable, Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Final, Literal, NamedTuple
 
-from fastapi import Response
+from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
@@ -35,6 +36,9 @@ _PLURALS: Final[Mapping[Activity, str]] = {
 
 #: Bytes sent at a time; the next ones wait until the client has taken these.
 PIECE: Final = 256 * 1024
+
+#: The status in the log of a request whose client has left; the client never sees it.
+CLIENT_GONE: Final = 499
 
 #: Bytes of answers after which the C library is told to return memory when none is left.
 MUCH: Final = 64 * 2**20
@@ -199,20 +203,53 @@ def costly(
     """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
 
     `memory`: bytes that an answer takes at most, or a function that estimates them; it is called with the
-    endpoint's arguments. A request that finds no thread or no memory within `turn_seconds` gets 429.
+    endpoint's arguments. A request that finds no thread or no memory within `turn_seconds` gets 429. Nothing
+    is computed for a client that has left before its turn.
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
+        signature = inspect.signature(endpoint)
+        takes_request = "request" in signature.parameters
+
         @functools.wraps(endpoint)
-        async def limited(**arguments: Any) -> Response:
+        async def limited(request: Request, **arguments: Any) -> Response:
+            if takes_request:
+                arguments["request"] = request
             estimate = await run_in_threadpool(memory, **arguments) if callable(memory) else memory
-            lease = await arguments["service"].capacity.acquire(activity, estimate)
+            lease = await _unless_gone(request, arguments["service"].capacity.acquire(activity, estimate))
+            if lease is None:
+                return Response(status_code=CLIENT_GONE)
             response: Response = await lease.run(functools.partial(endpoint, **arguments))
             return response
 
+        if not takes_request:
+            parameter = inspect.Parameter("request", inspect.Parameter.KEYWORD_ONLY, annotation=Request)
+            signature = signature.replace(parameters=[*signature.parameters.values(), parameter])
+        limited.__signature__ = signature  # type: ignore[attr-defined]
         return limited
 
     return declare
+
+
+async def _unless_gone(request: Request, acquiring: Coroutine[Any, Any, Lease]) -> Lease | None:
+    """The lease when it is acquired; None, and nothing held, if the client has closed its connection."""
+    acquired, gone = asyncio.ensure_future(acquiring), asyncio.ensure_future(_gone(request))
+    try:
+        await asyncio.wait({acquired, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if not gone.done():
+            return acquired.result()
+    finally:
+        gone.cancel()
+        acquired.cancel()
+    with suppress(asyncio.CancelledError, Busy):
+        (await acquired).release()
+    return None
+
+
+async def _gone(request: Request) -> None:
+    """Return when the client closes its connection."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
 
 
 class ListenerLimit:

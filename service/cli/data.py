@@ -69,6 +69,9 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
     settings, refused = _settings(data), 0
     if not settings.data.is_dir():
         raise click.BadParameter(f"there is no folder {settings.data}", param_hint="'--data'")
+    if not settings.ledger_path.exists() and not adoption.has_stores(settings):
+        rule = f"{settings.data} has neither a ledger nor stores: it is not the data folder of a service"
+        raise click.BadParameter(rule, param_hint="'--data'")
     with adoption.open_ledger(settings) as ledger:
         unknown = adoption.find_unknown(ledger, settings)
         ids = [Path(store).name.removesuffix(".zarr") for store in (unknown if every else stores)]

@@ -3,6 +3,7 @@
 import os
 import shutil
 import sqlite3
+import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -42,7 +43,7 @@ def backup(ledger: Path, file: Path) -> Contents:
         with _opened(ledger) as source:
             copy_to(source, file)
     except sqlite3.OperationalError as error:
-        raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {error}") from error
+        raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {_why(file, error)}") from error
     except sqlite3.DatabaseError as error:
         raise LedgerUnusable(f"{ledger} cannot be copied: {error}") from error
     file.chmod(PRIVATE_FILE)
@@ -110,6 +111,15 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
     mode = "mode=ro" if wal_of(file).exists() else "mode=ro&immutable=1"
     with closing(sqlite3.connect(f"file:{quote(str(file.absolute()))}?{mode}", uri=True)) as connection:
         yield connection
+
+
+def _why(file: Path, error: sqlite3.Error) -> str:
+    """Why a file could not be written: the system says it more clearly, if it refuses every file."""
+    try:
+        with tempfile.TemporaryFile(dir=file.parent):
+            return str(error)
+    except OSError as refused:
+        return str(refused.strerror)
 
 
 def _tables(connection: sqlite3.Connection) -> set[str]:

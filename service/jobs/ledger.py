@@ -170,7 +170,8 @@ class Ledger:
         """Raises LedgerUnavailable."""
         if self._damage is None and self._files.changed_from_outside():
             self._damage = (
-                f"another program has written to the data folder's {self.path.name} while the service runs"
+                f"the data folder's {self.path.name} has another size or time of change than the service "
+                "left it with: another program has changed it while the service runs"
             )
         if self._damage is not None:
             raise self._damaged()

@@ -2,7 +2,7 @@
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
 continues, and a later request for the same result gets it. Jobs keep at least half of the workers, or of the
-time of a single one, and in the long run seven eighths of the workers' time.
+time of a single one, and in the long run fifteen sixteenths of the workers' time.
 """
 
 import threading
@@ -25,9 +25,9 @@ MAX_RESULTS: Final = 64
 MAX_PENDING: Final = 4
 
 #: Of the workers' time, what calls get in the long run while chunks of jobs are computed.
-SHARE: Final = 1 / 8
+SHARE: Final = 1 / 16
 #: Core-seconds of calls that are computed beside jobs before they have to keep to their share.
-CREDIT_SECONDS: Final = 10.0
+CREDIT_SECONDS: Final = 5.0
 #: Seconds after which calls that have used up their share are looked at again.
 LOOK_SECONDS: Final = 0.2
 

@@ -2,11 +2,9 @@
 
 import os
 import resource
-import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from itertools import count
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ from running import running
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, service
 
+from benchmarks.full_disk import fill, mounted, use_up_inodes
 from kernel.params import Outcome
 from service.jobs.model import JobState
 from service.render import export, netcdf
@@ -24,42 +23,19 @@ from worker.executors.inline import Inline
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 2 MB; skips where none can be mounted."""
-    with mounted(tmp_path / "small", "size=2m") as folder:
+    with mounted_or_skipped(tmp_path / "small", "size=2m") as folder:
         yield folder
 
 
 @contextmanager
-def mounted(folder: Path, options: str) -> Iterator[Path]:
+def mounted_or_skipped(folder: Path, options: str) -> Iterator[Path]:
     """A file system in memory; skips where none can be mounted."""
-    folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
-    try:
-        mounted = subprocess.run(command, capture_output=True, check=False).returncode == 0
-    except FileNotFoundError:
-        mounted = False
-    if not mounted:
-        pytest.skip("file systems cannot be mounted here")
-    try:
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(mounted(folder, options))
+        except OSError as error:
+            pytest.skip(str(error))
         yield folder
-    finally:
-        subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-def fill(path: Path) -> None:
-    """Write until not a byte is free."""
-    with path.open("wb", buffering=0) as file:
-        for size in (1 << 16, 1 << 12, 1):
-            try:
-                while True:
-                    file.write(b"x" * size)
-            except OSError:
-                continue
-
-
-def use_up_inodes(folder: Path) -> None:
-    """Make files until the file system refuses: OSError."""
-    for number in count():
-        (folder / f"file {number}").touch()
 
 
 def test_a_full_disk_fails_the_job_only(small_disk: Path):
@@ -104,7 +80,7 @@ def test_the_ledger_records_what_happened_while_the_disk_has_no_byte_left(small_
 def test_a_disk_without_inodes_can_be_emptied(tmp_path: Path):
     """Not even the cancel flag of the store can be written."""
     with (
-        mounted(tmp_path / "few", "size=64m,nr_inodes=600") as folder,
+        mounted_or_skipped(tmp_path / "few", "size=64m,nr_inodes=600") as folder,
         closing(Inline()) as executor,
         running(folder / "data", executor) as service,
     ):

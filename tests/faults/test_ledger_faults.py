@@ -217,7 +217,7 @@ def test_a_removed_ledger_is_restored_from_what_was_open(data: Path, inline: Inl
 def test_a_ledger_overwritten_in_place_is_not_written_to(data: Path, client: TestClient):
     path = data / "ledger.sqlite"
     os.truncate(path, 0)
-    refused(client, "another program has written to the data folder's ledger.sqlite")
+    refused(client, "the data folder's ledger.sqlite has another size or time of change")
 
 
 def test_a_page_that_is_damaged_while_the_service_runs_is_told(data: Path, inline: Inline):

@@ -64,7 +64,7 @@ def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
     before = (folder / "backup.sqlite").read_bytes()
     answer = bounce("backup", str(folder / "no" / "such"), "--data", str(folder / "data"))
     assert answer.exit_code == 1
-    assert "unable to open database file" in answer.output
+    assert "No such file or directory" in answer.output
     (folder / "data" / "ledger.sqlite").write_bytes(b"no ledger at all" * 999)
     answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
     assert answer.exit_code == 1
@@ -172,3 +172,11 @@ def test_the_doctor_names_what_needs_attention(folder: Path):
     assert "ledger.sqlite is empty" in bounce("doctor", "--data", str(data), "--url", url).output
     (data / "ledger.sqlite").write_bytes(files[data / "ledger.sqlite"])
     assert {path: path.read_bytes() for path in data.glob("ledger*")} == files
+
+
+def test_adopt_makes_no_ledger_where_there_is_nothing_to_adopt(tmp_path: Path):
+    """In a folder that is none of a service's."""
+    result = bounce("adopt", "--all", "--data", str(tmp_path))
+    assert result.exit_code == 2
+    assert "neither a ledger nor stores" in " ".join(result.output.split())
+    assert list(tmp_path.iterdir()) == []

@@ -220,7 +220,7 @@ def test_a_costly_answer_gives_back_what_it_took(client: TestClient, path: str):
 @pytest.mark.parametrize("path", READS)
 def test_beyond_the_limit_a_read_is_told_to_come_again(client: TestClient, path: str):
     here = finished(client, FIGURE_2)
-    for busy in ({"slots": 2}, {"memory": 2**40}):
+    for busy in ({"slots": 1}, {"memory": 2**40}):
         with taken(client, "read", **busy):
             refused = client.get(f"{here}/{path}")
             assert (refused.status_code, refused.headers["Retry-After"]) == (429, "5")
@@ -284,6 +284,36 @@ def _counted(compute: Callable[..., Any], threads: threading.Semaphore, *argumen
         return compute(*arguments)
     finally:
         threads.release()
+
+
+def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: Path):
+    """What they asked for leaves the queue; the one that was computed gives back what it took."""
+    began, go = threading.Semaphore(0), threading.Event()
+
+    def hold(*_: object, **__: object) -> Any:
+        began.release()
+        go.wait(DEADLINE)
+        raise Busy("enough")
+
+    app = create_app(Settings(data=tmp_path, max_trajectories=1, turn_seconds=DEADLINE), Held())
+    body = b'{"gamma": 2.0, "omega": 0.5, "xi": 0.26}'
+    request = (
+        b"POST /v1/trajectories HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
+    )
+    with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 99)) as address:
+        patch.setattr("service.results.trajectory.compute", hold)
+        capacity = app.state.service.capacity
+        with contextlib.ExitStack() as connections:
+            for _ in range(20):
+                connection = connections.enter_context(socket.create_connection(address, timeout=DEADLINE))
+                connection.sendall(request)
+            assert began.acquire(timeout=DEADLINE)
+            wait_for(lambda: len(capacity._waiting["trajectory"]) == 19)
+        wait_for(lambda: not capacity._waiting["trajectory"])
+        go.set()
+        wait_for(lambda: capacity.used == 0)
+        assert not began.acquire(blocking=False)
 
 
 def test_an_answer_that_nobody_reads_ends(tmp_path: Path):

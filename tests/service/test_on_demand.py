@@ -160,10 +160,11 @@ def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers:
 
 
 def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
-    """Of 8 workers an eighth of the time is a core-second per second."""
+    """As if it were an eighth of the time: of 8 workers a core-second per second, and ten at once."""
     now, jobs = [100.0], [True]
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr(on_demand, "LOOK_SECONDS", 0.01)
+    for name, value in {"LOOK_SECONDS": 0.01, "SHARE": 1 / 8, "CREDIT_SECONDS": 10.0}.items():
+        monkeypatch.setattr(on_demand, name, value)
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01, jobs_compute=lambda: jobs[0])
     with pytest.raises(Pending):

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import logging
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -145,6 +146,7 @@ class SchedulerConnection:
         """Connect again if the connection is lost; register with a scheduler that replaced the last one."""
         if self._client.status != "running":
             self._scheduler_id = ""
+            self._check_listener()
             lost, self._client = self._client, self._connect(PING_SECONDS)
             with contextlib.suppress(Exception):
                 lost.close(timeout=RETRY_SECONDS)
@@ -153,6 +155,20 @@ class SchedulerConnection:
         elif self._is_replaced():
             self._scheduler_id = ""
             self._register()
+
+    def _check_listener(self) -> None:
+        """Raise ClusterLost if nobody listens at the scheduler's address.
+
+        A client of distributed that finds nobody keeps its thread and three files for as long as this process
+        lives: tried once a second, they would be used up in hours.
+        """
+        address: Any = "an unknown address"
+        try:
+            address = self._target()
+            if isinstance(address, str):
+                socket.create_connection(get_address_host_port(address), PING_SECONDS).close()
+        except _NO_SCHEDULER as error:
+            raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
     def _is_replaced(self) -> bool:
         try:

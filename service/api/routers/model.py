@@ -141,7 +141,7 @@ def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Que
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 
     Measured once in the service's lifetime, which takes a minute or two, beside
-    jobs several times as long; until then 202 with the progress.
+    jobs up to ten times as long; until then 202 with the progress.
     """
     rows = service.on_demand.get("tradeoff", work_precision.submit)
     if query.format == "json":

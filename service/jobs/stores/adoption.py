@@ -79,7 +79,8 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
     try:
         contents = _contents(url, job_id)
     except (StoreError, SpecError, LookupError, TypeError, ValueError) as error:
-        raise NotAdoptable(f"{url} cannot be adopted: {error}") from error
+        reason = str(error).removeprefix(f"{url}: ")
+        raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
     reports = list(_whole_chunks(url, contents))
     found = f"{len(reports)} of {contents.job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
