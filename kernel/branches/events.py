@@ -327,11 +327,7 @@ def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros
     where: list[Floats] = []
     edge = zeros.x[zeros.which >= _OF_THE_TIMES]
     for kind, contact in ((Kind.GRAZE_FLIGHT, False), (Kind.GRAZE_CONTACT, True)):
-        broken, minima = (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
-        i = np.flatnonzero(broken[:-1] != broken[1:])
-        low, high, first = t[i], t[i + 1], broken[i]
-        time = np.where(first, minima.time[i], minima.time[i + 1])
-        low, high, first, time = _beside(k, periods, (low, high, first, time), edge, contact, at)
+        low, high, first, time = _brackets(k, periods, t, found, edge, contact, at)
         for number in range(_ROUNDS):
             if number == _POLE_ROUNDS:
                 graze = ~_around_pole(k, periods, low, high)
@@ -359,34 +355,35 @@ def _around_pole(k: Spring, periods: int, low: Floats, high: Floats) -> NDArray[
     return np.asarray(x.c * y.c + x.s * y.s < 0.0)
 
 
-def _beside(
-    k: Spring, periods: int, brackets: _Brackets, edge: Floats, contact: bool, at: Samples
+def _brackets(
+    k: Spring, periods: int, t: Floats, found: Check, edge: Floats, contact: bool, at: Samples
 ) -> _Brackets:
-    """Brackets without the events at an end of a flight or contact that they hold: what is left beside."""
-    low, high, first, time = brackets
-    inside = (edge >= low[:, None]) & (edge <= high[:, None])
-    held = inside.any(axis=1)
-    if not held.any():
-        return brackets
-    where = edge[inside[held].argmax(axis=1)]
-    sides = np.concatenate([where - _NEXT, where + _NEXT])
-    inner = check(k, periods, sides, orbit(k, periods, sides), at)
-    broken, minima = (inner.force_broken, inner.force) if contact else (inner.gap_broken, inner.gap)
-    m = len(where)
-    before, after = broken[:m], broken[m:]
-    left, right = before != first[held], after == first[held]
-    return (
-        np.concatenate([low[~held], low[held][left], sides[m:][right]]),
-        np.concatenate([high[~held], sides[:m][left], high[held][right]]),
-        np.concatenate([first[~held], first[held][left], after[right]]),
-        np.concatenate(
-            [
-                time[~held],
-                np.where(first[held], time[held], minima.time[:m])[left],
-                np.where(after, minima.time[m:], time[held])[right],
-            ]
-        ),
-    )
+    """Between which flight times a condition breaks or ceases to, events at an end of the phase left out.
+
+    Where such an event, `edge`, lies between two of t (n,), what is left on both sides of it: the condition
+    may hold in a window beside it alone.
+    """
+    broken, minima = (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
+    edge = np.sort(edge[(edge > t[0]) & (edge < t[-1])])
+    held, which = np.unique(np.searchsorted(t, edge) - 1, return_index=True)
+    where = edge[which]
+    changes = np.setdiff1d(np.flatnonzero(broken[:-1] != broken[1:]), held)
+    parts = [(t[changes], t[changes + 1], broken[changes], minima.time[changes + ~broken[changes]])]
+    if len(held):
+        sides = np.concatenate([where - _NEXT, where + _NEXT])
+        inner = check(k, periods, sides, orbit(k, periods, sides), at)
+        beside, lowest = (inner.force_broken, inner.force) if contact else (inner.gap_broken, inner.gap)
+        before, after = np.split(beside, 2)
+        time_before, time_after = np.split(lowest.time, 2)
+        left, right = before != broken[held], after != broken[held + 1]
+        times = (
+            np.where(broken[held], minima.time[held], time_before),
+            np.where(after, time_after, minima.time[held + 1]),
+        )
+        parts.append((t[held][left], sides[: len(where)][left], broken[held][left], times[0][left]))
+        parts.append((sides[len(where) :][right], t[held + 1][right], after[right], times[1][right]))
+    low, high, first, time = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return low, high, first, time
 
 
 def _touch(k: Spring, periods: int, brackets: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:

@@ -57,6 +57,18 @@ def test_none_missed_and_none_invented(omega, xi, periods):
     assert len(line.gamma) >= 400
 
 
+def test_a_window_narrower_than_the_grid_has_both_its_ends():
+    """Cycles are admissible over 0.0008 rad of a grid of 0.05 rad, from a graze to a landing with n = 0."""
+    found, events = branch_and_events(0.9627922585259332, 0.05468653085150799, 3)
+    inside = (events.flight_time > 12.15) & (events.flight_time < 12.16)
+    assert dict(zip(events.kind[inside], events.flight_time[inside], strict=True)) == {
+        Kind.GRAZE_CONTACT: pytest.approx(12.1562816, abs=1e-6),
+        Kind.IMMEDIATE_TAKEOFF: pytest.approx(12.1571250, abs=1e-6),
+    }
+    times = np.array([12.1562, 12.1566, 12.1572])
+    assert (branch(found.omega, found.xi, 3, times).admissible == 0).tolist() == [False, True, False]
+
+
 @pytest.mark.parametrize(("omega", "xi", "periods"), [(0.5, 0.26, 2), (0.67, 0.05, 1), (1.26, 0.05, 2)])
 def test_admissibility_changes_only_at_events(omega, xi, periods):
     line, events = branch_and_events(omega, xi, periods)
