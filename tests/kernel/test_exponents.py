@@ -226,7 +226,8 @@ def test_no_more_than_the_state_has_dimensions(model, restitution, most):
 def test_the_record_beside_them_is_the_same(model):
     gamma = np.linspace(1.2, 5.0, 12)
     options = {"restitution": 0.3, "penetration": 1e-2, "settle": 30, "observe": 20, "carry": True}
-    plain = run(gamma, 0.5, 0.26, model, **options)
+    # they are computed cell by cell, and lanes differ in the last digits
+    plain = run(gamma, 0.5, 0.26, model, in_lanes=False, **options)
     line = run(gamma, 0.5, 0.26, model, exponents=2, **options)
     assert line.lyapunov.shape == (12, 2)
     assert_same_bytes(plain, line._replace(lyapunov=plain.lyapunov))

@@ -19,7 +19,7 @@ from served import computing, finished, listening, service
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
 from service.api.problems import STATUS
-from service.errors import NotAdoptable, NotStarted, ServiceError
+from service.errors import NotAdoptable, NotStarted, RunFailed, ServiceError
 from service.server.web_server import limited
 from service.settings import Settings
 from worker.executors.inline import Inline
@@ -210,12 +210,13 @@ def test_errors_name_the_field_and_the_rule(client: TestClient):
 
 
 def test_every_error_has_a_status():
-    """All but those that stop the service from starting, and those of the command line alone."""
+    """All but those that stop the service from starting, and those of the command line and of local runs."""
 
     def subclasses(error_class: type[ServiceError]) -> set[type[ServiceError]]:
         return {error_class}.union(*map(subclasses, error_class.__subclasses__()))
 
-    assert subclasses(ServiceError) - subclasses(NotStarted) - {NotAdoptable, ServiceError} <= set(STATUS)
+    elsewhere = {NotAdoptable, RunFailed, ServiceError}
+    assert subclasses(ServiceError) - subclasses(NotStarted) - elsewhere <= set(STATUS)
 
 
 def test_a_full_queue_sends_retry_after(tmp_path: Any):

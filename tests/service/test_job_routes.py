@@ -233,7 +233,7 @@ def test_deleting_a_job_removes_its_results(tmp_path: Path):
         assert list((tmp_path / "stores").glob("*.zarr"))
         answer = client.delete(here)
         assert (answer.status_code, answer.content) == (204, b"")
-        assert not list((tmp_path / "stores").glob("*.zarr"))
+        wait_for(lambda: not list((tmp_path / "stores").glob("*.zarr")))
         for path in (here, f"{here}/diagram", f"{here}/zarr/zarr.json", f"{here}/events"):
             assert client.get(path).status_code == 404
         assert client.delete(here).status_code == 404
