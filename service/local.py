@@ -10,6 +10,7 @@ without the interpreter's lock. So what is interrupted goes on where it stopped,
 those that a service would store.
 """
 
+import errno
 import json
 import os
 import shutil
@@ -67,10 +68,10 @@ def run(
     results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
     `Job.wait`.
 
-    An interrupted run leaves `STORE.partial`; the same call goes on there. A store that is there already is
-    returned if it is of the same study and complete. Raises SpecError naming field and rule, FileExistsError
-    for a store of anything else, RunFailed if a chunk could not be computed, DataFolderBusy while another
-    process computes the same store.
+    An interrupted run leaves `STORE.partial`; the same call goes on there. A store of the same study that is
+    there already is returned: it appears once it is complete. Raises SpecError naming field and rule,
+    FileExistsError for a store of anything else, RunFailed if a chunk could not be computed, DataFolderBusy
+    while another process computes the same store.
     """
     import xarray
 
@@ -110,18 +111,23 @@ def run_to_file(
     `Job.diagram`. An interrupted run goes on as of `run`. Raises as `run`, and InvalidRequest for a line that
     the sweep does not have, TooLarge, NoSpace.
     """
-    target = Path(output)
-    with computed(spec, partial_of(target), workers=workers, progress=progress) as (record, job):
-        from service.background import InThisProcess
-        from service.client.output_file import complete_file
-        from service.render import answers, export
-        from service.results.selection import Sweep
-        from worker.spec import SweepSpec
+    claim_kernels()
+    from worker.spec import SweepSpec
+    from worker.studies import from_json
 
-        if not isinstance(job.spec, SweepSpec):
-            raise InvalidRequest.of(
-                "format", "only a sweep is written as one file; name a zarr store instead"
-            )
+    target, parsed = Path(output), from_json(body(spec))
+    if not isinstance(parsed, SweepSpec):
+        raise InvalidRequest.of("format", "only a sweep is written as one file; name a zarr store instead")
+    from service.background import InThisProcess
+    from service.client.output_file import complete_file
+    from service.render import answers, export
+    from service.results.selection import Sweep, fixed_axes, resolve_direction
+
+    where = _line(line or {})
+    if format not in EXPORTS:  # before computing for hours
+        fixed_axes(parsed, where.along, where.values)
+        resolve_direction(parsed, where.direction)
+    with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
         sweep = Sweep(job.spec, job.store_url, complete=True)
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
@@ -130,7 +136,7 @@ def run_to_file(
                 made = export.make(InThisProcess(), sweep, job.plan, kind, folder)
                 file.writelines(export.pieces(made))
             else:
-                where, table = _line(line or {}), cast(DiagramFormat, format)
+                table = cast(DiagramFormat, format)
                 file.write(answers.diagram(sweep, where, table, limits.max_points, every).content)
     shutil.rmtree(partial_of(target))
     return _status(record)
@@ -153,7 +159,7 @@ def computed(
     spec: Specification, folder: Path, *, workers: int | None = None, progress: bool | ProgressCallback = True
 ) -> "Iterator[tuple[JobRecord, PreparedJob]]":
     """The job of a study, done, in the data folder `folder`, which is made and kept. Raises as `run`."""
-    _claim_kernels()
+    claim_kernels()
     # Not at the top of the module: kernels are declared here, with the cache that was just claimed.
     from service.jobs.manager import JobManager
     from service.jobs.stores.adoption import open_ledger
@@ -183,7 +189,9 @@ def _check_folder(ledger: "Ledger", spec: Any, folder: Path) -> None:
     with ledger.reading() as reading:
         others = [job for job in reading.newest(None, 2) if json.loads(job.spec) != spec.as_submitted()]
     if others:
-        raise FileExistsError(17, "holds a run of another specification; remove it first", str(folder))
+        raise FileExistsError(
+            errno.EEXIST, "holds a run of another specification; remove it first", str(folder)
+        )
 
 
 def cores() -> int:
@@ -201,7 +209,11 @@ def _settings(folder: Path) -> "Settings":
     return Settings(**(fields | {"data": folder.absolute()}))
 
 
-def _claim_kernels() -> None:
+def claim_kernels() -> None:
+    """Choose this process's cache of compiled kernels; must run before anything that declares kernels.
+
+    Raises NotStarted if other users could have written it.
+    """
     try:
         claim_cache()
     except CacheRefused as error:
@@ -225,10 +237,13 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:
-    """Whether `target` is the complete store of the study. Raises FileExistsError if it is anything else."""
+    """Whether `target` is the store of the study: it appears there once it is complete.
+
+    Raises FileExistsError if it is anything else.
+    """
     if not target.exists() and not target.is_symlink():
         if not target.absolute().parent.is_dir():
-            raise FileNotFoundError(2, "there is no such folder", str(target.absolute().parent))
+            raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.absolute().parent))
         return False
     from kernel.params import KERNEL_VERSION
     from worker import store
@@ -240,7 +255,7 @@ def _is_computed(target: Path, spec: Specification) -> bool:
     except store.StoreError:
         same = False
     if not same:
-        raise FileExistsError(17, "exists, and is not the store of this study", str(target))
+        raise FileExistsError(errno.EEXIST, "exists, and is not the store of this study", str(target))
     return True
 
 

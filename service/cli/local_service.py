@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 import click
 
 from service.cli.options import DEFAULT_URL
+from service.local import claim_kernels
 
 
 class Address(NamedTuple):
@@ -24,20 +25,6 @@ class Address(NamedTuple):
 
     url: str
     token: str | None
-
-
-def claim_kernel_cache() -> None:
-    """Choose this process's cache of compiled kernels; must run before anything that declares kernels.
-
-    Raises NotStarted if other users could have written it.
-    """
-    from service.errors import NotStarted
-    from worker.kernel_cache import CacheRefused, claim_cache
-
-    try:
-        claim_cache()
-    except CacheRefused as error:
-        raise NotStarted(str(error)) from error
 
 
 #: Signals that end a command, which then removes its temporary folder and ends its worker processes.
@@ -84,7 +71,7 @@ def persistent_service(workers: int | None, data: str | None, token: str | None)
 
 @contextmanager
 def _local_service(**options: str | int | None) -> Iterator[Address]:
-    claim_kernel_cache()
+    claim_kernels()
     from service.server import embedded
 
     token = secrets.token_urlsafe()

@@ -42,9 +42,9 @@ def serve(**options: str | int | None) -> None:
     --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
     of 16 characters or more, or give a file of tokens.
     """
-    from service.cli.local_service import claim_kernel_cache
+    from service.local import claim_kernels
 
-    claim_kernel_cache()
+    claim_kernels()
     from service.server import embedded
 
     embedded.serve(embedded.settings(**options), announce=click.echo)

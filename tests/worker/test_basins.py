@@ -65,8 +65,8 @@ def told(found: Found) -> list[tuple[int, int, int]]:
     return [(a.outcome, a.bounces, a.periods) for a in found.attractors]
 
 
-#: Fractions of 128 x 128 drops, and what tells the attractors apart: `branches.json` of the project's
-#: references, computed independently with the same windows.
+#: Fractions of 128 x 128 drops, and what tells the attractors apart, by an independent implementation of the
+#: rigid contact with the same windows and starts.
 REFERENCE = (
     ((3.6, 0.5, 0.26), 500, [(3, 4, 7.9564431, 0.51154), (1, 2, 11.2466043, 0.48846)], 0.377710, 0.519859),
     ((1.27, 0.5, 0.26), 500, [(1, 1, 4.6313007, 0.539), (1, 1, 3.3746433, 0.461)], 0.085043, 0.463215),
