@@ -162,7 +162,7 @@ def deepest(
     at_nodes: tuple[Floats, Floats], tolerance: NDArray[np.float64] | float,
 ) -> tuple[Minima, NDArray[np.bool_]]:  # fmt: skip
     """The deepest minimum before `end` (n,), where the function is zero, and whether a sample is negative."""
-    m = int(np.searchsorted(nodes, end.max())) + 1
+    m = int(np.searchsorted(nodes, end.max(initial=0.0))) + 1
     nodes = nodes[:m]
     inside = nodes < end[:, None] - _END
     value = np.where(inside, _combined(weights, at_nodes[0][:, :m]) + offset[:, None], 0.0)
