@@ -256,8 +256,13 @@ def join_events(parts: Sequence[Events]) -> Events:
 
 
 def sample_times(omega: float, xi: float, periods: int) -> Floats:
-    """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need."""
-    return np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES, _SAMPLED)])
+    """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need.
+
+    Each of the first is about twice the one before: where n' at take-off is nearly zero, the gap, which
+    begins as its cube, dips within them.
+    """
+    t = flight_times(omega, xi, periods, SAMPLES, _SAMPLED)
+    return np.sort(np.concatenate([[0.0], t, t[0] * np.array([2.0, 4.0]), t[1] * np.array([2.0])]))
 
 
 def _branch(k: Spring, periods: int, t: Floats, x: Orbit, found: Check) -> Branch:
