@@ -323,7 +323,7 @@ def test_every_omega_is_predicted_when_asked_for(service: TestClient, client: Cl
     assert float(all_.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
     assert set(job.threshold(predict="none").cause.values.tolist()) == {"not predicted"}
     where = f"/v1/jobs/{job.id}/threshold"
-    assert "must be 'none', 'some', 'all' or 'words'" in refused(service, where, 422, predict="every")
+    assert "should be 'none', 'some', 'all' or 'words'" in refused(service, where, 422, predict="every")
     words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
     large = client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"
