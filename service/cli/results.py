@@ -18,7 +18,7 @@ from service.cli.options import (
     service_options,
     write_file,
 )
-from service.formats import EXPORTS, PICTURES, TABLES, BasinFormat, MultistabilityFormat
+from service.formats import EXPORTS, PICTURES, TABLES, BasinFormat, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
     import xarray
@@ -62,6 +62,13 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
     help="Without ID: Γ below the fold for which the lifetime of bouncing is told.",
 )
 @click.option("--tolerance", type=float, help="Refine to this tolerance in Γ, from the stored states.")
+@click.option(
+    "--predict",
+    type=click.Choice(get_args(Predict)),
+    default="some",
+    show_default=True,
+    help="Of a job, the Ω predicted: some are up to 200; words are continued from its cells.",
+)
 @json_option
 @service_options
 def threshold(
@@ -70,6 +77,7 @@ def threshold(
     xi: float | None,
     delta: float,
     tolerance: float | None,
+    predict: Predict,
     as_json: bool,
     url: str,
     token: str | None,
@@ -92,7 +100,7 @@ def threshold(
 
     with open_client(url, token) as client:
         job = client.job(job_id)
-        thresholds = job.threshold(xi, tolerance=tolerance)
+        thresholds = job.threshold(xi, tolerance=tolerance, predict=predict)
         _warn(job, "thresholds may be missing")
         if as_json:
             click.echo(output.as_json(output.threshold_view(thresholds)))

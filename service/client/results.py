@@ -8,7 +8,7 @@ from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS, BasinFormat, MultistabilityFormat
+from service.formats import EXPORTS, BasinFormat, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
     import httpx2
@@ -77,6 +77,7 @@ class Results(JobStatus):
         xi: float | None = None,
         *,
         tolerance: float | None = None,
+        predict: Predict = "some",
         timeout: float = 300.0,
         progress: bool | PartsCallback = True,
     ) -> "xarray.Dataset":
@@ -88,11 +89,17 @@ class Results(JobStatus):
 
         Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
         refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
-        `Client.tradeoff`. Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
+        `Client.tradeoff`.
+
+        `predicted_jump`, `predicted_down` and `cause` are those of the closed form for up to 200 values of Ω.
+        With `predict` "all" workers predict every Ω; with "words" they also follow the cycles of the lowest
+        settled cells where the closed form alone is unresolved.
+
+        Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
         """
         from service.client.datasets import threshold_dataset
 
-        query = {"xi": xi, "tolerance": tolerance}
+        query = {"xi": xi, "tolerance": tolerance, "predict": predict}
         answer = self._transport.get_when_computed(
             self._path("threshold"), query, timeout=timeout, progress=progress
         )
