@@ -13,6 +13,8 @@ PictureFormat = Literal["png", "svg"]
 DiagramFormat = Literal[TableFormat, PictureFormat]
 #: A basin of attraction.
 BasinFormat = Literal["json", PictureFormat]
+#: Attractors over a grid.
+MultistabilityFormat = Literal["json", PictureFormat]
 #: The table of costs and errors of the contact models.
 TradeoffFormat = Literal["json", PictureFormat]
 #: A whole sweep in one file.

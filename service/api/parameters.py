@@ -5,7 +5,14 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from kernel.branches.curves import CURVES
-from service.formats import BasinFormat, DiagramFormat, ExportFormat, Predict, TradeoffFormat
+from service.formats import (
+    BasinFormat,
+    DiagramFormat,
+    ExportFormat,
+    MultistabilityFormat,
+    Predict,
+    TradeoffFormat,
+)
 from service.jobs.model import JobState
 from service.results.trajectory import MAX_SAMPLES
 from worker.orbits import MAX_POINTS
@@ -153,6 +160,14 @@ class BasinQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     format: BasinFormat = "json"
+
+
+class MultistabilityQuery(Query):
+    """The plane of a job with the protocol multistability, or a line of it along gamma, and the format."""
+
+    xi: Number | None = None
+    omega: Number | None = None
+    format: MultistabilityFormat = "json"
 
 
 class ExportQuery(Query):
