@@ -84,10 +84,12 @@ def events(omega: float, xi: float, periods: int, below: float, points: int = 20
     for kind, test in (
         ("fold", 1.0 - trace + det),
         ("flip", 1.0 + trace + det),
-        ("neimark-sacker", np.where(np.abs(trace) < 2.0, det - 1.0, np.nan)),
+        ("neimark-sacker", det - 1.0),
     ):
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
+            if kind == "neimark-sacker" and abs(trace[i] + part * (trace[i + 1] - trace[i])) >= 2.0:
+                continue  # the product of two real multipliers is 1
             here = gamma[i] + part * (gamma[i + 1] - gamma[i])
             if here < below and (at[i] + part) * step > 0.02:
                 margin = _margin(fly, stick, landing, start[i], int(at[i]), b, w)

@@ -57,6 +57,15 @@ def test_none_missed_and_none_invented(omega, xi, periods):
     assert len(line.gamma) >= 400
 
 
+def test_a_torus_beside_a_fold_is_found():
+    """A cycle of (1,2) with multipliers e^{+-0.12 i}: 6e-4 rad beside it they are real."""
+    omega, xi = 0.3503753530041962, 0.03585184030279528
+    gamma, time = of(branch_and_events(omega, xi, 2)[1], Kind.NEIMARK_SACKER, 8.0)
+    whole = [e for e in dense_branches.events(omega, xi, 2, 8.0) if e.kind == Kind.NEIMARK_SACKER]
+    assert time == pytest.approx([e.flight_time for e in whole], rel=1e-6)
+    assert gamma == pytest.approx([2.06820010], abs=1e-6)
+
+
 def test_a_window_narrower_than_the_grid_has_both_its_ends():
     """Cycles are admissible over 0.0008 rad of a grid of 0.05 rad, from a graze to a landing with n = 0."""
     found, events = branch_and_events(0.9627922585259332, 0.05468653085150799, 3)
