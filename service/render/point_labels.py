@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
@@ -46,9 +46,9 @@ def place(axes: Axes, labels: Sequence[PointLabel]) -> None:
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("the axes belong to no figure")
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    pixel = renderer.points_to_pixels(1.0)
-    centres = axes.transData.transform([(label.x, label.y) for label in labels]) if labels else []
+    renderer = RendererAgg(*figure.bbox.size, figure.dpi)  # type: ignore[no-untyped-call]
+    pixel = figure.dpi / 72
+    centres = axes.transData.transform([(label.x, label.y) for label in labels] or np.empty((0, 2)))
     taken = [_box(x, y, MARKER * pixel, MARKER * pixel) for x, y in centres]
     taken += [text.get_window_extent(renderer) for text in axes.texts]
     if (legend := axes.get_legend()) is not None:
@@ -65,13 +65,11 @@ def _write(
     lines: NDArray[np.float64], renderer: RendererAgg,
 ) -> None:  # fmt: skip
     """Write one label at the free place that is nearest and covers least of the lines; it joins `texts`."""
-    pixel, panel = renderer.points_to_pixels(1.0), axes.get_window_extent(renderer)
+    pixel, panel = renderer.dpi / 72, axes.get_window_extent(renderer)
     style: dict[str, Any] = {"color": label.colour, "fontsize": SIZE, "ha": "center", "va": "center", **TEXT}
     text = axes.annotate(label.text, (label.x, label.y), (0, 0), textcoords="offset points", **style)
     extent = text.get_window_extent(renderer)
-    middle = (
-        np.array([extent.x0 + extent.x1, extent.y0 + extent.y1]) / 2 - centre
-    )  # of the text from its anchor
+    middle = np.array([extent.x0 + extent.x1, extent.y0 + extent.y1]) / 2 - centre  # of the text
     apart = [marker for marker in markers if not marker.contains(*centre)]
     best: tuple[float, float, NDArray[np.float64], Bbox] | None = None
     for distance, offset in _offsets(extent.width / pixel, extent.height / pixel):
@@ -88,7 +86,7 @@ def _write(
     if best is None:
         return
     _, distance, offset, box = best
-    arrow = {
+    arrow: dict[str, Any] = {
         "arrowstyle": "-",
         "color": label.colour,
         "linewidth": 0.5,
@@ -96,8 +94,11 @@ def _write(
         "shrinkA": 0,
         "shrinkB": 3,
     }
-    place = {"textcoords": "offset points", "arrowprops": arrow if distance > BESIDE else None}
-    axes.annotate(label.text, (label.x, label.y), (float(offset[0]), float(offset[1])), **place, **style)
+    where: dict[str, Any] = {
+        "textcoords": "offset points",
+        "arrowprops": arrow if distance > BESIDE else None,
+    }
+    axes.annotate(label.text, (label.x, label.y), (float(offset[0]), float(offset[1])), **where, **style)
     texts.append(box)
 
 
