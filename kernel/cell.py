@@ -23,6 +23,15 @@ SHORTEST_FLIGHT: Final = 1e-9
 #: Flights considered for the mode, even if fewer are stored: a cycle of up to 85 bounces is found.
 MODE_FLIGHTS: Final = 256
 
+#: More are considered where these reach back fewer plate periods than this, of so many that are kept: a
+#: landing with a restitution of 0.95 is followed by 400 hops that are longer than SHORTEST_FLIGHT.
+MODE_PERIODS: Final = 24
+KEPT_FLIGHTS: Final = 4096
+
+#: Flights that reach back fewer plate periods, because those before are lost, decide nothing: a cycle must be
+#: seen three times.
+FEWEST_PERIODS: Final = 3
+
 #: With a settle_tolerance, the number of flights after which settling is tested, and which the test
 #: considers: cycles of up to 8 bounces end it early.
 SETTLING_CHECK: Final = 24
@@ -70,6 +79,7 @@ class Flights(NamedTuple):
     phase: Any  # float64, rad modulo 2 pi, at take-off
     period: Any  # int64, plate periods since the cell began, at take-off
     size: int
+    stored: int  # of which are stored with the cell
 
 
 class Progress(NamedTuple):
@@ -254,9 +264,10 @@ def follow(before: Progress, window: Window) -> Progress:
 @jit
 def decide(outcome: int, followed: Progress, flights: Flights, first: int, window: Window) -> int:
     """The outcome of a cell without a mode, `outcome` by its window, after the run that followed it."""
-    if followed.ending != HORIZON:
-        return outcome
-    return APERIODIC if classify(followed, flights, first, window)[0] == APERIODIC else SETTLING
+    decided = classify(followed, flights, first, window)[0]
+    if decided in (PERIODIC, SETTLING):
+        return SETTLING
+    return APERIODIC if decided == APERIODIC else outcome
 
 
 @jit
@@ -347,12 +358,38 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
         return DIVERGED if run.ending == NON_FINITE else UNRESOLVED, 0, 0
     if not run.flew:
         return AT_REST, 0, 0
-    time, phase, period = _counted(flights, first, run.recorded, flights.size, window.micro_flight)
+    considered, cut = _considered(run, flights, first)
+    time, phase, period = _counted(flights, first, run.recorded, considered, window.micro_flight)
     bounces, periods = find_mode(time, phase, period)
     if bounces > 0:
         return PERIODIC, bounces, periods
-    settling = _comes_to_rest(run, flights, first) or is_settling(time, phase)
-    return SETTLING if settling else APERIODIC, 0, 0
+    if _comes_to_rest(run, flights, first):
+        return SETTLING, 0, 0
+    if cut:
+        return UNRESOLVED, 0, 0
+    return SETTLING if is_settling(time, phase) else APERIODIC, 0, 0
+
+
+@jit
+def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]:
+    """How many of the last flights are considered for the mode, and whether too many before them are lost.
+
+    As many as are stored, or MODE_FLIGHTS, or as reach back MODE_PERIODS.
+    """
+    kept = min(run.recorded, flights.size)
+    number = min(run.recorded, max(flights.stored, MODE_FLIGHTS))
+    oldest = _takeoff(run, flights, first, number)
+    while number < kept and oldest > run.end - MODE_PERIODS:
+        number += 1
+        oldest = _takeoff(run, flights, first, number)
+    return number, number < run.recorded and oldest > run.end - FEWEST_PERIODS
+
+
+@jit
+def _takeoff(run: Progress, flights: Flights, first: int, number: int) -> int:
+    """Plate periods before the `number`-th last flight."""
+    period: int = flights.period[first + (run.recorded - number) % flights.size]
+    return period
 
 
 @jit
@@ -394,9 +431,9 @@ def _counted(
 @jit
 def allocate_flights(keep: int, lanes: int) -> Flights:
     """Ring buffers for `lanes` cells at a time, of which `keep` flights are stored."""
-    size = max(keep, MODE_FLIGHTS)
+    size = max(keep, KEPT_FLIGHTS)
     n = lanes * size
-    return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size)
+    return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
 
 
 @jit

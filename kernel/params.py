@@ -49,7 +49,7 @@ class Outcome(IntEnum):
     PERIODIC = 1  # the flights repeat
     APERIODIC = 2  # they neither repeat nor settle
     AT_REST = 3  # in contact throughout the window
-    UNRESOLVED = 4  # the budget of evaluations ran out
+    UNRESOLVED = 4  # the budget of evaluations ran out, or the flights kept are too few to tell
     DIVERGED = 5  # a number stopped being finite
     SETTLING = 6  # they do not yet: they still drift towards something
 

@@ -1,4 +1,4 @@
-"""The file formats of results, named as the ending of a file's name is, and their media types.
+"""The choices of queries: file formats, named as the ending of a file's name is, and predictions.
 
 Standard library only: the client and the command line import this without the service.
 """
@@ -13,10 +13,16 @@ PictureFormat = Literal["png", "svg"]
 DiagramFormat = Literal[TableFormat, PictureFormat]
 #: A basin of attraction.
 BasinFormat = Literal["json", PictureFormat]
+#: Attractors over a grid.
+MultistabilityFormat = Literal["json", PictureFormat]
 #: The table of costs and errors of the contact models.
 TradeoffFormat = Literal["json", PictureFormat]
 #: A whole sweep in one file.
 ExportFormat = Literal["nc", "parquet"]
+
+#: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, all, or all with words
+#: of the sweep's cells where the closed form is unresolved.
+Predict = Literal["none", "some", "all", "words"]
 
 TABLES: Final[tuple[str, ...]] = get_args(TableFormat)
 PICTURES: Final[tuple[str, ...]] = get_args(PictureFormat)

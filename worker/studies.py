@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any, Final, Protocol
 
 from worker import schema, tasks
+from worker.basins.multistability import MULTISTABILITY
 from worker.basins.study import BASINS
 from worker.cost import Cost, estimate
 from worker.orbits import ORBITS
@@ -133,7 +134,13 @@ class SweepStudy:
 SWEEP: Final = SweepStudy()
 
 #: Every kind of study by the `kind` of its specification's `protocol`.
-STUDIES: Final[dict[str, Study]] = {"rest": SWEEP, "ramp": SWEEP, "orbits": ORBITS, "basin": BASINS}
+STUDIES: Final[dict[str, Study]] = {
+    "rest": SWEEP,
+    "ramp": SWEEP,
+    "orbits": ORBITS,
+    "basin": BASINS,
+    "multistability": MULTISTABILITY,
+}
 
 
 def study_of(spec: Spec) -> Study:

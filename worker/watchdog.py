@@ -17,7 +17,7 @@ from typing import Any, Final
 from distributed import get_worker
 
 from worker import store
-from worker.basins.spec import BasinSpec
+from worker.basins.spec import GridSpec
 from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, TaskError, compile_for
@@ -57,7 +57,7 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
         time.sleep(REPORT_SECONDS)
         os._exit(1)
 
-    sweep = spec.sweep() if isinstance(spec, BasinSpec) else spec
+    sweep = spec.sweep() if isinstance(spec, GridSpec) else spec
     if isinstance(sweep, SweepSpec):
         compile_for(sweep)  # not on the chunk's time
     with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.branches.closed_form import TWO_PI, Orbit
-from kernel.branches.roots import Floats, cubic_extremum
+from kernel.branches.roots import Floats, Ints, cubic_extremum
 from kernel.branches.spring import Array, Spring, flight, stuck
 
 #: (spring, times) -> a function and its two derivatives, as combinations (4, ...).
@@ -27,6 +27,13 @@ _END: Final = 1e-7
 
 #: Values of samples above minus this are rounding.
 _ROUNDING: Final = 1e-12
+
+#: Where the function comes to its end as softly as a cube, it may dip and rise between the last samples.
+#: There it is sampled anew, at these parts of what is left: half an octave from each to the next.
+_APPROACH: Final = 2.0 ** (-0.5 * np.arange(20))
+
+#: What `_soft` compares with the slopes at both ends is 0 of them for a cube, -0.5 for a square or a line.
+_SOFT: Final = -0.25
 
 #: Steps of Newton's method for such a minimum.
 _STEPS: Final = 3
@@ -152,6 +159,18 @@ def check(
     return Check(reason.astype(np.uint8), gap, force, ~(above & falls), ~(presses & falls))
 
 
+class _Turns(NamedTuple):
+    """Between which times (p,) a function falls and then rises."""
+
+    row: Ints  # of which orbit
+    left: Floats
+    right: Floats
+    value_left: Floats  # the function
+    value_right: Floats
+    slope_left: Floats
+    slope_right: Floats
+
+
 def _combined(weights: Floats, terms: Floats) -> Floats:
     """(n, m), of (4, n) and (4, m): too small a product to wake the threads of a BLAS library for."""
     return np.asarray(np.einsum("in,im->nm", weights, terms))
@@ -162,7 +181,7 @@ def deepest(
     at_nodes: tuple[Floats, Floats], tolerance: NDArray[np.float64] | float,
 ) -> tuple[Minima, NDArray[np.bool_]]:  # fmt: skip
     """The deepest minimum before `end` (n,), where the function is zero, and whether a sample is negative."""
-    m = int(np.searchsorted(nodes, end.max())) + 1
+    m = int(np.searchsorted(nodes, end.max(initial=0.0))) + 1
     nodes = nodes[:m]
     inside = nodes < end[:, None] - _END
     value = np.where(inside, _combined(weights, at_nodes[0][:, :m]) + offset[:, None], 0.0)
@@ -170,17 +189,27 @@ def deepest(
     negative = value.min(axis=1) < -tolerance - _ROUNDING
     down = slope < 0.0
     row, at = np.nonzero(down[:, :-1] & (slope[:, 1:] > 0.0) & inside[:, :-1])
+    right = np.where(inside[row, at + 1], nodes[np.minimum(at + 1, m - 1)], end[row])
+    turns = _Turns(
+        row, nodes[at], right, value[row, at], value[row, at + 1], slope[row, at], slope[row, at + 1]
+    )
+    before = np.maximum(inside.sum(axis=1) - 2, 0)
+    each = np.arange(len(end))
+    soft = _soft(value[each, before], slope[each, before], end_slope, end - nodes[before])
+    if len(soft):
+        others = _near_end(k, terms, weights, offset, end, end_slope, nodes[before], soft)
+        turns = _Turns(*(np.concatenate(pair) for pair in zip(turns, others, strict=True)))
     time, depth = np.full(len(end), np.nan), np.full(len(end), np.inf)
+    row, left, right, u, v, slope_left, slope_right = turns
     if not len(row):
         return Minima(time, depth), negative
-    width = np.where(inside[row, at + 1], nodes[np.minimum(at + 1, m - 1)], end[row]) - nodes[at]
-    u, v = value[row, at], value[row, at + 1]
-    part, low = cubic_extremum(u, v, slope[row, at] * width, slope[row, at + 1] * width, 1.0)
-    where = nodes[at] + part * width
+    width = right - left
+    part, low = cubic_extremum(u, v, slope_left * width, slope_right * width, 1.0)
+    where = left + part * width
     near = np.flatnonzero(np.abs(low) < _NEAR)
     if len(near):
         r, tau = row[near], where[near]
-        first, last = nodes[at[near]], nodes[at[near]] + width[near]
+        first, last = left[near], right[near]
         for step in range(_STEPS):
             f, f1, f2 = (np.einsum("in,in->n", weights[:, r], z) for z in terms(k, tau))
             if step < _STEPS - 1:
@@ -190,3 +219,27 @@ def deepest(
     order = np.argsort(-low, kind="stable")  # the deepest of a row is written last
     time[row[order]], depth[row[order]] = where[order], low[order]
     return Minima(time, depth), negative
+
+
+def _soft(value: Floats, slope: Floats, end_slope: Floats, left: Floats) -> Ints:
+    """Which functions (n,), `left` before the end, may dip and rise again on their way down to zero there.
+
+    By the middle coefficient of the slope's quadratic in Bernstein form.
+    """
+    fall = (slope + end_slope) * left
+    return np.flatnonzero((slope < 0.0) & (end_slope < 0.0) & (-3.0 * value - fall > -_SOFT * fall))
+
+
+def _near_end(
+    k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, first: Floats,
+    rows: Ints,
+) -> _Turns:  # fmt: skip
+    """Where the functions of some rows fall and rise between `first` (n,) and the end, by more samples."""
+    t = end[rows, None] - (end - first)[rows, None] * _APPROACH
+    many = np.repeat(weights[:, rows], len(_APPROACH), axis=1)
+    f, f1, _ = (np.einsum("in,in->n", many, x).reshape(t.shape) for x in terms(k, t.ravel()))
+    t = np.column_stack([t, end[rows]])
+    f = np.column_stack([f + offset[rows, None], np.zeros(len(rows))])
+    f1 = np.column_stack([f1, end_slope[rows]])
+    i, j = np.nonzero((f1[:, :-1] < 0.0) & (f1[:, 1:] > 0.0))
+    return _Turns(rows[i], t[i, j], t[i, j + 1], f[i, j], f[i, j + 1], f1[i, j], f1[i, j + 1])

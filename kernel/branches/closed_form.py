@@ -27,6 +27,7 @@ class Orbit(NamedTuple):
     impact: Array  # gap' before landing, < 0
     q_land: Array  # elongation after landing
     v_land: Array
+    det: Array  # of the linear system: the others times det are finite where Gamma is infinite
 
 
 class Floquet(NamedTuple):
@@ -60,7 +61,7 @@ def orbit(k: Spring, periods: int, t: Array) -> Orbit:
     det = x[1] * y[2] - x[2] * y[1]
     c, s = (x[2] * y[0] - x[0] * y[2]) / det, (x[0] * y[1] - x[1] * y[0]) / det
     v0, q0, impact, q_land, v_land = (z[0] + z[1] * c + z[2] * s for z in (v0, q0, impact, q_land, v_land))
-    return Orbit(c, s, q0, v0, impact, q_land, v_land)
+    return Orbit(c, s, q0, v0, impact, q_land, v_land, det)
 
 
 def floquet(k: Spring, periods: int, t: Array) -> Floquet:

@@ -243,7 +243,7 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
         return None
     low_value, high_value = function(at), function(ends[1])
     best, best_value = (at, low_value) if abs(low_value) < abs(high_value) else (ends[1], high_value)
-    last = np.inf
+    last, side = np.inf, 0
     for _ in range(_HALVINGS):
         if np.isfinite(low_value) and np.isfinite(high_value):
             middle = low - low_value * (high - low) / (high_value - low_value)
@@ -259,9 +259,11 @@ def _root(k: Spring, word: Word, at: Point, step: float, function: Callable[[Poi
             break
         last = middle
         if (value > 0.0) == (low_value > 0.0):
-            low, low_value, high_value = middle, value, 0.5 * high_value
+            low, low_value, high_value = middle, value, high_value * (0.5 if side < 0 else 1.0)
+            side = -1
         else:
-            high, high_value, low_value = middle, value, 0.5 * low_value
+            high, high_value, low_value = middle, value, low_value * (0.5 if side > 0 else 1.0)
+            side = 1
     return best
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kernel.branches.admissibility import (
     Check,
+    Minima,
     Samples,
     check,
     force_at_landing,
@@ -55,10 +56,7 @@ _STEPS: Final = 8
 #: Of which it may leave its bracket by more than the bracket's width in these.
 _FIRST_STEPS: Final = 3
 
-#: Rounds after which a bracket around a pole of Gamma(T), where conditions change too, is left.
-_POLE_ROUNDS: Final = 3
-
-#: How far beside an event at an end of a flight or contact others are looked for, rad.
+#: How far beside a pole, or an event at an end of a flight or contact, grazes are looked for, rad.
 _NEXT: Final = 1e-7
 
 #: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
@@ -71,8 +69,13 @@ _EXTREME: Final = 1e60
 _POLE: Final = 1e8
 
 
-#: Of flight times between which a condition breaks: low, high, whether broken at low, a minimum's time.
-_Brackets = tuple[Floats, Floats, NDArray[np.bool_], Floats]
+class _Brackets(NamedTuple):
+    """Flight times (m,) between which a condition breaks or ceases to."""
+
+    low: Floats
+    high: Floats
+    first: NDArray[np.bool_]  # broken at `low`, else at `high`
+    time: Floats  # rad, of the deepest minimum at the broken end
 
 
 class Kind(StrEnum):
@@ -134,6 +137,9 @@ _KINDS: Final = (
     Kind.GRAZE_CONTACT,
 )
 _OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
+
+#: The index of the function after them: it is zero where Gamma is infinite.
+_POLES: Final = len(_KINDS)
 
 #: Kinds at which an orbit stops being admissible.
 EDGES: Final = _KINDS[_OF_THE_TIMES:]
@@ -210,12 +216,12 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         at = samples(k, sample_times(omega, xi, periods))
         found = check(k, periods, t, x, at)
         zeros = roots(lambda which, at: _selected(k, periods, which, at), t, value, slope)
+        grazes = _grazes(k, periods, t, found, at, zeros.x[zeros.which >= _OF_THE_TIMES])
         f = floquet(k, periods, zeros.x)
         torus = (zeros.which != _KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
-        zeros = Roots(zeros.which[torus], zeros.x[torus])
-        grazes = _grazes(k, periods, t, found, at, zeros)
-        which = np.concatenate([zeros.which, grazes.which])
-        events = _events(k, periods, which, np.concatenate([zeros.x, grazes.x]), at)
+        torus &= zeros.which != _POLES
+        which = np.concatenate([zeros.which[torus], grazes.which])
+        events = _events(k, periods, which, np.concatenate([zeros.x[torus], grazes.x]), at)
         return _branch(k, periods, t, x, found), events
 
 
@@ -250,8 +256,13 @@ def join_events(parts: Sequence[Events]) -> Events:
 
 
 def sample_times(omega: float, xi: float, periods: int) -> Floats:
-    """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need."""
-    return np.concatenate([[0.0], flight_times(omega, xi, periods, SAMPLES, _SAMPLED)])
+    """Where gap and n are sampled, rad: from zero, as finely as a flight and a contact need.
+
+    Each of the first is about twice the one before: where n' at take-off is nearly zero, the gap, which
+    begins as its cube, dips within them.
+    """
+    t = flight_times(omega, xi, periods, SAMPLES, _SAMPLED)
+    return np.sort(np.concatenate([[0.0], t, t[0] * np.array([2.0, 4.0]), t[1] * np.array([2.0])]))
 
 
 def _branch(k: Spring, periods: int, t: Floats, x: Orbit, found: Check) -> Branch:
@@ -284,7 +295,7 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Eve
     which, t, x, gamma = which[keep], t[keep], Orbit(*(a[keep] for a in x)), gamma[keep]
     f = floquet(k, periods, t)
     tolerance = np.where(which < _OF_THE_TIMES, 0.0, GRAZES)
-    found = check(k, periods, t, x, at, tolerance) if len(t) else None
+    found = check(k, periods, t, x, at, tolerance)
     m = len(t)
     return Events(
         kind=np.array([_KINDS[i] for i in which], np.str_),
@@ -295,19 +306,23 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, at: Samples) -> Eve
         flight_time=t,
         gamma=gamma,
         multiplier=multipliers(f.trace, f.det),
-        admissible=found.reason if found else np.empty(0, np.uint8),
+        admissible=found.reason,
     )
 
 
 def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
-    """The functions of _KINDS and their slopes (6, n), and the orbits."""
+    """The functions of _KINDS, 1/Gamma, and their slopes (7, n), and the orbits.
+
+    Those of the orbits are times the determinant of their linear system, over |Gamma det|: without poles.
+    """
     f = floquet(k, periods, t)
     z = t + 1j * STEP
     x = orbit(k, periods, z)
-    size = 1.0 / np.hypot(x.c.real, x.s.real)  # not differentiated: roots do not ask for it
-    last = np.array([force_at_landing(k, x, z), x.impact, force_slope(k, x)])
-    value = np.array([1.0 - f.trace + f.det, 1.0 + f.trace + f.det, f.det - 1.0, *(last.real * size)])
-    slope = np.array([f.det1 - f.trace1, f.det1 + f.trace1, f.det1, *(last.imag / STEP * size)])
+    last = np.array([force_at_landing(k, x, z), x.impact, force_slope(k, x), np.ones_like(z)]) * x.det
+    # not differentiated: roots do not ask for it
+    last = last / np.hypot((x.c * x.det).real, (x.s * x.det).real)
+    value = np.array([1.0 - f.trace + f.det, 1.0 + f.trace + f.det, f.det - 1.0, *last.real])
+    slope = np.array([f.det1 - f.trace1, f.det1 + f.trace1, f.det1, *(last.imag / STEP)])
     return value, slope, Orbit(*(a.real for a in x))
 
 
@@ -318,80 +333,77 @@ def _selected(k: Spring, periods: int, which: Ints, t: Floats) -> tuple[Floats, 
     return value[which, i], slope[which, i]
 
 
-def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, zeros: Roots) -> Roots:
+def _grazes(k: Spring, periods: int, t: Floats, found: Check, at: Samples, edge: Floats) -> Roots:
     """Where a minimum of the gap inside the flight, or of n inside the contact, passes zero.
 
-    Where one leaves at an end of its flight or contact, that is among `zeros` already.
+    edge: where one leaves at an end of its flight or contact, and poles.
     """
-    which: list[Ints] = []
-    where: list[Floats] = []
-    edge = zeros.x[zeros.which >= _OF_THE_TIMES]
-    for kind, contact in ((Kind.GRAZE_FLIGHT, False), (Kind.GRAZE_CONTACT, True)):
-        low, high, first, time = _brackets(k, periods, t, found, edge, contact, at)
-        for number in range(_ROUNDS):
-            if number == _POLE_ROUNDS:
-                graze = ~_around_pole(k, periods, low, high)
-                low, high, first, time = low[graze], high[graze], first[graze], time[graze]
+    which: list[Ints] = [np.empty(0, np.intp)]
+    where: list[Floats] = [np.empty(0)]
+    gap, force = _brackets(k, periods, t, found, np.sort(edge), at)
+    for kind, contact, brackets in ((Kind.GRAZE_FLIGHT, False, gap), (Kind.GRAZE_CONTACT, True, force)):
+        low, high, first, time = brackets
+        for _ in range(_ROUNDS):
             if not len(low):
                 break
-            root, ok = _touch(k, periods, (low, high, first, time), contact)
+            root, ok = _touch(k, periods, _Brackets(low, high, first, time), contact)
             ok &= (root >= low) & (root <= high)
+            # another minimum may be below zero where this one passes it
+            middle = np.where(ok, root, 0.5 * (low + high))
+            broken, minima = _condition(k, periods, middle, at, contact, np.where(ok, GRAZES, 0.0))
+            ok &= ~broken
             where.append(root[ok])
             which.append(np.full(int(ok.sum()), _KINDS.index(kind), np.intp))
-            low, high, first, time = low[~ok], high[~ok], first[~ok], time[~ok]
-            if not len(low):
-                break
-            middle = 0.5 * (low + high)
-            inner = check(k, periods, middle, orbit(k, periods, middle), at)
-            broken, minima = (inner.force_broken, inner.force) if contact else (inner.gap_broken, inner.gap)
             low, high = np.where(broken == first, middle, low), np.where(broken == first, high, middle)
             time = np.where(broken, minima.time, time)
-    return Roots(np.concatenate([np.empty(0, np.intp), *which]), np.concatenate([np.empty(0), *where]))
+            low, high, first, time = low[~ok], high[~ok], first[~ok], time[~ok]
+    return Roots(np.concatenate(which), np.concatenate(where))
 
 
-def _around_pole(k: Spring, periods: int, low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """Whether Gamma is infinite between flight times near each other: the plate's phase jumps by pi there."""
-    x, y = orbit(k, periods, low), orbit(k, periods, high)
-    return np.asarray(x.c * y.c + x.s * y.s < 0.0)
+def _condition(
+    k: Spring, periods: int, t: Floats, at: Samples, contact: bool, tolerance: Floats
+) -> tuple[NDArray[np.bool_], Minima]:
+    """Whether the condition of contact or flight is broken, and its deepest minimum."""
+    found = check(k, periods, t, orbit(k, periods, t), at, tolerance)
+    return (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
 
 
 def _brackets(
-    k: Spring, periods: int, t: Floats, found: Check, edge: Floats, contact: bool, at: Samples
-) -> _Brackets:
-    """Between which flight times a condition breaks or ceases to, events at an end of the phase left out.
+    k: Spring, periods: int, t: Floats, found: Check, edge: Floats, at: Samples
+) -> tuple[_Brackets, _Brackets]:
+    """Between which flight times the conditions of flight and contact break, edges left out.
 
-    Where such an event, `edge`, lies between two of t (n,), what is left on both sides of it: the condition
-    may hold in a window beside it alone.
+    t (n,) increasing, found: the conditions there. On both sides of an edge a condition may hold, or break,
+    in a window narrower than the grid.
     """
-    broken, minima = (found.force_broken, found.force) if contact else (found.gap_broken, found.gap)
-    edge = np.sort(edge[(edge > t[0]) & (edge < t[-1])])
-    held, which = np.unique(np.searchsorted(t, edge) - 1, return_index=True)
-    where = edge[which]
-    changes = np.setdiff1d(np.flatnonzero(broken[:-1] != broken[1:]), held)
-    parts = [(t[changes], t[changes + 1], broken[changes], minima.time[changes + ~broken[changes]])]
-    if len(held):
-        sides = np.concatenate([where - _NEXT, where + _NEXT])
-        inner = check(k, periods, sides, orbit(k, periods, sides), at)
-        beside, lowest = (inner.force_broken, inner.force) if contact else (inner.gap_broken, inner.gap)
-        before, after = np.split(beside, 2)
-        time_before, time_after = np.split(lowest.time, 2)
-        left, right = before != broken[held], after != broken[held + 1]
-        times = (
-            np.where(broken[held], minima.time[held], time_before),
-            np.where(after, time_after, minima.time[held + 1]),
-        )
-        parts.append((t[held][left], sides[: len(where)][left], broken[held][left], times[0][left]))
-        parts.append((sides[len(where) :][right], t[held + 1][right], after[right], times[1][right]))
-    low, high, first, time = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return low, high, first, time
+    edge = edge[(edge > t[0]) & (edge < t[-1])]
+    beside = np.concatenate([edge - _NEXT, edge + _NEXT])
+    inner = check(k, periods, beside, orbit(k, periods, beside), at)
+    times = np.concatenate([t, beside])
+    order = np.argsort(times, kind="stable")
+    times = times[order]
+    held = np.searchsorted(times, edge) - 1
+
+    def between(broken: NDArray[np.bool_], time: Floats) -> _Brackets:
+        broken, time = broken[order], time[order]
+        changes = np.setdiff1d(np.flatnonzero(broken[:-1] != broken[1:]), held)
+        first = broken[changes]
+        return _Brackets(times[changes], times[changes + 1], first, time[changes + ~first])
+
+    return (
+        between(np.append(found.gap_broken, inner.gap_broken), np.append(found.gap.time, inner.gap.time)),
+        between(
+            np.append(found.force_broken, inner.force_broken), np.append(found.force.time, inner.force.time)
+        ),
+    )
 
 
-def _touch(k: Spring, periods: int, brackets: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:
+def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:
     """Newton's method for the flight times T (m,) at which a minimum is zero, from a bracket's broken end.
 
     Also whether it converged to a minimum inside the flight or contact.
     """
-    low, high, first, time = brackets
+    low, high, first, time = inside
     t, width = np.where(first, low, high), high - low
     for number in range(_STEPS):
         z = t + 1j * STEP

@@ -19,6 +19,9 @@ Functions = Callable[[Ints, Floats], tuple[Floats, Floats]]
 #: Newton steps at most. Halving alone shrinks an interval of the grid below rounding in 50.
 _STEPS: Final = 80
 
+#: Steps smaller than this part of x are rounding.
+_ROUNDING: Final = 4e-16
+
 #: An extremum may be a pair of roots if its cubic is below this part of the values beside it: far above the
 #: cubic's own error, so that none is missed.
 _NEAR: Final = 0.05
@@ -110,7 +113,7 @@ def solve(
         x = low - f_low * (high - low) / (f_high - f_low)
         x = np.where((x > low) & (x < high), x, 0.5 * (low + high))
         f = np.full_like(x, np.inf)
-        width = high - low
+        before = np.full_like(x, np.inf)
         pole = _LARGE * np.maximum(np.abs(f_low), np.abs(f_high))
         active = np.ones(len(x), np.bool_)
         for _ in range(_STEPS):
@@ -120,13 +123,14 @@ def solve(
             below = np.sign(value) == np.sign(f_low[i])
             low[i] = np.where(below, x[i], low[i])
             high[i] = np.where(below, high[i], x[i])
-            step = value / slope
-            guess = x[i] - step
-            # halve where Newton leaves the bracket, or the bracket shrinks too slowly
-            inside = (guess >= low[i]) & (guess <= high[i]) & (np.abs(step) < 0.5 * width[i])
-            guess = np.where(inside, guess, 0.5 * (low[i] + high[i]))
-            width[i] = np.abs(guess - x[i])
-            done = (value == 0.0) | (width[i] <= 2e-16 * np.abs(x[i])) | (np.abs(value) > pole[i])
+            guess = x[i] - value / slope
+            # halve where Newton leaves the bracket by more than rounding, or the function falls too slowly
+            least = _ROUNDING * np.abs(x[i])
+            inside = (guess >= low[i] - least) & (guess <= high[i] + least)
+            inside &= np.abs(value) < 0.5 * before[i]
+            guess = np.where(inside, np.clip(guess, low[i], high[i]), 0.5 * (low[i] + high[i]))
+            before[i] = np.abs(value)
+            done = (value == 0.0) | (np.abs(guess - x[i]) <= least) | (np.abs(value) > pole[i])
             x[i] = np.where(value == 0.0, x[i], guess)
             active[i] = ~done
             if done.all():

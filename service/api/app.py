@@ -27,7 +27,7 @@ from service.jobs.stores.adoption import open_ledger
 from service.render import export
 from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
-from worker.basins.spec import BasinSpec
+from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.executors.base import Executor
 from worker.orbits import OrbitsSpec
 from worker.spec import SweepSpec
@@ -129,7 +129,15 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for body_model in (SweepSpec, OrbitsSpec, BasinSpec, Window, TrajectorySpec, ProblemDocument):
+        for body_model in (
+            SweepSpec,
+            OrbitsSpec,
+            BasinSpec,
+            MultistabilitySpec,
+            Window,
+            TrajectorySpec,
+            ProblemDocument,
+        ):
             schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
             schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
         app.openapi_schema = document

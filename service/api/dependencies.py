@@ -18,9 +18,10 @@ from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
 from service.results.basins import Basins
+from service.results.multistability import Multistability
 from service.results.selection import Sweep
 from service.settings import Settings
-from worker.basins.spec import BasinSpec
+from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.spec import SweepSpec
 
 
@@ -82,10 +83,21 @@ def basins(service: Service, job: JobRecord) -> Basins:
     """The basins of a job and where they are. Raises InvalidRequest for other kinds of study."""
     prepared = service.manager.preparer.prepare(job)
     if not isinstance(prepared.spec, BasinSpec):
-        kind = prepared.spec.protocol.kind
-        rule = f"must be a job with the protocol basin; that of this job is {kind}"
-        raise InvalidRequest.of("job_id", rule)
+        raise _other_study("basin", prepared.spec.protocol.kind)
     return Basins(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
+
+
+def multistability(service: Service, job: JobRecord) -> Multistability:
+    """The attractors over a job's grid and where they are. Raises InvalidRequest for other kinds of study."""
+    prepared = service.manager.preparer.prepare(job)
+    if not isinstance(prepared.spec, MultistabilitySpec):
+        raise _other_study("multistability", prepared.spec.protocol.kind)
+    return Multistability(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
+
+
+def _other_study(expected: str, kind: str) -> InvalidRequest:
+    rule = f"must be a job with the protocol {expected}; that of this job is {kind}"
+    return InvalidRequest.of("job_id", rule)
 
 
 def line(query: LineQuery) -> Line:

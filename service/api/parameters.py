@@ -5,7 +5,14 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from kernel.branches.curves import CURVES
-from service.formats import BasinFormat, DiagramFormat, ExportFormat, TradeoffFormat
+from service.formats import (
+    BasinFormat,
+    DiagramFormat,
+    ExportFormat,
+    MultistabilityFormat,
+    Predict,
+    TradeoffFormat,
+)
 from service.jobs.model import JobState
 from service.results.trajectory import MAX_SAMPLES
 from worker.orbits import MAX_POINTS
@@ -114,6 +121,11 @@ class JobThresholdQuery(Query):
     tolerance: Annotated[Number, Field(ge=1e-9, le=1e3)] | None = Field(
         None, description="in Γ: refine the thresholds beyond the grid, from the sweep's stored states"
     )
+    predict: Predict = Field(
+        "some",
+        description="thresholds in closed form: of no Ω, of up to 200, of all by the workers, or of all with "
+        "words continued from the sweep's cells where it is unresolved",
+    )
 
 
 class PlaneQuery(Query):
@@ -148,6 +160,14 @@ class BasinQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     format: BasinFormat = "json"
+
+
+class MultistabilityQuery(Query):
+    """The plane of a job with the protocol multistability, or a line of it along gamma, and the format."""
+
+    xi: Number | None = None
+    omega: Number | None = None
+    format: MultistabilityFormat = "json"
 
 
 class ExportQuery(Query):

@@ -1,4 +1,4 @@
-"""The commands on results: diagram, threshold, modes, basins, export, trajectory."""
+"""The commands on results: diagram, threshold, modes, basins, multistability, export, trajectory."""
 
 from math import isfinite
 from pathlib import Path
@@ -18,7 +18,7 @@ from service.cli.options import (
     service_options,
     write_file,
 )
-from service.formats import EXPORTS, PICTURES, TABLES, BasinFormat
+from service.formats import EXPORTS, PICTURES, TABLES, BasinFormat, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
     import xarray
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _DIAGRAMS: Final = (*PICTURES, *TABLES)
 _BASINS: Final[tuple[str, ...]] = get_args(BasinFormat)
+_MULTISTABILITY: Final[tuple[str, ...]] = get_args(MultistabilityFormat)
 
 
 @click.command()
@@ -61,6 +62,13 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
     help="Without ID: Γ below the fold for which the lifetime of bouncing is told.",
 )
 @click.option("--tolerance", type=float, help="Refine to this tolerance in Γ, from the stored states.")
+@click.option(
+    "--predict",
+    type=click.Choice(get_args(Predict)),
+    default="some",
+    show_default=True,
+    help="Of a job, the Ω predicted: some are up to 200; words are continued from its cells.",
+)
 @json_option
 @service_options
 def threshold(
@@ -69,6 +77,7 @@ def threshold(
     xi: float | None,
     delta: float,
     tolerance: float | None,
+    predict: Predict,
     as_json: bool,
     url: str,
     token: str | None,
@@ -91,7 +100,7 @@ def threshold(
 
     with open_client(url, token) as client:
         job = client.job(job_id)
-        thresholds = job.threshold(xi, tolerance=tolerance)
+        thresholds = job.threshold(xi, tolerance=tolerance, predict=predict)
         _warn(job, "thresholds may be missing")
         if as_json:
             click.echo(output.as_json(output.threshold_view(thresholds)))
@@ -246,7 +255,51 @@ def _attractors(found: "xarray.Dataset") -> str:
     return "\n".join(lines)
 
 
-COMMANDS: Final = (diagram, threshold, modes, basins, export, trajectory)
+@click.command()
+@job_argument
+@click.option("--xi", type=float, help="ξ of the plane.")
+@click.option("--omega", type=float, help="Ω of a line along Γ.  [default: the whole plane]")
+@format_option(*_MULTISTABILITY)
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
+    help="File to write; - is standard output.  [default: print a table of the attractors]",
+)  # fmt: skip
+@service_options
+def multistability(
+    job_id: str, output: str | None, format: str | None, url: str, token: str | None, **plane: float | None
+) -> None:
+    """Show the attractors over a grid.
+
+    Of a job with the protocol multistability, the plane at the nearest ξ, or one line of it. Prints the
+    attractors, or draws them. For example:
+
+      bounce multistability ID --omega 0.5 -o line.png
+    """
+    format = None if output is None else output_format(output, _MULTISTABILITY, format)
+    with open_client(url, token) as client:
+        job = client.job(job_id)
+        if output is None:
+            click.echo(_over_a_grid(job.multistability(**plane)))
+        else:
+            write_file(output, job.multistability_picture(cast(MultistabilityFormat, format), **plane))
+    _warn(job, "the plane may be incomplete")
+
+
+def _over_a_grid(found: "xarray.Dataset") -> str:
+    """One line per attractor, then the shares of cells with several and the number of events."""
+    lines = [f"{'ID':>4}  {'CELLS':>7}  MOSTLY"]
+    columns = [found[name].values.tolist() for name in ("attractor", "cells", "attractor_label")]
+    lines += [f"{id:>4}  {cells:>7}  {label}" for id, cells, label in zip(*columns, strict=True)]
+    several, by_drops = (found.attrs[name] for name in ("several", "several_by_drops"))
+    lines.append(f"cells with two attractors or more: {several:.4f}, reached by drops {by_drops:.4f}")
+    kinds = found.kind.values.tolist()
+    lines.append(", ".join(f"{name} {kinds.count(kind)}" for name, kind in _KINDS.items()))
+    return "\n".join(lines)
+
+
+_KINDS: Final = {"births": "birth", "deaths": "death", "changes of mode": "mode"}
+
+COMMANDS: Final = (diagram, threshold, modes, basins, multistability, export, trajectory)
 
 
 def _warn(job: "Job", consequence: str) -> None:

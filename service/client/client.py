@@ -1,20 +1,22 @@
 """The entry point: a client of one service, which submits sweeps and returns jobs."""
 
 import re
+from collections import deque
 from collections.abc import Iterator
+from itertools import islice
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 from urllib.parse import quote
 
 from service.client.display import PartsCallback
 from service.client.errors import NotFound, UnexpectedAnswer
-from service.client.job import Job
+from service.client.job import Job, as_completed, wait_all
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     import httpx2
     import xarray
@@ -98,6 +100,46 @@ class Client:
             if not page.get("next"):
                 return
             query["cursor"] = page["next"]
+
+    def as_completed(self, jobs: "Iterable[Job]", timeout: float | None = None) -> Iterator[Job]:
+        """The jobs as they end: done, failed or cancelled; see `Job.state`.
+
+        `timeout` is in seconds for all of them. Raises WaitTimeout, with one of the jobs that continue, and
+        ServiceUnreachable as `Job.wait`.
+        """
+        return as_completed(jobs, timeout)
+
+    def wait_all(
+        self, jobs: "Iterable[Job]", timeout: float | None = None, progress: bool | PartsCallback = True
+    ) -> list[Job]:
+        """Wait until all jobs have ended, and return them in their order.
+
+        `progress`: True writes how many have ended to standard error; a function is called with their number
+        and that of all. Raises JobFailed or JobCancelled for the first that is not done, WaitTimeout, and
+        ServiceUnreachable as `Job.wait`.
+        """
+        return wait_all(jobs, timeout, progress)
+
+    def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
+        """Submit specifications and return their jobs in order, each once it has ended.
+
+        At most `at_once` jobs that are not returned yet are at the service, so that a long list neither fills
+        its queue nor needs to be known in advance. Raises as `submit` does when the specification's turn
+        comes, ValueError for `at_once` below 1.
+        """
+        if at_once < 1:
+            raise ValueError(f"at_once: must be at least 1, not {at_once}")
+        return self._map(iter(specs), at_once)
+
+    def _map(self, specs: "Iterator[Specification]", at_once: int) -> Iterator[Job]:
+        submitted: deque[Job] = deque()
+        while True:
+            for spec in islice(specs, at_once - len(submitted)):
+                submitted.append(self.submit(spec))
+            if not submitted:
+                return
+            job = submitted.popleft()
+            yield next(as_completed([job]))
 
     def threshold(self, omega: float, xi: float, *, delta: float = 1e-6) -> "xarray.Dataset":
         """The thresholds of one spring in closed form, as scalars.

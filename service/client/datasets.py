@@ -122,6 +122,26 @@ _BASIN: Final[Mapping[str, Attributes]] = {
     "velocity": {"long_name": "velocity of the elongation times omega", **_LENGTH},
 }
 
+#: dtype, value where there is none, and attributes of the attractors of each cell of a grid.
+_PLACES: Final[Mapping[str, tuple[type, Any, Attributes]]] = {
+    "id": (np.int32, 0, {"long_name": "attractor of the cell", "comment": "0: none", "units": "1"}),
+    "label": (np.str_, "", {"long_name": "what the attractor does"}),
+    "fraction": (np.float64, np.nan, {"long_name": "share of the drops that reach it", "units": "1"}),
+    "longest_flight": (np.float64, np.nan, _BASIN["longest_flight"]),
+}
+
+#: Field, dtype and value where there is none of the variables of events of attractors.
+_EVENTS: Final[Mapping[str, tuple[str, type, Any]]] = {
+    "kind": ("kind", np.str_, ""),
+    "event_attractor": ("attractor", np.int32, 0),
+    "event_omega": ("omega", np.float64, np.nan),
+    "gamma_below": ("gamma_below", np.float64, np.nan),
+    "gamma_above": ("gamma_above", np.float64, np.nan),
+    "below": ("below", np.str_, ""),
+    "above": ("above", np.str_, ""),
+    "leads_to": ("leads_to", np.int32, 0),
+}
+
 #: The samples of a trajectory, with dim phase.
 _SAMPLES: Final[Mapping[str, Attributes]] = {
     "plate": {"long_name": "plate", **_LENGTH},
@@ -242,6 +262,42 @@ def basin_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
             **{name: _variable(name, None, answer[name]) for name in ("gamma", "omega", "xi")},
         }
         return _dataset(variables, coordinates, answer, "basin of attraction", job_id)
+
+
+def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
+    """Attractors over a grid: dims (omega, gamma), (omega, gamma, place), (attractor) and (event)."""
+    with _reading("multistability"):
+        cells = answer["cells"]
+        plane = ("omega", "gamma")
+        counts = [[-1 if n is None else n for n in line] for line in answer["count"]]
+        about = {"long_name": "attractors of the cell", "comment": "-1: not computed", "units": "1"}
+        variables: dict[str, Any] = {"count": (plane, np.array(counts, np.int32), about)}
+        places = max((len(cell) for line in cells for cell in line), default=0)
+        shape = (len(answer["omega"]), len(answer["gamma"]), places)
+        for name, (dtype, empty, attributes) in _PLACES.items():
+            found = [
+                [place[name] for place in cell] + [empty] * (places - len(cell))
+                for line in cells
+                for cell in line
+            ]
+            variables[name] = ((*plane, "place"), np.array(found, dtype).reshape(shape), dict(attributes))
+        attractors, events = answer["attractors"], answer["events"]
+        labels = np.array([attractor["label"] for attractor in attractors], np.str_)
+        variables["attractor_label"] = ("attractor", labels, {"long_name": "commonest label"})
+        extents = np.array([attractor["cells"] for attractor in attractors], np.int32)
+        variables["cells"] = ("attractor", extents, {"long_name": "cells of the attractor", "units": "1"})
+        for name, (field, dtype, none) in _EVENTS.items():
+            values = [none if event[field] is None else event[field] for event in events]
+            variables[name] = ("event", np.array(values, dtype))
+        coordinates = {
+            **{axis: _variable(axis, axis, answer[axis]) for axis in plane},
+            "attractor": ("attractor", np.array([attractor["id"] for attractor in attractors], np.int32)),
+            "xi": _variable("xi", None, answer["xi"]),
+        }
+        dataset = _dataset(variables, coordinates, answer, "attractors over a grid", job_id)
+        for name in ("several", "several_by_drops"):
+            dataset.attrs[name] = float(_number(answer[name]))
+        return dataset
 
 
 def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:

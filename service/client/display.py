@@ -36,25 +36,27 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
         yield JobLines(sys.stderr)
 
 
-def display_parts(progress: bool | PartsCallback) -> PartsCallback:
-    """The same for an answer that workers compute in parts; writes plain lines if True."""
+def display_parts(
+    progress: bool | PartsCallback, verb: str = "computed", parts: str = "parts"
+) -> PartsCallback:
+    """The same for an answer computed in parts, or for several jobs; writes plain lines if True."""
     if callable(progress):
         return progress
-    return PartsLines(sys.stderr) if progress else lambda done, total: None
+    return PartsLines(sys.stderr, verb, parts) if progress else lambda done, total: None
 
 
 class PartsLines:
     """Writes a line for the first report, then one every `LINE_PERCENT` of the parts."""
 
-    def __init__(self, out: TextIO) -> None:
-        self._out = out
+    def __init__(self, out: TextIO, verb: str = "computed", parts: str = "parts") -> None:
+        self._out, self._verb, self._parts = out, verb, parts
         self._last: int | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        """Report that `done` of `total` parts are computed."""
+        """Report that `done` of `total` are."""
         if self._last is None or (done - self._last) * 100.0 >= LINE_PERCENT * total:
             self._last = done
-            print(f"computed {done} of {total} parts", file=self._out, flush=True)
+            print(f"{self._verb} {done} of {total} {self._parts}", file=self._out, flush=True)
 
 
 class JobLines:

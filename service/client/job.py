@@ -1,10 +1,11 @@
 """A job of the service: its status, waiting for it, and the requests that change it."""
 
+import heapq
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from service.client.display import display_job, job_html, summary
+from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
 from service.client.errors import (
     Busy,
     JobCancelled,
@@ -19,10 +20,17 @@ from service.client.transport import Transport, json_object, retry_after
 
 if TYPE_CHECKING:
     import httpx2
+    import xarray
+    from matplotlib.axes import Axes
+
+    from service.client.plots import Kind
 
 #: Seconds between two requests of a wait if the service sends no Retry-After: the first, and the longest.
 FIRST_DELAY: Final = 0.05
 MAX_DELAY: Final = 2.0
+
+#: Seconds between two requests of a wait for several jobs.
+REQUEST_DELAY: Final = 0.02
 
 #: Seconds for which a wait retries while the service is away; a restarted service continues its jobs.
 MAX_OUTAGE: Final = 30.0
@@ -140,6 +148,26 @@ class Job(Results):
         self._raise_unless_done(timeout)
         return self
 
+    def plot(
+        self,
+        kind: "Kind | None" = None,
+        *,
+        ax: "Axes | None" = None,
+        branches: "xarray.Dataset | None" = None,
+        **selection: Any,
+    ) -> "Axes":
+        """Plot the results with matplotlib and return the axes.
+
+        `kind`: "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω; by
+        default the map where Γ and Ω both have several values, else the diagram. `selection`: the arguments
+        of `diagram`, `modes` or `threshold`. `branches`, as `Client.orbits` returns them, are drawn over a
+        diagram: solid where stable. `ax`: default the current axes of pyplot if it is in use, else those of a
+        new figure. Raises BounceError for an unknown kind, and as these methods.
+        """
+        from service.client.plots import plot
+
+        return plot(self, self.spec, kind, ax=ax, branches=branches, **selection)
+
     def _has_ended(self) -> bool:
         """Whether the job is finished; becomes the job that replaces it first, if there is one."""
         while self.finished and self.state != "done" and self.replaced_by is not None:
@@ -172,3 +200,39 @@ class Job(Results):
 
     def _repr_html_(self) -> str:
         return job_html(self)
+
+
+def as_completed(jobs: Iterable[Job], timeout: float | None = None) -> Iterator[Job]:
+    """The jobs as they end: done, failed or cancelled. As `Client.as_completed`."""
+    deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
+    waiting = [(0.0, number, FIRST_DELAY, job) for number, job in enumerate(jobs)]
+    while waiting:
+        due, number, delay, job = heapq.heappop(waiting)
+        time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
+        if due > 0.0:
+            job._refresh_through_outage()
+        if job._has_ended():
+            yield job
+        elif time.monotonic() >= deadline:
+            raise WaitTimeout(job, timeout or 0.0)
+        else:
+            # Many jobs share the rate of requests that one of them would have.
+            pause = max(delay if job._retry_after is None else job._retry_after, REQUEST_DELAY * len(waiting))
+            entry = (time.monotonic() + pause, number, min(delay * 1.15, MAX_DELAY), job)
+            heapq.heappush(waiting, entry)
+
+
+def wait_all(
+    jobs: Iterable[Job], timeout: float | None, progress: "bool | PartsCallback" = True
+) -> list[Job]:
+    """The jobs, once all are done. As `Client.wait_all`."""
+    jobs = list(jobs)
+    show = display_parts(progress, "ended", "jobs")
+    ended = 0
+    show(ended, len(jobs))
+    for _ in as_completed(jobs, timeout):
+        ended += 1
+        show(ended, len(jobs))
+    for job in jobs:
+        job._raise_unless_done(timeout)
+    return jobs

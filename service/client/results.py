@@ -8,7 +8,7 @@ from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS, BasinFormat
+from service.formats import EXPORTS, BasinFormat, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
     import httpx2
@@ -77,6 +77,7 @@ class Results(JobStatus):
         xi: float | None = None,
         *,
         tolerance: float | None = None,
+        predict: Predict = "some",
         timeout: float = 300.0,
         progress: bool | PartsCallback = True,
     ) -> "xarray.Dataset":
@@ -88,11 +89,17 @@ class Results(JobStatus):
 
         Without `tolerance`, `up` and `down` are values of the Γ grid. With a `tolerance` (in Γ) workers
         refine them from the stored states; this waits up to `timeout` seconds, with `progress` as in
-        `Client.tradeoff`. Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
+        `Client.tradeoff`.
+
+        `predicted_jump`, `predicted_down` and `cause` are those of the closed form for up to 200 values of Ω.
+        With `predict` "all" workers predict every Ω; with "words" they also follow the cycles of the lowest
+        settled cells where the closed form alone is unresolved.
+
+        Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
         """
         from service.client.datasets import threshold_dataset
 
-        query = {"xi": xi, "tolerance": tolerance}
+        query = {"xi": xi, "tolerance": tolerance, "predict": predict}
         answer = self._transport.get_when_computed(
             self._path("threshold"), query, timeout=timeout, progress=progress
         )
@@ -187,6 +194,34 @@ class Results(JobStatus):
         """The basin of one cell as a PNG or SVG with their shares, or as JSON. Raises BadRequest."""
         query = {"gamma": gamma, "omega": omega, "xi": xi, "format": format}
         return self._transport.get(self._path("basins"), query).content
+
+    def multistability(self, xi: float | None = None, *, omega: float | None = None) -> "xarray.Dataset":
+        """The attractors over (omega, gamma) of a job with the protocol multistability, matched over cells.
+
+        `xi` and `omega` take the nearest grid value; with `omega` only that line. Returns a Dataset with dims
+        (omega, gamma): `count`, -1 where a cell is not computed; with dims (omega, gamma, place) the
+        attractors of each cell: `id`, 0 where there is none, `label`, `fraction`, `longest_flight` (rad);
+        with dim attractor: `attractor_label`, `cells`; with dim event: `kind` (birth, death, mode),
+        `event_attractor`, `event_omega`, `gamma_below`, `gamma_above`, `below`, `above`, `leads_to`, 0 for
+        none. Attributes: `several` and `several_by_drops`, the shares of cells with two attractors or more;
+        `complete`. Raises BadRequest, TooLarge.
+        """
+        from service.client.datasets import multistability_dataset
+
+        query = {"xi": xi, "omega": omega}
+        answer = json_object(self._transport.get(self._path("multistability"), query))
+        return multistability_dataset(answer, self.id)
+
+    def multistability_picture(
+        self,
+        format: MultistabilityFormat = "png",
+        *,
+        xi: float | None = None,
+        omega: float | None = None,
+    ) -> bytes:
+        """Attractors over a plane, or with `omega` a line, as PNG or SVG, or as JSON. Raises BadRequest."""
+        query = {"xi": xi, "omega": omega, "format": format}
+        return self._transport.get(self._path("multistability"), query).content
 
     def export(self, path: str | PathLike[str]) -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.

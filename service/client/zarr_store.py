@@ -30,7 +30,9 @@ def open_store(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
         dataset: xarray.Dataset = xarray.open_zarr(HTTPStore(transport, path), consolidated=True, chunks=None)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
-    return dataset
+    # As in exports: NetCDF has no attributes but texts and numbers.
+    nested = {name: value for name, value in dataset.attrs.items() if isinstance(value, dict | list)}
+    return dataset.assign_attrs({name: json.dumps(value) for name, value in nested.items()})
 
 
 class HTTPStore(Store):

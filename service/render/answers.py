@@ -9,17 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats import PICTURES, BasinFormat, DiagramFormat
+from service.formats import PICTURES, BasinFormat, DiagramFormat, MultistabilityFormat
 from service.render import basins as basin_pictures
 from service.render import bifurcation, binary, text
+from service.render import multistability as multistability_pictures
 from service.render import orbits as orbits_text
 from service.results import basins as basin_results
 from service.results import diagram as diagrams
 from service.results import line as lines
 from service.results import mode_map, orbits
+from service.results import multistability as multistability_results
 from service.results import trajectory as trajectories
 from service.results.basins import Basins
 from service.results.diagram import Diagram
+from service.results.multistability import Multistability
 from service.results.selection import Sweep
 from service.results.trajectory import TrajectorySpec
 from worker import kernel_cache
@@ -150,6 +153,22 @@ def basin(
     cell = basin_results.basin(basins, *place)
     content = basin_pictures.basin_json(cell) if format == "json" else basin_pictures.draw(cell, format)
     return Answer(content, cell.complete)
+
+
+def multistability(
+    job: Multistability, xi: float | None, omega: float | None, format: MultistabilityFormat
+) -> Answer:
+    """The attractors over the plane nearest to `xi`, or over one line of it, as JSON or as a picture."""
+    plane = multistability_results.plane(job, xi)
+    shown = plane if omega is None else plane.line(omega)
+    if format == "json":
+        content = multistability_pictures.multistability_json(shown)
+    elif omega is None:
+        content = multistability_pictures.draw(shown, format)
+    else:
+        flights = multistability_results.flights(job, plane.xi, omega)
+        content = multistability_pictures.draw_line(shown, flights, format)
+    return Answer(content, plane.complete)
 
 
 def thresholds(omega: float, xi: float, delta: float) -> bytes:

@@ -112,7 +112,7 @@ def _attractors(spec: BasinSpec, arrays: Mapping[str, NDArray[Any]]) -> tuple[At
             id=i + 1,
             fraction=float(arrays["fraction"][i]),
             outcome=int(outcomes[i]),
-            label=_label(int(codes[i]), int(arrays["bounces"][i]), int(arrays["periods"][i])),
+            label=attractor_label(int(codes[i]), int(arrays["bounces"][i]), int(arrays["periods"][i])),
             bounces=int(arrays["bounces"][i]),
             periods=int(arrays["periods"][i]),
             longest_flight=float(arrays["longest_flight"][i]),
@@ -126,7 +126,8 @@ def _attractors(spec: BasinSpec, arrays: Mapping[str, NDArray[Any]]) -> tuple[At
     )
 
 
-def _label(code: int, bounces: int, periods: int) -> str:
+def attractor_label(code: int, bounces: int, periods: int) -> str:
+    """rest, a mode as (3,4), or the label of an aperiodic attractor; `code`: an outcome or a label's."""
     if code == Outcome.PERIODIC:
         return f"({bounces},{periods})"
     return "rest" if code == Outcome.AT_REST else LABELS[code]

@@ -1,5 +1,6 @@
 """Thresholds of bouncing per Ω: by Eq. 25, to the sweep's grid, and refined beyond it by the workers."""
 
+from collections.abc import Sequence
 from concurrent.futures import Future
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -8,14 +9,17 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
 from kernel.branches.descent import lifetime
+from kernel.branches.thresholds import Thresholds as Prediction
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, TooLarge
+from service.formats import Predict
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.mode_map import plane
 from service.results.orbits import thresholds as predicted_thresholds
 from service.results.selection import MAX_READ, ROUNDING, Sweep, check_kernel, check_points, nearest_index
 from worker.analysis import thresholds
+from worker.analysis.prediction import predict_each, predict_from_cells
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
 from worker.schema import COMPUTED
@@ -25,11 +29,18 @@ from worker.spec.contact_models import Rigid
 #: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
 BLOCK: Final = 16
 
-#: Values of omega for which one answer holds predictions, some 20 ms each.
+#: Values of omega predicted while the caller waits, some 20 ms each.
 MAX_PREDICTED: Final = 200
+
+#: Core-seconds that a prediction takes, typically, of one omega; with words of three cells.
+PREDICTION_SECONDS: Final = {"all": 0.02, "words": 0.5}
+
+#: Predictions that one worker call computes.
+PREDICTED_AT_ONCE: Final = {"all": 50, "words": 2}
 
 #: Core-seconds that one answer may take.
 MAX_SECONDS: Final = 60.0
+MAX_PREDICTION_SECONDS: Final = 200.0
 
 _NUMBERS: Final = {"type": "array", "items": {"anyOf": [{"type": "number"}, {"type": "null"}]}}
 #: (n,) numbers; NaN is null in JSON.
@@ -59,7 +70,10 @@ class Thresholds(BaseModel):
     down_status: list[Status]
     predicted_jump: Numbers = Field(description="the fold at which flights leap on the way up")
     predicted_down: Numbers = Field(description="where bouncing ends on the way down")
-    cause: list[str] = Field(description="of predicted_down: Eq. 25, fold (1,k), unresolved; not predicted")
+    cause: list[str] = Field(
+        description="of predicted_down: Eq. 25, fold (1,k), fold of word zs (2,2) and the like, unresolved; "
+        "not predicted"
+    )
     difference: list[str] = Field(description="why `down` and predicted_down differ; empty where they do not")
     prediction: str = Field(description="the contact that is predicted, and whether it is the sweep's")
     up_computed: list[bool] | None = Field(
@@ -71,8 +85,10 @@ class Thresholds(BaseModel):
     complete: bool
 
 
-def on_grid(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
+def on_grid(sweep: Sweep, xi: float | None, max_points: int, predict: Predict = "some") -> Thresholds:
     """The thresholds to the grid in gamma, at the grid's xi nearest to `xi`.
+
+    Only with `predict` "some" are they predicted, up to MAX_PREDICTED of them; see `predicted` for all.
 
     Raises InvalidRequest for a sweep ramped along another axis than gamma and as `selection.nearest_index`,
     TooLarge for more than `max_points` values of omega.
@@ -98,9 +114,51 @@ def on_grid(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
             results["up_computed"] = found.computed
     coarse = Thresholds(
         xi=value, omega=omega, analytic=threshold(omega, value), complete=complete,
-        **results, **_predicted(spec, omega, value),
+        **results, **_predicted(spec, omega, value, predict),
     )  # fmt: skip
     return _compared(spec, coarse)
+
+
+def predicted(
+    on_demand: OnDemandCache, job: JobRecord, sweep: Sweep, found: Thresholds, predict: Predict
+) -> Thresholds:
+    """`found` with the predictions of every omega, computed by the workers: "all" or "words".
+
+    Raises InvalidRequest for words of another contact than the one of the closed form, TooLarge for more
+    computing than one answer may take, and as `OnDemandCache.get`.
+    """
+    spec, omegas = sweep.spec, len(found.omega)
+    if predict == "words" and not _is_ideal(spec):
+        rule = f"words are of rigid cells with restitution 0; the sweep's contact is {spec.model.kind}"
+        raise InvalidRequest.of("predict", rule)
+    if predict == "words" and not job.chunks_done:
+        predict = "all"
+    seconds = PREDICTION_SECONDS[predict]
+    if omegas * seconds > MAX_PREDICTION_SECONDS:
+        raise TooLarge(
+            f"predict: {omegas:,} values of omega take about {omegas * seconds:,.0f} core-seconds, the limit "
+            f"for one answer is {MAX_PREDICTION_SECONDS:g}: enough for "
+            f"{int(MAX_PREDICTION_SECONDS / seconds):,} values"
+        )
+    xi = int(np.searchsorted(spec.axis_values("xi"), found.xi))
+    size = PREDICTED_AT_ONCE[predict]
+    blocks = [tuple(range(low, min(low + size, omegas))) for low in range(0, omegas, size)]
+
+    def submit(workers: Caller) -> list[Future[list[Prediction]]]:
+        if predict == "words":
+            return [
+                workers.call(predict_from_cells, spec, sweep.url, xi, block, sweep.complete)
+                for block in blocks
+            ]
+        values = [tuple(float(found.omega[i]) for i in block) for block in blocks]
+        return [workers.call(predict_each, part, found.xi) for part in values]
+
+    key = ("predict", predict, job.id, job.chunks_done if predict == "words" else 0, xi)
+    each = [prediction for part in on_demand.get(key, submit) for prediction in part]
+    fields: dict[str, Any] = _fields_of(each)
+    if predict == "words":
+        fields["prediction"] = f"{found.prediction}; words continued from its cells: others may reach lower"
+    return _compared(spec, found.model_copy(update=fields))
 
 
 def refined(
@@ -172,23 +230,34 @@ def _of_direction(sweep: Sweep, xi: float, direction: str) -> _OfDirection:
     return _OfDirection(lowest, statuses, complete, both_computed)
 
 
-def _predicted(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> dict[str, Any]:
+def _is_ideal(spec: SweepSpec) -> bool:
+    """Whether a sweep's contact is that of the closed form."""
+    return isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
+
+
+def _predicted(spec: SweepSpec, omega: NDArray[np.float64], xi: float, predict: Predict) -> dict[str, Any]:
     """The fields that the closed form fills in."""
-    own = isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
     prediction = "rigid, restitution 0: the contact of the sweep"
-    if not own:
+    if not _is_ideal(spec):
         prediction = f"rigid, restitution 0: not the contact of the sweep, which is {spec.model.kind}"
-    if len(omega) > MAX_PREDICTED:
-        none, cause = np.full(len(omega), np.nan), [f"not predicted above {MAX_PREDICTED} values of omega"]
-        fields = {"predicted_jump": none, "predicted_down": none, "cause": cause * len(omega)}
+    if predict == "some" and len(omega) <= MAX_PREDICTED:
+        fields = _fields_of([predicted_thresholds(float(value), xi) for value in omega])
     else:
-        found = [predicted_thresholds(float(value), xi) for value in omega]
-        fields = {
-            "predicted_jump": np.array([each.jump for each in found]),
-            "predicted_down": np.array([each.down for each in found]),
-            "cause": [each.cause for each in found],
-        }
+        why = "not predicted"
+        if predict == "some":
+            why = f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
+        none = np.full(len(omega), np.nan)
+        fields = {"predicted_jump": none, "predicted_down": none, "cause": [why] * len(omega)}
     return {**fields, "difference": [""] * len(omega), "prediction": prediction}
+
+
+def _fields_of(found: Sequence[Prediction]) -> dict[str, Any]:
+    """The fields of predictions, one per omega."""
+    return {
+        "predicted_jump": np.array([each.jump for each in found]),
+        "predicted_down": np.array([each.down for each in found]),
+        "cause": [each.cause for each in found],
+    }
 
 
 def _compared(spec: SweepSpec, found: Thresholds) -> Thresholds:

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from kernel_runs import TWO_PI, Model, examples, run
 from naive import cycle
 
+from kernel.cell import KEPT_FLIGHTS, Window, allocate_flights, classify, start_run
 from kernel.modes import find_cycle
+from kernel.numerics.first_root import HORIZON
 from kernel.params import Outcome
 from kernel.threshold import threshold
 
@@ -106,6 +108,45 @@ def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():
     line = run(30.0, 0.5, 0.26, settle=1, observe=1)
     assert line.flights[0] == 0
     assert line.outcome[0] == Outcome.APERIODIC
+
+
+@pytest.mark.parametrize(
+    ("restitution", "cell", "mode"),
+    [
+        (0.95, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (6, 1)),
+        (0.95, (2.9038873900086406, 1.7097974775080125, 0.15902207355587852), (14, 1)),
+        (0.99, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (8, 1)),
+    ],
+)
+@pytest.mark.parametrize("keep", [1, 8_000])
+def test_hops_beyond_number_do_not_hide_a_mode(restitution, cell, mode, keep):
+    """140 to 730 hops in each plate period: 256 flights would hold two cycles, or less than one."""
+    line = run(*cell, restitution=restitution, settle=200, observe=100, keep=keep, micro_flight=0.05)
+    assert line.flights[0] > 13_000
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert (line.bounces[0], line.periods[0]) == mode
+
+
+@pytest.mark.parametrize(
+    ("periods", "number", "outcome"),
+    [(2, KEPT_FLIGHTS, Outcome.APERIODIC), (2, KEPT_FLIGHTS + 1, Outcome.UNRESOLVED),
+     (4, KEPT_FLIGHTS + 1, Outcome.APERIODIC), (2, 2 * KEPT_FLIGHTS, Outcome.UNRESOLVED)],
+)  # fmt: skip
+def test_too_few_flights_decide_nothing(periods, number, outcome):
+    """Irregular flights, KEPT_FLIGHTS of which take so many plate periods, to the end of a run."""
+    flights = allocate_flights(1, 1)
+    rng = np.random.default_rng(2)
+    times = rng.uniform(0.5, 1.0, number) * TWO_PI * periods / KEPT_FLIGHTS
+    takeoffs = TWO_PI * 100 - np.cumsum(times[::-1])[::-1]
+    for n in range(number):
+        period = int(takeoffs[n] // TWO_PI)
+        flights.time[n % flights.size] = times[n]
+        flights.phase[n % flights.size] = takeoffs[n] - TWO_PI * period
+        flights.period[n % flights.size] = period
+    window = Window(0, 100, 0.0, 0.0, 0, 0)
+    whole = start_run(np.zeros(6), window, False)
+    ended = whole._replace(in_flight=True, recorded=number, flew=True, ending=HORIZON)
+    assert classify(ended, flights, 0, window) == (outcome, 0, 0)
 
 
 def test_a_spent_budget_is_unresolved():

@@ -33,7 +33,7 @@ def test_periodic_cells_keep_their_flights_within_the_tolerance(carry):
 def test_settling_really_ends_early():
     """Equal flights, one a plate period: the window begins after the first test, not after 1000 periods."""
     window = Window(1000, 10, 0.0, 1e-9, 0, 0)
-    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
+    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64, 64)
     state = np.zeros(6)
     state[1] = 1.0
     progress: Progress = start_run(state, window, False)
@@ -51,7 +51,7 @@ def test_off_by_default():
     gamma = np.array([1.5])
     assert run(gamma, 0.0, settle=30).flights[0] == run(gamma, 0.0, settle=30).flights[0]
     window = Window(30, 10, 0.0, 0.0, 0, 0)
-    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64)
+    flights = Flights(np.zeros(64), np.zeros(64), np.zeros(64, dtype=np.int64), 64, 64)
     progress = start_run(np.array([0.0, 1.0, 0, 0, 0, 0]), window, False)
     steps = 0
     while progress.ending == ROOT:

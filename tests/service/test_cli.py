@@ -34,8 +34,8 @@ from worker.executors.inline import Inline
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
     "adopt", "backup", "basins", "cancel", "curves", "delete", "diagram", "doctor", "export", "figure",
-    "follow", "list", "metrics", "modes", "open", "orbits", "restore", "resume", "run", "serve",
-    "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
+    "follow", "list", "metrics", "modes", "multistability", "open", "orbits", "restore", "resume", "run",
+    "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}

@@ -212,6 +212,64 @@ def test_a_wait_ends_at_its_timeout_and_the_job_continues(tmp_path: Path):
             job.wait(progress=False, timeout=0)
 
 
+def few(client: Client, n: int = 3) -> list[Job]:
+    """Small sweeps, submitted."""
+    return [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(n)]
+
+
+def test_jobs_are_returned_as_they_end(client: Client):
+    jobs = few(client)
+    assert {job.id for job in client.as_completed(jobs, timeout=DEADLINE)} == {job.id for job in jobs}
+    assert all(job.state == "done" for job in jobs)
+    seen: list[tuple[int, int]] = []
+    assert client.wait_all(iter(jobs), progress=lambda done, total: seen.append((done, total))) == jobs
+    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert client.wait_all([], progress=False) == []
+
+
+def test_waiting_for_all_names_the_job_that_is_not_done(tmp_path: Path):
+    held = Held()
+    with serving(tmp_path, held) as client:
+        jobs = few(client, 2)
+        with pytest.raises(WaitTimeout, match="the job continues"):
+            client.wait_all(jobs, timeout=0.2, progress=False)
+        wait_for(held.held)
+        jobs[1].cancel()
+        held.let_go_all()
+        with pytest.raises(JobCancelled) as caught:
+            client.wait_all(jobs, timeout=DEADLINE, progress=False)
+        assert caught.value.job is jobs[1]
+        assert jobs[0].refresh().state == "done"
+
+
+def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
+    specs = [SPEC | {"gamma": [1.4, 1.5 + 0.01 * i]} for i in range(5)]
+    submitted: list[int] = []
+
+    def counted() -> Iterator[dict[str, Any]]:
+        for i, spec in enumerate(specs):
+            submitted.append(i)
+            yield spec
+
+    jobs = client.map(counted(), at_once=2)
+    assert submitted == []
+    first = next(jobs)
+    assert first.state == "done"
+    assert submitted == [0, 1]
+    ids = [first.id, *(job.id for job in jobs)]
+    assert ids == [client.submit(spec).id for spec in specs]
+    with pytest.raises(ValueError, match="at_once: must be at least 1"):
+        client.map(specs, at_once=0)
+
+
+def test_an_open_store_can_be_written_to_a_file(job: Job, tmp_path: Path):
+    store = job.open()
+    store.load().to_netcdf(tmp_path / "sweep.nc")
+    with xarray.open_dataset(tmp_path / "sweep.nc") as written:
+        assert json.loads(written.attrs["spec"]) == json.loads(store.attrs["spec"])
+        assert json.loads(written.attrs["spec"])["xi"] == SPEC["xi"]
+
+
 def test_a_failed_job_says_why(tmp_path: Path):
     script = {0: [ValueError("the roof fell in")] * 99}
     with serving(tmp_path, Scripted(script), failed_chunks=1) as client:

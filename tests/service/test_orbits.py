@@ -292,6 +292,44 @@ def test_thresholds_of_a_sweep_stand_beside_the_predictions(client: Client):
         assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
 
 
+def test_words_of_the_cells_answer_where_the_closed_form_is_unresolved(service: TestClient, client: Client):
+    weak = RAMP | {
+        "gamma": {"start": 0.85, "stop": 1.1, "num": 101}, "omega": [0.26, 0.3533], "xi": 0.02,
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "down"}, "settle": 400, "observe": 100,
+        "keep": 16,
+    }  # fmt: skip
+    job = client.submit(weak).wait(progress=False)
+    alone = job.threshold()
+    assert alone.cause.values.tolist() == ["unresolved"] * 2
+    assert np.isnan(alone.predicted_down.values).all()
+    found = job.threshold(predict="words", progress=False)
+    assert [str(cause).startswith("fold") for cause in found.cause.values] == [True, True]
+    above = found.down.values - found.predicted_down.values  # the ramp's last cell that bounces
+    assert 0.0 <= above[0] <= 0.0025 + 1e-9
+    assert above[1] > 0.0025  # its steps lose the cycle before the fold
+    assert "the ramp lost the cycle" in str(found.difference.values[1])
+    assert "others may reach lower" in found.attrs["prediction"]
+    soft = client.submit(weak | {"model": {"kind": "soft"}, "gamma": [1.0, 1.1]}).wait(progress=False)
+    where = f"/v1/jobs/{soft.id}/threshold"
+    assert "the sweep's contact is soft" in refused(service, where, 422, predict="words")
+
+
+def test_every_omega_is_predicted_when_asked_for(service: TestClient, client: Client):
+    many = RAMP | {"gamma": [0.5, 0.6], "omega": {"start": 0.6, "stop": 0.65, "num": 201}}
+    job = client.submit(many).wait(progress=False)
+    some, all_ = job.threshold(), job.threshold(predict="all", progress=False)
+    assert set(some.cause.values.tolist()) == {"not predicted: ask for all above 200 values of omega"}
+    assert np.isfinite(all_.predicted_down.values).all()
+    assert float(all_.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
+    assert set(job.threshold(predict="none").cause.values.tolist()) == {"not predicted"}
+    where = f"/v1/jobs/{job.id}/threshold"
+    assert "should be 'none', 'some', 'all' or 'words'" in refused(service, where, 422, predict="every")
+    words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
+    large = client.submit(words).wait(progress=False)
+    where = f"/v1/jobs/{large.id}/threshold"
+    assert "enough for 400 values" in refused(service, where, 413, predict="words")
+
+
 def test_a_difference_from_the_prediction_is_explained():
     spec = SweepSpec.parse(RAMP)
     fold = orbits.thresholds(0.6, 0.05)

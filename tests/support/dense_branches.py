@@ -48,6 +48,22 @@ def _powers(generator: np.ndarray, step: float, count: int) -> np.ndarray:
     return powers
 
 
+def _starts(down: np.ndarray, whole: np.ndarray, b: float, w: float) -> np.ndarray:
+    """(q, v, c, s) at take-off (n, 4) of cycles with these flows (n, 7, 7) over a flight and a cycle."""
+    free, rest = [0, 1, 4, 5], 6
+    system = np.zeros((len(down), 4, 4))
+    right = np.zeros((len(down), 4))
+    system[:, 0] = w, b, 1.0, 0.0
+    right[:, 0] = 1.0  # n = 1 - c - b v - w q = 0
+    system[:, 1] = down[:, 2, free]
+    right[:, 1] = -down[:, 2, rest]
+    for row, i in ((2, 0), (3, 1)):
+        system[:, row] = whole[:, i][:, free]
+        system[:, row, i] -= 1.0
+        right[:, row] = -whole[:, i, rest]
+    return np.asarray(np.linalg.solve(system, right[..., None])[..., 0])
+
+
 def events(omega: float, xi: float, periods: int, below: float, points: int = 20_000) -> list[Found]:
     """Folds, flips and Neimark-Sacker points with Gamma < below, by flight time."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
@@ -57,19 +73,7 @@ def events(omega: float, xi: float, periods: int, below: float, points: int = 20
     at = np.arange(1, points)
     # from take-off with gap = gap' = 0 over flight, landing and contact
     down = fly[at]
-    whole = stick[points - at] @ (landing @ down)
-    free, rest = [0, 1, 4, 5], 6
-    system = np.zeros((len(at), 4, 4))
-    right = np.zeros((len(at), 4))
-    system[:, 0] = w, b, 1.0, 0.0
-    right[:, 0] = 1.0  # n = 1 - c - b v - w q = 0
-    system[:, 1] = down[:, 2, free]
-    right[:, 1] = -down[:, 2, rest]
-    for row, i in ((2, 0), (3, 1)):
-        system[:, row] = whole[:, i][:, free]
-        system[:, row, i] -= 1.0
-        right[:, row] = -whole[:, i, rest]
-    start = np.linalg.solve(system, right[..., None])[..., 0]
+    start = _starts(down, stick[points - at] @ (landing @ down), b, w)
     gamma = np.hypot(start[:, 2], start[:, 3])
     # variations: dgap = dgap' = 0 at take-off; the landing moves by -dgap/W, which leaves -b dgap in v
     salted = landing.copy()
@@ -80,10 +84,12 @@ def events(omega: float, xi: float, periods: int, below: float, points: int = 20
     for kind, test in (
         ("fold", 1.0 - trace + det),
         ("flip", 1.0 + trace + det),
-        ("neimark-sacker", np.where(np.abs(trace) < 2.0, det - 1.0, np.nan)),
+        ("neimark-sacker", det - 1.0),
     ):
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
+            if kind == "neimark-sacker" and abs(trace[i] + part * (trace[i + 1] - trace[i])) >= 2.0:
+                continue  # the product of two real multipliers is 1
             here = gamma[i] + part * (gamma[i + 1] - gamma[i])
             if here < below and (at[i] + part) * step > 0.02:
                 margin = _margin(fly, stick, landing, start[i], int(at[i]), b, w)
@@ -104,3 +110,103 @@ def _margin(
     if len(n) > 2:
         parts.append(n[:-1].min() / np.abs(n).max())
     return float(min(parts))
+
+
+class Held(NamedTuple):
+    """What n cycles fulfil, in plate amplitudes and m A omega**2; arrays (n,)."""
+
+    gap: np.ndarray  # its deepest minimum inside the flight; inf: none
+    impact: np.ndarray  # gap' before landing: < 0
+    force: np.ndarray  # the deepest minimum of n inside the contact
+    landing: np.ndarray  # n after landing: > 0
+    takeoff: np.ndarray  # n' at take-off: < 0
+
+    def flight_held(self) -> np.ndarray:
+        """Whether the gap is positive in flight, but for DEEP."""
+        return np.asarray((self.gap > -DEEP) & (self.impact < 0.0) & (self.takeoff < 0.0))
+
+    def contact_held(self) -> np.ndarray:
+        """Whether n is positive in contact, but for DEEP."""
+        return np.asarray((self.force > -DEEP) & (self.landing > 0.0) & (self.takeoff < 0.0))
+
+
+#: Minima less deep than this, in plate amplitudes or m A omega**2, are not decided by samples.
+DEEP = 1e-8
+
+#: Flight times computed at a time.
+_BLOCK = 1000
+
+
+def _minimum(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """The least minimum of each column (n,) of samples (m, n), by parabolas; inf: none inside."""
+    before, here, after = values[:-2], values[1:-1], values[2:]
+    turns = (here < before) & (here <= after) & inside[2:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        low = here - (after - before) ** 2 / (8.0 * (after - 2.0 * here + before))
+    return np.asarray(np.where(turns, low, np.inf).min(axis=0))
+
+
+def _held(
+    start: np.ndarray, landed: np.ndarray, gap: np.ndarray, n: np.ndarray, b: float, w: float,
+    impact: np.ndarray,
+) -> Held:  # fmt: skip
+    """From samples gap, n (m, n), NaN outside, the states at take-off (n, 4) and after landing (n, 7)."""
+    q, v, c, s = start.T
+    size = np.hypot(c, s)
+    press = 1.0 - landed[:, 4] - b * landed[:, 1] - w * landed[:, 0]
+    slope = s - b * (c - 1.0 - b * v - w * q) - w * v
+    return Held(
+        _minimum(gap, np.isfinite(gap)) / size, impact / size, _minimum(n, np.isfinite(n)) / size,
+        press / size, slope / size,
+    )  # fmt: skip
+
+
+def held(omega: float, xi: float, periods: int, flight_time: float, samples: int = 4_000) -> Held:
+    """What the cycle of one flight time fulfils (1,)."""
+    b, w = 2.0 * xi / omega, 1.0 / omega**2
+    generator, stuck, landing = _generators(omega, xi)
+    fly = _powers(generator, flight_time / samples, samples)
+    stick = _powers(stuck, (2.0 * math.pi * periods - flight_time) / samples, samples)
+    start = _starts(fly[-1:], stick[-1:] @ (landing @ fly[-1:]), b, w)
+    q, v, c, s = start[0]
+    whole = np.array([q, v, 0.0, 0.0, c, s, 1.0])
+    down = fly[-1] @ whole
+    landed = landing @ down
+    y = stick @ landed
+    n = 1.0 - y[:, 4] - b * y[:, 1] - w * y[:, 0]
+    return _held(start, landed[None], (fly[:, 2] @ whole)[:, None], n[:, None], b, w, down[3:4])
+
+
+def breaks(
+    omega: float, xi: float, periods: int, below: float, points: int = 20_000, every: int = 8
+) -> list[tuple[float, float]]:
+    """Neighbours among `points` flight times between which a condition breaks, where Gamma < below.
+
+    Of (1, periods); gap and n are sampled at each of these times that is a multiple of `every`.
+    """
+    b, w = 2.0 * xi / omega, 1.0 / omega**2
+    step = 2.0 * math.pi * periods / points
+    generator, stuck, landing = _generators(omega, xi)
+    fly, stick = _powers(generator, step, points), _powers(stuck, step, points)
+    sampled = np.arange(0, points, every)
+    gap_rows = fly[sampled, 2]
+    n_rows = -(stick[sampled, 4] + b * stick[sampled, 1] + w * stick[sampled, 0])
+    n_rows[:, 6] += 1.0
+    at = np.arange(1, points)
+    parts = []
+    for first in range(0, len(at), _BLOCK):
+        j = at[first : first + _BLOCK]
+        down = fly[j]
+        start = _starts(down, stick[points - j] @ (landing @ down), b, w)
+        zero, one = np.zeros(len(j)), np.ones(len(j))
+        y = np.stack([start[:, 0], start[:, 1], zero, zero, start[:, 2], start[:, 3], one])
+        end = np.einsum("nij,jn->in", down, y)
+        landed = landing @ end
+        gap = np.where(sampled[:, None] <= j, gap_rows @ y, np.nan)
+        n = np.where(sampled[:, None] <= points - j, n_rows @ landed, np.nan)
+        parts.append((np.hypot(start[:, 2], start[:, 3]), *_held(start, landed.T, gap, n, b, w, end[3])))
+    gamma, *conditions = (np.concatenate(part) for part in zip(*parts, strict=True))
+    whole = Held(*conditions)
+    changes = (np.diff(whole.flight_held()) != 0) | (np.diff(whole.contact_held()) != 0)
+    changes &= (np.maximum(gamma[:-1], gamma[1:]) < below) & (at[:-1] * step > 0.02)
+    return [(float(at[i] * step), float(at[i + 1] * step)) for i in np.flatnonzero(changes)]

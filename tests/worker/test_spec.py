@@ -139,10 +139,10 @@ RULES = [
     ({"name": "two\nlines"}, "name: must be one line of printable characters"),
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
     ({"protocol": "rest"}, 'protocol: must be an object such as {"kind": "rest"}, not text \'rest\''),
-    ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp', 'orbits' or 'basin'"),
+    ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp', 'orbits', 'basin' or 'multistability'"),
     (
         {"protocol": {"kind": "rump"}},
-        "protocol.kind: must be 'rest', 'ramp', 'orbits' or 'basin', not text 'rump'",
+        "protocol.kind: must be 'rest', 'ramp', 'orbits', 'basin' or 'multistability', not text 'rump'",
     ),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),

@@ -6,9 +6,12 @@ import numpy as np
 
 from kernel.branches.events import flight_times
 from kernel.branches.thresholds import UNRESOLVED, Thresholds, thresholds
+from kernel.branches.words import Word
 from kernel.params import KernelInputError
 from kernel.threshold import threshold
+from worker.analysis.words import lowest_words
 from worker.orbits import MAX_GRID
+from worker.spec import SweepSpec
 
 
 def predict(omega: float, xi: float) -> Thresholds:
@@ -32,6 +35,36 @@ def predict(omega: float, xi: float) -> Thresholds:
 def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
     """`predict` at every omega: a call for workers."""
     return [predict(value, xi) for value in omega]
+
+
+def predict_from_cells(
+    spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], complete: bool
+) -> list[Thresholds]:
+    """`predict` at these indices, and words of the sweep's own cells where that is unresolved: for workers.
+
+    The words are those of the settled cells of lowest Gamma, on the way down if the sweep goes down. The end
+    of the lowest one is the answer unless a cell bounces below it. Raises a `store.StoreError`.
+    """
+    direction = spec.directions.index("down") if "down" in spec.directions else 0
+    at_xi = float(spec.axis_values("xi")[xi])
+    found = []
+    for omega in omegas:
+        at_omega = float(spec.axis_values("omega")[omega])
+        answer = predict(at_omega, at_xi)
+        if answer.cause == UNRESOLVED and math.isfinite(answer.gamma_th):
+            words, bouncing = lowest_words(spec, url, direction, xi, omega, complete)
+            if words:
+                answer = _with_words(answer, words, bouncing)
+        found.append(answer)
+    return found
+
+
+def _with_words(alone: Thresholds, words: list[Word], bouncing: float) -> Thresholds:
+    try:
+        with np.errstate(all="ignore"):
+            return thresholds(alone.omega, alone.xi, words=words, bouncing=bouncing)
+    except KernelInputError:
+        return alone
 
 
 def _undecided(omega: float, xi: float, reason: str) -> Thresholds:

@@ -4,7 +4,10 @@ Of the rigid contact without restitution: the flights of a cell of another conta
 there may be no way to a cycle of the rigid one.
 """
 
+import math
 from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,6 +18,7 @@ from kernel.branches.events import Events
 from kernel.branches.words import Word, WordBranch, from_flights
 from kernel.params import KernelInputError, Outcome
 from worker import store
+from worker.analysis.thresholds import BOUNCING
 from worker.schema import COMPUTED
 from worker.spec import SweepSpec
 
@@ -23,6 +27,9 @@ Floats = NDArray[np.float64]
 #: Branches followed for one line of cells, and points of each, each way; 0.3 s for each.
 MAX_WORDS: Final = 12
 POINTS: Final = 400
+
+#: Settled cells of a line whose words are followed to where they end, those of lowest Gamma.
+LOWEST: Final = 3
 
 #: Flights of two rounds of a cycle agree to this, rad, where a cell has settled.
 _REPEATS: Final = 1e-3
@@ -71,9 +78,7 @@ def continue_words(
 
     A cell whose cycle lies on a branch followed already is not followed again. Raises a `store.StoreError`.
     """
-    names = ["flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome"]
-    names += [] if spec.refine is None else [COMPUTED.name]
-    arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
+    arrays = _read_line(spec, url, (direction, xi, omega), complete)
     at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
     branches: list[WordBranch] = []
     events: list[Events] = []
@@ -93,6 +98,35 @@ def continue_words(
         branches.append(_up_to_shorter(branch, cycle))
         events.append(_once(found))
     return Words(tuple(branches), tuple(events), tuple(skipped))
+
+
+def lowest_words(
+    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, complete: bool
+) -> tuple[list[Word], float]:
+    """Words of settled cells at these indices, up to LOWEST, and the lowest Gamma that bounces.
+
+    Those of lowest Gamma; cells from which there is no way to a word are left out. Gamma is infinite if no
+    cell bounces. Raises a `store.StoreError`.
+    """
+    arrays = _read_line(spec, url, (direction, xi, omega), complete)
+    gamma = spec.axis_values("gamma")
+    at_omega, at_xi = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
+    words: list[Word] = []
+    for cycle in islice(_cycles(gamma, arrays, []), LOWEST):
+        with suppress(KernelInputError):
+            words.append(_word(cycle, at_omega, at_xi))
+    bouncing = gamma[np.isin(arrays["outcome"], BOUNCING)]
+    return words, float(bouncing.min()) if len(bouncing) else math.inf
+
+
+def _read_line(
+    spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool
+) -> dict[str, NDArray[Any]]:
+    """What is stored of the cycles along gamma at indices (direction, xi, omega)."""
+    names = ["flight_time", "takeoff_phase", "flights", "bounces", "periods", "outcome"]
+    names += [] if spec.refine is None else [COMPUTED.name]
+    direction, xi, omega = line
+    return store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
 
 
 def _cycles(

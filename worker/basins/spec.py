@@ -1,4 +1,4 @@
-"""The specification of a basin: a plane of starts in each cell of a grid."""
+"""The specifications of basins and of multistability: a plane of starts in each cell of a grid."""
 
 import math
 from collections.abc import Mapping
@@ -20,13 +20,15 @@ from worker.spec.sweep import MAX_KEEP, MAX_PERIODS
 MAX_STARTS: Final = 512 * 512
 MAX_SIDE: Final = 4096
 MAX_HEIGHT: Final = 1e6
+#: Drops of one cell at most where attractors are followed through a grid.
+MAX_DROPS: Final = 1024
 
 #: Plate periods that a start may take in all where `settle_until` is null, over those of the window.
 UNTIL: Final = 10
 
 
-class Basin(Strict):
-    """The protocol, whose kind chooses the study: the plane of starts.
+class Plane(Strict):
+    """A plane of starts; the `kind` of a protocol that has one chooses the study.
 
     drop: rows are heights above the plate, columns the plate's phases at which the spring is let go, relaxed
     and at rest in the laboratory. contact: the states of a spring that sticks at phase 0; rows are its
@@ -34,10 +36,12 @@ class Basin(Strict):
     in both directions.
     """
 
-    kind: Literal["basin"]
+    MAX_STARTS: ClassVar[int]
+
+    kind: str
     plane: Literal["drop", "contact"] = "drop"
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
+    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
     height: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT), NUMBER] = 10.0
 
     @model_validator(mode="before")
@@ -55,10 +59,10 @@ class Basin(Strict):
 
     @model_validator(mode="after")
     def _size(self) -> Self:
-        if self.rows * self.columns > MAX_STARTS:
-            fitting = MAX_STARTS // self.columns
+        if self.rows * self.columns > self.MAX_STARTS:
+            fitting = max(1, self.MAX_STARTS // self.columns)
             rule = f"must be at most {fitting} with {self.columns} columns, not {self.rows}"
-            raise BrokenRuleError("rows", f"{rule}: a cell has at most {MAX_STARTS:,} starts")
+            raise BrokenRuleError("rows", f"{rule}: a cell has at most {self.MAX_STARTS:,} starts")
         return self
 
     @property
@@ -76,30 +80,48 @@ class Basin(Strict):
         return np.asarray(middles - self.height)
 
 
-class BasinSpec(Specification):
-    """A grid of cells, the plane of starts, and the window of each start.
+class Basin(Plane):
+    """The protocol of basins: which attractor each start of the plane reaches."""
 
-    Fields as of a `SweepSpec`; `keep` flights of each attractor are stored.
-    """
+    MAX_STARTS: ClassVar = MAX_STARTS
+
+    kind: Literal["basin"]
+    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+
+
+class Multistability(Plane):
+    """The protocol of multistability: attractors that drops find, followed through the grid."""
+
+    MAX_STARTS: ClassVar = MAX_DROPS
+
+    kind: Literal["multistability"]
+    plane: Literal["drop"] = "drop"
+    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 4
+    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 6
+
+
+class GridSpec(Specification):
+    """A grid of cells, the plane of starts, and the window of each start. Fields as of a `SweepSpec`."""
 
     AXES: ClassVar = AXES
 
     gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
     xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
-    protocol: Basin
+    protocol: Plane
     model: Contact = Soft()
-    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 500
-    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 60
+    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE]
+    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE]
     keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
     micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.05
     settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
-    exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
         if isinstance(self.model, Auto):
-            rule = "must be 'soft', 'stepped', 'rigid' or 'ball' for a basin: no model is chosen for one"
+            study = self.protocol.kind
+            rule = f"must be 'soft', 'stepped', 'rigid' or 'ball' for {study}: no model is chosen for it"
             raise BrokenRuleError("model.kind", rule)
         if isinstance(self.model, Ball) and self.protocol.plane == "contact":
             raise BrokenRuleError(
@@ -131,6 +153,24 @@ class BasinSpec(Specification):
     def sweep(self) -> SweepSpec:
         """The sweep of these cells with this window, from rest. Raises SpecInvalid."""
         fields: dict[str, Any] = {
-            name: getattr(self, name) for name in BasinSpec.model_fields if name not in ("name", "protocol")
+            name: getattr(self, name) for name in type(self).model_fields if name not in ("name", "protocol")
         }
         return SweepSpec(**fields)
+
+
+class BasinSpec(GridSpec):
+    """Basins: `keep` flights of each attractor are stored."""
+
+    protocol: Basin
+    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 500
+    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 60
+    exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
+
+
+class MultistabilitySpec(GridSpec):
+    """Multistability: `keep` flights of each attractor are stored."""
+
+    protocol: Multistability
+    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 800
+    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 150
+    keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 16

@@ -70,7 +70,7 @@ class Ramp(Strict):
 PROTOCOLS: Final[dict[str, type[Strict]]] = {"rest": Rest, "ramp": Ramp}
 
 #: Every kind of protocol: those of other studies have specifications of their own (`worker.studies`).
-KINDS: Final = (*PROTOCOLS, "orbits", "basin")
+KINDS: Final = (*PROTOCOLS, "orbits", "basin", "multistability")
 
 
 def _kind_of(value: object) -> object:

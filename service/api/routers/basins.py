@@ -1,4 +1,4 @@
-"""Endpoints of basins of attraction."""
+"""Endpoints of basins of attraction and of multistability."""
 
 from typing import Annotated, Final
 
@@ -12,6 +12,7 @@ from service.api.schemas import content, problem_responses
 from service.formats import MEDIA_TYPES, PICTURES
 from service.jobs.model import JobRecord
 from service.render import answers
+from service.results.multistability import MAX_CELLS
 from service.results.selection import BASE_MEMORY
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
@@ -23,6 +24,10 @@ _PER_START: Final = 64
 def _memory(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -> int:
     plane = dependencies.basins(service, job).spec.protocol
     return BASE_MEMORY + plane.rows * plane.columns * _PER_START
+
+
+#: Bytes of memory per cell of a plane, with its attractors as text.
+_PER_CELL: Final = 4096
 
 
 @router.get(
@@ -43,5 +48,35 @@ def basins(
     """
     place = (query.gamma, query.omega, query.xi)
     answer = service.background.run(answers.basin, dependencies.basins(service, job), place, query.format)
+    headers = {"Bounce-Complete": "true" if answer.complete else "false"}
+    return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)
+
+
+def _plane_memory(service: ServiceDep, job: JobRecord, query: parameters.MultistabilityQuery) -> int:
+    _, omegas, gammas = dependencies.multistability(service, job).spec.shape
+    return BASE_MEMORY + min(omegas * gammas, MAX_CELLS) * _PER_CELL
+
+
+@router.get(
+    "/multistability",
+    summary="Read attractors over a grid",
+    response_model=schemas.MultistabilityView,
+    responses={**content("json", *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
+)
+@costly(_plane_memory)
+def multistability(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.MultistabilityQuery, Query()]
+) -> Response:
+    """The attractors of every cell at one xi, matched from cell to cell, and their births and deaths.
+
+    Of a job with the protocol `multistability`. One attractor has one id in all cells; ids are numbered from
+    1 by the number of cells. With `omega` only the line along gamma nearest to it. As a picture, the plane is
+    two maps, of the number of attractors and of the one that most drops reach; a line is its flights, each
+    attractor in its colour.
+    """
+    answer = service.background.run(
+        answers.multistability,
+        dependencies.multistability(service, job), query.xi, query.omega, query.format,
+    )  # fmt: skip
     headers = {"Bounce-Complete": "true" if answer.complete else "false"}
     return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)

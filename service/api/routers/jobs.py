@@ -52,7 +52,7 @@ _MAX_RETRY_AFTER: Final = 10
         200: {"model": JobView | Cost},
         **problem_responses(400, 408, 409, 413, 415, 422, 429),
     },
-    openapi_extra=_json_schema("SweepSpec", "OrbitsSpec", "BasinSpec"),
+    openapi_extra=_json_schema("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
 )
 def submit(
     service: ServiceDep,

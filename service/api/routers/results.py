@@ -88,10 +88,14 @@ def job_threshold(
     """Per Ω at one ξ: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
 
     To the spacing of the grid, or refined to a tolerance: then null where the grid does not enclose the
-    threshold, and 202 with the progress until the workers have refined them all.
+    threshold, and 202 with the progress until the workers have refined them all. So with `predict` all or
+    words, until all are predicted.
     """
     sweep = dependencies.sweep(service, job)
-    result = service.background.run(thresholds.on_grid, sweep, query.xi, service.settings.max_points)
+    limit = service.settings.max_points
+    result = service.background.run(thresholds.on_grid, sweep, query.xi, limit, query.predict)
+    if query.predict in ("all", "words"):
+        result = thresholds.predicted(service.on_demand, job, sweep, result, query.predict)
     if query.tolerance is not None:
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])

@@ -57,6 +57,15 @@ def test_none_missed_and_none_invented(omega, xi, periods):
     assert len(line.gamma) >= 400
 
 
+def test_a_torus_beside_a_fold_is_found():
+    """A cycle of (1,2) with multipliers e^{+-0.12 i}: 6e-4 rad beside it they are real."""
+    omega, xi = 0.3503753530041962, 0.03585184030279528
+    gamma, time = of(branch_and_events(omega, xi, 2)[1], Kind.NEIMARK_SACKER, 8.0)
+    whole = [e for e in dense_branches.events(omega, xi, 2, 8.0) if e.kind == Kind.NEIMARK_SACKER]
+    assert time == pytest.approx([e.flight_time for e in whole], rel=1e-6)
+    assert gamma == pytest.approx([2.06820010], abs=1e-6)
+
+
 def test_a_window_narrower_than_the_grid_has_both_its_ends():
     """Cycles are admissible over 0.0008 rad of a grid of 0.05 rad, from a graze to a landing with n = 0."""
     found, events = branch_and_events(0.9627922585259332, 0.05468653085150799, 3)
@@ -67,6 +76,64 @@ def test_a_window_narrower_than_the_grid_has_both_its_ends():
     }
     times = np.array([12.1562, 12.1566, 12.1572])
     assert (branch(found.omega, found.xi, 3, times).admissible == 0).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("omega", "xi", "periods"),
+    [
+        (0.2764, 0.0106, 2),
+        (0.3158, 0.0911, 2),
+        (0.25063082376, 0.06223447937, 1),
+        (0.26, 0.02, 1),
+        (0.9, 0.3, 3),
+    ],
+)
+def test_conditions_break_at_events_only(omega, xi, periods):
+    """Against gap and n on a grid of times by matrix exponentials, orbits that are not admissible too.
+
+    The first has two minima of the gap below zero at once, the second a dip of 1e-9 next to take-off.
+    """
+    _, events = branch_and_events(omega, xi, periods)
+    kinds = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT, Kind.IMMEDIATE_TAKEOFF)
+    time = events.flight_time[np.isin(events.kind, kinds)]
+    points = 6_000
+    changes = np.array(dense_branches.breaks(omega, xi, periods, 8.0, points, 4))
+    width = 2.0 * math.pi * periods / points
+    assert len(changes)
+    for low, high in changes:
+        assert ((time > low - width) & (time < high + width)).any(), (low, high)
+
+
+def test_a_graze_is_of_the_last_minimum_below_zero():
+    """The deepest minimum passes zero first, at a flight of 5.32336 rad; cycles end where another does."""
+    omega, xi, at = 0.25063082376238666, 0.06223447937261095, 5.325622320439313
+    _, events = branch_and_events(omega, xi, 1)
+    assert np.abs(of(events, Kind.GRAZE_FLIGHT)[1] - at).min() < 1e-9
+    sides = [dense_branches.held(omega, xi, 1, at + aside) for aside in (-1e-6, 1e-6)]
+    assert [bool(side.flight_held()[0]) for side in sides] == [False, True]
+
+
+def test_a_dip_before_a_soft_landing_is_found():
+    """The gap passes zero some 0.03 rad before a landing at 1e-3 and rises again by 1e-6."""
+    omega, xi, at = 1.3013539025728416, 0.08275128198175498, 7.995266176766961
+    _, events = branch_and_events(omega, xi, 2)
+    assert np.abs(of(events, Kind.GRAZE_FLIGHT)[1] - at).min() < 1e-9
+    sides = [dense_branches.held(omega, xi, 2, at + aside) for aside in (-1e-6, 1e-6)]
+    assert [side.gap[0] > 0.0 for side in sides] == [False, True]
+    beside = branch(omega, xi, 2, np.array([at - 1e-3, at + 1e-3]))
+    assert (beside.admissible == 0).tolist() == [False, True]
+
+
+def test_a_root_beside_a_pole_is_found():
+    """n at landing changes sign twice between neighbours of the grid: at a pole of Gamma, and at zero."""
+    _, events = branch_and_events(2.3075262747315803, 0.06161151238087529, 2)
+    found = np.abs(events.flight_time - 8.420244407409733) < 1e-9
+    assert events.kind[found].tolist() == [Kind.IMMEDIATE_TAKEOFF]
+    sides = [
+        dense_branches.held(2.3075262747315803, 0.06161151238087529, 2, 8.420244407409733 + aside).landing[0]
+        for aside in (-1e-6, 1e-6)
+    ]
+    assert sides[0] * sides[1] < 0.0
 
 
 @pytest.mark.parametrize(("omega", "xi", "periods"), [(0.5, 0.26, 2), (0.67, 0.05, 1), (1.26, 0.05, 2)])

@@ -1,0 +1,185 @@
+"""Multistability: the attractors that drops find, followed along gamma, however the work is cut."""
+
+import functools
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+
+from kernel.branches.events import Kind, fold_events
+from kernel.params import Outcome
+from worker import store, studies
+from worker.basins.multistability import MULTISTABILITY, run_chunk
+from worker.basins.spec import MultistabilitySpec
+from worker.spec import SpecError
+from worker.tasks import ChunkCancelled, ChunkPaused
+
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "multistability.json").read_text())
+
+SPEC: dict[str, Any] = {
+    "gamma": [3.4, 3.6, 3.8], "omega": [0.5, 0.52], "xi": 0.26, "model": {"kind": "rigid"},
+    "protocol": {"kind": "multistability"}, "settle": 300, "observe": 60,
+}  # fmt: skip
+
+
+def multistability(**fields: Any) -> MultistabilitySpec:
+    protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
+    return MultistabilitySpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
+
+
+def computed(
+    url: str, spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None
+) -> xarray.Dataset:
+    plan = MULTISTABILITY.plan(spec, chunk_shape)
+    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
+    for chunk in plan:
+        report = run_chunk(spec, chunk, url)
+        assert sum(report.outcomes) == report.cells == chunk.cells
+    return xarray.open_zarr(url, chunks=None).load()
+
+
+@pytest.mark.parametrize("reference", GOLDEN["maps"], ids=lambda reference: f"xi {reference['xi']}")
+def test_shares_of_cells_with_several_attractors(tmp_path: Path, reference: dict[str, Any]):
+    """Every fourth value of the maps of 40 by 40 cells; the reference is the share of the whole maps."""
+    gamma, omega = (np.linspace(*reference[axis], 40)[::4].tolist() for axis in ("gamma", "omega"))
+    spec = multistability(gamma=gamma, omega=omega, xi=reference["xi"], settle=800, observe=150)
+    data = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0)
+    assert float((data.attractor_count >= 2).mean()) == pytest.approx(reference["share"], abs=0.02)
+    rows = ["".join(map(str, row)) for row in data.attractor_count.values]
+    assert rows == reference["counts"]
+    assert float((data.fraction.sum("id") + data.undecided).max()) == pytest.approx(1.0)
+
+
+def test_two_attractors_are_followed_where_a_ramp_has_hysteresis(tmp_path: Path):
+    """Fig. 2 of the paper: (3,4) and (1,2) at gamma 3.6. The former grazes: its mode changes along gamma."""
+    gamma = [3.56, 3.58, 3.6, 3.62, 3.64]
+    data = computed(str(tmp_path / "a.zarr"), multistability(gamma=gamma, omega=0.5))
+    line = data.isel(xi=0, omega=0)
+    modes: dict[int, list[tuple[int, int]]] = {0: [], 1: []}
+    at = {0: 0, 1: 1}
+    for j in range(len(gamma)):
+        cell = line.isel(gamma=j)
+        assert int(cell.attractor_count) == 2
+        for branch, k in at.items():
+            modes[branch].append((int(cell.bounces[k]), int(cell.periods[k])))
+            assert float(cell.fraction[k]) > 0.3
+            reached = int(cell.next_up[k]) - 1
+            if j + 1 < len(gamma):
+                assert int(line.next_down[j + 1, reached]) == k + 1
+                at[branch] = reached
+            else:
+                assert int(cell.next_up[k]) == -1
+    assert modes == {0: [(0, 0), (3, 4), (3, 4), (4, 4), (2, 2)], 1: [(1, 2)] * 5}
+    assert (line.next_down[0, :2] == -1).all()
+
+
+def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
+    """(1,1) at omega 0.6, xi 0.05 begins in a fold at gamma 0.5532, beside rest."""
+    events = fold_events(0.6, 0.05, 1, 1.0)
+    folds = events.gamma[(events.kind == Kind.FOLD) & (events.admissible == 0)]
+    gamma = np.linspace(0.5, 0.62, 13)
+    spec = multistability(gamma=gamma.tolist(), omega=0.6, xi=0.05, settle=1500)
+    line = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0)
+    bouncing = np.array([(line.bounces[j] == 1).any() for j in range(len(gamma))])
+    first = int(np.argmax(bouncing))
+    assert bouncing[first:].all()
+    assert gamma[first - 1] < folds.min() <= gamma[first]
+    cell = line.isel(gamma=first)
+    bounce, rest = (
+        int(np.argmax(cell.attractor_outcome.values == o)) for o in (Outcome.PERIODIC, Outcome.AT_REST)
+    )
+    assert int(cell.next_down[bounce]) == int(cell.next_down[rest]) != 0
+    below = line.isel(gamma=first - 1)
+    assert int(below.attractor_outcome[int(cell.next_down[bounce]) - 1]) == Outcome.AT_REST
+
+
+def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path):
+    """One drop a cell reaches one attractor; the neighbours' attractors seed the others."""
+    spec = multistability(gamma=[3.5, 3.6, 3.7, 3.8], omega=0.5, rows=1, columns=1, height=3.0)
+    line = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0)
+    assert (line.fraction.isel(id=0) == 1.0).all()
+    followed = line.isel(gamma=1)
+    assert int(followed.attractor_count) == 2
+    assert float(followed.fraction[1]) == 0.0
+    modes = {(int(followed.bounces[k]), int(followed.periods[k])) for k in range(2)}
+    assert modes == {(3, 4), (1, 2)}
+
+
+@functools.cache
+def _whole(folder: Path) -> dict[str, bytes]:
+    data = computed(str(folder / "whole.zarr"), multistability())
+    return {name: data[name].values.tobytes() for name in data.data_vars}
+
+
+def test_lines_in_one_chunk_or_in_several_are_the_same_bytes(tmp_path: Path):
+    whole = _whole(tmp_path)
+    for i, shape in enumerate(((1, 1, 3), (1, 2, 3))):
+        data = computed(str(tmp_path / f"{i}.zarr"), multistability(), shape)
+        for name, content in whole.items():
+            assert data[name].values.tobytes() == content, (name, shape)
+
+
+def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(tmp_path: Path):
+    spec, url = multistability(), str(tmp_path / "paused.zarr")
+    plan = MULTISTABILITY.plan(spec, (1, 2, 3))
+    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
+    for attempt in itertools.count():
+        assert attempt < 5000
+        try:
+            run_chunk(spec, plan[0], url, 0.0)
+            break
+        except ChunkPaused:
+            continue
+    assert attempt > 4
+    data = xarray.open_zarr(url, chunks=None).load()
+    for name, content in _whole(tmp_path).items():
+        assert data[name].values.tobytes() == content, name
+
+
+def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
+    spec, url = multistability(), str(tmp_path / "a.zarr")
+    plan = MULTISTABILITY.plan(spec)
+    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled):
+        run_chunk(spec, plan[0], url)
+    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"rows": 64, "columns": 32}, "protocol.rows: must be at most 32 with 32 columns"),
+        ({"plane": "contact"}, "protocol.plane: must be 'drop'"),
+        ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
+        ({"exponents": 1}, "exponents: is not a field here"),
+    ],
+)
+def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
+    with pytest.raises(SpecError) as caught:
+        multistability(**changes)
+    assert rule in str(caught.value)
+
+
+def test_lines_along_gamma_are_not_cut():
+    with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
+        MULTISTABILITY.plan(multistability(), (1, 1, 2))
+
+
+def test_the_specification_is_read_back_and_has_its_study():
+    spec = multistability(rows=3)
+    assert studies.parse(spec.as_submitted()) == spec
+    assert studies.study_of(spec) is MULTISTABILITY
+
+
+def test_cost_grows_with_the_drops_and_the_cells():
+    def seconds(**fields: Any) -> float:
+        spec = multistability(**fields)
+        return MULTISTABILITY.estimate(spec, MULTISTABILITY.plan(spec)).core_seconds
+
+    assert seconds(rows=8) > 1.5 * seconds()
+    assert seconds(omega=[0.5, 0.52, 0.54, 0.56]) == pytest.approx(2.0 * seconds())

@@ -1,0 +1,391 @@
+"""The study `multistability`: the attractors of every cell of a grid, followed along gamma (docs/basins.md).
+
+A task computes whole lines along gamma.
+
+1. In every cell a fixed plane of drops is run. Drops on one cycle are one attractor, and so is rest. The
+   first drop of each cycle runs on for as long again, and so does every aperiodic one: cycles that were still
+   approached become one, and motion that was transient gets its cycle. What is aperiodic in a cell then
+   counts as one attractor; the study `basin` tells aperiodic attractors apart.
+2. From each attractor the next cell is started, first towards larger gamma and then towards smaller. A start
+   that leads to an attractor that no drop has found adds it, and it is followed in its turn.
+
+Where starts lead is stored for both directions: two attractors of neighbouring cells are the same if each
+leads to the other.
+"""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernel.cell import rescale
+from kernel.params import Line, Outcome
+from worker import store
+from worker.basins.attractors import CYCLE_FLIGHTS, SAME_CYCLE, counted
+from worker.basins.schema import (
+    COMPUTED_OR_UNDECIDED,
+    OF_ATTRACTORS,
+    array,
+    bytes_per_cell,
+    empty_record,
+    grid_layout,
+    sizes_of_attractors,
+)
+from worker.basins.spec import MultistabilitySpec
+from worker.basins.steps import Steps, line_run
+from worker.basins.study import starts_of
+from worker.cost import Cost, cell_seconds, period_seconds
+from worker.grid_plan import Block, GridPlan
+from worker.plan import TARGET_SECONDS
+from worker.schema import Layout
+from worker.spec import AXES
+from worker.tasks import SLICE_SECONDS, ChunkReport
+
+#: Attractors of a cell that are stored: those that most drops reach, then those found by following others.
+MAX_ATTRACTORS: Final = 8
+
+#: Starts run at a time: whole cells, so that little is lost and little memory taken.
+BLOCK: Final = 2048
+
+#: Flights by which cycles of one mode are told apart, the longest of each.
+CYCLE: Final = 32
+
+#: Times that lines are followed in both directions: what is found on the way down is followed up again.
+ROUNDS: Final = 3
+
+#: Runs of a cell on average, for the cost: of each drop with those that run on, and of followed attractors.
+RUN_ON: Final = 1.5
+FOLLOWED: Final = 12
+
+#: In `next_up` and `next_down`: not started; started, and no attractor reached.
+NOT_STARTED: Final = -1
+NOWHERE: Final = 0
+
+#: The stored names of the fields of `Reached` that have others.
+_STORED: Final = {"outcome": "attractor_outcome", "state": "attractor_state"}
+
+_Arrays = dict[str, NDArray[Any]]
+
+_ARRAYS: Final = (
+    *OF_ATTRACTORS,
+    array("next_up", ("id",), "|i1", "attractor of the next larger gamma that this one leads to",
+          comment="0: none that is known; -1: no such cell"),
+    array("next_down", ("id",), "|i1", "attractor of the next smaller gamma that this one leads to",
+          comment="0: none that is known; -1: no such cell"),
+    array("attractor_count", (), "<i4", "attractors of the cell, also those beyond the dimension id"),
+    array("undecided", (), "<f8", "share of the drops without an attractor"),
+    COMPUTED_OR_UNDECIDED,
+)  # fmt: skip
+
+
+class Reached(NamedTuple):
+    """What a run ends on."""
+
+    outcome: int  # an Outcome
+    bounces: int  # 0 without a cycle
+    periods: int
+    cycle: NDArray[np.float64]  # (CYCLE,) longest flights of the cycle, the longest first, rad; NaN beyond
+    longest_flight: float  # rad
+    state: NDArray[np.float64]  # (len(STATE_FIELDS),) at phase 0
+    flight_time: NDArray[np.float64]  # (keep,) of its window
+    takeoff_phase: NDArray[np.float64]
+
+    @property
+    def decided(self) -> bool:
+        """Whether it ends on an attractor."""
+        return self.outcome in (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST)
+
+    def same(self, other: "Reached") -> bool:
+        """Whether both end on one attractor of a cell."""
+        modes = [(r.outcome, r.bounces, r.periods) for r in (self, other)]
+        return modes[0] == modes[1] and not np.any(np.abs(self.cycle - other.cycle) > SAME_CYCLE)
+
+
+def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
+    """What of a record of n runs is kept: the fields of `Reached`, n times."""
+    n = len(line.outcome)
+    answer = {
+        "outcome": line.outcome.astype(np.int64), "bounces": np.zeros(n, np.int64),
+        "periods": np.zeros(n, np.int64), "cycle": np.full((n, CYCLE), np.nan),
+        "longest_flight": np.zeros(n), "state": line.end_state,
+        "flight_time": np.full((n, keep), np.nan), "takeoff_phase": np.full((n, keep), np.nan),
+    }  # fmt: skip
+    for i, outcome in enumerate(line.outcome):
+        time, phase = counted(line, i, micro_flight)
+        if outcome == Outcome.PERIODIC:
+            answer["bounces"][i], answer["periods"][i] = line.bounces[i], line.periods[i]
+            longest = np.sort(time[len(time) - line.bounces[i] :])[::-1][:CYCLE]
+            answer["cycle"][i, : len(longest)] = longest
+            answer["longest_flight"][i] = longest[0]
+        elif outcome == Outcome.APERIODIC and len(time):
+            answer["longest_flight"][i] = time.max()
+        last = min(keep, len(time))
+        answer["flight_time"][i, :last] = time[len(time) - last :]
+        answer["takeoff_phase"][i, :last] = phase[len(time) - last :]
+    return answer
+
+
+def _reached(answer: _Arrays) -> list[Reached]:
+    """An answer, run by run."""
+    columns = [answer[name] if answer[name].ndim > 1 else answer[name].tolist() for name in Reached._fields]
+    return [Reached(*fields) for fields in zip(*columns, strict=True)]
+
+
+class _Cells:
+    """The attractors known so far in the cells of a chunk: its record, with the lines as first dimension."""
+
+    def __init__(self, record: _Arrays) -> None:
+        self.of = {name: array.reshape(-1, *array.shape[2:]) for name, array in record.items()}
+
+    def known(self, line: int, j: int) -> list[Reached]:
+        """The attractors of a cell that are stored."""
+        stored = min(int(self.of["attractor_count"][line, j]), MAX_ATTRACTORS)
+        return [
+            Reached(*(self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields))
+            for k in range(stored)
+        ]
+
+    def add(self, line: int, j: int, reached: Reached, fraction: float) -> int:
+        """Store a further attractor of a cell; its id, or NOWHERE if there is no room."""
+        k = int(self.of["attractor_count"][line, j])
+        self.of["attractor_count"][line, j] += 1
+        if k >= MAX_ATTRACTORS:
+            return NOWHERE
+        for name, value in reached._asdict().items():
+            self.of[_STORED.get(name, name)][line, j, k] = value
+        self.of["fraction"][line, j, k] = fraction
+        self.of["next_up"][line, j, k] = self.of["next_down"][line, j, k] = NOT_STARTED
+        return k + 1
+
+    def waiting(self, name: str, j: int) -> list[tuple[int, int]]:
+        """The attractors (line, index) of the cells `j` that are not followed yet, towards `name`."""
+        count = np.minimum(self.of["attractor_count"][:, j], MAX_ATTRACTORS)
+        waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_ATTRACTORS) < count[:, None])
+        return [(int(line), int(k)) for line, k in np.argwhere(waits)]
+
+
+class _Search:
+    """The runs that tell the attractors of a chunk."""
+
+    def __init__(self, spec: MultistabilitySpec, chunk: Block, cells: _Cells, work: Steps) -> None:
+        self._spec, self._cells, self._work = spec, cells, work
+        axes = dict(zip(AXES, chunk.slices, strict=True))
+        xi, omega, self._gamma = (spec.axis_values(axis)[span] for axis, span in axes.items())
+        xi_grid, omega_grid = np.meshgrid(xi, omega, indexing="ij")
+        self._xi, self._omega = xi_grid.ravel(), omega_grid.ravel()  # of each line
+
+    def run(self) -> None:
+        """Compute every cell. Raises ChunkCancelled, ChunkPaused."""
+        gammas = len(self._gamma)
+        places = [(line, j) for line in range(len(self._omega)) for j in range(gammas)]
+        drops = self._spec.protocol.rows * self._spec.protocol.columns
+        block = max(1, BLOCK // drops)
+        steps = [partial(self._drop, places[i : i + block]) for i in range(0, len(places), block)]
+        for _ in range(ROUNDS):
+            steps += [partial(self._follow, "next_up", j, j + 1) for j in range(gammas - 1)]
+            steps += [partial(self._follow, "next_down", j, j - 1) for j in range(gammas - 1, 0, -1)]
+        for step in steps[self._work.steps_done :]:
+            step()
+            self._work.finish_step()
+
+    def _run(self, places: Sequence[tuple[int, int]], states: NDArray[np.float64]) -> list[Reached]:
+        """Run starts (n, len(STATE_FIELDS)), each in its cell (line, j)."""
+        spec = self._spec
+        lines, js = np.array(places, np.intp).reshape(-1, 2).T
+        cells = (self._gamma[js], self._omega[lines], self._xi[lines])
+        window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
+        answer = self._work.answer(
+            lambda: line_run(spec, cells, states, keep=CYCLE_FLIGHTS, **window),
+            partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep),
+        )
+        return _reached(answer)
+
+    def _drop(self, places: Sequence[tuple[int, int]]) -> None:
+        """Find the attractors that drops reach in the cells `places`."""
+        starts = starts_of(self._spec, 1.0, 1.0, 0.0)  # drops are the same in every cell
+        n = len(starts)
+        first = self._run([place for place in places for _ in range(n)], np.tile(starts, (len(places), 1)))
+        ends = [first[i : i + n] for i in range(0, len(first), n)]
+        further = [_further(of_cell) for of_cell in ends]
+        again = [
+            (place, of_cell[i].state)
+            for place, of_cell, some in zip(places, ends, further, strict=True)
+            for i in some
+        ]
+        if again:
+            later = iter(self._run([place for place, _ in again], np.stack([state for _, state in again])))
+            for of_cell, some in zip(ends, further, strict=True):
+                _run_on(of_cell, {i: next(later) for i in some})
+        for place, of_cell in zip(places, ends, strict=True):
+            groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
+            for group in sorted(groups, key=lambda group: (-len(group), *_order(group[0]))):
+                self._cells.add(*place, group[0], len(group) / n)
+            self._cells.of["undecided"][place] = 1.0 - sum(map(len, groups)) / n
+
+    def _follow(self, name: str, j: int, neighbour: int) -> None:
+        """Start the cells `neighbour` of all lines from the attractors of the cells `j`."""
+        waiting = self._cells.waiting(name, j)
+        if not waiting:
+            return
+        states = np.stack([self._cells.of["attractor_state"][line, j, k] for line, k in waiting])
+        for state in states:
+            rescale(state, self._gamma[j], 1.0, self._gamma[neighbour], 1.0)
+        ends = self._run([(line, neighbour) for line, _ in waiting], states)
+        # What no drop has found may not have settled yet.
+        unknown = [
+            i
+            for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
+            if end.decided and not any(end.same(other) for other in self._cells.known(line, neighbour))
+        ]
+        if unknown:
+            places = [(waiting[i][0], neighbour) for i in unknown]
+            later = self._run(places, np.stack([ends[i].state for i in unknown]))
+            for i, end in zip(unknown, later, strict=True):
+                ends[i] = end
+        for (line, k), end in zip(waiting, ends, strict=True):
+            self._cells.of[name][line, j, k] = self._id_of(line, neighbour, end)
+
+    def _id_of(self, line: int, j: int, end: Reached) -> int:
+        """The id of an attractor of a cell, which may be new; NOWHERE without one."""
+        if not end.decided:
+            return NOWHERE
+        for number, other in enumerate(self._cells.known(line, j)):
+            if end.same(other):
+                return number + 1
+        return self._cells.add(line, j, end, 0.0)
+
+
+def _further(ends: Sequence[Reached]) -> list[int]:
+    """The starts of a cell that run on: the first on each cycle, and every aperiodic one."""
+    cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
+    aperiodic = [i for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC]
+    return sorted([*(group[0] for group in cycles), *aperiodic])
+
+
+def _run_on(ends: list[Reached], later: Mapping[int, Reached]) -> None:
+    """Replace the ends of the starts that ran on, and with them those on the same cycle."""
+    for group in _groups(ends):
+        end = later.get(group[0])
+        if end is not None and ends[group[0]].outcome == Outcome.PERIODIC and end.decided:
+            for i in group:
+                ends[i] = end
+    for i, end in later.items():
+        if ends[i].outcome == Outcome.APERIODIC:
+            ends[i] = end
+
+
+def _groups(ends: Sequence[Reached]) -> list[list[int]]:
+    """The starts of a cell that end on an attractor, by attractor."""
+    groups: list[list[int]] = []
+    for i, end in enumerate(ends):
+        if not end.decided:
+            continue
+        for group in groups:
+            if end.same(ends[group[0]]):
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    return groups
+
+
+def _order(end: Reached) -> tuple[float, ...]:
+    """What attractors that as many drops reach are ordered by."""
+    return (end.outcome, end.bounces, end.periods, -end.longest_flight)
+
+
+def layout(spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
+    """Layout of the store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
+    about = {"long_name": "attractor of a cell, by the share of the drops that reach it"}
+    coordinates = {"id": (np.arange(1, MAX_ATTRACTORS + 1, dtype="<i4"), about)}
+    sizes = sizes_of_attractors(spec, MAX_ATTRACTORS)
+    return grid_layout(spec, chunk_shape, _ARRAYS, sizes, coordinates, "bouncing spring: multistability")
+
+
+def _runs(spec: MultistabilitySpec) -> float:
+    """Runs of a cell on average, each of settle + observe plate periods."""
+    return RUN_ON * spec.protocol.rows * spec.protocol.columns + FOLLOWED
+
+
+def cell_cost(spec: MultistabilitySpec) -> float:
+    """Core-seconds per cell, on average."""
+    return _runs(spec) * cell_seconds(spec.sweep())
+
+
+def make_plan(spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+    """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
+
+    Raises ValueError for sizes below 1, or lines that are cut.
+    """
+    _, omegas, gammas = spec.shape
+    if chunk_shape is None:
+        lines = int(TARGET_SECONDS / (gammas * cell_cost(spec)))
+        chunk_shape = (1, min(max(1, lines), omegas), gammas)
+    plan = GridPlan(spec.shape, chunk_shape)
+    if plan.chunk_shape[-1] != gammas:
+        raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
+    return plan
+
+
+def run_chunk(
+    spec: MultistabilitySpec, chunk: Block, store_url: str, slice_seconds: float = math.inf
+) -> ChunkReport:
+    """Compute the lines of `chunk` and store them; the store must exist.
+
+    Goes on from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` once
+    `slice_seconds` core-seconds are over, or a `store.StoreError`.
+    """
+    began = time.perf_counter()
+    store.check_chunk(store_url, chunk)
+    record = empty_record(chunk, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
+    cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
+    kept = record | {"cycle": cycles}
+    work = Steps(store_url, chunk.index, kept, began, slice_seconds)
+    _Search(spec, chunk, _Cells(kept), work).run()
+    for name in ("next_up", "next_down"):
+        record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed
+    record["next_up"][..., -1, :] = record["next_down"][..., 0, :] = NOT_STARTED
+    record["outcome"][...] = np.where(
+        record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
+    ).astype(np.uint8)
+    checksum = store.write_chunk(store_url, chunk, record)
+    work.remove_checkpoint()
+    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
+    took, kernel_seconds = work.seconds
+    return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
+
+
+class MultistabilityStudy:
+    """Attractors followed along gamma."""
+
+    def parse(self, data: object) -> MultistabilitySpec:
+        return MultistabilitySpec.parse(data)
+
+    def plan(self, spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+        return make_plan(spec, chunk_shape)
+
+    def variables(self, spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
+        return layout(spec, chunk_shape)
+
+    def estimate(self, spec: MultistabilitySpec, plan: GridPlan) -> Cost:
+        return Cost(
+            cells=plan.cells,
+            chunks=len(plan),
+            bytes=plan.cells * bytes_per_cell(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
+            core_seconds=plan.cells * cell_cost(spec),
+            longest_core_seconds=plan.cells
+            / len(plan)
+            * _runs(spec)
+            * period_seconds(spec.sweep())
+            * spec.until,
+        )
+
+    def task(self, spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
+        return run_chunk(spec, chunk, store_url, SLICE_SECONDS)
+
+
+MULTISTABILITY: Final = MultistabilityStudy()
