@@ -292,8 +292,8 @@ class Supervisor:
         self._slots = self._settings.window * self._executor.workers()
         pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
-        for run in self._runs.values():
-            run.refused = False
+        for submitting in self._runs.values():
+            submitting.refused = False
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.max_queue)
         for job in unfinished:
