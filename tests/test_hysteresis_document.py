@@ -16,15 +16,16 @@ import pytest
 from kernel_runs import run
 from paths import ROOT
 from PIL import Image
+from plates import Model, run_line
 
 from benchmarks.contacts import CONTACTS, end_of_bouncing, shift_text
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.descent import lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
-from kernel.branches.starts import start_on_stable_cycle
+from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
 from kernel.branches.thresholds import Thresholds, thresholds
 from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
-from kernel.params import Cell
+from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from service import presets
 
@@ -171,7 +172,25 @@ def tori() -> Texts:
         assert at(float(0.5 * (low + high))).cause == "unresolved"
     rows = [f"| {omega:.6f} | {gamma:.6f} |" for omega, gamma in zip(omegas, found.gamma[keep], strict=True)]
     gaps = [f"{low:.6f} to {high:.6f}" for low, high in (omegas[:2], omegas[2:])]
-    return [*rows, *gaps]
+    _, events = branch_and_events(0.46, XI, 1)
+    fold = events.gamma[events.kind == Kind.FOLD].min()
+    end = f"bounces down to Γ = {end_of_torus():.4f}, far above the fold at {fold:.6f}"
+    return [*rows, *gaps, end, "the unstable cycle at Γ = 0.85"]
+
+
+def end_of_torus() -> float:
+    """The lowest Gamma that bounces at Omega = 0.46, on a ramp from the unstable cycle at Gamma = 0.85."""
+    found = start_on_cycle(Cell(0.85, 0.46, XI), 1, 4.7)
+    assert found is not None
+    start = found.start
+    for gamma, settle in ((np.linspace(0.85, 0.831, 39), 1000), (np.arange(0.831, 0.829, -1e-5), 5000)):
+        same = np.ones(len(gamma))
+        line = run_line(
+            gamma, 0.46 * same, XI * same, model=Model.RIGID, restitution=0.0 * same, penetration=same,
+            carry=True, settle=settle, observe=200, keep=1, start=start,
+        )  # fmt: skip
+        start = Start(line.end_state[-1], Cell(float(gamma[-1]), 0.46, XI))
+    return float(gamma[line.outcome != Outcome.AT_REST].min())
 
 
 def other_contacts() -> Texts:
