@@ -151,15 +151,25 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         screenshot(page, "folds")
 
 
+#: The closed-form views: a diagram with branches, thresholds with folds.
+VIEWS = {
+    "branches": "diagram?omega=0.6&xi=0.05&branches=1",
+    "folds": "thresholds?xi=0.05&folds=1",
+}
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1280])
-def test_branches_fit_the_screen(browser: Any, address: str, loop: str, scheme: str, width: int):
-    target = f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1"
-    options = {"viewport": {"width": width, "height": 860}, "color_scheme": scheme}
+@pytest.mark.parametrize("size", [(390, 844), (768, 1024), (1280, 800)], ids=["phone", "tablet", "laptop"])
+@pytest.mark.parametrize("view", ["branches", "folds"])
+def test_closed_forms_fit_the_screen(
+    browser: Any, address: str, loop: str, scheme: str, size: tuple[int, int], view: str
+):
+    target = f"{address}/#/job/{loop}/{VIEWS[view]}"
+    options = {"viewport": dict(zip(("width", "height"), size, strict=True)), "color_scheme": scheme}
     with opened(browser, target, expected=READBACK, **options) as page:
         wait_for(lambda: len(branch_pixels(page)) > 60)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        screenshot(page, f"branches-{scheme}-{width}")
+        screenshot(page, f"{view}-{scheme}-{size[0]}")
 
 
 def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address: str):
