@@ -4,10 +4,11 @@
 
 At five frequencies of Fig. 9 (xi = 0.05) a ramp starts on a stable cycle of the closed form well above its
 fold, on each contact, and descends until the spring stays on the plate. Prints the lowest Gamma that bounces
-less the fold; nan: the first cell of the ramp does not bounce.
+less the fold; –: the first cell of the ramp does not bounce.
 """
 
 import argparse
+import math
 
 import numpy as np
 
@@ -62,6 +63,11 @@ def end_of_bouncing(omega: float, contact: str, step: float) -> float:
     return lowest
 
 
+def shift_text(shift: float, decimals: int) -> str:
+    """A shift as tables print it: – for none, and no sign where it rounds to zero."""
+    return "–" if math.isnan(shift) else f"{round(shift, decimals) + 0.0:.{decimals}f}"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -73,7 +79,7 @@ def main() -> None:
     for omega in OMEGA:
         fold = thresholds(omega, XI).down
         moved = [end_of_bouncing(omega, contact, step) - fold for contact in CONTACTS]
-        rows.append([f"{omega:.2f}", f"{fold:.6f}", *(f"{value:+.4f}" for value in moved)])
+        rows.append([f"{omega:.2f}", f"{fold:.6f}", *(shift_text(value, 4) for value in moved)])
     print(describe())
     print(table(["Omega", "fold", *CONTACTS], rows))
 

@@ -31,7 +31,7 @@ ALLOWED = {
     "worker": {"numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed"},
     "worker.spec": {"numpy", "pydantic"},
     "worker.plan": {"numpy", "pydantic"},
-    "service.client": {"httpx2", "numpy", "xarray", "rich", "pydantic", "zarr"},
+    "service.client": {"httpx2", "numpy", "xarray", "matplotlib", "rich", "pydantic", "zarr"},
 }
 
 #: What a specification is made of: light, so that clients can hold one.

@@ -17,7 +17,7 @@ from kernel_runs import run
 from paths import ROOT
 from PIL import Image
 
-from benchmarks.contacts import CONTACTS, end_of_bouncing
+from benchmarks.contacts import CONTACTS, end_of_bouncing, shift_text
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.descent import lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
@@ -177,7 +177,7 @@ def tori() -> Texts:
 def other_contacts() -> Texts:
     """The row of one frequency; `test_other_contacts` computes the others."""
     moved = [end_of_bouncing(0.60, contact, 1e-4) - at(0.60).down for contact in ("e = 0.1", "e = 0.5")]
-    return [f"| {moved[0]:.3f} | {moved[1]:.3f} |", *LONG_ROWS]
+    return [f"| {shift_text(moved[0], 3)} | {shift_text(moved[1], 3)} |", *LONG_ROWS]
 
 
 def not_known() -> Texts:
@@ -226,7 +226,7 @@ def test_other_contacts():
     assert len(LONG_ROWS) == len(TABLE_OMEGAS)
     for row, omega in zip(LONG_ROWS, TABLE_OMEGAS, strict=True):
         moved = [end_of_bouncing(omega, contact, 1e-4) - at(omega).down for contact in CONTACTS]
-        cells = ["–" if math.isnan(value) else f"{value:.3f}" for value in moved]
+        cells = [shift_text(value, 3) for value in moved]
         assert row == f"| {omega:.2f} | {' | '.join(cells)} |"
 
 

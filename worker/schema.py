@@ -65,6 +65,11 @@ class Layout:
     #: Attributes that distinguish this store from every other: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse an array with a dimension's name, which readers take for its coordinate: ValueError."""
+        if clash := sorted({*self.chunk_sizes, *self.extra_sizes} & set(self.names)):
+            raise ValueError(f"arrays named like dimensions: {', '.join(clash)}; rename either")
+
     @property
     def names(self) -> tuple[str, ...]:
         """The arrays in the order they are written."""

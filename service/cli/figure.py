@@ -37,7 +37,7 @@ def figure(
     url: str | None,
     token: str | None,
 ) -> None:
-    """Make figure N of the paper, or all of them, from start to end.
+    """Make figure N of the paper, or all, from start to end.
 
     The figures hysteresis, branches, curves and energy explain the hysteresis of Fig. 9 by cycles in closed
     form.

@@ -20,6 +20,10 @@ from service.client.transport import Transport, json_object, retry_after
 
 if TYPE_CHECKING:
     import httpx2
+    import xarray
+    from matplotlib.axes import Axes
+
+    from service.client.plots import Kind
 
 #: Seconds between two requests of a wait if the service sends no Retry-After: the first, and the longest.
 FIRST_DELAY: Final = 0.05
@@ -143,6 +147,26 @@ class Job(Results):
                 show(self)
         self._raise_unless_done(timeout)
         return self
+
+    def plot(
+        self,
+        kind: "Kind | None" = None,
+        *,
+        ax: "Axes | None" = None,
+        branches: "xarray.Dataset | None" = None,
+        **selection: Any,
+    ) -> "Axes":
+        """Plot the results with matplotlib and return the axes.
+
+        `kind`: "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω; by
+        default the map where Γ and Ω both have several values, else the diagram. `selection`: the arguments
+        of `diagram`, `modes` or `threshold`. `branches`, as `Client.orbits` returns them, are drawn over a
+        diagram: solid where stable. `ax`: default the current axes of pyplot if it is in use, else those of a
+        new figure. Raises BounceError for an unknown kind, and as these methods.
+        """
+        from service.client.plots import plot
+
+        return plot(self, self.spec, kind, ax=ax, branches=branches, **selection)
 
     def _has_ended(self) -> bool:
         """Whether the job is finished; becomes the job that replaces it first, if there is one."""

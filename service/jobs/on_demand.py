@@ -163,7 +163,7 @@ class _ShareOfTheWorkers:
             began = time.monotonic()
             try:
                 computed = self._executor.call(call.function, *call.arguments)
-            except ExecutorError as error:
+            except Exception as error:  # noqa: BLE001 - whatever it is, who asked is told
                 self._end(began, call.future.set_exception, error)
                 continue
             call.future.add_done_callback(partial(_cancel_too, computed))

@@ -33,6 +33,7 @@ class JobRun:
         self.job, self.prepared = job, prepared
         self.stopping = job.cancel_requested  # a cancel is being carried out
         self.flagged = False  # its store has the cancel flag
+        self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
         self.in_flight: dict[int, Future[ChunkReport]] = {}
         self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
@@ -56,8 +57,13 @@ class JobRun:
 
         Not while the ledger cannot be written: what is computed then may be lost.
         """
+        return self._has_ready and not self.refused and not self.has_unsaved
+
+    @property
+    def _has_ready(self) -> bool:
+        """Whether there is a chunk to submit, now or later."""
         stopped = self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
-        return not stopped and self._ready_queue.ready and not self.has_unsaved
+        return not stopped and self._ready_queue.ready
 
     def pop(self) -> Chunk:
         """The next chunk to compute."""
@@ -123,11 +129,8 @@ class JobRun:
             cells = self.prepared.describe(self.prepared.plan[chunk])
             self._failures.append(_failure(chunk, cells, error, self._tries[chunk]))
         else:
-            self._ready_queue.requeue(chunk, first=action is Action.CONTINUE)
-
-    def requeue(self, chunk: int) -> None:
-        """The executor did not take a chunk."""
-        self._ready_queue.requeue(chunk)
+            # a refused chunk goes first too, so that its tries, and not those of every chunk, are used up
+            self._ready_queue.requeue(chunk, first=action is Action.CONTINUE or self.refused)
 
     def invalidate(self, chunks: Iterable[int]) -> None:
         """Chunks that were done are computed again."""
@@ -157,7 +160,7 @@ class JobRun:
     @property
     def final_state(self) -> JobState | None:
         """The state the job ends in; None while chunks are in flight, unsaved or ready."""
-        if self.in_flight or self.has_unsaved or self.may_submit:
+        if self.in_flight or self.has_unsaved or self._has_ready:
             return None
         if self._ready_queue.finished:
             return JobState.DONE

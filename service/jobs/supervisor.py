@@ -228,7 +228,7 @@ class Supervisor:
             self._on_finished(run, message)
 
     def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
-        """Keep a chunk's report, or carry out what the retry policy decides about its error."""
+        """Keep a chunk's report, or see to its error."""
         chunk = finished.chunk
         self._account(run, finished)
         run.remove_in_flight(chunk)
@@ -236,6 +236,10 @@ class Supervisor:
         if error is None:
             run.unsaved_reports.append(finished.future.result())
             return
+        self._on_error(run, chunk, error)
+
+    def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
+        """Carry out what the retry policy decides about a chunk that has no report."""
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
         if action in FAILED_TRIES:
             log.warning("job %s, chunk %d: %s: %s", run.job.id, chunk, type(error).__name__, error)
@@ -288,6 +292,8 @@ class Supervisor:
         self._slots = self._settings.window * self._executor.workers()
         pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
+        for submitting in self._runs.values():
+            submitting.refused = False
         with self._ledger.reading() as ledger:
             unfinished = ledger.unfinished(self._settings.max_queue)
         for job in unfinished:
@@ -426,8 +432,7 @@ class Supervisor:
             if run is None:
                 return
             with self._contained(run):
-                if not self._send(run, is_turn):
-                    return
+                self._send(run, is_turn)
 
     def _next_in_turn(self) -> JobRun | None:
         """The job whose turn it is, if it is due. Turns take half of the workers at most."""
@@ -507,8 +512,12 @@ class Supervisor:
         enough = self._settings.window_seconds * self._slots / self._settings.window
         return count >= self._slots and (seconds >= enough or count >= MAX_IN_FLIGHT)
 
-    def _send(self, run: JobRun, is_turn: bool) -> bool:
-        """Submit a job's next chunk to the executor; whether it was taken."""
+    def _send(self, run: JobRun, is_turn: bool) -> None:
+        """Submit a job's next chunk to the executor.
+
+        Without a cluster nothing is submitted until the next sync. Any other error is a failed try of the
+        chunk, and its job submits nothing until the next sync; the others do.
+        """
         waits = PASSED_SECONDS * min(run.remaining_seconds, 1.0)
         priority = TURN_PRIORITY if is_turn else -(time.monotonic() + waits)
         chunk = run.pop()
@@ -517,17 +526,16 @@ class Supervisor:
             future = self._executor.submit(
                 run.prepared.spec, chunk, run.prepared.store_url, seconds=seconds, priority=priority
             )
-        except Exception as error:  # noqa: BLE001 - whatever it is, the chunk can wait
+        except Exception as error:  # noqa: BLE001 - whatever it is, the retry policy decides what follows
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
-            run.requeue(chunk.index)
-            self._slots = 0
-            return False
+            run.refused = True
+            self._on_error(run, chunk.index, error)
+            return
         run.add_in_flight(chunk, future)
         if is_turn:
             run.turns.add(chunk.index)
             self._rotation.begin_turn(run.job.id, run.chunk_seconds)
         future.add_done_callback(partial(self._post_finished, run.job.id, chunk.index))
-        return True
 
     def _time_limit(self, run: JobRun, chunk: Chunk) -> float:
         """Seconds that a chunk may take from when it starts, before its worker is replaced."""

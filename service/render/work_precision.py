@@ -10,6 +10,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 
 from service.formats import PictureFormat
+from service.render.point_labels import PointLabel, place
 from service.render.style import FONT, TEXT, encode
 from worker.analysis.work_precision import Measurement
 
@@ -47,18 +48,27 @@ COSTS: Final = (0.02, 1e4)
 
 def draw(rows: Sequence[Measurement], format: PictureFormat) -> bytes:
     """The bytes of a png or svg: one panel for each purpose, hollow markers for the nonadhesive law."""
-
-    def panels(figure: Figure) -> None:
-        axes = figure.subplots(1, len(TITLES), sharey=True)
-        for panel, purpose in zip(axes, TITLES, strict=True):
-            _panel(panel, purpose, [row for row in rows if row.purpose == purpose])
-        axes[0].set_ylabel("core-µs per cell per plate period", fontsize=11, **TEXT)
-        _legend(axes[0])
-
-    return encode(SIZE, panels, format)
+    return encode(SIZE, lambda figure: compose(figure, rows), format)
 
 
-def _panel(axes: Axes, purpose: str, rows: list[Measurement]) -> None:
+def compose(figure: Figure, rows: Sequence[Measurement]) -> None:
+    """Draw the panels on a figure of SIZE, each label where it covers no other label and no marker."""
+    axes = figure.subplots(1, len(TITLES), sharey=True)
+    points = [
+        _panel(panel, purpose, [row for row in rows if row.purpose == purpose])
+        for panel, purpose in zip(axes, TITLES, strict=True)
+    ]
+    axes[0].set_ylabel("core-µs per cell per plate period", fontsize=11, **TEXT)
+    _legend(axes[0])
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # the panels stay where they were when the labels were placed
+    for panel, labelled in zip(axes, points, strict=True):
+        place(panel, labelled)
+
+
+def _panel(axes: Axes, purpose: str, rows: list[Measurement]) -> list[PointLabel]:
+    """Everything but the labels of the points; the points."""
+    points: list[PointLabel] = []
     axes.set(xscale="log", yscale="log", xlim=ERRORS, ylim=COSTS)
     axes.grid(color="0.92", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -68,68 +78,62 @@ def _panel(axes: Axes, purpose: str, rows: list[Measurement]) -> None:
             # a line joins the numbers of steps in one contact, or the depths under one law
             lines.setdefault((row.adhesive, row.penetration if row.scheme else None), []).append(row)
         for line in lines.values():
-            _line(axes, series, line)
+            points += _line(axes, series, line)
     axes.set_title(TITLES[purpose], loc="left", fontsize=11, **TEXT)
     axes.set_xlabel("error of flight times (rad): median, and to the 95th percentile", fontsize=10, **TEXT)
     axes.text(0.985, 0.975, "better: down and to the left", transform=axes.transAxes, fontsize=9,
               color="0.35", ha="right", va="top", **TEXT)  # fmt: skip
     axes.tick_params(which="both", direction="in", top=True, right=True, labelfontfamily=FONT, labelsize=9)
+    return points
 
 
-def _line(axes: Axes, series: Series, rows: list[Measurement]) -> None:
+def _line(axes: Axes, series: Series, rows: list[Measurement]) -> list[PointLabel]:
     points = [(row, row.error, row.cost) for row in rows if row.error is not None and row.cost is not None]
     joined = [(error, cost) for row, error, cost in points if error and row.model != "ball"]
     if joined:
         axes.plot(*zip(*joined, strict=True), color=series.colour, linewidth=1)
     depths = sorted(row.penetration or 1.0 for row, error, _ in points if error)
+    drawn = []
     for row, error, cost in points:
         if error:
+            drawn.append(_point(axes, series, row, error, cost))
             # of the depths under one law the ends are labelled: the points between them lie too close
-            inner = row.model == "soft" and row.penetration not in (depths[0], depths[-1])
-            _point(axes, series, row, error, cost, ("", (0, 0)) if inner else _label(row, depths))
+            if row.model != "soft" or row.penetration in (depths[0], depths[-1]):
+                drawn[-1] = drawn[-1]._replace(text=_label(row))
         else:
             _reference(axes, series, cost)
+    return drawn
 
 
 def _reference(axes: Axes, series: Series, cost: float) -> None:
     """The reference has no error: a line across the panel."""
     axes.axhline(cost, color=series.colour, linewidth=1, linestyle=(0, (4, 2)))
-    axes.annotate(f"exact soft, the reference: {cost:.2g} µs", (ERRORS[0] * 1.5, cost), (0, 4),
-                  textcoords="offset points", color=series.text_colour, fontsize=9, **TEXT)  # fmt: skip
+    axes.annotate(f"exact soft, the reference: {cost:.2g} µs", (ERRORS[1] / 1.5, cost), (0, 4),
+                  textcoords="offset points", color=series.text_colour, fontsize=9, ha="right",
+                  **TEXT)  # fmt: skip
 
 
-def _point(
-    axes: Axes,
-    series: Series,
-    row: Measurement,
-    error: float,
-    cost: float,
-    label: tuple[str, tuple[int, int]],
-) -> None:
+def _point(axes: Axes, series: Series, row: Measurement, error: float, cost: float) -> PointLabel:
     percentile = row.error_95 if row.error_95 is not None else ERRORS[1]
     axes.plot([error, percentile], [cost, cost], color=series.colour, linewidth=0.8, alpha=0.45)
     hollow = row.adhesive is False
     axes.plot([error], [cost], color=series.colour, marker=series.marker, linestyle="none",
               markersize=10 if series.marker == "*" else 5.5, markeredgewidth=1.2 if hollow else 0,
               markerfacecolor="white" if hollow else series.colour)  # fmt: skip
-    text, offset = label
-    axes.annotate(text, (error, cost), offset, textcoords="offset points", fontsize=9,
-                  color=series.text_colour, ha="right" if offset[0] < 0 else "center", **TEXT)  # fmt: skip
+    return PointLabel(error, cost, "", series.text_colour)
 
 
-def _label(row: Measurement, depths: list[float]) -> tuple[str, tuple[int, int]]:
-    """The label of a point, and its offset from it in points; `depths` are those of its line."""
+def _label(row: Measurement) -> str:
+    """The label of a point."""
     if row.model == "ball":
-        return "where the dashpot locks" if row.locked_only else "everywhere", (0, 8)
+        return "where the dashpot locks" if row.locked_only else "everywhere"
     depth = f"$d = 10^{{{math.log10(row.penetration or 1.0):.0f}}}$"
     if row.model == "soft":
-        return depth, (0, 7) if row.penetration == depths[0] else (0, -13)
-    if row.scheme == "verlet":
-        prefix = f"{depth}, " if row.steps_per_contact == MOST_STEPS else ""
-        return f"{prefix}{row.steps_per_contact}", (-6, -3)
-    if row.scheme == "euler":
-        return str(row.steps_per_contact), (10, 5)
-    return "", (0, 0)
+        return depth
+    if row.scheme is None:
+        return ""
+    with_depth = row.scheme == "verlet" and row.steps_per_contact == MOST_STEPS
+    return f"{depth}, {row.steps_per_contact}" if with_depth else str(row.steps_per_contact)
 
 
 def _legend(axes: Axes) -> None:

@@ -78,6 +78,11 @@ def test_nothing_is_left_of_a_deleted_job(done: Path, inline: Inline):
     assert names(done) == []
 
 
+def test_a_deletion_does_not_keep_the_process_from_ending(done: Path, inline: Inline):
+    with running(done, inline):
+        assert [thread.daemon for thread in threading.enumerate() if thread.name == "deleter"] == [True]
+
+
 @pytest.mark.parametrize("name", ["set_cancelled", "rename_for_deletion", "remove"])
 def test_a_store_that_hangs_holds_nobody_up(
     done: Path, inline: Inline, hanging: Callable[[str], Hanging], name: str

@@ -25,7 +25,7 @@ from kernel.threshold import threshold
 from service import presets
 from service.cli.main import main
 from service.client import Client
-from service.figures import canvas, catalogue, hysteresis
+from service.figures import ball, canvas, catalogue, hysteresis
 from service.figures.caption import Caption, Verdict, compared, left_open
 from service.figures.catalogue import Figure, Picture
 from service.server import embedded
@@ -119,6 +119,8 @@ def test_the_parameters_are_the_papers():
     assert SweepSpec.parse(dict(catalogue.FIGURES[5].sweeps[0])).xi == (0.01, 0.05, 0.2, 1.0)
     assert SweepSpec.parse(dict(catalogue.FIGURES[7].sweeps[0])).omega == (0.67, 1.0, 1.24)
     assert SweepSpec.parse(dict(catalogue.FIGURES[8].sweeps[0])).gamma == (1.0, 2.0, 3.0)
+    near_two = [SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[7].sweeps[1:]]
+    assert {sweep.omega for sweep in near_two} == {1.0}
     loop = SweepSpec.parse(dict(catalogue.FIGURES[9].sweeps[0]))
     assert (loop.xi, loop.protocol.direction, loop.settle + loop.observe) == (0.05, "both", 120)
 
@@ -197,6 +199,13 @@ def test_fig_3_spring_and_ball_agree(pictures: dict[int, Picture]):
     assert float(re.findall(r"([\d.]+) rad apart", agrees)[0]) < 0.05
     same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", open_)[0])
     assert same < 0.5 * periodic  # on a contact softer than the spring
+
+
+@pytest.mark.parametrize(("deviation", "small"), [(0.049, True), (ball.VISIBLE, False)])
+def test_a_difference_that_can_be_seen_is_not_small(deviation: float, small: bool):
+    comparison = ball.Comparison(10, 10, np.full(10, deviation))
+    for claim in (ball._small_differences(comparison), ball._indistinguishable(comparison)):
+        assert claim.verdict == (Verdict.AGREES if small else Verdict.CONTRADICTS)
 
 
 def test_fig_4_names_the_springs_own_restitution(pictures: dict[int, Picture]):

@@ -434,6 +434,39 @@ def test_an_executor_that_takes_nothing_is_asked_again(tmp_path: Path):
         service.until(service.submit(sweep()), JobState.DONE)
 
 
+class Refusing(Scripted):
+    """Refuses the chunks of jobs called "refused", `refusals` times, with an error nobody foresaw."""
+
+    refusals = 1_000
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
+        if spec.name == "refused" and self.refusals:
+            self.refusals -= 1
+            raise KeyError("a field of the executor's own")
+        return super().submit(spec, chunk, store_url)
+
+
+def test_a_job_that_the_executor_refuses_fails_with_the_reason_and_others_are_done(tmp_path: Path):
+    with (
+        closing(Refusing()) as executor,
+        running(tmp_path, executor, chunk_tries=3, failed_chunks=2) as service,
+    ):
+        refused = service.submit(sweep("refused"))
+        service.until(service.submit(sweep("taken", omega=0.7)), JobState.DONE)
+        job = service.until(refused, JobState.FAILED)
+        assert job.error is not None
+        assert 'KeyError: "a field of the executor\'s own" (3 times)' in job.error.replace("'", "'")
+        assert Refusing.refusals - executor.refusals == 3 * 2
+        executor.refusals = 0
+        service.until(service.submit(sweep("refused")), JobState.DONE)
+
+
+def test_a_job_that_the_executor_refuses_at_first_is_done(tmp_path: Path):
+    with closing(Refusing()) as executor, running(tmp_path, executor, chunk_tries=3) as service:
+        executor.refusals = 2
+        service.until(service.submit(sweep("refused")), JobState.DONE)
+
+
 def test_jobs_wait_for_workers(tmp_path: Path):
     held = Held(capacity=0)
     with running(tmp_path, held) as service:

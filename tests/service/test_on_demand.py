@@ -133,6 +133,23 @@ def test_without_workers_nothing_is_computed():
         OnDemandCache(Pool()).get("key", refused)
 
 
+def test_an_executor_that_raises_something_unforeseen_tells_who_asked_and_takes_the_next():
+    class Refusing(Pool):
+        refusals = 1
+
+        def call(self, *work: Any) -> "Future[Any]":
+            if self.refusals:
+                self.refusals -= 1
+                raise KeyError("a field of its own")
+            return super().call(*work)
+
+    cache = OnDemandCache(Refusing(), timeout=0.01)
+    with pytest.raises(KeyError, match="a field of its own"):
+        cache.get("key", lambda workers: [workers.call(print)])
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+
+
 def test_closing_cancels_what_is_being_computed():
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01)

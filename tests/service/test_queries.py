@@ -12,8 +12,8 @@ from scripted import small as spec
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, OutdatedJob, TooLarge
+from service.results import density, mode_map, selection, thresholds
 from service.results import diagram as diagrams
-from service.results import mode_map, selection, thresholds
 from service.results.counting import MODE_ARRAYS
 from service.results.selection import Sweep
 from worker import schema, store
@@ -337,3 +337,23 @@ def test_a_ramp_along_another_axis_has_no_threshold_in_gamma(tmp_path: Path):
     along = spec(protocol={"kind": "ramp", "axis": "omega", "direction": "up"})
     with pytest.raises(InvalidRequest, match=r"protocol\.axis: is omega"):
         thresholds.on_grid(Sweep(along, str(tmp_path)), 0.05, 1000)
+
+
+def test_the_ends_of_a_window_belong_to_its_first_and_last_bin():
+    values = np.array([0.9, 1.0, 1.2, 1.25, 1.9, 2.0, 2.1])
+    assert density.bins(values, 1.0, 2.0, 4).tolist() == [-1, 0, 0, 1, 3, 3, -1]
+    assert density.bins(values, 1.2, 1.2, 4).tolist() == [-1, -1, 0, -1, -1, -1, -1]
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_every_flight_is_counted_in_the_bin_of_its_cell(log, monkeypatch):
+    monkeypatch.setattr(density, "BLOCK", 2)
+    values, shown = np.array([0.0, 1.0, 2.2, 4.0, 5.0]), np.array([1, 1, 2, 1, 1])
+    flights = np.array([1.0, 0.5, 3.0, 6.5, 8.0, 1.0])
+    counts = density.density(values, shown, flights, density.Window(1.0, 4.0, 0.0, 8.0), 2, 4, log)
+    column = int(log)  # of the cell at 2.2: the middle is at 2.5, on a logarithmic axis at 2
+    expected = np.zeros((4, 2), int)
+    expected[0, 0] = 1
+    expected[[1, 3], column] = 1
+    expected[3, 1] += 1
+    assert counts.tolist() == expected.tolist()

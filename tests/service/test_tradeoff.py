@@ -15,14 +15,19 @@ import psutil
 import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
-from paths import CACHE
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
+from matplotlib.transforms import Bbox
+from paths import CACHE, GOLDEN
 from scripted import DEADLINE
 
 from service.api.app import create_app
 from service.cli.main import main
 from service.cli.tradeoff import table_lines
 from service.client import Client
-from service.render.work_precision import draw
+from service.render.style import DPI
+from service.render.work_precision import SIZE, compose, draw
 from service.results.work_precision import REFERENCES, advice
 from service.server.embedded import running
 from service.settings import Settings
@@ -66,6 +71,28 @@ def test_the_picture(measured: list[Measurement], format: str):
     picture = draw(measured, format)
     assert picture.startswith(b"\x89PNG" if format == "png" else b"<?xml")
     assert draw(measured, format) == picture
+
+
+def test_no_label_of_the_picture_covers_another_or_a_marker():
+    golden = json.loads((GOLDEN / "tradeoff_rows.json").read_text())
+    rows = [Measurement.model_validate(row) for row in golden["rows"]]
+    figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+    compose(figure, rows)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    written = 0
+    for axes in figure.axes:
+        labels = [text.get_window_extent(renderer) for text in axes.texts if isinstance(text, Annotation)]
+        boxes = [Text.get_window_extent(text, renderer) for text in axes.texts]
+        points = [line.get_xydata()[0] for line in axes.lines if line.get_marker() != "None"]
+        markers = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in axes.transData.transform(points)]
+        legend = axes.get_legend()
+        others = [*markers, *([legend.get_window_extent(renderer)] if legend else [])]
+        written += len(labels)
+        for i, box in enumerate(boxes):
+            assert not any(box.overlaps(other) for other in (*boxes[:i], *others))
+    labelled = sum(row.error != 0.0 and (row.scheme or row.model) in ("verlet", "euler", "ball")
+                   for row in rows if row.error is not None and row.cost is not None)  # fmt: skip
+    assert written == labelled + 4 + 2  # the ends of two lines of depths, and two references
 
 
 # Through the service

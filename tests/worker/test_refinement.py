@@ -192,7 +192,7 @@ def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_pa
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     spec = adaptive()
     compute(spec, tmp_path / "whole.zarr")
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 64)
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 512)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 0.0))
     plan, url = make_plan(spec, chunk_shape=TILE), tmp_path / "paused.zarr"
     store.create(str(url), layout(spec, plan.chunk_shape))

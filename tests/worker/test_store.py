@@ -5,6 +5,7 @@ import shutil
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,15 @@ def test_opens_with_plain_xarray(url, spec):
         assert dataset["flight_time"].attrs["units"] == "rad"
         assert dataset["end_state"].attrs["fields"].split() == list(STATE_FIELDS)
         assert dataset["outcome"].attrs["flag_meanings"].split()[3] == "at_rest"
+
+
+@pytest.mark.parametrize("name", ["gamma", "flight"])
+def test_an_array_named_like_a_dimension_is_refused(spec, plan, name):
+    whole = layout(spec, plan.chunk_shape)
+    assert name in {*whole.chunk_sizes, *whole.extra_sizes}
+    renamed = (whole.arrays[0]._replace(name=name), *whole.arrays[1:])
+    with pytest.raises(ValueError, match=f"arrays named like dimensions: {name}"):
+        replace(whole, arrays=renamed)
 
 
 def test_slices_by_name(url, spec, plan):

@@ -43,6 +43,20 @@ _NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
 Target = Callable[[], Any]
 
 
+class _ClientOfOneConnection(Client):
+    """A client that does not connect again by itself: `SchedulerConnection` replaces it.
+
+    Where it is closed while it connects again, distributed leaves the new connection open for as long as this
+    process lives.
+    """
+
+    async def _reconnect(self) -> None:
+        self.scheduler_comm = None
+        for state in self.futures.values():
+            state.cancel(reason="scheduler-connection-lost", msg="The connection to the scheduler was lost.")
+        self.futures.clear()
+
+
 class SchedulerConnection:
     """A Dask client for the scheduler that `target()` names (an address or a cluster object).
 
@@ -108,7 +122,9 @@ class SchedulerConnection:
             address = self._target()
             if isinstance(address, str):
                 get_address_host_port(address)  # with a malformed address, a client takes a minute to close
-            return Client(address, timeout=timeout, set_as_default=False, security=self._security)  # type: ignore[no-untyped-call]
+            return _ClientOfOneConnection(  # type: ignore[no-untyped-call]
+                address, timeout=timeout, set_as_default=False, security=self._security
+            )
         except _NO_SCHEDULER as error:
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 

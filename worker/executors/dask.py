@@ -83,16 +83,10 @@ class Dask:
     def submit(
         self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        client = self._connection.client
-        future = client.submit(run_watched, spec, chunk, store_url, seconds, pure=False, priority=priority)
-        return asyncio.run_coroutine_threadsafe(self._outcome(future), client.loop.asyncio_loop)
+        return self._submit(run_watched, spec, chunk, store_url, seconds, priority=priority)
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        client = self._connection.client
-        future = client.submit(function, *arguments, pure=False, priority=CALL_PRIORITY)
-        return asyncio.run_coroutine_threadsafe(
-            self._outcome(future, watched=False), client.loop.asyncio_loop
-        )
+        return self._submit(function, *arguments, priority=CALL_PRIORITY, watched=False)
 
     def ready(self) -> bool:
         self._count = self._connection.worker_threads()
@@ -111,6 +105,20 @@ class Dask:
     def _close_workers(self) -> None:
         if self._workers is not None:
             self._workers.close()
+
+    def _submit(
+        self, function: Callable[..., Any], *arguments: Any, priority: float, watched: bool = True
+    ) -> "Future[Any]":
+        """Submit to the scheduler. Raises ClusterLost, also if the connection is lost at this moment."""
+        client = self._connection.client
+        try:
+            future = client.submit(function, *arguments, pure=False, priority=priority)
+            outcome = self._outcome(future, watched=watched)
+            return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
+        except Exception as error:  # distributed raises whatever comes when its client is closing
+            if client.status != "running":
+                raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
+            raise
 
     def _on_event(self, event: dict[str, Any]) -> None:
         """A worker began a task, or its watchdog terminates it over one."""

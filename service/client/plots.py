@@ -1,0 +1,166 @@
+"""Results as plots on matplotlib axes: a diagram, a map of modes, thresholds.
+
+Colours are those of the service's pictures. Nothing is shown or saved: that is the caller's part, as with
+`xarray.Dataset.plot`.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+import numpy as np
+
+from kernel.labels import LABELS
+from service.client.errors import BounceError
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.axes import Axes
+
+    from service.client.results import Results
+
+Kind = Literal["diagram", "modes", "threshold"]
+
+GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
+#: Of cells from rest, ramped up, ramped down.
+COLOURS: Final = {"rest": "black", "up": RED, "down": BLUE}
+
+#: Of cells on cycles of 1, 2, 3, 4 and more plate periods (Okabe and Ito); of those on none, by their label.
+PERIODS: Final = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#f0e442")
+OTHERS: Final = {
+    "at_rest": "#e8e8e8", "aperiodic": "#d55e00", "quasi-periodic": "#cc79a7", "chaotic": "#7f2704",
+    "settling": "#bdbdbd", "unresolved": "#525252", "diverged": "#000000", "missing": "#ffffff",
+}  # fmt: skip
+
+AXES: Final = {
+    "gamma": r"plate acceleration over gravity $\Gamma$",
+    "omega": r"plate frequency over that of the spring $\Omega$",
+    "xi": r"damping ratio $\xi$",
+}
+FLIGHT: Final = "flight time (rad)"
+
+
+def plot(
+    job: "Results",
+    spec: Mapping[str, Any],
+    kind: Kind | None = None,
+    *,
+    ax: "Axes | None" = None,
+    branches: "xarray.Dataset | None" = None,
+    **selection: Any,
+) -> "Axes":
+    """Plot the results of a job with this specification, as `Job.plot`."""
+    long = [axis for axis in AXES if _length(spec[axis]) > 1]
+    if kind is None:
+        kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
+    if kind not in get_args(Kind):
+        raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
+    if branches is not None and kind != "diagram":
+        raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
+    if ax is None:
+        from matplotlib.figure import Figure
+
+        ax = _current_axes() or Figure(layout="constrained").subplots()
+    if kind == "modes":
+        draw_modes(ax, job.modes(**selection))
+    elif kind == "threshold":
+        draw_thresholds(ax, job.threshold(progress=False, **selection))
+    else:
+        if "along" not in selection and long and "gamma" not in long:
+            selection["along"] = long[0]
+        draw_diagram(ax, job.diagram(**selection))
+        if branches is not None:
+            draw_branches(ax, branches)
+    return ax
+
+
+def draw_diagram(ax: "Axes", diagram: "xarray.Dataset") -> None:
+    """The flights of every cell along the diagram's axis, as dots."""
+    along = str(diagram.flight_time.dims[0])
+    flights = diagram.flight_time.values
+    x = np.repeat(diagram[along].values, flights.shape[1])
+    direction = str(diagram.direction.item())
+    ax.plot(x, flights.ravel(), ".", markersize=1.5, color=COLOURS[direction], label=_way(direction))
+    ax.set_xlabel(AXES[along])
+    ax.set_ylabel(FLIGHT)
+    fixed = [f"{_symbol(axis)} = {diagram[axis].item():g}" for axis in AXES if axis != along]
+    ax.set_title(", ".join(fixed))
+
+
+def draw_branches(ax: "Axes", branches: "xarray.Dataset") -> None:
+    """Cycles of one flight over Γ: solid where stable, dashed where not, thin where they cannot happen."""
+    for i in range(branches.sizes["branch"]):
+        branch = branches.isel(branch=i)
+        gamma, flight = branch.gamma.values, branch.flight_time.values
+        stable, admissible = branch.stable.values.astype(bool), branch.admissible.values == 0
+        for shown, style, width in (
+            (stable & admissible, "-", 1.4), (~stable & admissible, "--", 1.0), (~admissible, ":", 0.6)
+        ):  # fmt: skip
+            ax.plot(np.where(shown, gamma, np.nan), flight, style, color="black", linewidth=width)
+
+
+def draw_modes(ax: "Axes", modes: "xarray.Dataset") -> None:
+    """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    names = [*(f"cycle of {n}" for n in (1, 2, 3, 4)), "longer cycle", *OTHERS]
+    codes = modes.label.values if "label" in modes else modes.outcome.values
+    periods = np.clip(modes.periods.values, 1, len(PERIODS)) - 1
+    cells = np.full(codes.shape, names.index("missing"))
+    for code, label in enumerate(LABELS):
+        here = codes == code
+        cells[here] = periods[here] if label == "periodic" else names.index(label)
+    ax.pcolormesh(
+        modes.gamma.values, modes.omega.values, cells, shading="nearest",
+        cmap=ListedColormap([*PERIODS, *OTHERS.values()]), vmin=-0.5, vmax=len(names) - 0.5,
+    )  # fmt: skip
+    colours = [*PERIODS, *OTHERS.values()]
+    seen = np.unique(cells).tolist()
+    handles = [
+        Patch(facecolor=colours[i], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
+        for i in seen
+    ]
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
+    ax.set_xlabel(AXES["gamma"])
+    ax.set_ylabel(AXES["omega"])
+    ax.set_title(f"{_symbol('xi')} = {modes.xi.item():g}, periods of the plate in a cycle")
+
+
+def draw_thresholds(ax: "Axes", thresholds: "xarray.Dataset") -> None:
+    """Where bouncing begins and ends over Ω: as computed, by Eq. 25, and in closed form."""
+    omega = thresholds.omega.values
+    ax.plot(omega, thresholds.analytic.values, "--", color="black", linewidth=1.0, label="Eq. 25")
+    ax.plot(
+        omega, thresholds.predicted_down.values, "-", color=GREY, linewidth=1.4, label="closed form, down"
+    )
+    for name, marker in (("up", "^"), ("down", "v")):
+        values = thresholds[name].values
+        if np.isfinite(values).any():
+            ax.plot(omega, values, marker, markersize=4, color=COLOURS[name], label=f"computed, {name}")
+    ax.set_xlabel(AXES["omega"])
+    ax.set_ylabel(r"threshold $\Gamma$")
+    ax.set_title(f"{_symbol('xi')} = {thresholds.xi.item():g}")
+    ax.legend(frameon=False)
+
+
+def _current_axes() -> "Axes | None":
+    """The current axes of pyplot if it is in use, as in a notebook; None otherwise."""
+    import sys
+
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    return None if pyplot is None else pyplot.gca()
+
+
+def _length(axis: object) -> int:
+    """How many values an axis of a specification has."""
+    if isinstance(axis, Mapping):
+        return int(axis["num"])
+    return len(axis) if isinstance(axis, list) else 1
+
+
+def _symbol(axis: str) -> str:
+    return {"gamma": r"$\Gamma$", "omega": r"$\Omega$", "xi": r"$\xi$"}[axis]
+
+
+def _way(direction: str) -> str:
+    return "from rest" if direction == "rest" else f"ramp {direction}"
