@@ -25,13 +25,13 @@ MAX_PHASES: Final = 50_000
 class Trajectory(NamedTuple):
     """n samples of a trajectory, and the m flights that took off and landed within them."""
 
-    phase: NDArray[np.float64]  # (n,) rad since the start
+    phase: NDArray[np.float64]  # (n,) of the plate, rad, with whole periods added
     plate: NDArray[np.float64]  # (n,) cos(phase), plate amplitudes
     gap: NDArray[np.float64]  # (n,) lower mass above the plate
     elongation: NDArray[np.float64]  # (n,) spring length less its rest length
     force: NDArray[np.float64]  # (n,) of the plate on the lower mass, in m A omega**2
     in_flight: NDArray[np.bool_]  # (n,)
-    takeoff: NDArray[np.float64]  # (m,) rad since the start
+    takeoff: NDArray[np.float64]  # (m,) phase of the plate, rad, with whole periods as in `phase`
     flight_time: NDArray[np.float64]  # (m,) rad
     complete: bool  # whether it reached the end; samples beyond are NaN
 
@@ -40,7 +40,7 @@ class _Point(NamedTuple):
     """The state at the beginning of a contact or flight."""
 
     phase: float  # of the plate, rad modulo 2 pi, rounded as in `cell.record`
-    period: int  # plate periods since the start
+    period: int  # plate periods beside `phase`, 0 at the start
     in_flight: bool
     gap: float
     gap1: float
@@ -49,7 +49,7 @@ class _Point(NamedTuple):
 
     @property
     def at(self) -> float:
-        """Rad since the start."""
+        """The plate's phase with its whole periods, rad."""
         return TWO_PI * self.period + self.phase
 
 
@@ -61,20 +61,21 @@ def sample(
     periods: int,
     samples: int,
 ) -> Trajectory:
-    """The trajectory over `periods` plate periods from phase 0, at `samples` instants in each.
+    """The trajectory over `periods` plate periods from the state's phase, at `samples` instants in each.
 
     `plate`: made by a model's `plate` function for this one cell. `state` (6,): the initial state (see
-    params.STATE_FIELDS), such as a cell's end state; None for rest. Returns n = periods * samples + 1
-    samples. `stepped` is sampled at the nearest of its own steps.
+    params.STATE_FIELDS), such as a cell's end state; None for rest at phase 0.
+    Returns n = periods * samples + 1 samples. `stepped` is sampled at the nearest of its own steps.
 
-    Raises KernelInputError as `line.run_line` does, and for a state at another phase than 0: a cell that is
-    unresolved or diverged ended before its window did.
+    Raises KernelInputError as `line.run_line` does, and for a state that is not finite or whose phase is not
+    in [0, 2 pi).
     """
     check_arrays({name: np.array([value], np.float64) for name, value in cell._asdict().items()})
-    if state is not None and not (state[0] == 0.0 and np.all(np.isfinite(state))):
-        raise KernelInputError("state", f"must be finite and at phase 0, the end of a window; got {state}")
+    if state is not None and not (np.all(np.isfinite(state)) and 0.0 <= state[0] < TWO_PI):
+        raise KernelInputError("state", f"must be finite, with a phase in [0, 2 pi); got {state}")
     spring = prepare(plate, 0, float(cell.gamma), float(cell.omega), float(cell.xi))
-    times = np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
+    begin = 0.0 if state is None else float(state[0])
+    times = begin + np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
     under_way = state is not None and state[1] != 0.0
     return _Walk(spring, times, periods).run(_begin(spring, state), under_way)
 
@@ -82,7 +83,8 @@ def sample(
 def _begin(spring: Any, state: NDArray[np.float64] | None) -> _Point:
     """The initial point, from a state (6,) or from rest."""
     gap, gap1, q, q1 = rest(spring) if state is None else (float(value) for value in state[2:])
-    return _Point(0.0, 0, bool(flies(spring, 0.0, gap, gap1, q, q1)), gap, gap1, q, q1)
+    phase = 0.0 if state is None else float(state[0])
+    return _Point(phase, 0, bool(flies(spring, phase, gap, gap1, q, q1)), gap, gap1, q, q1)
 
 
 def _after(here: _Point, p: Phase) -> _Point:

@@ -261,7 +261,7 @@ class CurvesView(BaseModel):
 class FlightsView(BaseModel):
     """Flights that took off and landed within the samples; rad."""
 
-    takeoff: list[float] = Field(description="since the first sample")
+    takeoff: list[float] = Field(description="phase of the plate, with whole periods as in `phase`")
     takeoff_phase: list[float] = Field(description="of the plate, modulo 2π")
     flight_time: list[float]
 
@@ -287,7 +287,9 @@ class Trajectory(BaseModel):
     rest_length: float = Field(
         description="of the spring; 1e4 contact depths if the model does not define it"
     )
-    phase: list[float] = Field(description="rad since the first sample")
+    phase: list[float] = Field(
+        description="of the plate, rad, from 0, or from the phase of a drop; whole periods are added"
+    )
     plate: list[float]
     z1: list[float | None] = Field(description="upper mass")
     z2: list[float | None] = Field(description="lower mass")

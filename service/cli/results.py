@@ -169,6 +169,10 @@ def export(job_id: str, output: str, url: str, token: str | None) -> None:
 @click.option("--settle", type=int, help="Plate periods before the first sample.  [default: 200]")
 @click.option("--periods", type=int, help="Plate periods to sample.  [default: 4]")
 @click.option("--samples", type=int, help="Samples per plate period.  [default: 200]")
+@click.option("--drop", type=(float, float), metavar="HEIGHT PHASE",
+              help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
+@click.option("--contact", type=(float, float), metavar="ELONGATION VELOCITY",
+              help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
 @format_option(*TABLES)
 @output_option
 @service_options
@@ -176,6 +180,8 @@ def trajectory(
     model: str,
     restitution: float | None,
     penetration: float | None,
+    drop: tuple[float, float] | None,
+    contact: tuple[float, float] | None,
     format: str | None,
     output: str,
     url: str,
@@ -191,9 +197,15 @@ def trajectory(
     from service.cli.output import trajectory_csv, trajectory_json
 
     format = output_format(output, TABLES, format)
-    contact = {"kind": model, "restitution": restitution, "penetration": penetration}
+    if drop and contact:
+        raise click.UsageError("give --drop or --contact, not both")
+    if drop:
+        cell["start"] = {"kind": "drop", "height": drop[0], "phase": drop[1]}
+    if contact:
+        cell["start"] = {"kind": "contact", "elongation": contact[0], "velocity": contact[1]}
+    cell["model"] = _without_none({"kind": model, "restitution": restitution, "penetration": penetration})
     with open_client(url, token) as client:
-        motion = client.trajectory({**_without_none(cell), "model": _without_none(contact)})
+        motion = client.trajectory(_without_none(cell))
     write_file(output, trajectory_json(motion) if format == "json" else trajectory_csv(motion))
 
 

@@ -218,10 +218,12 @@ class Client:
         """The motion of one cell, computed during the request.
 
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
-        periods), `samples` per period, and `start`, a cycle of the closed form. Returns a Dataset with dim
-        phase: `plate`, `z1`, `z2` in plate amplitudes, `force`, `in_flight`; with dim flight: `takeoff`,
-        `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate amplitudes; of a cycle of one
-        bounce on a rigid plate without restitution the energy balance, `plate_contact` and so on. Raises
+        periods), `samples` per period, and `start`: a cycle of the closed form, or
+        `{"kind": "drop", "height", "phase"}`, or `{"kind": "contact", "elongation", "velocity"}`. Returns
+        a Dataset with dim phase: `plate`, `z1`, `z2` in plate amplitudes, `force`, `in_flight`; with dim
+        flight: `takeoff`, `takeoff_phase`, `flight_time` in rad; attribute `rest_length` in plate
+        amplitudes; of a cycle of one bounce on a rigid plate without restitution the energy balance,
+        `plate_contact` and so on. Raises
         BadRequest naming the field, TooLarge, Busy.
         """
         from service.client.datasets import trajectory_dataset

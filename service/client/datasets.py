@@ -153,7 +153,7 @@ _SAMPLES: Final[Mapping[str, Attributes]] = {
 
 #: The flights of a trajectory, with dim flight.
 _FLIGHTS: Final[Mapping[str, Attributes]] = {
-    "takeoff": {"long_name": "phase of take-off since the first sample", "units": "rad"},
+    "takeoff": {"long_name": "plate phase at take-off, with whole periods as of the samples", "units": "rad"},
     "takeoff_phase": {"long_name": "plate phase at take-off", "units": "rad"},
     "flight_time": {"long_name": "flight time", "units": "rad"},
 }
@@ -313,7 +313,7 @@ def trajectory_dataset(answer: Mapping[str, Any]) -> xarray.Dataset:
         }
         phase = np.array(answer["phase"], np.float64)
         coordinates = {
-            "phase": ("phase", phase, {"long_name": "plate phase since the first sample", "units": "rad"}),
+            "phase": ("phase", phase, {"long_name": "plate phase, with whole periods added", "units": "rad"}),
             **{name: ((), float(answer[name])) for name in ("gamma", "omega", "xi")},
         }
         balance = {

@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Final, Self
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
 
 from kernel.branches.energy import Energy, energy
 from kernel.branches.events import Branch, branch
@@ -16,11 +16,13 @@ from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.results.selection import Sweep, check_kernel, nearest_index, read, resolve_direction
 from worker import schema
+from worker.basins.spec import MAX_HEIGHT
+from worker.basins.starts import contact_states, drop_states
 from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
 from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Contact, Rigid, Soft, model_fields, penetration_of
-from worker.spec.errors import BrokenRuleError, SpecInvalid, one_of, problems_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, one_of, problems_of
 from worker.spec.protocols import MAX_START_PERIODS, OnCycle
 from worker.spec.sweep import WITH_CYCLES, no_cycle
 from worker.tasks import plate_of, run_cells
@@ -44,6 +46,12 @@ DEPTH_OVER_LENGTH: Final = 1e-4
 _LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
 
 
+def _kind(value: object) -> object:
+    if value != "cycle":
+        raise BrokenRuleError("", f"must be {one_of(tuple(_STARTS))}, not {describe(value)}")
+    return value
+
+
 class CyclePoint(OnCycle):
     """A cycle of the closed form to start on.
 
@@ -51,13 +59,48 @@ class CyclePoint(OnCycle):
     Null: the stable one with the longest flight.
     """
 
+    kind: Annotated[Literal["cycle"], BeforeValidator(_kind)] = "cycle"
     flight_time: Annotated[float, Field(gt=0.0, lt=_LONGEST), NUMBER] | None = None
+
+
+class DropStart(Strict):
+    """A spring that is let go: relaxed, both masses at rest in the laboratory (docs/basins.md, "Planes").
+
+    `height`: of the lower mass above the plate, plate amplitudes; `phase`: of the plate, rad.
+    """
+
+    kind: Literal["drop"]
+    height: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT), NUMBER]
+    phase: Annotated[float, Field(ge=0.0, lt=2.0 * np.pi), NUMBER] = 0.0
+
+
+class ContactStart(Strict):
+    """A state of contact at phase 0 of the plate (docs/basins.md, "Planes").
+
+    `elongation`: beyond the static one, plate amplitudes; `velocity`: of the elongation, times omega.
+    """
+
+    kind: Literal["contact"]
+    elongation: Annotated[float, Field(ge=-MAX_HEIGHT, le=MAX_HEIGHT), NUMBER]
+    velocity: Annotated[float, Field(ge=-MAX_HEIGHT, le=MAX_HEIGHT), NUMBER] = 0.0
+
+
+#: The starts by kind.
+_STARTS: Final[dict[str, type[Strict]]] = {"cycle": CyclePoint, "drop": DropStart, "contact": ContactStart}
+
+
+def _start_tag(value: object) -> str:
+    """Tags of the kinds of starts; a start without a known kind is read as a cycle, which names the kinds."""
+    if value is None:
+        return "<rest>"
+    kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+    return f"<{kind}>" if isinstance(kind, str) and kind in _STARTS else "<cycle>"
 
 
 class TrajectorySpec(Strict):
     """One cell, the plate periods before and during the samples, and the samples per period.
 
-    With a `start` the samples begin on a cycle, and `settle` is 0.
+    With a `start` the samples begin on a cycle, with a drop or in contact, and `settle` is 0.
     """
 
     gamma: Annotated[float, Field(ge=SMALLEST, le=LARGEST), NUMBER]
@@ -68,8 +111,11 @@ class TrajectorySpec(Strict):
     periods: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES), WHOLE] = 200
     start: Annotated[
-        Annotated[CyclePoint, Tag("<start>")] | Annotated[None, Tag("<rest>")],
-        Discriminator(lambda value: "<rest>" if value is None else "<start>"),
+        Annotated[CyclePoint, Tag("<cycle>")]
+        | Annotated[DropStart, Tag("<drop>")]
+        | Annotated[ContactStart, Tag("<contact>")]
+        | Annotated[None, Tag("<rest>")],
+        Discriminator(_start_tag),
     ] = None
 
     def __init__(self, /, **data: object) -> None:
@@ -81,12 +127,17 @@ class TrajectorySpec(Strict):
             raise SpecInvalid(problems_of(error, _fields())) from None
 
     @model_validator(mode="after")
-    def _starts_on_a_cycle(self) -> Self:
+    def _starts_elsewhere_than_at_rest(self) -> Self:
         if self.start is None:
             return self
         if self.settle:
-            raise BrokenRuleError("settle", f"must be 0 with a start on a cycle, not {self.settle}")
-        if self.model.kind not in WITH_CYCLES:
+            rule = (
+                "must be 0 with a start on a cycle"
+                if self.start.kind == "cycle"
+                else "must be 0 with a start"
+            )
+            raise BrokenRuleError("settle", f"{rule}, not {self.settle}")
+        if self.start.kind != "drop" and self.model.kind not in WITH_CYCLES:
             rule = f"needs a spring, and model.kind is {self.model.kind!r}; {one_of(WITH_CYCLES)} works"
             raise BrokenRuleError("start", rule)
         return self
@@ -107,7 +158,7 @@ class TrajectorySpec(Strict):
 def _fields() -> dict[str, tuple[str, ...]]:
     return {
         "": tuple(TrajectorySpec.model_fields),
-        "<start>": tuple(CyclePoint.model_fields),
+        **{f"<{kind}>": tuple(start.model_fields) for kind, start in _STARTS.items()},
         **model_fields(),
     }
 
@@ -142,16 +193,21 @@ def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
 
 
 def compute(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> Motion:
-    """The motion after `settle` periods from rest, on a cycle, or on from a state in the cell's own units.
+    """The motion after `settle` periods from rest, from the start, or from a state in the cell's units.
 
     Raises InvalidRequest where the cell has no answer to settle to, or no such cycle.
     """
     gamma, omega, xi = (np.array([value]) for value in (spec.gamma, spec.omega, spec.xi))
     depth = penetration_of(spec.model, gamma, omega)
     cycle = None
-    if spec.start is not None:
+    if isinstance(spec.start, CyclePoint):
         start, cycle = _on_cycle(Cell(spec.gamma, spec.omega, spec.xi), spec.start)
         state = start.state
+    elif isinstance(spec.start, DropStart):
+        state = drop_states(np.array(spec.start.height), np.array(spec.start.phase))
+    elif isinstance(spec.start, ContactStart):
+        place = (np.array(spec.start.elongation), np.array(spec.start.velocity))
+        state = contact_states(spec.model, (spec.gamma, spec.omega, spec.xi), *place)
     if state is None and spec.settle:
         state = _settled(spec.sweep(), gamma, omega, xi)
     trajectory = sample(

@@ -13,9 +13,12 @@ from scripted import Held
 from served import service, taken
 
 from kernel.branches.starts import cycles_at
-from kernel.params import Cell, KernelInputError
+from kernel.params import Cell, KernelInputError, Line
 from kernel.trajectory import Trajectory
 from service.api import schemas
+from worker.basins.spec import BasinSpec
+from worker.basins.starts import starts_of
+from worker.basins.steps import line_run
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -92,6 +95,18 @@ def test_a_start_on_a_cycle(client: TestClient):
         ({"start": {}, "settle": 10}, "settle", "must be 0 with a start on a cycle, not 10"),
         ({"start": {}, "model": {"kind": "ball"}}, "start", "needs a spring"),
         ({"omega": 1.0, "xi": 0.0, "start": {"flight_time": 2.0}}, "xi", "must be > 0 at omega = 1"),
+        ({"start": {"kind": "fall"}}, "start.kind", "must be 'cycle', 'drop' or 'contact', not text 'fall'"),
+        ({"start": {"kind": "drop"}}, "start.height", "is required"),
+        ({"start": {"kind": "drop", "height": 0.0}}, "start.height", "must be above 0"),
+        ({"start": {"kind": "drop", "height": 1.0, "phase": 6.3}}, "start.phase", "must be below 6.28"),
+        ({"start": {"kind": "drop", "hight": 1.0, "height": 1.0}}, "start.hight", "is not a field here; did"),
+        ({"start": {"kind": "drop", "height": 1.0}, "settle": 3}, "settle", "must be 0 with a start, not 3"),
+        ({"start": {"kind": "contact", "elongation": 1e7}}, "start.elongation", "must be at most 1e+06"),
+        (
+            {"start": {"kind": "contact", "elongation": 1}, "model": {"kind": "ball"}},
+            "start",
+            "needs a spring",
+        ),
     ],
 )
 def test_a_start_that_cannot_be_names_the_rule(
@@ -103,6 +118,58 @@ def test_a_start_that_cannot_be_names_the_rule(
     (problem,) = answer.json()["errors"]
     assert problem["field"] == field
     assert problem["rule"].startswith(rule)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
+def test_a_drop_falls_freely_until_it_lands(client: TestClient, model: dict[str, Any]):
+    """Height and velocity of a mass at rest in the laboratory: z2 = z0 - t**2/(2 Gamma), t in rad."""
+    start = {"kind": "drop", "height": 3.2, "phase": 1.5}
+    path = trajectory(client, model=model, settle=0, start=start, periods=6)
+    phase, z2, flies = (np.array(path[name]) for name in ("phase", "z2", "in_flight"))
+    assert phase[0] == 1.5
+    np.testing.assert_allclose(path["plate"], np.cos(phase), atol=1e-12)
+    fallen = (np.cos(1.5) + 3.2) - (phase - 1.5) ** 2 / (2 * CELL["gamma"])
+    landed = int(np.argmax(fallen < np.cos(phase)))
+    assert landed > 10
+    assert np.all(flies[:landed])
+    np.testing.assert_allclose(z2[:landed], fallen[:landed], atol=1e-12)
+    assert path["flights"]["takeoff"][0] > phase[landed - 1]  # the drop is no flight that took off
+
+
+def test_the_motion_of_a_start_reaches_the_attractor_of_its_pixel(client: TestClient):
+    """Starts of both attractors of Fig. 2 at Gamma = 3.6, by their longest flights (docs/basins.md)."""
+    spec = BasinSpec(
+        protocol={"kind": "basin", "rows": 8, "columns": 8}, gamma=3.6, omega=0.5, xi=0.26,
+        model={"kind": "rigid"},
+    )  # fmt: skip
+    longest = []
+    for row, column in ((2, 1), (2, 3), (5, 0), (5, 6)):
+        height, phase = float(spec.protocol.row_values[row]), float(spec.protocol.column_values[column])
+        start = {"kind": "drop", "height": height, "phase": phase}
+        changes = {"gamma": 3.6, "model": {"kind": "rigid"}, "settle": 0, "periods": 200, "samples": 4}
+        flights = trajectory(client, start=start, **changes)["flights"]["flight_time"]
+        line = _line_of(spec, starts_of(spec, 3.6, 0.5, 0.26)[8 * row + column])
+        assert max(flights[-6:]) == pytest.approx(np.nanmax(line.flight_time), abs=1e-6)
+        longest.append(round(max(flights[-6:]), 3))
+    assert set(longest) == {7.956, 11.247}
+
+
+def _line_of(spec: BasinSpec, state: np.ndarray) -> Line:
+    cell = tuple(np.array([x]) for x in (3.6, 0.5, 0.26))
+    run = line_run(spec, cell, state[np.newaxis], settle=500, observe=60, keep=16)
+    run.advance()
+    return run.line
+
+
+def test_a_start_in_contact_is_that_of_the_plane(client: TestClient):
+    start = {"kind": "contact", "elongation": -2.0, "velocity": 1.0}
+    path = trajectory(client, gamma=1.0, model={"kind": "rigid"}, settle=0, start=start)
+    assert path["phase"][0] == 0.0
+    assert not path["in_flight"][0]
+    static = trajectory(client, gamma=1.0, model={"kind": "rigid"}, settle=0)
+    length = (np.array(path["z1"]) - path["z2"])[0] - path["rest_length"]
+    weight = (np.array(static["z1"]) - static["z2"])[0] - static["rest_length"]
+    assert length - weight == pytest.approx(-2.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
@@ -145,8 +212,8 @@ def test_more_samples_show_the_same_motion():
 
 @pytest.mark.parametrize("state", [[1.0, 1.0, 0.1, 0.0, -0.3, 0.0], [0.0, 1.0, np.nan, 0.0, -0.3, 0.0]])
 def test_a_state_within_a_window_is_refused(state: list[float]):
-    """An unresolved or diverged cell leaves such a state; samples begin at phase 0."""
-    with pytest.raises(KernelInputError, match="state: must be finite and at phase 0"):
+    """An unresolved or diverged cell leaves such a state; samples begin at a phase of the first period."""
+    with pytest.raises(KernelInputError, match="state: must be finite, with a phase in"):
         sample(Cell(2.3, 0.5, 0.26), {}, np.array(state), model=Model.RIGID, periods=1, samples=10)
 
 

@@ -18,7 +18,8 @@ from worker import store, studies
 from worker.basins import attractors
 from worker.basins.attractors import Found, Request, Rules, find, ks_distance
 from worker.basins.spec import BasinSpec
-from worker.basins.study import BASINS, entropies, run_chunk, starts_of
+from worker.basins.starts import starts_of
+from worker.basins.study import BASINS, entropies, run_chunk
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 

@@ -36,8 +36,8 @@ from worker.basins.schema import (
     sizes_of_attractors,
 )
 from worker.basins.spec import MultistabilitySpec
+from worker.basins.starts import starts_of
 from worker.basins.steps import Steps, line_run
-from worker.basins.study import starts_of
 from worker.cost import Cost, cell_seconds, period_seconds
 from worker.grid_plan import Block, GridPlan
 from worker.plan import TARGET_SECONDS

@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.interface import prepare, rest
-from kernel.params import STATE_FIELDS, Line, Outcome
+from kernel.params import Line, Outcome
 from worker import store
 from worker.basins.attractors import Found, Request, Rules, find
 from worker.basins.schema import (
@@ -24,14 +23,15 @@ from worker.basins.schema import (
     grid_layout,
     sizes_of_attractors,
 )
-from worker.basins.spec import BasinSpec, GridSpec
+from worker.basins.spec import BasinSpec
+from worker.basins.starts import starts_of
 from worker.basins.steps import Steps, line_run
 from worker.cost import Cost, cell_seconds, period_seconds
 from worker.grid_plan import Block, GridPlan
 from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import Array, Layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import SLICE_SECONDS, ChunkReport, plate_of
+from worker.tasks import SLICE_SECONDS, ChunkReport
 
 #: Attractors of a cell that are stored, the largest basins first. Starts of others count as undecided.
 MAX_ATTRACTORS: Final = 32
@@ -149,22 +149,6 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
 
 def _rules(spec: BasinSpec) -> Rules:
     return Rules(spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
-
-
-def starts_of(spec: GridSpec, gamma: float, omega: float, xi: float) -> NDArray[np.float64]:
-    """The states (rows * columns, 6) of a cell's plane of starts, row by row (see params.STATE_FIELDS)."""
-    plane = spec.protocol
-    row, column = np.meshgrid(plane.row_values, plane.column_values, indexing="ij")
-    states = np.zeros((*row.shape, len(STATE_FIELDS)))
-    if plane.plane == "drop":
-        states[..., 0], states[..., 1], states[..., 2] = column, 1.0, row
-        states[..., 3] = np.sin(column)  # relative to the plate, which moves as cos(phase)
-    else:
-        plate = plate_of(spec.model, *(np.full(1, value) for value in (gamma, omega, xi)))
-        states[..., 2:] = rest(prepare(plate, 0, gamma, omega, xi))
-        states[..., 4] += row
-        states[..., 5] += column / omega
-    return states.reshape(-1, len(STATE_FIELDS))
 
 
 def _runner(

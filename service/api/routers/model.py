@@ -116,7 +116,8 @@ def _plane(query: parameters.CurvesQuery) -> tuple[Parameter, float, tuple[float
 )
 @costly(MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
 def trajectory(service: ServiceDep, body: JsonBody) -> Response:
-    """One cell from rest, after `settle` plate periods: plate, masses and contact force, sample by sample.
+    """One cell from rest, after `settle` plate periods, or from a start: plate,
+    masses and contact force, sample by sample.
 
     Lengths are in plate amplitudes: the paper's zω²/g divided by Γ, as its Fig. 2 draws them.
     """
