@@ -162,21 +162,24 @@ def check_spring(omega: float, xi: float, periods: int) -> None:
 
 
 def flight_times(
-    omega: float, xi: float, periods: int, points: int = POINTS, resolution: float = _RESOLUTION
-) -> Floats:
+    omega: float, xi: float, periods: int, points: int = POINTS, resolution: float = _RESOLUTION,
+    most: int = MAX_POINTS,
+) -> Floats:  # fmt: skip
     """A grid (n,) of flight times in (0, 2 pi periods), rad, with n >= points, that resolves the branch.
 
     Even spacing below 2 pi periods/points and below `resolution` over the sum of the frequencies of the
     plate, of the flight and of the contact; finer towards both ends where the dashpot relaxes faster than
-    that. Raises KernelInputError if this takes more than MAX_POINTS.
+    that. Raises KernelInputError if even spacing takes more than `most` of them.
     """
     check_spring(omega, xi, periods)
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     rate = 1.0 + np.sqrt(max(2.0 * w - b * b, 0.0)) + np.sqrt(max(w - 0.25 * b * b, 0.0))
     whole = TWO_PI * periods
     h = min(whole / points, resolution / rate)
-    if whole / h > MAX_POINTS:
-        raise KernelInputError("omega", f"{omega} needs more than {MAX_POINTS} points for {periods} periods")
+    if whole / h > most:
+        fitting = omega * whole / h / most  # the frequencies of the spring are as 1/omega
+        rule = f"must be at least about {fitting:.2g} for cycles of {periods} plate periods, got {omega:g}"
+        raise KernelInputError("omega", f"{rule}: a branch has at most {most:,} points")
     fastest = b + np.sqrt(max(b * b - 2.0 * w, 0.0))
     finest = min(h, resolution / max(fastest, 1e-300))
     steps = [finest]

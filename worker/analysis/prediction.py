@@ -17,7 +17,7 @@ from worker.spec import SweepSpec
 def predict(omega: float, xi: float) -> Thresholds:
     """The thresholds, omega > 0 and xi >= 0; `unresolved` also where the branches are not looked at."""
     try:
-        points = len(flight_times(omega, xi, 1))
+        points = len(flight_times(omega, xi, 1, most=MAX_GRID))
     except KernelInputError as error:
         return _undecided(omega, xi, str(error))
     if points > MAX_GRID:
