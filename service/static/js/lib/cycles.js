@@ -1,6 +1,7 @@
 // Cycles in closed form: which sweeps have them, their description in words, and their names in addresses.
 
 import { number } from "./format.js";
+import { startName } from "./starts.js";
 
 /** Contact models whose cells move as a spring: the closed form is that of `rigid` without restitution. */
 export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spec.model.kind);
@@ -11,11 +12,5 @@ export function cycleText({ bounces, periods, stable, flight_time: time, multipl
   return `cycle (${bounces}, ${periods}), ${stable ? "stable" : "unstable"} · flight time ${number(time, 5)} rad · multipliers ${texts.join(", ")}`;
 }
 
-/** How addresses name a cycle in place of a direction: its plate periods and flight time. */
-export const cycleName = ({ branch, point }) => `cycle:${branch.periods}:${Number(branch.flight_time[point].toPrecision(12))}`;
-
-/** The start of a trajectory on the cycle of such a name; null for a direction. */
-export function cycleStart(name) {
-  const [tag, periods, time] = name.split(":");
-  return tag === "cycle" ? { periods: Number(periods), flight_time: Number(time) } : null;
-}
+/** How addresses name a cycle in place of a direction. */
+export const cycleName = ({ branch, point }) => startName("cycle", branch.periods, branch.flight_time[point]);

@@ -1,14 +1,15 @@
 // The panel beside a view of a sweep: the trajectory of the selected cell.
 
 import { query } from "../lib/api.js";
-import { cycleStart, cycleText } from "../lib/cycles.js";
+import { cycleText } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { csv, downloads, fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { SYMBOL } from "../lib/physics.js";
+import { startOf } from "../lib/starts.js";
 import { pngOf, svgOf } from "../plot/export.js";
 import { Player } from "./player.js";
-import { ComputingNote, PERIODS, SAMPLES, describe, requestTrajectory } from "./trajectory.js";
+import { ComputingNote, PERIODS, SAMPLES, START_PERIODS, describe, requestTrajectory } from "./trajectory.js";
 
 const COLUMNS = ["plate", "z1", "z2", "force"];
 
@@ -21,7 +22,7 @@ export class TrajectoryPanel {
     this.onClose = onClose;
   }
 
-  /** Request and show the trajectory of a cell, or of a cycle: {gamma, omega, xi, direction or cycleName}. */
+  /** Request and show the trajectory of a cell, or of a start: {gamma, omega, xi, direction or startName}. */
   async show(job, cell) {
     const key = JSON.stringify(cell);
     if (this.shown === key) return;
@@ -50,10 +51,12 @@ export class TrajectoryPanel {
     }
   }
 
-  /** The motion of a cell as the sweep left it; of a cycle, on an ideal plate from a start on it. */
+  /** The motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
   #request(job, { direction, ...cell }, signal) {
-    const start = cycleStart(direction);
-    if (start) return requestTrajectory("/v1/trajectories", { method: "POST", signal, body: { ...cell, start, model: { kind: "rigid" }, periods: PERIODS, samples: SAMPLES } });
+    const start = startOf(direction);
+    const model = start?.kind === "cycle" ? { kind: "rigid" } : job.spec.model;
+    const periods = start?.kind === "cycle" ? PERIODS : START_PERIODS;
+    if (start) return requestTrajectory("/v1/trajectories", { method: "POST", signal, body: { ...cell, start, model, periods, samples: SAMPLES } });
     const parameters = query({ ...cell, direction, periods: PERIODS, samples: SAMPLES });
     return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
   }
@@ -96,7 +99,7 @@ export class TrajectoryPanel {
 
   #describeCell({ gamma, omega, xi, direction }) {
     const values = Object.entries({ gamma, omega, xi }).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`);
-    this.title.textContent = `Trajectory of a ${cycleStart(direction) ? "cycle" : "cell"}`;
+    this.title.textContent = `Trajectory of a ${{ cycle: "cycle", drop: "drop", contact: "start" }[startOf(direction)?.kind] ?? "cell"}`;
     this.about.textContent = `${values.join(", ")}, ${startText(direction)}`;
   }
 
@@ -112,6 +115,9 @@ export class TrajectoryPanel {
 }
 
 function startText(direction) {
-  if (cycleStart(direction)) return "on a cycle in closed form";
+  const start = startOf(direction);
+  if (start?.kind === "cycle") return "on a cycle in closed form";
+  if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
+  if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }

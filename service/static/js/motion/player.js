@@ -5,7 +5,7 @@ import { TWO_PI } from "../lib/physics.js";
 import { Plot } from "../plot/plot.js";
 import { drawInstant } from "./animation.js";
 import { heightsOf } from "./height-plot.js";
-import { PERIODS } from "./trajectory.js";
+import { PERIODS, periodsOf } from "./trajectory.js";
 
 const SECONDS_PER_PERIOD = 1.6; // at full speed
 const SPEEDS = [1, 0.5, 0.25, 0.1];
@@ -13,6 +13,7 @@ const SPEEDS = [1, 0.5, 0.25, 0.1];
 export class Player {
   phase = 0; // rad since the first sample
   speed = 1;
+  periods = PERIODS; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(root) {
@@ -32,7 +33,7 @@ export class Player {
       h("div", { className: "controls" }, this.button, this.#speeds(), this.position));
     root.append(this.element);
     this.plot = new Plot(figure, {
-      label: `Heights of the masses and the plate over ${PERIODS} plate periods`,
+      label: "Heights of the masses and the plate over plate periods",
       content: () => this.heights?.content(() => this.phase) ?? null, ratio: 0.62, minHeight: 280,
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
@@ -41,6 +42,9 @@ export class Player {
   /** Show another trajectory from the current phase on. */
   show(trajectory) {
     this.heights = heightsOf(trajectory);
+    this.periods = periodsOf(trajectory);
+    this.position.max = String(this.periods);
+    this.phase %= this.periods * TWO_PI;
     this.button.disabled = false;
     this.plot.draw();
     this.play(this.playing);
@@ -58,7 +62,7 @@ export class Player {
     if (!on) return;
     let previous = performance.now();
     const step = (now) => {
-      this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (PERIODS * TWO_PI);
+      this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (this.periods * TWO_PI);
       previous = now;
       this.#draw();
       this.frame = requestAnimationFrame(step);

@@ -3,8 +3,10 @@
 import { requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
+import { TWO_PI } from "../lib/physics.js";
 
 export const PERIODS = 4; // plate periods shown
+export const START_PERIODS = 16; // of a drop, which takes longer to show where it leads
 export const SAMPLES = 240; // per plate period
 
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
@@ -18,7 +20,7 @@ export async function requestTrajectory(path, options = {}) {
   const deadline = performance.now() + TIMEOUT_MS;
   for (;;) {
     try {
-      return await requestJson(path, { ...options, timeout: TIMEOUT_MS });
+      return fromFirstSample(await requestJson(path, { ...options, timeout: TIMEOUT_MS }));
     } catch (error) {
       if (error.status !== 429 || options.signal?.aborted || performance.now() > deadline) throw error;
       await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
@@ -26,12 +28,21 @@ export async function requestTrajectory(path, options = {}) {
   }
 }
 
+/** A trajectory with its phases since the first sample: those of a drop begin at the plate's phase. */
+function fromFirstSample(trajectory) {
+  const { phase, flights } = trajectory;
+  return { ...trajectory, phase: phase.map((value) => value - phase[0]), flights: { ...flights, takeoff: flights.takeoff.map((value) => value - phase[0]) } };
+}
+
+/** The plate periods that a trajectory spans. */
+export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
+
 /** The flights of a trajectory in words. */
-export function describe({ flights, complete }) {
+export function describe({ phase, flights, complete }) {
   const times = flights.flight_time.filter((time) => time > MIN_FLIGHT);
   const listed = times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(", ");
   const text = times.length
-    ? `${plural(times.length, "complete flight")} in ${PERIODS} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`
+    ? `${plural(times.length, "complete flight")} in ${periodsOf({ phase })} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`
     : "The spring stays on the plate.";
   return complete ? text : `${text} The computation stopped before the end.`;
 }

@@ -5,6 +5,7 @@ import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, h } from "../lib/dom.js";
 import { AXES, axisValues, directionsOf, isSweep } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
+import { Basin } from "./basin.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
@@ -12,6 +13,7 @@ import { ProgressBar, UNFINISHED, notice, settling, showActions, summary, titleO
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
+const BASIN_TABS = { basin: ["Basins", Basin], details: TABS.details };
 const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
 const POLL_MS = 600;
 const SLOW_POLL_MS = 3000; // for sweeps that take minutes, and after errors
@@ -134,7 +136,7 @@ export class JobView {
   #showTab() {
     const { path, query } = currentAddress();
     const { spec } = this.job;
-    const tabs = isSweep(spec) ? TABS : { details: TABS.details };
+    const tabs = this.#tabs();
     const current = tabs[path[2]] ? path[2] : this.#defaultTab();
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
@@ -144,7 +146,7 @@ export class JobView {
       }, title)));
     this.view?.close();
     this.#showError(this.#failure());
-    const [, View] = TABS[current];
+    const [, View] = tabs[current];
     this.view = new View(this.panel, {
       job: this.job,
       grid: Object.fromEntries(AXES.filter((axis) => axis in spec).map((axis) => [axis, axisValues(spec[axis])])),
@@ -154,8 +156,14 @@ export class JobView {
     });
   }
 
+  /** The views of this kind of study. */
+  #tabs() {
+    if (isSweep(this.job.spec)) return TABS;
+    return this.job.spec.protocol.kind === "basin" ? BASIN_TABS : { details: TABS.details };
+  }
+
   #defaultTab() {
-    if (!isSweep(this.job.spec)) return "details";
+    if (!isSweep(this.job.spec)) return Object.keys(this.#tabs())[0];
     const { keep, omega } = this.job.spec;
     return keep < MIN_KEPT_FLIGHTS && axisValues(omega).length > 2 ? "thresholds" : "diagram";
   }

@@ -4,6 +4,7 @@ import { currentQuery, setWindow, windowIn } from "../lib/address.js";
 import { isHandledElsewhere } from "../lib/api.js";
 import { announce, h, latest } from "../lib/dom.js";
 import { downloads, fileName, netcdf } from "../lib/downloads.js";
+import { isSweep } from "../lib/physics.js";
 import { pngOf, svgOf } from "../plot/export.js";
 import { listenToInput, magnified } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
@@ -136,7 +137,7 @@ export class PlotView {
       ["PNG", name("png"), ifLoaded(() => pngOf(this.plot))],
       ["SVG", name("svg"), ifLoaded(() => svgOf(this.plot))],
       ["CSV", name("csv"), ifLoaded(() => this.table())],
-      ["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)],
+      ...(isSweep(this.job.spec) ? [["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)]] : []),
     ]);
   }
 }
