@@ -18,6 +18,7 @@ from naive_ball import Fall, trajectory
 from naive_steps import Stepper
 
 from kernel import interface
+from kernel.cell import KEPT_FLIGHTS
 from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
@@ -161,7 +162,10 @@ def run_stepped(s: Setting, number: int, name: str, **window):
 def test_any_stepped_cell_ends_with_an_outcome(case):
     """Finite, its flights counted, and above the plate where it is in flight."""
     line = run_stepped(*case, settle=1, observe=2)
-    assert line.outcome[0] in ENDED
+    # of more flights than are kept no mode can be told
+    assert line.outcome[0] in ENDED or (
+        line.outcome[0] == Outcome.UNRESOLVED and line.flights[0] > KEPT_FLIGHTS
+    )
     end = line.end_state[0]
     assert np.all(np.isfinite(end))
     assert end[2] >= 0.0 if end[1] == 1.0 and case[0].adhesive else end[2] <= 0.0 or end[1] == 1.0

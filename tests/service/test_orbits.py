@@ -352,14 +352,6 @@ def test_a_difference_from_the_prediction_is_explained():
     assert "another cycle" in texts["other"]
 
 
-def test_predictions_are_for_so_many_values_of_omega(client: Client):
-    many = {"start": 0.5, "stop": 0.9, "num": 201}
-    ramp = RAMP | {"gamma": [0.1, 0.2], "omega": many, "settle": 0, "observe": 1}
-    found = client.submit(ramp).wait(progress=False).threshold()
-    assert set(found.cause.values.tolist()) == {"not predicted above 200 values of omega"}
-    assert np.isnan(found.predicted_down.values).all()
-
-
 def test_another_contact_is_told_from_the_one_predicted(client: Client):
     job = client.submit(RAMP | {"model": {"kind": "soft"}, "omega": 0.9, "gamma": [0.5, 0.6]})
     assert "not the contact of the sweep, which is soft" in job.wait(progress=False).threshold().prediction
