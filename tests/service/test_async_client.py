@@ -100,9 +100,10 @@ def test_the_loop_goes_on_while_a_job_is_waited_for(held: str):
             with pytest.raises(asyncio.CancelledError):
                 await waiting
             assert (await job.refresh()).state == "running"
-            await job.cancel()
+            waits = await client.submit(sweep("waits", xi=0.3))
+            assert (await waits.cancel()).state == "cancelled"
             with pytest.raises(JobCancelled):
-                await job.wait(progress=False)
+                await waits.wait(progress=False)
             ticking.cancel()
 
     asyncio.run(program())
