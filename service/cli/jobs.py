@@ -137,9 +137,9 @@ def follow(job_id: str, as_json: bool, url: str, token: str | None) -> None:
 )
 @service_options
 def watch(interval: float, url: str, token: str | None) -> None:
-    """Show the queued and running jobs, and those that ended meanwhile, until Ctrl-C.
+    """Show jobs live until Ctrl-C.
 
-    Where the output is no terminal, it is one table, and the command ends.
+    They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it is one table, and the command ends.
     """
     import time
 
@@ -152,7 +152,7 @@ def watch(interval: float, url: str, token: str | None) -> None:
     ended: dict[str, Job] = {}
     with open_client(url, token) as client:
 
-        def jobs() -> list[Job]:
+        def jobs() -> "list[Job]":
             found = [*client.jobs("running"), *client.jobs("queued")]
             for id in shown - {job.id for job in found}:
                 ended[id] = client.job(id)

@@ -66,9 +66,9 @@ def metrics(url: str, token: str | None) -> None:
 @main.command()
 @click.argument("shell", type=click.Choice(SHELLS), required=False)
 def completion(shell: str | None) -> None:
-    """Print the script that makes SHELL complete commands, options and job ids.
+    """Print a script that completes commands in a shell.
 
-    SHELL is bash, zsh or fish, by default that of SHELL in the environment. For example, in ~/.bashrc:
+    It completes commands, options and ids of jobs. SHELL is bash, zsh or fish, by default that of SHELL in the environment. For example, in ~/.bashrc:
 
       eval "$(bounce completion bash)"
     """

@@ -31,7 +31,6 @@ from service.client.job import Job
 from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
 
 if TYPE_CHECKING:
-    from worker.basins.spec import BasinSpec
     from worker.spec import SweepSpec
     from worker.spec.axes import Range
     from worker.spec.contact_models import Auto, Ball, Rigid, Soft, Stepped
@@ -44,7 +43,6 @@ __all__ = [
     "Auto",
     "BadRequest",
     "Ball",
-    "BasinSpec",
     "BounceError",
     "Busy",
     "Client",
@@ -86,7 +84,6 @@ _SPECIFICATIONS: Final = {
     "worker.spec.contact_models": ("Auto", "Ball", "Rigid", "Soft", "Stepped"),
     "worker.spec.protocols": ("OnCycle", "Ramp", "Rest"),
     "worker.spec.refine": ("Refine",),
-    "worker.basins.spec": ("BasinSpec",),
 }
 
 
