@@ -84,7 +84,8 @@ def basins(service: Service, job: JobRecord) -> Basins:
     prepared = service.manager.preparer.prepare(job)
     if not isinstance(prepared.spec, BasinSpec):
         raise _other_study("basin", prepared.spec.protocol.kind)
-    return Basins(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
+    done = job.state is JobState.DONE
+    return Basins(prepared.spec, prepared.store_url, done, job.repairing, job.kernel_version)
 
 
 def multistability(service: Service, job: JobRecord) -> Multistability:
@@ -92,7 +93,16 @@ def multistability(service: Service, job: JobRecord) -> Multistability:
     prepared = service.manager.preparer.prepare(job)
     if not isinstance(prepared.spec, MultistabilitySpec):
         raise _other_study("multistability", prepared.spec.protocol.kind)
-    return Multistability(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
+    done = job.state is JobState.DONE
+    return Multistability(prepared.spec, prepared.store_url, done, job.repairing, job.kernel_version)
+
+
+def attractors(service: Service, job: JobRecord) -> Basins | Multistability:
+    """A job that stores attractors of its cells. Raises InvalidRequest for other kinds of study."""
+    spec = service.manager.preparer.prepare(job).spec
+    if isinstance(spec, MultistabilitySpec):
+        return multistability(service, job)
+    return basins(service, job)
 
 
 def attractors_along(service: Service, job: JobRecord, query: DiagramQuery) -> Multistability | None:

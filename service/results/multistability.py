@@ -48,6 +48,7 @@ class Multistability:
     url: str
     complete: bool  # the job is done: a missing chunk is damage, not work to come
     repairing: bool
+    kernel_version: str  # that computed it
 
 
 class Place(NamedTuple):
