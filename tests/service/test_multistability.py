@@ -150,6 +150,20 @@ def test_the_diagram_shows_all_coexisting_attractors(service: TestClient, job: J
     assert job.picture(omega=0.5) == job.multistability_picture(omega=0.5)
 
 
+def test_the_motion_on_an_attractor(service: TestClient, job: Job):
+    cell = get(service, f"/v1/jobs/{job.id}/diagram", omega=0.5)["cells"][0][2]
+    for number, place in enumerate(cell, 1):
+        query = {"gamma": 3.6, "omega": 0.5, "periods": 16, "attractor": number}
+        motion = get(service, f"/v1/jobs/{job.id}/trajectory", **query)
+        flights = [time for time in motion["flights"]["flight_time"] if time > 0.05]
+        assert max(flights) == pytest.approx(place["longest_flight"], abs=1e-6)
+    for attractor, rule in ((3, "attractor: must be from 1 to 2"), (0, "attractor")):
+        query = {"gamma": 3.6, "omega": 0.5, "attractor": attractor}
+        answer = service.get(f"/v1/jobs/{job.id}/trajectory", params=query)
+        assert answer.status_code == 422
+        assert rule in answer.text
+
+
 def test_branches_join_by_most_votes_unless_they_share_a_cell():
     """Three lines of two cells: 0 is beside 1 in the first cell; 2 is near both, more often to 1."""
     branch = np.array([[[0, 1], [1, -1]], [[2, -1], [2, -1]], [[3, -1], [4, -1]]])
