@@ -349,6 +349,7 @@ class PlaceView(BaseModel):
     label: str = Field(description="rest, a mode as (3,4), or aperiodic")
     fraction: float = Field(description="share of the drops that reach it; 0 if found by following another")
     longest_flight: float = Field(description="rad; 0 at rest")
+    flight_time: list[float] | None = Field(None, description="rad, with omega: flights of a window")
 
 
 class PlaneAttractorView(BaseModel):
