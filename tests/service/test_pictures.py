@@ -194,6 +194,7 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
     ),
     "basin": (basins.SIZE, lambda figure: basins._draw(figure, basin(3))),
     "basin, many attractors": (basins.SIZE, lambda figure: basins._draw(figure, basin(20))),
+    "basin, some attractors": (basins.SIZE, lambda figure: basins._draw(figure, basin(basins.ROOMY))),
     "basin, not computed": (basins.SIZE, lambda figure: basins._draw(figure, basin(0))),
     "diagram": (bifurcation.SIZE, diagrams(diagram("up", 40), diagram("down", 40, repairing=True))),
     "diagram, dense": (bifurcation.SIZE, diagrams(diagram("rest", 80_000))),
@@ -212,7 +213,6 @@ def drawn(name: str) -> list[str]:
         return read_back(figure)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_draws_what_it_did(name: str):
     assert difference(drawn(name), json.loads(DRAWN.read_text())["pictures"][name]) == ""
