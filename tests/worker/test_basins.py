@@ -17,10 +17,10 @@ from kernel.models.rigid import plate
 from kernel.params import Line, Outcome
 from worker import store, studies
 from worker.basins import attractors
-from worker.basins.attractors import Found, Request, Rules, find, ks_distance
+from worker.basins.attractors import Found, Request, find, ks_distance
 from worker.basins.spec import BasinSpec
 from worker.basins.starts import starts_of
-from worker.basins.study import BASINS, entropies, run_chunk
+from worker.basins.study import BASINS, entropies, rules_of, run_chunk
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 
@@ -50,7 +50,6 @@ def computed(url: str, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = No
 def search(gamma: float, omega: float, xi: float, side: int = 32, **fields: Any) -> Found:
     """The attractors of side * side drops on a rigid plate."""
     spec = basin(gamma=gamma, omega=omega, xi=xi, rows=side, columns=side, **fields)
-    rules = Rules(spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
 
     def run(request: Request, reduce: Callable[[Line], Any]) -> Any:
         cells = [np.full(len(request.states), x) for x in (gamma, omega, xi)]
@@ -62,7 +61,7 @@ def search(gamma: float, omega: float, xi: float, side: int = 32, **fields: Any)
         line.advance()
         return reduce(line.line)
 
-    return find(starts_of(spec, gamma, omega, xi), rules, run)
+    return find(starts_of(spec, gamma, omega, xi), rules_of(spec), run)
 
 
 def told(found: Found) -> list[tuple[int, int, int]]:
