@@ -87,8 +87,17 @@ def summary(job: JobStatus) -> str:
     """A job in one line: short id, name, state, percent, cells, remaining time."""
     progress = job.progress
     title = f"{job.id[:8]} {job.name}".rstrip()
-    cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells"
+    cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells{computed_note(job)}"
     return f"{title}: {job.state}, {progress.whole_percent}% ({cells}){time_left(job)}"
+
+
+def computed_note(job: JobStatus) -> str:
+    """How many cells of an adaptive map were computed, and how many at least will be; else empty."""
+    progress = job.progress
+    if progress.cells_computed is None:
+        return ""
+    least = "" if job.finished else f" of at least {progress.cells_needed:,}"
+    return f", {progress.cells_computed:,}{least} computed"
 
 
 def settling_note(job: JobStatus) -> str:
@@ -125,7 +134,8 @@ def job_html(job: JobStatus) -> str:
         "job": f"<code>{escape(job.id)}</code>",
         "state": escape(job.state),
         "cells": f"<progress value='{progress.percent:g}' max='100'></progress> "
-        f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%){time_left(job)}",
+        f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%)"
+        f"{computed_note(job)}{time_left(job)}",
     }
     if job.notice:
         rows["notice"] = escape(job.notice)
