@@ -139,7 +139,8 @@ def follow(job_id: str, as_json: bool, url: str, token: str | None) -> None:
 def watch(interval: float, url: str, token: str | None) -> None:
     """Show jobs live until Ctrl-C.
 
-    They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it is one table, and the command ends.
+    They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it
+    is one table, and the command ends.
     """
     import time
 

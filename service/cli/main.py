@@ -68,7 +68,8 @@ def metrics(url: str, token: str | None) -> None:
 def completion(shell: str | None) -> None:
     """Print a script that completes commands in a shell.
 
-    It completes commands, options and ids of jobs. SHELL is bash, zsh or fish, by default that of SHELL in the environment. For example, in ~/.bashrc:
+    It completes commands, options and ids of jobs. SHELL is bash, zsh or fish, by default that of SHELL in
+    the environment. For example, in ~/.bashrc:
 
       eval "$(bounce completion bash)"
     """
