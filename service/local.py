@@ -117,17 +117,18 @@ def run_to_file(
 
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
-        rule = (
-            f"only a sweep has a diagram; this study is written as {' or '.join(EXPORTS)}, or as a zarr store"
-        )
-        raise InvalidRequest.of("format", rule)
+        formats = ", ".join((*EXPORTS, "zarr"))
+        raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
     from service.render import answers, export
     from service.results.selection import Stored, Sweep, fixed_axes, resolve_direction
 
     where = _line(line or {})
-    if format not in EXPORTS:  # before computing for hours
+    # Before computing for hours.
+    if format in EXPORTS:
+        export.check_numbers(parsed)
+    else:
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)
     with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):

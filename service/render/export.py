@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, Final
 
+import numpy as np
+
 from service.background import Background
-from service.errors import ExportFailed, NoSpace, TooLarge
+from service.errors import ExportFailed, InvalidRequest, NoSpace, TooLarge
 from service.formats import ExportFormat
 from service.render import netcdf, parquet
 from service.render.blocks import Block, blocks
@@ -32,6 +34,15 @@ _WRITERS: Final[Mapping[ExportFormat, Callable[[Stored[Any], Layout, Iterable[Bl
     "nc": netcdf.write,
     "parquet": parquet.write,
 }
+
+
+def check_numbers(spec: Any) -> None:
+    """Raise InvalidRequest for a study whose arrays such files cannot hold: complex numbers."""
+    study = study_of(spec)
+    for array in study.variables(spec, study.plan(spec).chunk_shape).arrays:
+        if np.dtype(array.dtype).kind == "c":
+            rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
+            raise InvalidRequest.of("format", rule)
 
 
 def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
