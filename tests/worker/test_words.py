@@ -127,7 +127,8 @@ def test_an_event_found_twice_is_told_once():
     rows = np.arange(5)
     events = Events(
         kind=np.array([str(kind) for kind in kinds]), omega=rows / 10, xi=rows / 10, bounces=rows,
-        periods=rows, flight_time=rows / 1.0, gamma=gamma, multiplier=np.zeros((5, 2), complex), admissible=rows,
+        periods=rows, flight_time=rows / 1.0, gamma=gamma, multiplier=np.zeros((5, 2), complex),
+        admissible=rows,
     )  # fmt: skip
     once = _once(events)
     assert once.bounces.tolist() == [0, 1, 2, 4]
