@@ -52,9 +52,12 @@ def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> 
     """Write the sweep's file. Raises OSError, and what `blocks` raises."""
     origin = {**sweep.attributes, "spec": json.dumps(sweep.spec.as_submitted())}
     table = _schema(sweep.spec).with_metadata(origin)
-    with parquet.ParquetWriter(path, table, compression="zstd") as file:
-        for block in blocks:
-            file.write_batch(_rows(sweep.spec, block, table))
+    try:
+        with parquet.ParquetWriter(path, table, compression="zstd") as file:
+            for block in blocks:
+                file.write_batch(_rows(sweep.spec, block, table))
+    finally:
+        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
 
 
 def _rows(spec: SweepSpec, block: Block, table: pa.Schema) -> pa.RecordBatch:
