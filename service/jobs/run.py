@@ -63,7 +63,7 @@ class JobRun:
     def _has_ready(self) -> bool:
         """Whether there is a chunk to submit, now or later."""
         stopped = self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
-        return not stopped and self._ready_queue.ready
+        return not stopped and self._ready_queue.ready > 0
 
     def pop(self) -> Chunk:
         """The next chunk to compute."""
@@ -88,6 +88,11 @@ class JobRun:
     def remaining_seconds(self) -> float:
         """Core-seconds of the chunks that are not done, by the cost table."""
         return self._ready_queue.remaining * self.chunk_seconds
+
+    @property
+    def at_once(self) -> int:
+        """Chunks that could be computed at once now."""
+        return len(self.in_flight) + (self._ready_queue.ready if self._has_ready else 0)
 
     @property
     def is_idle(self) -> bool:

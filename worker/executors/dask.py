@@ -1,28 +1,43 @@
 """Computes chunks on a Dask cluster: an existing one, or worker processes of this machine."""
 
 import asyncio
+import logging
 import math
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from distributed import KilledWorker
 
-from worker.executors.base import Result
-from worker.executors.connection import SchedulerConnection, read_scheduler_file
-from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, WorkerLost
+from worker import store
+from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
+from worker.executors.base import ClusterState, Result
+from worker.executors.connection import SchedulerConnection
+from worker.executors.errors import (
+    ClusterLost,
+    ExecutorError,
+    WorkerDied,
+    WorkerLeft,
+    WorkerLost,
+    WorkerRefused,
+)
 from worker.executors.local_cluster import LocalWorkers
-from worker.executors.worker_plugin import WarmKernels
+from worker.executors.roster import Roster
+from worker.executors.targets import Fixed, Made, SchedulerFile, Target
+from worker.executors.worker_plugin import PreparedWorker
 from worker.studies import Chunk, Spec
 from worker.tasks import ChunkReport, TaskError
 from worker.watchdog import run_watched
 
+log = logging.getLogger(__name__)
+
 #: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
+#: Why nothing can be written where the stores are.
+_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 #: Above that of any chunk: a request waits for the result.
 CALL_PRIORITY: Final = 1_000_000.0
 
@@ -39,12 +54,15 @@ class _Task:
 class Dask:
     """An executor on a Dask cluster: an existing one, or `workers` processes on this machine.
 
-    For an existing cluster give `address` (tcp://host:port, or a cluster object of Dask's) or
-    `scheduler_file`, with distributed's `security` if the scheduler requires TLS. The connection is
-    restored when a lost scheduler is back.
+    For an existing cluster give `address` (tcp://host:port, a cluster object of Dask's, or a `Made` cluster,
+    which `close` closes) or `scheduler_file`, with distributed's `security` if the scheduler requires TLS.
+    The connection is restored when a lost scheduler is back.
 
     Without either, starts a cluster that listens on loopback only; each of its processes may use `memory`
     bytes (None: an equal share of the machine's).
+
+    Workers that differ from this process in what stored bytes depend on, or do not see the same folder (or
+    bucket) `stores`, get no chunk: see `worker.executors.admission`.
 
     Returns when the workers present have compiled their kernels; later workers compile on joining.
     Raises ClusterLost if no scheduler answers within `timeout` seconds.
@@ -59,20 +77,27 @@ class Dask:
         workers: int = 2,
         memory: int | None = None,
         kernel_cache: str | Path | None = None,
+        stores: str | None = None,
         timeout: float = 30.0,
     ) -> None:
         self._workers: LocalWorkers | None = None
-        self._count_time, self._count = -math.inf, 0  # when the workers were last counted
+        self._count_time = -math.inf  # when the workers were last counted
+        self._state = ClusterState(connected=False, workers=0)
         self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
         if address is None and scheduler_file is None:
             self._workers = LocalWorkers(workers, memory)
             address = self._workers.cluster
-        plugin = WarmKernels(str(kernel_cache) if kernel_cache else None)
+        self._roster = Roster()
+        own_machine = self._workers is not None or stores is None
+        probe = None if own_machine else _probe(str(stores))
+        plugin = PreparedWorker(Requirements(facts(), probe), str(kernel_cache) if kernel_cache else None)
+        self._target = _target(address, scheduler_file, timeout)
         try:
             self._connection = SchedulerConnection(
-                _target(address, scheduler_file, timeout),
+                self._target,
                 plugin,
                 self._on_event,
+                self._roster.note,
                 security=security,
                 timeout=timeout,
             )
@@ -89,20 +114,42 @@ class Dask:
         return self._submit(function, *arguments, priority=CALL_PRIORITY, watched=False)
 
     def ready(self) -> bool:
-        self._count = self._connection.worker_threads()
-        self._count_time = time.monotonic()
-        return self._count > 0
+        self._count()
+        return self._state.workers > 0
 
     def workers(self) -> int:
+        return self.state().workers
+
+    def state(self) -> ClusterState:
         if time.monotonic() - self._count_time > COUNT_SECONDS:
-            self.ready()
-        return self._count
+            self._count()
+        return self._state
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        self._connection.ask_for(seconds, tasks)
+
+    def _count(self) -> None:
+        threads = self._connection.worker_threads()
+        useless = 0
+        if threads and (refused := [worker.worker for worker in self._roster.refused]):
+            present = self._connection.threads_of(refused)
+            self._roster.keep(set(present))
+            useless = sum(present.values())
+        self._state = ClusterState(
+            threads is not None,
+            max((threads or 0) - useless, 0),
+            self._target.planned(),
+            self._connection.fault,
+            tuple(map(str, self._roster.refused)),
+        )
+        self._count_time = time.monotonic()
 
     def close(self) -> None:
         self._connection.close()
         self._close_workers()
 
     def _close_workers(self) -> None:
+        self._target.close()
         if self._workers is not None:
             self._workers.close()
 
@@ -112,7 +159,7 @@ class Dask:
         """Submit to the scheduler. Raises ClusterLost, also if the connection is lost at this moment."""
         client = self._connection.client
         try:
-            future = client.submit(function, *arguments, pure=False, priority=priority)
+            future = client.submit(run_if_admitted, function, *arguments, pure=False, priority=priority)
             outcome = self._outcome(future, watched=watched)
             return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
         except Exception as error:  # distributed raises whatever comes when its client is closing
@@ -140,11 +187,11 @@ class Dask:
                 await future.cancel()  # else the scheduler may start it on another worker
                 raise WorkerDied(task.termination.result())
             outcome = result.result()
-            if isinstance(outcome, TaskError):
+            if isinstance(outcome, TaskError | WorkerRefused):
                 raise outcome
             return outcome
         except KilledWorker as error:
-            raise _executor_error(task, error) from None
+            raise self._executor_error(task, error) from None
         except CancelledError as error:
             raise ClusterLost(f"the cluster dropped the task: {error}") from None
         except asyncio.CancelledError:
@@ -155,19 +202,31 @@ class Dask:
             del self._tasks[future.key]
             future.release()
 
+    def _executor_error(self, task: _Task, error: KilledWorker) -> ExecutorError:
+        """Tell a task that was running when its last worker died from one that only waited there."""
+        address = error.last_worker.address
+        if task.termination.done():
+            return WorkerDied(task.termination.result())
+        if self._roster.is_leaving(address):
+            return WorkerLeft(f"the worker {self._roster.describe(address)} was told to leave")
+        if not task.watched or task.worker == address:
+            return WorkerDied("the worker process that computed it died")
+        return WorkerLost("the worker process at which it waited died")
 
-def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> Callable[[], Any]:
-    """What to connect to, now and after each loss of the scheduler; raises ClusterLost if there is none."""
-    if scheduler_file is None:
-        return lambda: address
-    # Waits for the file at first; when the connection is lost, the deadline has passed.
-    return partial(read_scheduler_file, Path(scheduler_file), time.monotonic() + timeout)
+
+def _probe(stores: str) -> Probe | None:
+    """The probe among the stores; None, with a warning, where it cannot be written."""
+    try:
+        return Probe(stores, store.write_probe(stores))
+    except _UNWRITABLE as error:
+        log.warning(
+            "workers are not asked whether they see %s, nothing can be written there: %s", stores, error
+        )
+        return None
 
 
-def _executor_error(task: _Task, error: KilledWorker) -> ExecutorError:
-    """Tell a task that was running when its last worker died from one that only waited there."""
-    if task.termination.done():
-        return WorkerDied(task.termination.result())
-    if not task.watched or task.worker == error.last_worker.address:
-        return WorkerDied("the worker process that computed it died")
-    return WorkerLost("the worker process at which it waited died")
+def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> Target:
+    """What to connect to, now and after each loss of the scheduler."""
+    if scheduler_file is not None:
+        return SchedulerFile(Path(scheduler_file), timeout)
+    return address if isinstance(address, Made) else Fixed(address)
