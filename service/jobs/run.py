@@ -177,13 +177,19 @@ class JobRun:
         return summary_of(self._failures)
 
 
+def text_of(error: BaseException) -> str:
+    """An error with its notes: the cells, and the worker."""
+    notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
+    kind = "" if isinstance(error, ExecutorError) else f"{type(error).__name__}: "
+    return f"{kind}{error}{notes}"
+
+
 def _failure(chunk: int, cells: str, error: BaseException, tries: int) -> Failure:
     """The record of an error. A worker's death has no traceback: it would be the executor's own."""
-    notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     if isinstance(error, ExecutorError):
-        return Failure(chunk, cells, f"{error}{notes}", None, tries)
+        return Failure(chunk, cells, text_of(error), None, tries)
     trace = "".join(traceback.format_exception(error))[-MAX_TRACEBACK:]
-    return Failure(chunk, cells, f"{type(error).__name__}: {error}{notes}", trace, tries)
+    return Failure(chunk, cells, text_of(error), trace, tries)
 
 
 def predecessors(plan: Plan) -> NDArray[np.int64]:

@@ -120,6 +120,16 @@ class SchedulerConnection:
             return {}
         return threads
 
+    def run_on(self, worker: str, function: Callable[..., Any], *arguments: Any) -> None:
+        """Run `function(*arguments, dask_worker=...)` in a worker's event loop; returns at once."""
+        client = self._client
+
+        async def run() -> None:
+            with contextlib.suppress(Exception):  # the worker is gone, or the scheduler
+                await client.run(function, *arguments, workers=[worker], on_error="ignore")
+
+        client.loop.add_callback(run)
+
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Tell the scheduler what is left to compute (see `Demand`); returns at once."""
         if self._takes_demand and self._scheduler_id and self._asked != (seconds, tasks):

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,9 +25,10 @@ from worker.executors.errors import (
     WorkerRefused,
 )
 from worker.executors.local_cluster import LocalWorkers
+from worker.executors.quarantine import MARKS, REST_SECONDS, Quarantine
 from worker.executors.roster import Roster
 from worker.executors.targets import Fixed, Made, SchedulerFile, Target
-from worker.executors.worker_plugin import PreparedWorker
+from worker.executors.worker_plugin import PreparedWorker, rest
 from worker.studies import Chunk, Spec
 from worker.tasks import ChunkReport, TaskError
 from worker.watchdog import run_watched
@@ -47,7 +48,7 @@ class _Task:
     """A task on the cluster, and what workers reported of it."""
 
     termination: "asyncio.Future[str]"  # why the watchdog terminated a worker over it
-    watched: bool  # whether workers report when they begin it
+    chunk: Hashable  # its store and number; None: a call, of which workers do not report that they begin it
     worker: str | None = None  # the address of the last worker that began it
 
 
@@ -87,7 +88,7 @@ class Dask:
         if address is None and scheduler_file is None:
             self._workers = LocalWorkers(workers, memory)
             address = self._workers.cluster
-        self._roster = Roster()
+        self._roster, self._quarantine = Roster(), Quarantine()
         own_machine = self._workers is not None or stores is None
         probe = None if own_machine else _probe(str(stores))
         plugin = PreparedWorker(Requirements(facts(), probe), str(kernel_cache) if kernel_cache else None)
@@ -108,10 +109,13 @@ class Dask:
     def submit(
         self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        return self._submit(run_watched, spec, chunk, store_url, seconds, priority=priority)
+        identity = (store_url, chunk.index)
+        return self._submit(
+            run_watched, spec, chunk, store_url, seconds, priority=priority, identity=identity
+        )
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._submit(function, *arguments, priority=CALL_PRIORITY, watched=False)
+        return self._submit(function, *arguments, priority=CALL_PRIORITY)
 
     def ready(self) -> bool:
         self._count()
@@ -154,18 +158,30 @@ class Dask:
             self._workers.close()
 
     def _submit(
-        self, function: Callable[..., Any], *arguments: Any, priority: float, watched: bool = True
+        self, function: Callable[..., Any], *arguments: Any, priority: float, identity: Hashable = None
     ) -> "Future[Any]":
         """Submit to the scheduler. Raises ClusterLost, also if the connection is lost at this moment."""
         client = self._connection.client
+        elsewhere = self._elsewhere(identity)
         try:
-            future = client.submit(run_if_admitted, function, *arguments, pure=False, priority=priority)
-            outcome = self._outcome(future, watched=watched)
+            future = client.submit(
+                run_if_admitted, function, *arguments, pure=False, priority=priority, **elsewhere
+            )
+            outcome = self._outcome(future, identity)
             return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
         except Exception as error:  # distributed raises whatever comes when its client is closing
             if client.status != "running":
                 raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
             raise
+
+    def _elsewhere(self, identity: Hashable) -> dict[str, Any]:
+        """Options that send a chunk that failed to another worker than before, if there is one."""
+        failed_on = self._quarantine.failed_on(identity)
+        if not failed_on:
+            return {}
+        useless = {worker.worker for worker in self._roster.refused}
+        others = self._connection.threads_of().keys() - failed_on - useless
+        return {"workers": sorted(others), "allow_other_workers": True} if others else {}
 
     def _on_event(self, event: dict[str, Any]) -> None:
         """A worker began a task, or its watchdog terminates it over one."""
@@ -176,9 +192,9 @@ class Dask:
         if "why" in event and not task.termination.done():
             task.termination.set_result(event["why"])
 
-    async def _outcome(self, future: Any, *, watched: bool = True) -> Any:
+    async def _outcome(self, future: Any, identity: Hashable) -> Any:
         """The result of a task, in the client's event loop; the cluster forgets the task in any case."""
-        task = _Task(asyncio.get_running_loop().create_future(), watched)
+        task = _Task(asyncio.get_running_loop().create_future(), identity)
         self._tasks[future.key] = task
         result = asyncio.ensure_future(future.result())
         try:
@@ -189,18 +205,44 @@ class Dask:
             outcome = result.result()
             if isinstance(outcome, TaskError | WorkerRefused):
                 raise outcome
+            self._on_computed(task)
             return outcome
         except KilledWorker as error:
-            raise self._executor_error(task, error) from None
+            lost = self._executor_error(task, error)
+            if isinstance(lost, WorkerDied):
+                self._on_failed(task, lost)
+            raise lost from None
         except CancelledError as error:
             raise ClusterLost(f"the cluster dropped the task: {error}") from None
         except asyncio.CancelledError:
             await future.cancel()
             raise
+        except (TaskError, WorkerRefused):
+            raise
+        except Exception as error:
+            self._on_failed(task, error)
+            raise
         finally:
             result.cancel()
             del self._tasks[future.key]
             future.release()
+
+    def _on_failed(self, task: _Task, error: Exception) -> None:
+        """A chunk failed, or its worker died of it: the error says where, and the next try goes elsewhere."""
+        if task.chunk is not None and task.worker is not None:
+            error.add_note(f"worker {self._roster.describe(task.worker)}")
+            self._quarantine.failed(task.chunk, task.worker)
+
+    def _on_computed(self, task: _Task) -> None:
+        """A chunk was computed; workers that failed several that others computed get none for a while."""
+        if task.chunk is None:
+            return
+        for worker in self._quarantine.computed(task.chunk, task.worker):
+            log.warning(
+                "worker %s failed %d chunks in a row that others computed: it gets none for %g s",
+                self._roster.describe(worker), MARKS, REST_SECONDS,
+            )  # fmt: skip
+            self._connection.run_on(worker, rest, REST_SECONDS)
 
     def _executor_error(self, task: _Task, error: KilledWorker) -> ExecutorError:
         """Tell a task that was running when its last worker died from one that only waited there."""
@@ -209,7 +251,7 @@ class Dask:
             return WorkerDied(task.termination.result())
         if self._roster.is_leaving(address):
             return WorkerLeft(f"the worker {self._roster.describe(address)} was told to leave")
-        if not task.watched or task.worker == address:
+        if task.chunk is None or task.worker == address:
             return WorkerDied("the worker process that computed it died")
         return WorkerLost("the worker process at which it waited died")
 

@@ -22,8 +22,9 @@ from worker.kernel_cache import claim_cache, warm
 ROSTER: Final = "bouncing-spring-workers"
 #: Seconds between two looks at whether a refused worker may compute now: its folder may be mounted late.
 JUDGE_SECONDS: Final = 5.0
-#: Time for the last event to reach the scheduler before the process ends.
-REPORT_SECONDS: Final = 0.2
+#: Time for the last event to reach the scheduler before the process ends, and the longest that chunks may
+#: take to pause before.
+REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 
 
 class PreparedWorker(WorkerPlugin):
@@ -52,15 +53,15 @@ class PreparedWorker(WorkerPlugin):
         """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
 
         A closing worker would first finish the chunk it computes and then free all compiled code, which
-        takes seconds when the service stops or the scheduler restarts. Nothing is lost: the service submits
-        an unfinished chunk again, and knows that the worker was told to leave. Without a nanny, nobody would
-        notice that the process has ended.
+        takes seconds when the service stops or the scheduler restarts. Nothing is lost: the chunk pauses, and
+        the service submits it again and knows that the worker was told to leave. Without a nanny, nobody
+        would notice that the process has ended.
         """
         self._removed = True
         if worker.status == Status.closing:
             _log(worker, leaving=True)
             if worker.nanny is not None:
-                await asyncio.sleep(REPORT_SECONDS)
+                await _pause_chunks(worker)
                 os._exit(0)
 
     async def _judge(self, worker: Any) -> None:
@@ -82,9 +83,14 @@ class PreparedWorker(WorkerPlugin):
             await self._judge(worker)
 
     def _leave(self, worker: Any) -> None:
-        """SIGTERM: say so, then end as SIGTERM would."""
+        """SIGTERM: say so, let chunks pause, then end as SIGTERM would."""
         _log(worker, leaving=True)
-        worker.loop.call_later(REPORT_SECONDS, os._exit, 128 + signal.SIGTERM)
+        set_available(worker, available=False)
+        worker.loop.add_callback(self._end, worker)
+
+    async def _end(self, worker: Any) -> None:
+        await _pause_chunks(worker)
+        os._exit(128 + signal.SIGTERM)
 
 
 def set_available(worker: Any, *, available: bool) -> None:
@@ -112,6 +118,17 @@ def set_available_again(worker: Any) -> None:
     """The end of a rest, unless the worker is leaving."""
     if worker.status == Status.running:
         set_available(worker, available=True)
+
+
+async def _pause_chunks(worker: Any) -> None:
+    """Have the chunks of this worker write what they have computed, and wait until they have."""
+    from worker.tasks import LEAVING  # noqa: PLC0415 - see above
+
+    LEAVING.set()
+    deadline = time.monotonic() + PAUSE_SECONDS
+    await asyncio.sleep(REPORT_SECONDS)
+    while worker.active_threads and time.monotonic() < deadline:
+        await asyncio.sleep(0.02)
 
 
 def _log(worker: Any, **what: Any) -> None:
