@@ -14,7 +14,7 @@ DiagramFormat = Literal[TableFormat, PictureFormat]
 #: A basin of attraction.
 BasinFormat = Literal["json", PictureFormat]
 #: Attractors over a grid.
-MultistabilityFormat = Literal["json", PictureFormat]
+MultistabilityFormat = Literal[TableFormat, PictureFormat]
 #: The table of costs and errors of the contact models.
 TradeoffFormat = Literal["json", PictureFormat]
 #: A whole sweep in one file.

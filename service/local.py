@@ -63,9 +63,9 @@ def run(
 ) -> "xarray.Dataset":
     """Compute a study and return its results: dims, coordinates and arrays of docs/specification.md.
 
-    `spec`: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file. `store`: a folder to
-    be made, the study's zarr store; the Dataset then reads values where they are used. Without one, the
-    results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
+    `spec`: a mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file. `store`: a
+    folder to be made, the study's zarr store; the Dataset then reads values where they are used. Without one,
+    the results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
     `Job.wait`.
 
     An interrupted run leaves `STORE.partial`; the same call goes on there. A store of the same study that is
@@ -74,6 +74,8 @@ def run(
     while another process computes the same store.
     """
     import xarray
+
+    from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 
     def opened(url: str) -> "xarray.Dataset":
         dataset: xarray.Dataset = xarray.open_zarr(url, consolidated=True, chunks=None)

@@ -64,6 +64,7 @@ FAST = frozenset(
         "worker/test_tasks.py",
         "service/test_job_model.py",
         "service/test_ledger.py",
+        "service/test_pictures.py",
         "service/test_queries.py",
         "service/test_ready_queue.py",
         "service/test_trajectories.py",

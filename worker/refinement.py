@@ -13,7 +13,8 @@ A cell that is not computed takes the values of the nearest corner, or the centr
 mode, where some of these are aperiodic, of the nearest that is.
 """
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -59,6 +60,23 @@ def classes(
     modes = _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods
     result: NDArray[np.int64] = np.where(short, modes, kinds)
     return result
+
+
+def first_round(shape: Sequence[int], tile: Sequence[int], refine: Refine) -> int:
+    """Cells of the first rounds of all tiles of a map, which are needed whatever they turn out to be.
+
+    shape: cells along (xi, omega, gamma), cut into tiles of `tile` cells.
+    """
+    xis, *grid = shape
+    rows, columns = (
+        Counter(min(size, n - low) for low in range(0, n, size))
+        for n, size in zip(grid, tile[1:], strict=True)
+    )
+    return xis * sum(
+        times * again * Refinement((height, width), refine).cells.size
+        for height, times in rows.items()
+        for width, again in columns.items()
+    )
 
 
 class Refinement:

@@ -91,6 +91,7 @@ class ChunkReport:
     kernel_seconds: float  # of which in the kernel
     checksum: str  # of the stored bytes, see store.find_corrupt
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
+    computed: int | None = None  # of an adaptive map: its cells that were not taken from their block
 
 
 #: Position of a line among the lines of its chunk.
@@ -117,7 +118,9 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took, kernel_seconds = work.seconds
-    return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
+    computed = None if spec.refine is None else int(record[schema.COMPUTED.name].sum())
+    counts = tuple(outcomes.tolist())
+    return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, counts, computed)
 
 
 def _compute_lines(

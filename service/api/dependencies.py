@@ -8,7 +8,7 @@ from fastapi import Depends, Request
 
 from service.api.capacity import Capacity, ListenerLimit
 from service.api.monitoring import Metrics, Readiness
-from service.api.parameters import LineQuery
+from service.api.parameters import DiagramQuery, LineQuery
 from service.api.progress_stream import ProgressStream
 from service.background import Background
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
@@ -84,7 +84,8 @@ def basins(service: Service, job: JobRecord) -> Basins:
     prepared = service.manager.preparer.prepare(job)
     if not isinstance(prepared.spec, BasinSpec):
         raise _other_study("basin", prepared.spec.protocol.kind)
-    return Basins(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
+    done = job.state is JobState.DONE
+    return Basins(prepared.spec, prepared.store_url, done, job.repairing, job.kernel_version)
 
 
 def multistability(service: Service, job: JobRecord) -> Multistability:
@@ -92,7 +93,31 @@ def multistability(service: Service, job: JobRecord) -> Multistability:
     prepared = service.manager.preparer.prepare(job)
     if not isinstance(prepared.spec, MultistabilitySpec):
         raise _other_study("multistability", prepared.spec.protocol.kind)
-    return Multistability(prepared.spec, prepared.store_url, job.state is JobState.DONE, job.repairing)
+    done = job.state is JobState.DONE
+    return Multistability(prepared.spec, prepared.store_url, done, job.repairing, job.kernel_version)
+
+
+def attractors(service: Service, job: JobRecord) -> Basins | Multistability:
+    """A job that stores attractors of its cells. Raises InvalidRequest for other kinds of study."""
+    spec = service.manager.preparer.prepare(job).spec
+    if isinstance(spec, MultistabilitySpec):
+        return multistability(service, job)
+    return basins(service, job)
+
+
+def attractors_along(service: Service, job: JobRecord, query: DiagramQuery) -> Multistability | None:
+    """The attractors whose diagram a query asks for; None of other kinds of study.
+
+    Raises InvalidRequest for another axis than gamma, and for what only flights of a sweep can be asked for.
+    """
+    if not isinstance(service.manager.preparer.prepare(job).spec, MultistabilitySpec):
+        return None
+    if query.along != "gamma":
+        raise InvalidRequest.of("along", "must be gamma, along which a job of multistability is followed")
+    for name in ("gamma", "direction", "min_flight", "every"):
+        if getattr(query, name) != DiagramQuery.model_fields[name].default:
+            raise InvalidRequest.of(name, "is not for a job of multistability, whose diagram has every cell")
+    return multistability(service, job)
 
 
 def _other_study(expected: str, kind: str) -> InvalidRequest:

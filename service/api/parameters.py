@@ -205,11 +205,14 @@ class PlaneViewQuery(PlaneQuery):
 
 
 class CellQuery(Query):
-    """The cell of the sweep nearest to the given values, and how to sample its motion."""
+    """The cell of the job nearest to the given values, and how to sample its motion."""
 
     gamma: Number | None = None
     omega: Number | None = None
     xi: Number | None = None
     direction: Direction = None
+    attractor: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="of a job of basins or multistability: which attractor of the cell, from 1"
+    )
     periods: Annotated[int, Field(ge=1, le=1000)] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] = 200

@@ -32,6 +32,13 @@ class ProgressView(BaseModel):
     cells_done: int
     cells_total: int
     cells_settling: int = Field(description="of the cells done: still settling at the end of their window")
+    cells_computed: int | None = Field(
+        description="of an adaptive map: of the cells done, those not taken from their block; else null"
+    )
+    cells_needed: int | None = Field(
+        description="of an adaptive map: cells known to be computed in the end; it grows while tiles are "
+        "refined, and is `cells_computed` once the job is done; else null"
+    )
     percent: float
     eta_seconds: float | None
 
@@ -350,6 +357,7 @@ class PlaceView(BaseModel):
     label: str = Field(description="rest, a mode as (3,4), or aperiodic")
     fraction: float = Field(description="share of the drops that reach it; 0 if found by following another")
     longest_flight: float = Field(description="rad; 0 at rest")
+    flight_time: list[float] | None = Field(None, description="rad, with omega: flights of a window")
 
 
 class PlaneAttractorView(BaseModel):

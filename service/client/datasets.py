@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
+from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import UnexpectedAnswer
 
 Attributes: TypeAlias = Mapping[str, Any]
@@ -281,6 +282,17 @@ def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dat
                 for cell in line
             ]
             variables[name] = ((*plane, "place"), np.array(found, dtype).reshape(shape), dict(attributes))
+        if any("flight_time" in place for line in cells for cell in line for place in cell):
+            flights = _padded(
+                [
+                    times
+                    for line in cells
+                    for cell in line
+                    for times in [*(place["flight_time"] for place in cell), *[[]] * (places - len(cell))]
+                ]
+            )
+            flights = flights.reshape(*shape, flights.shape[-1])
+            variables["flight_time"] = ((*plane, "place", "flight"), flights, _attributes("flight_time"))
         attractors, events = answer["attractors"], answer["events"]
         labels = np.array([attractor["label"] for attractor in attractors], np.str_)
         variables["attractor_label"] = ("attractor", labels, {"long_name": "commonest label"})

@@ -29,7 +29,9 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
         yield progress
     elif not progress:
         yield lambda job: None
-    elif _is_terminal(sys.stderr) or "ipykernel" in sys.modules:
+    elif "ipykernel" in sys.modules:
+        yield _in_notebook()
+    elif _is_terminal(sys.stderr):
         with _progress_bar() as show:
             yield show
     else:
@@ -85,8 +87,17 @@ def summary(job: JobStatus) -> str:
     """A job in one line: short id, name, state, percent, cells, remaining time."""
     progress = job.progress
     title = f"{job.id[:8]} {job.name}".rstrip()
-    cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells"
+    cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells{computed_note(job)}"
     return f"{title}: {job.state}, {progress.whole_percent}% ({cells}){time_left(job)}"
+
+
+def computed_note(job: JobStatus) -> str:
+    """How many cells of an adaptive map were computed, and how many at least will be; else empty."""
+    progress = job.progress
+    if progress.cells_computed is None:
+        return ""
+    least = "" if job.finished else f" of at least {progress.cells_needed:,}"
+    return f", {progress.cells_computed:,}{least} computed"
 
 
 def settling_note(job: JobStatus) -> str:
@@ -123,7 +134,8 @@ def job_html(job: JobStatus) -> str:
         "job": f"<code>{escape(job.id)}</code>",
         "state": escape(job.state),
         "cells": f"<progress value='{progress.percent:g}' max='100'></progress> "
-        f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%){time_left(job)}",
+        f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%)"
+        f"{computed_note(job)}{time_left(job)}",
     }
     if job.notice:
         rows["notice"] = escape(job.notice)
@@ -163,6 +175,22 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
             )
 
         yield show
+
+
+def _in_notebook() -> Callable[[JobStatus], None]:
+    """A function that shows a job as HTML below the cell of a notebook, and from then on in that place."""
+    from IPython.display import HTML, DisplayHandle
+
+    handle = DisplayHandle()
+    shown = False
+
+    def show(job: JobStatus) -> None:
+        nonlocal shown
+        content = HTML(job_html(job))
+        (handle.update if shown else handle.display)(content)
+        shown = True
+
+    return show
 
 
 def _is_terminal(stream: TextIO) -> bool:

@@ -56,11 +56,13 @@ class Progress:
     percent: float
     eta_seconds: float | None = None
     cells_settling: int = 0  # of those done, still settling at the end of their window
+    cells_computed: int | None = None  # of an adaptive map: of those done, not taken from their block
+    cells_needed: int | None = None  # of an adaptive map: known to be computed in the end; it can grow
 
     @classmethod
     def from_json(cls, view: Mapping[str, Any]) -> "Progress":
         """Read the `progress` member of a job."""
-        later = ("eta_seconds", "cells_settling")
+        later = ("eta_seconds", "cells_settling", "cells_computed", "cells_needed")
         required = {name: view[name] for name in cls.__dataclass_fields__ if name not in later}
         return cls(**required, **{name: view[name] for name in later if name in view})
 

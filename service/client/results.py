@@ -40,16 +40,21 @@ class Results(JobStatus):
         Returns a Dataset with dims (`along`, flight): `flight_time` and `takeoff_phase` in rad, NaN where
         there is no flight; and with dim `along`: `flights`, `outcome`, `bounces`, `periods`; of a sweep with
         exponents `lyapunov` (`along`, exponent) and `label`, in which aperiodic cells are told apart. The
-        attribute `complete` is 0 while cells are missing. Raises BadRequest naming the parameter, TooLarge
-        naming the smallest `every` that fits.
+        attribute `complete` is 0 while cells are missing. Of a job with the protocol multistability all
+        coexisting attractors along gamma, as `multistability` returns them. Raises BadRequest naming the
+        parameter, TooLarge naming the smallest `every` that fits.
         """
-        from service.client.datasets import diagram_dataset
+        from service.client.datasets import diagram_dataset, multistability_dataset
 
-        answer = self._diagram(
-            along=along, gamma=gamma, omega=omega, xi=xi,
-            direction=direction, min_flight=min_flight, every=every,
+        answer = json_object(
+            self._diagram(
+                along=along, gamma=gamma, omega=omega, xi=xi,
+                direction=direction, min_flight=min_flight, every=every,
+            )
         )  # fmt: skip
-        return diagram_dataset(json_object(answer), self.id, self.name)
+        if "attractors" in answer:
+            return multistability_dataset(answer, self.id)
+        return diagram_dataset(answer, self.id, self.name)
 
     def picture(
         self,
@@ -203,8 +208,9 @@ class Results(JobStatus):
         attractors of each cell: `id`, 0 where there is none, `label`, `fraction`, `longest_flight` (rad);
         with dim attractor: `attractor_label`, `cells`; with dim event: `kind` (birth, death, mode),
         `event_attractor`, `event_omega`, `gamma_below`, `gamma_above`, `below`, `above`, `leads_to`, 0 for
-        none. Attributes: `several` and `several_by_drops`, the shares of cells with two attractors or more;
-        `complete`. Raises BadRequest, TooLarge.
+        none. With `omega` also `flight_time` (rad) over (omega, gamma, place, flight). Attributes: `several`
+        and `several_by_drops`, the shares of cells with two attractors or more; `complete`. Raises
+        BadRequest, TooLarge.
         """
         from service.client.datasets import multistability_dataset
 
@@ -219,9 +225,34 @@ class Results(JobStatus):
         xi: float | None = None,
         omega: float | None = None,
     ) -> bytes:
-        """Attractors over a plane, or with `omega` a line, as PNG or SVG, or as JSON. Raises BadRequest."""
+        """Attractors over a plane, or with `omega` a line, as PNG, SVG, JSON or CSV. Raises BadRequest."""
         query = {"xi": xi, "omega": omega, "format": format}
         return self._transport.get(self._path("multistability"), query).content
+
+    def trajectory(
+        self,
+        gamma: float | None = None,
+        omega: float | None = None,
+        xi: float | None = None,
+        *,
+        direction: str | None = None,
+        periods: int = 4,
+        samples: int = 200,
+    ) -> "xarray.Dataset":
+        """The motion of one cell as the sweep has it: settled from rest, or from where its ramp left it.
+
+        `gamma`, `omega`, `xi` take the nearest grid value; one that has only one value may be left out.
+        `direction` is up or down for a sweep ramped both ways (default: up). `periods` plate periods of
+        `samples` each. Returns a Dataset as `Client.trajectory`. Raises BadRequest, Conflict while the cell
+        is not computed, TooLarge, Busy.
+        """
+        from service.client.datasets import trajectory_dataset
+
+        query = {
+            "gamma": gamma, "omega": omega, "xi": xi, "direction": direction,
+            "periods": periods, "samples": samples,
+        }  # fmt: skip
+        return trajectory_dataset(json_object(self._transport.get(self._path("trajectory"), query)))
 
     def export(self, path: str | PathLike[str]) -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.

@@ -13,7 +13,7 @@ from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
 from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
-from service.jobs.prepare import JobPreparer
+from service.jobs.prepare import JobPreparer, first_cells
 from service.jobs.retry import Tally
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Repairer
@@ -321,5 +321,6 @@ def _new_job(spec: Any, plan: Plan, owner: str | None) -> NewJob:
         chunk_shape=plan.chunk_shape,
         chunks_total=len(plan),
         cells_total=plan.cells,
+        first_cells=first_cells(spec, plan),
         owner=owner,
     )

@@ -78,4 +78,9 @@ MIGRATIONS: Final = (
         PRIMARY KEY (job, seq)
     ) WITHOUT ROWID;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN first_cells INTEGER NOT NULL DEFAULT 0;
+    ALTER TABLE jobs ADD COLUMN cells_computed INTEGER NOT NULL DEFAULT 0;
+    ALTER TABLE chunks ADD COLUMN computed INTEGER;
+    """,
 )

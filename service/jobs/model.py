@@ -60,6 +60,10 @@ class Progress:
     run_seconds: float = 0.0
     run_cells: int = 0
     cells_settling: int = 0  # of those done
+    #: Of an adaptive map, else None: of the cells done those computed, and those known to be needed so far,
+    #: which are more once the first rounds of the remaining chunks are known.
+    cells_computed: int | None = None
+    cells_needed: int | None = None
 
     @property
     def percent(self) -> float:
@@ -85,6 +89,8 @@ class NewJob:
     chunk_shape: tuple[int, ...]  # how the study is cut; of a sweep, cells of a chunk along xi, omega, gamma
     chunks_total: int
     cells_total: int
+    #: Of an adaptive map, the cells of the first rounds of all its chunks; 0 of any other study.
+    first_cells: int = field(default=0, kw_only=True)
     #: Name of the access token with which it was submitted, or last resumed; None if that has no name.
     owner: str | None = field(default=None, kw_only=True)
 
@@ -105,6 +111,7 @@ class JobRecord(NewJob):
     chunks_done: int
     cells_done: int
     cells_settling: int  # of those done: their outcome is `settling`
+    cells_computed: int  # of those done, of an adaptive map
     choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
     replaced_by: str | None  # of an outdated job: id of the job that computes the same study anew
 
@@ -149,7 +156,15 @@ class JobRecord(NewJob):
             run_seconds=now - (self.run_started or now) if running else 0.0,
             run_cells=self.cells_done - self.run_cells if running else 0,
             cells_settling=self.cells_settling,
+            cells_computed=self.cells_computed if self.first_cells else None,
+            cells_needed=self._cells_needed if self.first_cells else None,
         )
+
+    @property
+    def _cells_needed(self) -> int:
+        """Those computed, and the share of the first rounds that falls to the chunks to come."""
+        to_come = self.chunks_total - self.chunks_done
+        return self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
 
 
 class Failure(NamedTuple):

@@ -18,6 +18,7 @@ from service.jobs.model import JobRecord
 from service.settings import Settings
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.cost import Cost
+from worker.refinement import first_round
 from worker.schema import Layout
 from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
@@ -76,6 +77,12 @@ class PreparedJob:
     def describe(self, chunk: Chunk) -> str:
         """A chunk's number and cells: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""
         return f"chunk {chunk.index} ({self.layout.describe(chunk.slices)})"
+
+
+def first_cells(spec: Any, plan: Plan) -> int:
+    """Of an adaptive map, the cells of the first rounds of all its chunks; 0 of any other study."""
+    refine = getattr(spec, "refine", None)
+    return 0 if refine is None else first_round(spec.shape[1:], plan.chunk_shape, refine)
 
 
 class JobPreparer:

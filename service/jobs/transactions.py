@@ -216,10 +216,10 @@ class WriteTransaction(ReadTransaction):
         """Accept a job."""
         self._sql.execute(
             "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
-            " cells_total, owner) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            " cells_total, first_cells, owner) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
-                JobState.QUEUED, now, job.chunks_total, job.cells_total, job.owner,
+                JobState.QUEUED, now, job.chunks_total, job.cells_total, job.first_cells, job.owner,
             ),
         )  # fmt: skip
 
@@ -323,11 +323,12 @@ class WriteTransaction(ReadTransaction):
         marked = [report for report in reports if self._insert_chunk(job, report)]
         self._sql.execute(
             "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ?,"
-            " cells_settling = cells_settling + ? WHERE seq = ?",
+            " cells_settling = cells_settling + ?, cells_computed = cells_computed + ? WHERE seq = ?",
             (
                 len(marked),
                 sum(report.cells for report in marked),
                 sum(_settling(report.outcomes) for report in marked),
+                sum(report.computed or 0 for report in marked),
                 job.seq,
             ),
         )
@@ -362,8 +363,8 @@ class WriteTransaction(ReadTransaction):
         """Whether the chunk was not marked before."""
         outcomes = json.dumps(list(report.outcomes))
         inserted = self._sql.execute(
-            "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?)",
-            (job.seq, report.index, report.cells, report.seconds, report.checksum, outcomes),
+            "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (job.seq, report.index, report.cells, report.seconds, report.checksum, outcomes, report.computed),
         )
         return inserted.rowcount == 1
 
@@ -372,11 +373,12 @@ class WriteTransaction(ReadTransaction):
         unmarked = [row for chunk in chunks for row in self._delete_chunk(job, chunk)]
         self._sql.execute(
             "UPDATE jobs SET chunks_done = chunks_done - ?, cells_done = cells_done - ?,"
-            " cells_settling = cells_settling - ? WHERE seq = ?",
+            " cells_settling = cells_settling - ?, cells_computed = cells_computed - ? WHERE seq = ?",
             (
                 len(unmarked),
                 sum(row["cells"] for row in unmarked),
                 sum(_settling(json.loads(row["outcomes"])) for row in unmarked),
+                sum(row["computed"] or 0 for row in unmarked),
                 job.seq,
             ),
         )
@@ -385,7 +387,7 @@ class WriteTransaction(ReadTransaction):
     def _delete_chunk(self, job: JobRecord, chunk: int) -> list[sqlite3.Row]:
         """The chunk, with its cells and their outcomes, if it was marked."""
         return self._sql.execute(
-            "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes",
+            "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes, computed",
             (job.seq, chunk),
         ).fetchall()
 

@@ -23,7 +23,7 @@ from service.results import trajectory as trajectories
 from service.results.basins import Basins
 from service.results.diagram import Diagram
 from service.results.multistability import Multistability
-from service.results.selection import Sweep
+from service.results.selection import Sweep, nearest_index
 from service.results.trajectory import TrajectorySpec
 from worker import kernel_cache
 from worker.orbits import Mode
@@ -158,17 +158,26 @@ def basin(
 def multistability(
     job: Multistability, xi: float | None, omega: float | None, format: MultistabilityFormat
 ) -> Answer:
-    """The attractors over the plane nearest to `xi`, or over one line of it, as JSON or as a picture."""
+    """The attractors over the plane nearest to `xi`, or over one line of it, as a table or as a picture."""
     plane = multistability_results.plane(job, xi)
     shown = plane if omega is None else plane.line(omega)
+    flights = None if omega is None else multistability_results.flights(job, plane.xi, omega)
     if format == "json":
-        content = multistability_pictures.multistability_json(shown)
-    elif omega is None:
+        content = multistability_pictures.multistability_json(shown, flights)
+    elif format == "csv":
+        content = multistability_pictures.multistability_csv(shown, flights)
+    elif flights is None:
         content = multistability_pictures.draw(shown, format)
     else:
-        flights = multistability_results.flights(job, plane.xi, omega)
         content = multistability_pictures.draw_line(shown, flights, format)
     return Answer(content, plane.complete)
+
+
+def multistability_diagram(
+    job: Multistability, xi: float | None, omega: float | None, format: MultistabilityFormat
+) -> Answer:
+    """The line along gamma nearest to (omega, xi), None being the value of an axis that has only one."""
+    return multistability(job, xi, nearest_index(job.spec, "omega", omega).value, format)
 
 
 def thresholds(omega: float, xi: float, delta: float) -> bytes:

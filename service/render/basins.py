@@ -21,8 +21,9 @@ SIZE: Final = (6.8, 4.2)
 COLOURS: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666")
 UNDECIDED: Final = "#ffffff"
 
-#: Attractors named beside the picture.
+#: Attractors named beside the picture, and how many of these have room for two lines each.
 NAMED: Final = 16
+ROOMY: Final = 7
 
 _AXES: Final = {
     "drop": ("phase of the plate when let go (rad)", "height above the plate (plate amplitudes)"),
@@ -102,8 +103,13 @@ def _extent(cell: BasinCell) -> tuple[float, float, float, float]:
 
 
 def _legend(axes: Axes, cell: BasinCell, colours: list[str]) -> None:
+    close = len(cell.attractors) > ROOMY
+    between = ", " if close else "\n"
     entries = [
-        Patch(color=colour, label=f"{attractor.label}  {_percent(attractor.fraction)}{_longest(attractor)}")
+        Patch(
+            color=colour,
+            label=f"{attractor.label}  {_percent(attractor.fraction)}{_longest(attractor, between)}",
+        )
         for attractor, colour in zip(cell.attractors[:NAMED], colours, strict=False)
     ]
     undecided = float(cell.numbers.get("undecided", 1.0))
@@ -114,7 +120,7 @@ def _legend(axes: Axes, cell: BasinCell, colours: list[str]) -> None:
         entries.append(Patch(alpha=0.0, label=f"and {len(cell.attractors) - NAMED} more"))
     axes.legend(
         handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
-        prop={"family": "STIXGeneral", "size": 10},
+        prop={"family": "STIXGeneral", "size": 10}, labelspacing=0.2 if close else None,
     )  # fmt: skip
 
 
@@ -122,5 +128,5 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1f} %" if np.isfinite(share) and share >= 0.001 else f"{100.0 * share:.2g} %"
 
 
-def _longest(attractor: Attractor) -> str:
-    return f"\nup to {attractor.longest_flight:.4g} rad" if attractor.longest_flight > 0.0 else ""
+def _longest(attractor: Attractor, between: str) -> str:
+    return f"{between}up to {attractor.longest_flight:.4g} rad" if attractor.longest_flight > 0.0 else ""

@@ -1,7 +1,9 @@
-"""Attractors over a plane or along a line as JSON and as a picture."""
+"""Attractors over a plane or along a line as JSON, CSV and as a picture."""
 
+import csv
+import io
 from dataclasses import asdict
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +16,7 @@ from service.formats import PictureFormat
 from service.render.basins import COLOURS, UNDECIDED
 from service.render.style import FONT, SYMBOLS, TEXT, encode
 from service.render.text import to_json
-from service.results.multistability import Attractor, Plane
+from service.results.multistability import Attractor, Place, Plane
 
 #: Inches: of the plane, and of a line.
 PLANE_SIZE: Final = (10.0, 4.2)
@@ -28,22 +30,60 @@ COLOURED: Final = len(COLOURS) - 1
 OTHERS: Final = "#999999"
 
 
-def multistability_json(plane: Plane) -> bytes:
-    """The plane as a JSON document."""
+#: The columns of a table of a plane, one row for each attractor of a cell; of a line, one for each flight.
+COLUMNS: Final = ("gamma", "omega", "xi", "attractor", "label", "fraction", "longest_flight_rad")
+LINE_COLUMNS: Final = (*COLUMNS[:6], "flight", "flight_time_rad")
+
+
+def multistability_json(plane: Plane, flights: NDArray[np.float64] | None = None) -> bytes:
+    """The plane as a JSON document; `flights` (gamma, attractor, flight) of a line, rad, if it is one."""
     return to_json(
         {
             "xi": plane.xi,
             "omega": plane.omega.tolist(),
             "gamma": plane.gamma.tolist(),
             "count": [[None if n < 0 else n for n in line] for line in plane.count.tolist()],
-            "cells": [[[place._asdict() for place in cell] for cell in line] for line in plane.cells],
+            "cells": [
+                [[_place(plane, place, j, k, flights) for k, place in enumerate(cell)]
+                 for j, cell in enumerate(line)]
+                for line in plane.cells
+            ],
             "attractors": [asdict(attractor) for attractor in plane.attractors],
             "events": [asdict(event) for event in plane.events],
             "several": plane.several,
             "several_by_drops": plane.several_by_drops,
             "complete": plane.complete,
         }
-    )
+    )  # fmt: skip
+
+
+def _place(plane: Plane, place: Place, j: int, k: int, flights: NDArray[np.float64] | None) -> dict[str, Any]:
+    times = {} if flights is None else {"flight_time": _counted(plane, flights[j, k]).tolist()}
+    return place._asdict() | times
+
+
+def _counted(plane: Plane, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The flights that count: those longer than `micro_flight`, unless none is."""
+    stored = times[np.isfinite(times)]
+    longer = stored[stored > plane.spec.micro_flight]
+    return longer if len(longer) else stored
+
+
+def multistability_csv(plane: Plane, flights: NDArray[np.float64] | None = None) -> bytes:
+    """The plane as a table of COLUMNS, or with the flights of a line as one of LINE_COLUMNS."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS if flights is None else LINE_COLUMNS)
+    for omega, line in zip(plane.omega.tolist(), plane.cells, strict=True):
+        for j, (gamma, cell) in enumerate(zip(plane.gamma.tolist(), line, strict=True)):
+            for k, place in enumerate(cell):
+                row = (gamma, omega, plane.xi, place.id, place.label, place.fraction)
+                if flights is None:
+                    table.writerow((*row, place.longest_flight))
+                    continue
+                times = _counted(plane, flights[j, k]).tolist()
+                table.writerows((*row, n, flight) for n, flight in enumerate(times))
+    return text.getvalue().encode()
 
 
 def draw(plane: Plane, format: PictureFormat) -> bytes:
@@ -101,7 +141,7 @@ def _draw_line(figure: Figure, plane: Plane, flights: NDArray[np.float64]) -> No
     points: dict[int, list[tuple[float, NDArray[np.float64]]]] = {}
     for j, cell in enumerate(plane.cells[0]):
         for k, place in enumerate(cell):
-            times = flights[j, k][flights[j, k] > plane.spec.micro_flight]
+            times = _counted(plane, flights[j, k])
             points.setdefault(place.id, []).append(
                 (float(plane.gamma[j]), times if len(times) else np.zeros(1))
             )

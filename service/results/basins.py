@@ -32,6 +32,7 @@ class Basins:
     url: str
     complete: bool  # the job is done: a missing chunk is damage, not work to come
     repairing: bool
+    kernel_version: str  # that computed it
 
 
 @dataclass(frozen=True)

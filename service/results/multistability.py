@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from service.results.basins import attractor_label
-from service.results.selection import check_points, nearest_index
+from service.results.selection import BASE_MEMORY, check_points, nearest_index
 from worker import store
+from worker.basins.multistability import MAX_ATTRACTORS
 from worker.basins.spec import MultistabilitySpec
 
-#: Cells of one answer.
+#: Cells of one answer, and bytes of memory of each, with its attractors as text.
 MAX_CELLS: Final = 2**16
+_PER_CELL: Final = 4096
+#: Bytes of memory of a flight of a line as text.
+_PER_FLIGHT: Final = 100
 
 #: Cycles of neighbouring lines may be one attractor if their longest flights differ by at most this, rad.
 NEAR: Final = 1.0
@@ -44,6 +48,7 @@ class Multistability:
     url: str
     complete: bool  # the job is done: a missing chunk is damage, not work to come
     repairing: bool
+    kernel_version: str  # that computed it
 
 
 class Place(NamedTuple):
@@ -149,6 +154,13 @@ def plane(job: Multistability, xi: float | None) -> Plane:
         tuple(_attractors(cells, omega, gamma)), tuple(_events(cells, computed, arrays, ids, omega, gamma)),
         bool(computed.all()) and not job.repairing,
     )  # fmt: skip
+
+
+def plane_memory(job: Multistability) -> int:
+    """Bytes of memory of an answer about a plane or a line of it."""
+    _, omegas, gammas = job.spec.shape
+    flights = gammas * MAX_ATTRACTORS * job.spec.keep
+    return BASE_MEMORY + min(omegas * gammas, MAX_CELLS) * _PER_CELL + flights * _PER_FLIGHT
 
 
 def flights(job: Multistability, xi: float | None, omega: float) -> NDArray[np.float64]:

@@ -55,11 +55,11 @@ class Sweep:
         return attributes
 
 
-def check_kernel(sweep: Sweep) -> None:
-    """Raise OutdatedJob for a sweep whose cells this release would continue or repeat with another kernel."""
-    if sweep.kernel_version != KERNEL_VERSION:
+def check_kernel(version: str) -> None:
+    """Raise OutdatedJob if `version` computed cells that this release would continue with its own kernel."""
+    if version != KERNEL_VERSION:
         raise OutdatedJob(
-            f"the sweep was computed by kernel version {sweep.kernel_version}; this release computes version "
+            f"the sweep was computed by kernel version {version}; this release computes version "
             f"{KERNEL_VERSION}: submit the sweep again, or read what is stored"
         )
 

@@ -169,7 +169,7 @@ def refined(
     Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue,
     TooLarge for more computing than one answer may take, and as `OnDemandCache.get`.
     """
-    check_kernel(sweep)
+    check_kernel(sweep.kernel_version)
     omegas = len(coarse.omega)
     if not job.chunks_done:
         unknown = {"up": np.full(omegas, np.nan), "down": np.full(omegas, np.nan)}

@@ -14,8 +14,10 @@ from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_c
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
+from service.results.basins import Basins
+from service.results.multistability import Multistability
 from service.results.selection import Sweep, check_kernel, nearest_index, read, resolve_direction
-from worker import schema
+from worker import schema, store
 from worker.basins.spec import MAX_HEIGHT
 from worker.basins.starts import contact_states, drop_states
 from worker.cost import period_seconds
@@ -256,7 +258,7 @@ def of_cell(
     its stored state is where the computation stopped, not the end of its window. Raises OutdatedJob for a
     sweep of another kernel version.
     """
-    check_kernel(sweep)
+    check_kernel(sweep.kernel_version)
     spec = sweep.spec
     cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
     direction = resolve_direction(spec, direction)
@@ -271,6 +273,42 @@ def of_cell(
         samples=samples,
     )
     return trajectory, state
+
+
+def of_attractor(
+    job: Basins | Multistability,
+    values: Mapping[str, float | None],
+    attractor: int,
+    periods: int,
+    samples: int,
+) -> tuple[TrajectorySpec, NDArray[np.float64]]:
+    """The trajectory on an attractor of the grid cell nearest to `values`, and its stored state.
+
+    attractor: its place in the cell, from 1. Raises InvalidRequest as `selection.nearest_index`, and for an
+    attractor that is not stored. Raises OutdatedJob for a job of another kernel version.
+    """
+    check_kernel(job.kernel_version)
+    spec = job.spec
+    cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
+    indices = {axis: point.index for axis, point in cell.items()}
+    try:
+        names = ("attractor_outcome", "attractor_state")
+        arrays = store.read_slice(job.url, names, complete=job.complete, **indices)
+    except store.StoreMissing as error:
+        if job.complete:
+            raise store.StoreDamaged(str(error)) from error
+        arrays = {"attractor_outcome": np.zeros(0)}  # the job is still queued
+    stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
+    if not 1 <= attractor <= stored:
+        rule = (
+            f"must be from 1 to {stored}: the attractors of this cell" if stored else "this cell has none yet"
+        )
+        raise InvalidRequest.of("attractor", rule)
+    trajectory = TrajectorySpec(
+        **{axis: point.value for axis, point in cell.items()},
+        model=spec.model, settle=0, periods=periods, samples=samples,
+    )  # fmt: skip
+    return trajectory, np.asarray(arrays["attractor_state"][attractor - 1])
 
 
 def _on_cycle(cell: Cell, point: CyclePoint) -> CycleStart:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Scripted, wait_for
+from studies import ADAPTIVE, BASINS, MULTISTABILITY
 
 from service.api.app import create_app
 from service.settings import Settings
@@ -202,14 +203,33 @@ def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed
             assert len(service.executor.tried) == len(chunks)
 
 
-def test_of_a_grid_of_orbits_damaged_chunks_are_computed_again(tmp_path: Path):
-    grid = {"omega": {"start": 0.4, "stop": 1.2, "num": 60}, "xi": [0.05, 0.1], "points": 40}
+ORBITS: dict[str, Any] = {
+    "protocol": {"kind": "orbits"},
+    "omega": {"start": 0.4, "stop": 1.2, "num": 60},
+    "xi": [0.05, 0.1],
+    "points": 40,
+}
+
+
+@pytest.mark.parametrize(
+    ("spec", "array"),
+    [
+        (ORBITS, "event_gamma"),
+        (BASINS, "attractor"),
+        (MULTISTABILITY, "attractor_state"),
+        (ADAPTIVE, "flight_time"),
+    ],
+    ids=["orbits", "basins", "multistability", "adaptive"],
+)
+def test_of_every_study_only_damaged_chunks_are_computed_again(
+    tmp_path: Path, spec: dict[str, Any], array: str
+):
     chance = random.Random(6)
     with running(tmp_path) as service:
-        here = service.submit(grid | {"protocol": {"kind": "orbits"}})
+        here = service.submit(spec)
         intact = files(service.store(here))
         assert len(service.executor.tried) > 2
-    addresses = chance.sample(sorted(path for path in intact if path.startswith("event_gamma/c/")), 2)
+    addresses = chance.sample(sorted(path for path in intact if path.startswith(f"{array}/c/")), 2)
     for address, harm in zip(addresses, (flip, delete), strict=True):
         harm(service.store(here) / address, chance)
     with running(tmp_path) as service:

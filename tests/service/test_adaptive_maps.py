@@ -20,6 +20,9 @@ from service.client.client import Client
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.inline import Inline
+from worker.plan import make_plan
+from worker.refinement import Refinement
+from worker.spec import SweepSpec
 
 SPACE: dict[str, Any] = {
     "name": "thresholds and modes",
@@ -237,6 +240,27 @@ def test_a_map_that_was_cancelled_and_resumed_has_the_bytes_of_one_that_was_not(
         for url in stores
     )
     assert whole == resumed
+
+
+def test_progress_counts_the_cells_known_to_be_needed(tmp_path: Path):
+    tiles = MAP | {name: {"start": 0.4, "stop": 2.4, "num": 300} for name in ("gamma", "omega")}
+    spec = SweepSpec.parse(tiles)
+    plan = make_plan(spec)
+    assert spec.refine is not None
+    first = [Refinement((chunk.shape[1], chunk.shape[2]), spec.refine).cells.size for chunk in plan]
+    held = Held()
+    with service(tmp_path / "held", held) as client:
+        here = client.post("/v1/jobs", json=tiles).headers["Location"]
+        progress = get(client, here)["progress"]
+        assert (progress["cells_computed"], progress["cells_needed"]) == (0, sum(first))
+    with computing(tmp_path / "done") as client:
+        here = finished(client, tiles)
+        progress = get(client, here)["progress"]
+        share = get(client, f"{here}/modes")["computed"]
+        assert progress["cells_computed"] == progress["cells_needed"] == round(share * 300 * 300)
+        assert progress["cells_computed"] > sum(first)
+        plain = get(client, finished(client, SPACE))["progress"]
+        assert (plain["cells_computed"], plain["cells_needed"]) == (None, None)
 
 
 def test_an_estimate_does_not_take_its_speed_from_adaptive_maps(tmp_path: Path):

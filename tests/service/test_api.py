@@ -58,6 +58,8 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
             "cells_done": 0,
             "cells_total": 111,
             "cells_settling": 0,
+            "cells_computed": None,
+            "cells_needed": None,
             "percent": 0.0,
             "eta_seconds": None,
         }

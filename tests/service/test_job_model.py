@@ -78,6 +78,6 @@ def test_only_a_running_job_that_was_done_before_is_repairing(
         id="a" * 32, name="", spec="{}", kernel_version=KERNEL_VERSION, chunk_shape=(1, 1, 1), chunks_total=1,
         cells_total=1, seq=1, state=state, cancel_requested=False, error=None, created=0.0, started=0.0,
         finished=finished, run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0,
-        choice=None, replaced_by=None,
+        cells_computed=0, choice=None, replaced_by=None,
     )  # fmt: skip
     assert job.repairing is repairing

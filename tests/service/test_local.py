@@ -16,6 +16,7 @@ import pyarrow.parquet
 import pytest
 import xarray
 from served import service
+from studies import STUDIES
 
 from kernel.params import KERNEL_VERSION
 from service import local
@@ -218,7 +219,7 @@ def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> sub
     return process
 
 
-@pytest.mark.parametrize("spec", [LONG, ORBITS], ids=["sweep", "orbits"])
+@pytest.mark.parametrize("spec", [LONG, ORBITS, *STUDIES.values()], ids=["sweep", "orbits", *STUDIES.keys()])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_run_goes_on_where_it_stopped(
     tmp_path: Path, number: signal.Signals, spec: dict[str, Any]

@@ -1,5 +1,7 @@
 """Multistability as a job: attractors matched over a plane, over HTTP, in the client and as pictures."""
 
+import csv
+import io
 from collections.abc import Iterator
 from io import BytesIO
 from typing import Any
@@ -114,9 +116,52 @@ def test_what_is_refused(service: TestClient, client: Client, job: Job):
         BadRequest, match="must be a job with the protocol basin; that of this job is multist"
     ):
         job.basins()
-    answer = service.get(f"/v1/jobs/{job.id}/diagram", params={"along": "gamma"})
+    answer = service.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422
     assert "must be a sweep; the protocol of this job is multistability" in answer.json()["detail"]
+    for query, rule in (
+        ({"along": "omega", "gamma": 3.6}, "along: must be gamma"),
+        ({"omega": 0.5, "every": 2}, "every: is not for a job of multistability"),
+        ({"along": "gamma"}, "omega: is required"),
+    ):
+        answer = service.get(f"/v1/jobs/{job.id}/diagram", params=query)
+        assert answer.status_code == 422
+        assert rule in answer.json()["detail"]
+
+
+def test_the_diagram_shows_all_coexisting_attractors(service: TestClient, job: Job):
+    line = get(service, f"/v1/jobs/{job.id}/diagram", omega=0.5)
+    assert line == get(service, f"/v1/jobs/{job.id}/multistability", omega=0.5)
+    for cell in line["cells"][0]:
+        longest = {place["label"]: max(place["flight_time"]) for place in cell}
+        assert longest["(1,2)"] == pytest.approx(11.24, abs=0.1)
+        assert all(max(p["flight_time"]) == pytest.approx(p["longest_flight"], abs=0.2) for p in cell)
+    found = job.diagram(omega=0.5)
+    assert found.flight_time.dims == ("omega", "gamma", "place", "flight")
+    first = found.flight_time.isel(omega=0, gamma=0, place=0).dropna("flight").values.tolist()
+    assert first == line["cells"][0][0][0]["flight_time"]
+    table = service.get(f"/v1/jobs/{job.id}/diagram", params={"omega": 0.5, "format": "csv"}).text
+    rows = list(csv.DictReader(io.StringIO(table)))
+    assert len(rows) == sum(len(p["flight_time"]) for cell in line["cells"][0] for p in cell)
+    assert [float(row["flight_time_rad"]) for row in rows[: len(first)]] == first
+    assert {row["attractor"] for row in rows} == {"1", "2"}
+    plane = job.multistability_picture("csv").decode()
+    assert len(plane.splitlines()) == 1 + 2 * 5 * 2
+    assert job.picture(omega=0.5) == job.multistability_picture(omega=0.5)
+
+
+def test_the_motion_on_an_attractor(service: TestClient, job: Job):
+    cell = get(service, f"/v1/jobs/{job.id}/diagram", omega=0.5)["cells"][0][2]
+    for number, place in enumerate(cell, 1):
+        query = {"gamma": 3.6, "omega": 0.5, "periods": 16, "attractor": number}
+        motion = get(service, f"/v1/jobs/{job.id}/trajectory", **query)
+        flights = [time for time in motion["flights"]["flight_time"] if time > 0.05]
+        assert max(flights) == pytest.approx(place["longest_flight"], abs=1e-6)
+    for attractor, rule in ((3, "attractor: must be from 1 to 2"), (0, "attractor")):
+        query = {"gamma": 3.6, "omega": 0.5, "attractor": attractor}
+        answer = service.get(f"/v1/jobs/{job.id}/trajectory", params=query)
+        assert answer.status_code == 422
+        assert rule in answer.text
 
 
 def test_branches_join_by_most_votes_unless_they_share_a_cell():

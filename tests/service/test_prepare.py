@@ -94,7 +94,7 @@ def record(spec: SweepSpec, seq: int = 1, choice: ModelChoice | None = None) -> 
         kernel_version=KERNEL_VERSION, chunk_shape=plan.chunk_shape, chunks_total=len(plan),
         cells_total=plan.cells, seq=seq, state=JobState.QUEUED, cancel_requested=False, error=None,
         created=0.0, started=None, finished=None, run_started=None, run_cells=0, chunks_done=0, cells_done=0,
-        cells_settling=0,
+        cells_settling=0, cells_computed=0,
         choice=None if choice is None else choice.model_dump_json(), replaced_by=None,
     )  # fmt: skip
 

@@ -31,8 +31,8 @@ def run(tmp_path: Path) -> JobRun:
         id="a" * 32, name="", spec=json.dumps(spec.as_submitted()), kernel_version=KERNEL_VERSION,
         chunk_shape=plan.chunk_shape, chunks_total=len(plan), cells_total=plan.cells, seq=1,
         state=JobState.RUNNING, cancel_requested=False, error=None, created=0.0, started=0.0, finished=None,
-        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0, choice=None,
-        replaced_by=None,
+        run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0, cells_computed=0,
+        choice=None, replaced_by=None,
     )  # fmt: skip
     prepared = JobPreparer(Settings(data=tmp_path)).prepare(job)
     return JobRun(job, prepared, np.zeros(len(plan), np.bool_), POLICY)

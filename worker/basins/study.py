@@ -134,7 +134,7 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
         if number < work.steps_done:
             continue
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
-        found = find(starts_of(spec, gamma, omega, xi), _rules(spec), _runner(spec, gamma, omega, xi, work))
+        found = find(starts_of(spec, gamma, omega, xi), rules_of(spec), _runner(spec, gamma, omega, xi, work))
         _fill_in(
             spec, found, {name: array[index] for name, array in record.items() if array.ndim > len(index)}
         )
@@ -147,7 +147,8 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
     return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
 
 
-def _rules(spec: BasinSpec) -> Rules:
+def rules_of(spec: BasinSpec) -> Rules:
+    """What a specification says of the runs of a search."""
     return Rules(spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
 
 

@@ -9,10 +9,10 @@ from service.api.capacity import costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import ServiceDep
 from service.api.schemas import content, problem_responses
-from service.formats import MEDIA_TYPES, PICTURES
+from service.formats import MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord
 from service.render import answers
-from service.results.multistability import MAX_CELLS
+from service.results.multistability import plane_memory
 from service.results.selection import BASE_MEMORY
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
@@ -24,10 +24,6 @@ _PER_START: Final = 64
 def _memory(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -> int:
     plane = dependencies.basins(service, job).spec.protocol
     return BASE_MEMORY + plane.rows * plane.columns * _PER_START
-
-
-#: Bytes of memory per cell of a plane, with its attractors as text.
-_PER_CELL: Final = 4096
 
 
 @router.get(
@@ -53,15 +49,14 @@ def basins(
 
 
 def _plane_memory(service: ServiceDep, job: JobRecord, query: parameters.MultistabilityQuery) -> int:
-    _, omegas, gammas = dependencies.multistability(service, job).spec.shape
-    return BASE_MEMORY + min(omegas * gammas, MAX_CELLS) * _PER_CELL
+    return plane_memory(dependencies.multistability(service, job))
 
 
 @router.get(
     "/multistability",
     summary="Read attractors over a grid",
     response_model=schemas.MultistabilityView,
-    responses={**content("json", *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
+    responses={**content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
 @costly(_plane_memory)
 def multistability(
@@ -70,9 +65,10 @@ def multistability(
     """The attractors of every cell at one xi, matched from cell to cell, and their births and deaths.
 
     Of a job with the protocol `multistability`. One attractor has one id in all cells; ids are numbered from
-    1 by the number of cells. With `omega` only the line along gamma nearest to it. As a picture, the plane is
-    two maps, of the number of attractors and of the one that most drops reach; a line is its flights, each
-    attractor in its colour.
+    1 by the number of cells. With `omega` only the line along gamma nearest to it, with the flights of every
+    attractor. As a picture, the plane is two maps, of the number of attractors and of the one that most drops
+    reach; a line is its flights, each attractor in its colour. As CSV, the plane has a row for each attractor
+    of a cell, a line one for each flight.
     """
     answer = service.background.run(
         answers.multistability,

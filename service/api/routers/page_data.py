@@ -87,16 +87,20 @@ def plane(
 
 @router.get(
     "/trajectory",
-    summary="Compute the motion of a cell of the sweep",
+    summary="Compute the motion of a cell",
     response_model=Trajectory,
     responses=problem_responses(404, 409, 413, 422, 429),
 )
 @costly(BASE_MEMORY + MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
 def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
-    """One cell of the sweep in motion: as it settles from rest, or from where the ramp left it."""
+    """One cell in motion: as it settles from rest, where the ramp left it, or on one of its attractors."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
-    sweep = dependencies.sweep(service, job)
-    spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
+    if query.attractor is None:
+        sweep = dependencies.sweep(service, job)
+        spec, state = trajectories.of_cell(sweep, values, query.direction, query.periods, query.samples)
+    else:
+        found = dependencies.attractors(service, job)
+        spec, state = trajectories.of_attractor(found, values, query.attractor, query.periods, query.samples)
     trajectories.check_cost(spec, service.settings.trajectory_seconds)
     content = service.background.run(answers.trajectory, spec, state)
     return Response(content, media_type=MEDIA_TYPES["json"])

@@ -19,6 +19,7 @@ from service.render import export as export_files
 from service.render import orbits as orbits_text
 from service.results import orbits, thresholds
 from service.results.mode_map import plane_size
+from service.results.multistability import plane_memory
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store
@@ -39,6 +40,9 @@ _PER_OMEGA: Final = 1_000
 
 
 def _diagram_memory(service: ServiceDep, job: JobRecord, query: parameters.DiagramQuery) -> int:
+    attractors = dependencies.attractors_along(service, job, query)
+    if attractors is not None:
+        return plane_memory(attractors)
     spec = dependencies.sweep(service, job).spec
     flights = line_flights(spec, query.along, query.every)
     if query.format != "json" and query.direction is None:
@@ -62,7 +66,17 @@ def diagram(
     for `outcome`, `bounces` and `periods`, unless all of a cell are so short. A sweep with exponents has
     `lyapunov` and `label` as well. Pictures show lines of any length, dense ones as density. JSON and CSV
     are limited in flights: thin them with `every`, which the JSON repeats.
+
+    Of a job with the protocol `multistability` it shows all coexisting attractors along gamma, as
+    `/multistability` does with `omega`.
     """
+    attractors = dependencies.attractors_along(service, job, query)
+    if attractors is not None:
+        place = (query.xi, query.omega, query.format)
+        answer = service.background.run(answers.multistability_diagram, attractors, *place)
+        return Response(
+            answer.content, media_type=MEDIA_TYPES[query.format], headers=_complete(answer.complete)
+        )
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
     line = dependencies.line(query)
     answer = service.background.run(answers.diagram, sweep, line, query.format, max_points, query.every)

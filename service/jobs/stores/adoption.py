@@ -16,11 +16,11 @@ from kernel.params import Outcome
 from service.errors import NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, NewJob
-from service.jobs.prepare import parse_stored
+from service.jobs.prepare import first_cells, parse_stored
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice
-from worker.schema import Layout
+from worker.schema import COMPUTED, Layout
 from worker.spec.errors import SpecError
 from worker.store import StoreError
 from worker.studies import Plan, study_of
@@ -109,6 +109,7 @@ def _contents(url: str, job_id: str) -> _Contents:
         chunk_shape=plan.chunk_shape,
         chunks_total=len(plan),
         cells_total=plan.cells,
+        first_cells=first_cells(spec, plan),
     )
     return _Contents(job, plan, study.variables(spec, plan.chunk_shape), _choice(attrs.get("choice")))
 
@@ -131,4 +132,5 @@ def _whole_chunks(url: str, contents: _Contents) -> Iterator[ChunkReport]:
             continue
         counts = [int((record["outcome"] == outcome).sum()) for outcome in Outcome]
         if sum(counts) == chunk.cells and not counts[Outcome.MISSING]:
-            yield ChunkReport(chunk.index, chunk.cells, 0.0, 0.0, checksum, tuple(counts))
+            computed = int(record[COMPUTED.name].sum()) if COMPUTED.name in record else None
+            yield ChunkReport(chunk.index, chunk.cells, 0.0, 0.0, checksum, tuple(counts), computed)

@@ -8,6 +8,9 @@ export function number(value, digits = 5) {
   return (exponent ? `${mantissa}·10^${Number(exponent)}` : mantissa).replaceAll("-", "−");
 }
 
+/** A part of 1 in percent. */
+export const share = (part) => `${part > 0 && part < 0.001 ? "<0.1" : number(100 * part, 3)} %`;
+
 export const count = (value) => value.toLocaleString("en");
 
 export const plural = (n, singular, many = `${singular}s`) => `${count(n)} ${n === 1 ? singular : many}`;

@@ -54,6 +54,10 @@ export class TrajectoryPanel {
   /** The motion of a cell as the sweep left it, or of a start; of a cycle, on an ideal plate. */
   #request(job, { direction, ...cell }, signal) {
     const start = startOf(direction);
+    if (start?.kind === "attractor") {
+      const parameters = query({ ...cell, attractor: start.number, periods: START_PERIODS, samples: SAMPLES });
+      return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
+    }
     const model = start?.kind === "cycle" ? { kind: "rigid" } : job.spec.model;
     const periods = start?.kind === "cycle" ? PERIODS : START_PERIODS;
     if (start) return requestTrajectory("/v1/trajectories", { method: "POST", signal, body: { ...cell, start, model, periods, samples: SAMPLES } });
@@ -99,7 +103,7 @@ export class TrajectoryPanel {
 
   #describeCell({ gamma, omega, xi, direction }) {
     const values = Object.entries({ gamma, omega, xi }).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`);
-    this.title.textContent = `Trajectory of a ${{ cycle: "cycle", drop: "drop", contact: "start" }[startOf(direction)?.kind] ?? "cell"}`;
+    this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[startOf(direction)?.kind] ?? "a cell"}`;
     this.about.textContent = `${values.join(", ")}, ${startText(direction)}`;
   }
 
@@ -118,6 +122,7 @@ function startText(direction) {
   const start = startOf(direction);
   if (start?.kind === "cycle") return "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
+  if (start?.kind === "attractor") return `on attractor ${start.number} of the cell`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }

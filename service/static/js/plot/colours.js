@@ -14,6 +14,24 @@ export function theme(print = false) {
   return themes.get(key);
 }
 
+// Of attractors by their number, as in the service's pictures (Okabe and Ito).
+const ATTRACTORS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666"];
+
+/** The colour of the attractor of a cell with this number, from 1; repeated beyond the eighth. */
+export const attractorColour = (id) => ATTRACTORS[(id - 1) % ATTRACTORS.length];
+
+/** Attractors of a plane with a colour of their own; the others share one. */
+export const COLOURED = ATTRACTORS.length - 1;
+
+// Blues that differ from each other and from a dark background.
+const ON_DARK = { "#0072b2": "#2f8be0", "#56b4e9": "#9bd7f7" };
+
+/** The colour of the attractor of a plane with this number, in a dark or light scheme. */
+export function branchColour(id, dark) {
+  if (id > COLOURED) return "#999999";
+  return (dark && ON_DARK[ATTRACTORS[id - 1]]) || ATTRACTORS[id - 1];
+}
+
 export function onThemeChange(listener, signal) {
   matchMedia(DARK).addEventListener("change", listener, { signal });
 }

@@ -4,18 +4,16 @@ import { addressValue, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
-import { number } from "../lib/format.js";
-import { AXES, clampIndex, initialValue, nearestIndex, outcomeText } from "../lib/physics.js";
+import { number, share } from "../lib/format.js";
+import { AXES, initialValue, outcomeText } from "../lib/physics.js";
 import { startName, startOf } from "../lib/starts.js";
-import { theme } from "../plot/colours.js";
-import { bitmap, circle, rgba32 } from "../plot/drawing.js";
-import { cellBorders } from "../plot/scale.js";
+import { attractorColour, theme } from "../plot/colours.js";
+import { rgba32 } from "../plot/drawing.js";
+import { drawCells, drawRing, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const HINT = "Point at a start to read it, click to see it move, drag to zoom.";
-// As in the service's pictures (Okabe and Ito), repeated beyond.
-const COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666"];
 const LABELS = {
   drop: { x: "phase of the plate when let go (rad)", y: "height above the plate / A" },
   contact: { x: "velocity of the elongation × Ω / A", y: "elongation beyond the static one / A" },
@@ -51,21 +49,21 @@ export class Basin extends PlotView {
 
   #showLegend() {
     const { attractors, undecided, basin_entropy: entropy, boundary_entropy: boundary } = this.basin;
-    const entry = (colour, text, share) => {
-      const swatch = h("span", { className: "swatch", "aria-hidden": "true" });
-      swatch.style.background = colour;
-      return h("li", {}, swatch, text, " ", h("small", {}, percentage(share)));
-    };
+    const { gamma, omega, xi } = this.basin;
+    const attractor = ({ id, fraction, ...about }) => legendEntry(attractorColour(id),
+      h("button", {
+        type: "button", className: "link", title: "See the attractor move",
+        onclick: () => this.onSelect({ gamma, omega, xi, direction: startName("attractor", id) }),
+      }, attractorText(about)), " ", h("small", {}, share(fraction)));
     this.legend.replaceChildren(
-      ...attractors.map((attractor) => entry(colourOf(attractor.id), attractorText(attractor), attractor.fraction)),
-      ...(undecided ? [entry(theme().surface, "undecided", undecided)] : []));
+      ...attractors.map(attractor),
+      ...(undecided ? [legendEntry(theme().surface, "undecided ", h("small", {}, share(undecided)))] : []));
     const texts = [["basin entropy", entropy], ["boundary basin entropy", boundary]].filter(([, value]) => value !== null);
     this.entropies.textContent = texts.map(([name, value]) => `${name} ${number(value, 4)}`).join(", ");
   }
 
   whole() {
-    const [x, y] = [cellBorders(this.basin.columns), cellBorders(this.basin.rows)];
-    return { x0: x[0], x1: x.at(-1), y0: y[0], y1: y.at(-1) };
+    return windowOf(this.basin.columns, this.basin.rows);
   }
 
   content() {
@@ -76,52 +74,31 @@ export class Basin extends PlotView {
       x: { label: LABELS[plane].x, low: x0, high: x1 },
       y: { label: LABELS[plane].y, low: y0, high: y1 },
       title: `Γ = ${number(gamma)}, Ω = ${number(omega)}, ξ = ${number(xi)}`,
-      colours: attractors.map((attractor) => [`${attractorText(attractor)} ${percentage(attractor.fraction)}`, () => colourOf(attractor.id)]),
+      colours: attractors.map((attractor) => [`${attractorText(attractor)} ${share(attractor.fraction)}`, () => attractorColour(attractor.id)]),
       message: this.basin.complete ? null : "This cell is not computed yet",
       layers: [(ctx, box) => this.#drawStarts(ctx, box)],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
   }
 
-  /** Each pixel has the colour of the nearest start. */
   #drawStarts(ctx, box) {
-    const { columns, rows, map } = this.basin;
-    const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
-    const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(columns, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
-    const undecided = rgba32(box.theme.surface);
-    const colours = COLOURS.map((colour) => rgba32(colour));
-    const fill = (pixels) => {
-      for (let row = 0; row < height; row++) {
-        const ids = map[nearestIndex(rows, box.y.value(box.top + ((row + 0.5) * box.height) / height))];
-        for (let i = 0; i < width; i++) {
-          const id = ids[nearest[i]];
-          pixels[row * width + i] = id ? colours[(id - 1) % COLOURS.length] : undecided;
-        }
-      }
-    };
-    bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
+    const { attractors, columns, rows, map } = this.basin;
+    const colours = [rgba32(box.theme.surface), ...attractors.map(({ id }) => rgba32(attractorColour(id)))];
+    drawCells(ctx, box, columns, rows, (row, column) => colours[map[row][column]]);
   }
 
   #drawCursor(ctx, box) {
     const start = this.selected() && startOf(this.selected().direction);
-    if (start && start.kind === this.basin.plane) this.#drawRing(ctx, box, start.phase ?? start.velocity, start.height ?? start.elongation, 9);
-    if (this.current) this.#drawRing(ctx, box, this.basin.columns[this.current.column], this.basin.rows[this.current.row], 6);
-  }
-
-  #drawRing(ctx, { x, y, theme: colours }, column, row, radius) {
-    circle(ctx, colours.surface, 4.5, x.pixel(column), y.pixel(row), radius);
-    circle(ctx, colours.cursor, 2, x.pixel(column), y.pixel(row), radius);
+    if (start && start.kind === this.basin.plane) drawRing(ctx, box, start.phase ?? start.velocity, start.height ?? start.elongation, 9);
+    if (this.current) drawRing(ctx, box, this.basin.columns[this.current.column], this.basin.rows[this.current.row], 6);
   }
 
   nearest(x, y) {
-    return this.basin ? { column: nearestIndex(this.basin.columns, x), row: nearestIndex(this.basin.rows, y) } : null;
+    return this.basin ? nearestCell(this.basin.columns, this.basin.rows, x, y) : null;
   }
 
   step(current, right, up) {
-    if (!this.basin) return null;
-    const { columns, rows } = this.basin;
-    const { column, row } = current ?? { column: columns.length >> 1, row: rows.length >> 1 };
-    return { column: clampIndex(column + right, columns.length), row: clampIndex(row + up, rows.length) };
+    return this.basin ? nextCell(this.basin.columns, this.basin.rows, current, right, up) : null;
   }
 
   centre() {
@@ -156,5 +133,3 @@ function attractorText({ outcome, label, bounces, periods, longest_flight: longe
   return parts.join(", ");
 }
 
-const colourOf = (id) => COLOURS[(id - 1) % COLOURS.length];
-const percentage = (share) => `${share > 0 && share < 0.001 ? "<0.1" : number(100 * share, 3)} %`;

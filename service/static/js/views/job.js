@@ -9,11 +9,15 @@ import { Basin } from "./basin.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
+import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { ProgressBar, UNFINISHED, notice, settling, showActions, summary, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
-const BASIN_TABS = { basin: ["Basins", Basin], details: TABS.details };
+const STUDY_TABS = { // by the kind of study; others have their details alone
+  basin: { basin: ["Basins", Basin], details: TABS.details },
+  multistability: { attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
+};
 const SHARED = [...AXES, "cell", "min"]; // query parameters that all tabs understand
 const POLL_MS = 600;
 const SLOW_POLL_MS = 3000; // for sweeps that take minutes, and after errors
@@ -159,7 +163,7 @@ export class JobView {
   /** The views of this kind of study. */
   #tabs() {
     if (isSweep(this.job.spec)) return TABS;
-    return this.job.spec.protocol.kind === "basin" ? BASIN_TABS : { details: TABS.details };
+    return STUDY_TABS[this.job.spec.protocol.kind] ?? { details: TABS.details };
   }
 
   #defaultTab() {

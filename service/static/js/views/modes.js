@@ -5,10 +5,10 @@ import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/ap
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
-import { OUTCOME, SYMBOL, axisLabel, clampIndex, initialValue, isClose, isLog, labelsOf, nearestIndex, outcomeText, threshold } from "../lib/physics.js";
+import { OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
-import { bitmap, circle, polyline, rgba32 } from "../plot/drawing.js";
-import { cellBorders } from "../plot/scale.js";
+import { polyline, rgba32 } from "../plot/drawing.js";
+import { drawCells, drawRing, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
@@ -103,11 +103,8 @@ export class Modes extends PlotView {
   /** The colours of the modes, and which cells are left out. */
   #showLegend() {
     const total = this.classes.ofCell.length;
-    this.legend.replaceChildren(...this.classes.present.map(({ id, name, cells }) => {
-      const swatch = h("span", { className: "swatch", "aria-hidden": "true" });
-      swatch.style.background = modeColour(id, theme().dark);
-      return h("li", {}, swatch, name, " ", h("small", {}, percentage(cells, total)));
-    }));
+    this.legend.replaceChildren(...this.classes.present.map(({ id, name, cells }) =>
+      legendEntry(modeColour(id, theme().dark), name, " ", h("small", {}, percentage(cells, total)))));
     const steps = [[this.plane.every_gamma, SYMBOL.gamma], [this.plane.every_omega, SYMBOL.omega]].filter(([every]) => every > 1);
     this.isThinned ||= steps.length > 0;
     this.refined.hidden = !this.isAdaptive;
@@ -125,9 +122,7 @@ export class Modes extends PlotView {
   }
 
   whole() {
-    const [x, y] = [cellBorders(this.grid.gamma), cellBorders(this.grid.omega)];
-    const positive = (borders, values) => (borders[0] > 0 ? borders[0] : values[0]); // for logarithmic axes
-    return { x0: positive(x, this.grid.gamma), x1: x.at(-1), y0: positive(y, this.grid.omega), y1: y.at(-1) };
+    return windowOf(this.grid.gamma, this.grid.omega, true);
   }
 
   content() {
@@ -146,25 +141,16 @@ export class Modes extends PlotView {
     };
   }
 
-  /** Each pixel has the colour of the nearest cell. */
   #drawCells(ctx, box) {
     const { gamma, omega } = this.axes;
-    const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
-    const columns = Int32Array.from({ length: width }, (_, i) => nearestIndex(gamma, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
     const colours = new Uint32Array(256);
     for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
     const { computed } = this.plane.arrays;
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    const fill = (pixels) => {
-      for (let row = 0; row < height; row++) {
-        const first = nearestIndex(omega, box.y.value(box.top + ((row + 0.5) * box.height) / height)) * gamma.length;
-        for (let i = 0; i < width; i++) {
-          const cell = first + columns[i];
-          pixels[row * width + i] = mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
-        }
-      }
-    };
-    bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
+    drawCells(ctx, box, gamma, omega, (row, column) => {
+      const cell = row * gamma.length + column;
+      return mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
+    });
   }
 
   #drawThreshold(ctx, box) {
@@ -184,14 +170,11 @@ export class Modes extends PlotView {
   }
 
   nearest(x, y) {
-    return this.plane ? { column: nearestIndex(this.axes.gamma, x), row: nearestIndex(this.axes.omega, y) } : null;
+    return this.plane ? nearestCell(this.axes.gamma, this.axes.omega, x, y) : null;
   }
 
   step(current, right, up) {
-    if (!this.plane) return null;
-    const { gamma, omega } = this.axes;
-    const { column, row } = current ?? { column: gamma.length >> 1, row: omega.length >> 1 };
-    return { column: clampIndex(column + right, gamma.length), row: clampIndex(row + up, omega.length) };
+    return this.plane ? nextCell(this.axes.gamma, this.axes.omega, current, right, up) : null;
   }
 
   centre() {
@@ -217,12 +200,6 @@ export class Modes extends PlotView {
     const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], ...extra(label, i), bounces[i], periods[i], ...extra(computed, i)];
     return csv(["gamma", "omega", "xi", "outcome", ...(label ? ["label"] : []), "bounces", "periods", ...(computed ? ["computed"] : [])], Array.from(outcome, row));
   }
-}
-
-/** A ring with an outline, visible on every colour. */
-function drawRing(ctx, { x, y, theme }, gamma, omega, radius) {
-  circle(ctx, theme.surface, 4.5, x.pixel(gamma), y.pixel(omega), radius);
-  circle(ctx, theme.cursor, 2, x.pixel(gamma), y.pixel(omega), radius);
 }
 
 const percentage = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;

@@ -32,9 +32,11 @@ export class ProgressBar {
   }
 }
 
-function amount(state, { cells_done: done, cells_total: total, percent, eta_seconds: eta }) {
-  if (state === "done") return plural(total, "cell");
-  const text = `${number(percent, 3)} % of ${plural(total, "cell")}`;
+function amount(state, { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta }) {
+  const isAdaptive = (computed ?? null) !== null;
+  if (state === "done") return isAdaptive ? `${plural(total, "cell")}, ${count(computed)} computed` : plural(total, "cell");
+  const known = isAdaptive ? `, ${count(computed)} of at least ${count(needed)} computed` : "";
+  const text = `${number(percent, 3)} % of ${plural(total, "cell")}${known}`;
   return state === "running" && eta !== null && done ? `${text}, ${duration(eta)} left` : text;
 }
 

@@ -1,0 +1,229 @@
+"""Basins of attraction: the time of a large plane, and attractors told apart in cells of random choice.
+
+    python -m benchmarks.basins time [--side 256]
+    python -m benchmarks.basins cells [--kind rigid] [--seed 11] [--count 14] [--side 64]
+
+`time`: one cell of `side` x `side` drops with the default windows, settle 1,500 at xi .05; such a cell is one
+task on one core.
+
+`cells`: random cells in which a coarse plane shows more than one motion. A few starts of every attractor
+found are run for 5,000 plate periods and grouped independently: cycles by mode and flights within 1e-6 rad,
+other motions by which parts of the plane (flight time, take-off phase) they visit in 3,000 plate periods.
+Spurious is an attractor of more than 0.3 % that shares such a group with another; merged, one that is in two.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.machine import describe
+from benchmarks.tables import short, table
+from kernel.params import Line, Outcome
+from worker import store
+from worker.basins.attractors import Found, counted, find
+from worker.basins.spec import BasinSpec
+from worker.basins.starts import starts_of
+from worker.basins.steps import line_run
+from worker.basins.study import BASINS, rules_of, run_chunk
+from worker.spec import AXES
+
+#: Of `time`: cells with a smooth and with a fractal boundary, with a chaotic attractor and with slow cycles.
+TIMED: Final = (
+    (3.6, 0.5, 0.26), (1.27, 0.5, 0.26), (5.0, 0.5, 0.26), (0.7, 0.6, 0.05), (1.0, 0.34, 0.05),
+    (3.8, 1.0, 0.05),
+)  # fmt: skip
+
+#: Of `cells`: the contact, and the ranges of gamma and omega.
+KINDS: Final[dict[str, tuple[dict[str, Any], tuple[float, float]]]] = {
+    "rigid": ({"kind": "rigid"}, (0.5, 6.0)),
+    "high": ({"kind": "rigid"}, (6.0, 20.0)),
+    "restitution": ({"kind": "rigid", "restitution": 0.3}, (0.9, 6.0)),
+    "soft": ({"kind": "soft"}, (0.9, 6.0)),
+}
+OMEGAS: Final = (0.25, 1.5)
+XIS: Final = (0.05, 0.1, 0.26, 0.5)
+
+#: Starts of each attractor that are run on, plate periods before and in their window, flights kept of it.
+STARTS: Final = 6
+LONG: Final = (5000, 3000, 4096)
+SAME: Final = 1e-6
+#: Parts along each side of the plane (flight time, take-off phase), and the share of the flights of one run
+#: that must lie in parts which another visits.
+PARTS: Final = 24
+VISITED: Final = 0.8
+#: Attractors with fewer starts than this share do not count.
+SMALL: Final = 0.003
+
+
+def spec_of(cell: tuple[float, float, float], model: dict[str, Any], side: int) -> BasinSpec:
+    gamma, omega, xi = cell
+    protocol = {"kind": "basin", "rows": side, "columns": side}
+    return BasinSpec.parse(
+        {"gamma": gamma, "omega": omega, "xi": xi, "model": model, "protocol": protocol,
+         "settle": 500 if xi > 0.08 else 1500}
+    )  # fmt: skip
+
+
+def _cell(spec: BasinSpec) -> tuple[float, float, float]:
+    xi, omega, gamma = (float(spec.axis_values(axis)[0]) for axis in AXES)
+    return gamma, omega, xi
+
+
+def run(spec: BasinSpec, states: NDArray[np.float64], settle: int, observe: int, keep: int) -> Line:
+    """The starts `states` of the cell of `spec`, followed."""
+    cells = tuple(np.full(len(states), value) for value in _cell(spec))
+    run = line_run(spec, cells, np.ascontiguousarray(states), settle=settle, observe=observe, keep=keep)
+    run.advance()
+    return run.line
+
+
+def search(spec: BasinSpec) -> Found:
+    """The attractors of the cell, as a task finds them."""
+
+    def answer(request: Any, reduce: Any) -> Any:
+        cells = tuple(np.full(len(request.states), value) for value in _cell(spec))
+        window = request._asdict()
+        run = line_run(spec, cells, window.pop("states"), **window)
+        run.advance()
+        return reduce(run.line)
+
+    return find(starts_of(spec, *_cell(spec)), rules_of(spec), answer)
+
+
+def groups_of(spec: BasinSpec, found: Found) -> tuple[list[int], list[list[int]]]:
+    """The attractor of each start that is run on, and the starts grouped by what long runs show."""
+    chance = np.random.default_rng(1)
+    chosen: list[int] = []
+    for number in range(1, len(found.attractors) + 1):
+        starts = np.flatnonzero(found.ids == number)
+        chosen += chance.choice(starts, min(STARTS, len(starts)), replace=False).tolist()
+    line = run(spec, starts_of(spec, *_cell(spec))[chosen], *LONG)
+    flights = [counted(line, i, spec.micro_flight) for i in range(len(chosen))]
+    longest = max([time.max(initial=0.0) for time, _ in flights]) or 1.0
+    visits = [_visits(*pair, longest) for pair in flights]
+    groups: list[list[int]] = []
+    for i in range(len(chosen)):
+        group = next((group for group in groups if _same(line, flights, visits, i, group)), None)
+        if group is None:
+            groups.append([i])
+        else:
+            group.append(i)
+    return [int(found.ids[start]) for start in chosen], groups
+
+
+def _visits(time: NDArray[np.float64], phase: NDArray[np.float64], longest: float) -> NDArray[np.int64]:
+    row = np.minimum(time / longest * PARTS, PARTS - 1).astype(int)
+    column = np.minimum(phase % (2.0 * np.pi) / (2.0 * np.pi) * PARTS, PARTS - 1).astype(int)
+    return np.bincount(row * PARTS + column, minlength=PARTS**2)
+
+
+def _same(line: Line, flights: list[Any], visits: list[Any], i: int, group: list[int]) -> bool:
+    """Whether run i shows what those of a group do."""
+    first = group[0]
+    if Outcome.PERIODIC in (line.outcome[i], line.outcome[first]):
+        modes = [(line.outcome[j], line.bounces[j], line.periods[j]) for j in (i, first)]
+        if modes[0] != modes[1]:
+            return False
+        cycles = [np.sort(flights[j][0][-line.bounces[j] :]) for j in (i, first)]
+        return bool(np.all(np.abs(cycles[0] - cycles[1]) < SAME))
+    if Outcome.AT_REST in (line.outcome[i], line.outcome[first]):
+        return bool(line.outcome[i] == line.outcome[first])
+    own, others = visits[i], sum(visits[j] for j in group)
+    shares = (own[others > 0].sum() / max(own.sum(), 1), others[own > 0].sum() / max(others.sum(), 1))
+    return max(shares) > VISITED
+
+
+def judged(spec: BasinSpec) -> tuple[str, int, int]:
+    """What is found in a cell, and how many of its attractors are spurious and merged."""
+    found = search(spec)
+    owners, groups = groups_of(spec, found)
+    counted = {n for n, attractor in enumerate(found.attractors, 1) if attractor.fraction > SMALL}
+    numbers = [{owners[i] for i in group} & counted for group in groups]
+    spurious = sum(len(group) - 1 for group in numbers if group)
+    merged = sum(sum(n in group for group in numbers) > 1 for n in counted)
+    names = [f"{_name(a.outcome, a.bounces, a.periods)} {100.0 * a.fraction:.2f} %" for a in found.attractors]
+    undecided = float(np.mean(found.ids == 0))
+    return (
+        ", ".join([*names, *([f"undecided {100 * undecided:.2f} %"] if undecided else [])]),
+        spurious,
+        merged,
+    )
+
+
+def _name(outcome: int, bounces: int, periods: int) -> str:
+    return f"({bounces},{periods})" if outcome == Outcome.PERIODIC else Outcome(outcome).name.lower()
+
+
+def candidates(kind: str, seed: int, count: int, side: int) -> Iterator[BasinSpec]:
+    """Random cells of which 6 x 6 drops show more than one motion."""
+    chance = np.random.default_rng(seed)
+    model, gammas = KINDS[kind]
+    while count:
+        cell = (
+            round(chance.uniform(*gammas), 4),
+            round(chance.uniform(*OMEGAS), 4),
+            float(chance.choice(XIS)),
+        )
+        coarse = spec_of(cell, model, 6)
+        line = run(coarse, starts_of(coarse, *cell), coarse.settle, coarse.observe, 64)
+        if (
+            len(set(zip(line.outcome.tolist(), line.bounces.tolist(), line.periods.tolist(), strict=True)))
+            > 1
+        ):
+            count -= 1
+            yield spec_of(cell, model, side)
+
+
+def cells(kind: str, seed: int, count: int, side: int) -> None:
+    rows = []
+    for spec in candidates(kind, seed, count, side):
+        began = time.process_time()
+        text, spurious, merged = judged(spec)
+        gamma, omega, xi = _cell(spec)
+        seconds = time.process_time() - began
+        rows.append([f"{gamma:g}, {omega:g}, {xi:g}", text, spurious, merged, short(seconds)])
+        print(*rows[-1], sep=" | ", flush=True)
+    print(table(["Γ, Ω, ξ", "attractors found", "spurious", "merged", "core-s with the check"], rows))
+    print(f"{len(rows)} cells: {sum(row[2] for row in rows)} spurious, {sum(row[3] for row in rows)} merged")
+
+
+def times(side: int) -> None:
+    rows = []
+    for cell in (TIMED[0], *TIMED):  # the first run loads the kernels
+        spec = spec_of(cell, {"kind": "rigid"}, side)
+        plan = BASINS.plan(spec)
+        with tempfile.TemporaryDirectory() as folder:
+            url = str(Path(folder) / "basin.zarr")
+            store.create(url, BASINS.variables(spec, plan.chunk_shape))
+            wall, core = time.perf_counter(), time.process_time()
+            run_chunk(spec, plan[0], url)
+            wall, core = time.perf_counter() - wall, time.process_time() - core
+        rows.append([", ".join(f"{value:g}" for value in cell), spec.settle, short(wall), short(core)])
+    print(table(["Γ, Ω, ξ", "settle", "s", "core-s"], rows[1:]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    what = parser.add_subparsers(dest="what", required=True)
+    timing = what.add_parser("time")
+    timing.add_argument("--side", type=int, default=256)
+    checking = what.add_parser("cells")
+    checking.add_argument("--kind", choices=KINDS, default="rigid")
+    for name, default in (("seed", 11), ("count", 14), ("side", 64)):
+        checking.add_argument(f"--{name}", type=int, default=default)
+    options = parser.parse_args()
+    print(describe())
+    if options.what == "time":
+        times(options.side)
+    else:
+        cells(options.kind, options.seed, options.count, options.side)
+
+
+if __name__ == "__main__":
+    main()
