@@ -47,12 +47,10 @@ class JobManager:
         self.preparer = JobPreparer(settings)
         self._deleter = Deleter(ledger, settings, self._wake)
         self._supervisor = Supervisor(
-            ledger, executor, settings, self.preparer, self._is_ready, self._deleter.repeat
+            ledger, executor, settings, self.preparer, self._is_verified, self._deleter.repeat
         )
         self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate, self._deleter.repeat)
-        self._scrubber = Scrubber(
-            ledger, settings, self.preparer, self.repairer, self._supervisor.wake, self.is_computing
-        )
+        self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self._supervisor.wake)
 
     def is_computing(self) -> bool:
         """Whether chunks of jobs are in flight."""
@@ -109,8 +107,8 @@ class JobManager:
             notices.append(f"the data folder is on a network file system ({network}): {NOT_LOCAL}")
         return notices
 
-    def _is_ready(self, job_id: str) -> bool:
-        return self._scrubber.is_ready(job_id)
+    def _is_verified(self, job_id: str) -> bool:
+        return self._scrubber.is_verified(job_id)
 
     def _wake(self) -> None:
         self._supervisor.wake()

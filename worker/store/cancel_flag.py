@@ -1,7 +1,5 @@
 """The cancel flag, an empty file beside a store, and the partial files of killed writers inside it."""
 
-import math
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -25,16 +23,12 @@ def is_cancelled(url: str) -> bool:
     return backend.has_flag(f"{url}{_SUFFIX}")
 
 
-def sweep_leftovers(url: str, before: float = math.inf) -> int:
-    """Remove partial files of killed writers and return their number.
+def sweep_leftovers(url: str) -> int:
+    """Remove partial files of killed writers and return their number; no task may be writing.
 
-    before: only those last written earlier, in seconds since 1970; without it no task may be writing.
     Buckets have no partial objects: writing one is atomic.
     """
-    removed = 0
-    for path in () if backend.in_bucket(url) else Path(url).rglob("*.partial"):
-        with suppress(FileNotFoundError):  # its writer has renamed it
-            if path.stat().st_mtime < before:
-                path.unlink()
-                removed += 1
-    return removed
+    leftovers = [] if backend.in_bucket(url) else list(Path(url).rglob("*.partial"))
+    for path in leftovers:
+        path.unlink(missing_ok=True)
+    return len(leftovers)

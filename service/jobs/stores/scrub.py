@@ -1,14 +1,12 @@
-"""Startup scrub: repairs metadata, verifies stored checksums, finds stores that the ledger does not know.
+"""Startup scrub: verifies stored checksums, repairs metadata, finds stores that the ledger does not know.
 
-A thread goes once through the jobs that the ledger had at the start. The unfinished ones come first: their
-metadata are repaired, and they go on. Then it reads every stored chunk once, which takes a fraction of a
-millisecond per chunk, of the unfinished jobs and of the others, the last accepted first; while jobs are
-computed it rests as long as it reads. Damage in a chunk it has not reached is met when the chunk is read.
+A thread goes once through the jobs that the ledger had at the start: first the unfinished ones, which wait
+for it, then the others, the last accepted first. It reads every stored chunk once, which takes a fraction
+of a millisecond per chunk. Damage in a job it has not reached is met when the job is read.
 """
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import Final
@@ -25,8 +23,6 @@ log = logging.getLogger(__name__)
 
 #: Chunks verified before the thread checks whether to stop, and whether a job waits for it.
 CHUNKS_PER_PAGE: Final = 500
-#: The longest rest (s) after a page.
-LONGEST_REST: Final = 1.0
 #: Jobs read from the ledger at once.
 JOBS_PER_PAGE: Final = 100
 #: Unknown stores that the log names one by one.
@@ -34,10 +30,7 @@ MAX_NAMED: Final = 20
 
 
 class Scrubber:
-    """Verifies what was stored before this start; `wake` is called whenever a job may go on.
-
-    `is_computing`: whether chunks of jobs want the disk.
-    """
+    """Verifies what was stored before this start; `wake` is called whenever a job is verified."""
 
     def __init__(
         self,
@@ -46,20 +39,17 @@ class Scrubber:
         preparer: JobPreparer,
         repairer: Repairer,
         wake: Callable[[], None],
-        is_computing: Callable[[], bool] = lambda: False,
     ) -> None:
         self._ledger, self._settings, self._wake = ledger, settings, wake
-        self._preparer, self._repairer, self._is_computing = preparer, repairer, is_computing
-        self._ready: set[str] = set()  # jobs whose metadata are in order
-        self._verified: set[str] = set()  # jobs whose chunks are, too
+        self._preparer, self._repairer = preparer, repairer
+        self._verified: set[str] = set()
         self.unknown_stores: Sequence[str] = ()  # addresses; the ledger did not know them at the start
         self._newest = 0  # the last job there was at the start; later ones need no verification
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="scrubber", daemon=True)
 
     def start(self) -> None:
-        """Start the thread; until then no job is ready."""
-        self._began = time.time()
+        """Start the thread; until then no job is verified."""
         with self._ledger.reading() as ledger:
             self._newest = ledger.newest_seq()
         self._thread.start()
@@ -70,23 +60,17 @@ class Scrubber:
         if self._thread.is_alive():
             self._thread.join(seconds)
 
-    def is_ready(self, job_id: str) -> bool:
-        """Whether the metadata of this job's store have been found in order since the start."""
-        if job_id in self._ready:
+    def is_verified(self, job_id: str) -> bool:
+        """Whether every chunk marked as done of this job has been found intact since the start."""
+        if job_id in self._verified:
             return True
         job = self._ledger.find(job_id)
         return job is not None and job.seq > self._newest
 
-    def is_verified(self, job_id: str) -> bool:
-        """Whether every chunk marked as done of this job has been found intact since the start."""
-        return job_id in self._verified
-
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                self._make_ready()
-                unfinished = [job for job in self._unfinished() if job.id not in self._verified]
-                for job in chain(unfinished, self._all()):
+                for job in chain(self._waiting(), self._all()):
                     if self._stop.is_set():
                         return
                     self._scrub(job)
@@ -98,64 +82,49 @@ class Scrubber:
                 self._stop.wait(pause)
 
     def _all(self) -> Iterator[JobRecord]:
-        """Every job there was at the start, the last accepted first."""
+        """Every job there was at the start, the last accepted first; before each, those that wait."""
         before = self._newest + 1
         while True:
             with self._ledger.reading() as ledger:
                 page = ledger.newest(None, JOBS_PER_PAGE, before)
             if not page:
                 return
-            yield from (job for job in page if job.id not in self._verified)
+            for job in page:
+                yield from self._waiting()
+                if job.id not in self._verified:
+                    yield job
             before = page[-1].seq
 
-    def _unfinished(self) -> Iterator[JobRecord]:
-        """Unfinished jobs that there were at the start."""
+    def _waiting(self) -> Iterator[JobRecord]:
+        """Unfinished jobs that are not verified: the supervisor waits for them."""
         with self._ledger.reading() as ledger:
-            ids = [job.id for job in ledger.unfinished(self._settings.max_queue) if job.seq <= self._newest]
-        for job_id in ids:
+            unfinished = [job.id for job in ledger.unfinished(self._settings.max_queue)]
+        for job_id in unfinished:
             job = self._ledger.find(job_id)
-            if job is not None and job.state in UNFINISHED:
+            if job is not None and not self.is_verified(job_id) and job.state in UNFINISHED:
                 yield job
 
-    def _make_ready(self) -> None:
-        """Repair the metadata of unfinished jobs, also of those resumed meanwhile: they wait for it."""
-        for job in self._unfinished():
-            if job.id not in self._ready and not self._stop.is_set():
-                try:
-                    self._repair_metadata(job)
-                except Exception:
-                    log.exception("job %s: its store cannot be looked at; it goes on as it is", job.id)
-                self._ready.add(job.id)
-                self._wake()
-
-    def _repair_metadata(self, job: JobRecord) -> None:
-        if job.chunks_done:
-            self._repairer.repair_metadata(job)
-
     def _scrub(self, job: JobRecord) -> None:
-        """Verify one job, with interruptions for those that are resumed meanwhile."""
+        """Verify one job; a finished one is interrupted for those that are resumed meanwhile."""
         try:
-            began = time.monotonic()
             for _ in self._verify(job):
                 if self._stop.is_set():
                     return
-                self._make_ready()
-                if self._is_computing():
-                    self._stop.wait(min(time.monotonic() - began, LONGEST_REST))
-                began = time.monotonic()
+                if job.state not in UNFINISHED:
+                    for other in self._waiting():
+                        if other.id != job.id:
+                            self._scrub(other)
         except Exception:
             log.exception("job %s cannot be verified; damage will be met when it is read", job.id)
-        self._ready.add(job.id)
         self._verified.add(job.id)
+        self._wake()
 
     def _verify(self, job: JobRecord) -> Iterator[None]:
         """Remove leftovers of interrupted writes, repair metadata, verify chunks; yields after each page."""
         prepared = self._preparer.prepare(job)
-        if job.id not in self._ready:
-            self._repair_metadata(job)
-        yield
-        store.sweep_leftovers(prepared.store_url, before=self._began)
-        yield
+        store.sweep_leftovers(prepared.store_url)
+        if job.chunks_done:
+            self._repairer.repair_metadata(job)
         last = -1
         while True:
             with self._ledger.reading() as ledger:
