@@ -261,7 +261,7 @@ class Work:
             log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", self._chunk, error)
             self._slice_seconds = math.inf
             return
-        raise ChunkPaused(f"paused: {self._url}")
+        raise ChunkPaused(f"paused after {self._slice_seconds:g} s: {self._url}")
 
     @contextmanager
     def _discarding_checkpoint(self) -> Iterator[None]:
