@@ -55,10 +55,13 @@ def write(study: Stored[Any], layout: Layout, blocks: Iterable[Block], path: Pat
     is_sweep = isinstance(study, Sweep)
     table = _schema(study.spec) if is_sweep else schema_of(layout)
     table = table.with_metadata(origin)
-    with parquet.ParquetWriter(path, table, compression="zstd") as file:
-        for block in blocks:
-            rows = _rows(study.spec, block, table) if is_sweep else rows_of(layout, block, table)
-            file.write_batch(rows)
+    try:
+        with parquet.ParquetWriter(path, table, compression="zstd") as file:
+            for block in blocks:
+                rows = _rows(study.spec, block, table) if is_sweep else rows_of(layout, block, table)
+                file.write_batch(rows)
+    finally:
+        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
 
 
 def _rows(spec: SweepSpec, block: Block, table: pa.Schema) -> pa.RecordBatch:
