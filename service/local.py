@@ -118,24 +118,29 @@ def run_to_file(
     from worker.studies import from_json
 
     target, parsed = Path(output), from_json(body(spec))
-    if not isinstance(parsed, SweepSpec):
-        raise InvalidRequest.of("format", "only a sweep is written as one file; name a zarr store instead")
+    if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
+        formats = ", ".join((*EXPORTS, "zarr"))
+        raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
     from service.render import answers, export
-    from service.results.selection import Sweep, fixed_axes, resolve_direction
+    from service.results.selection import Stored, Sweep, fixed_axes, resolve_direction
 
     where = _line(line or {})
-    if format not in EXPORTS:  # before computing for hours
+    # Before computing for hours.
+    if format in EXPORTS:
+        export.check_numbers(parsed)
+    else:
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)
     with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
         sweep = Sweep(job.spec, job.store_url, complete=True)
+        study = sweep if isinstance(parsed, SweepSpec) else Stored(job.spec, job.store_url, complete=True)
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
             if format in EXPORTS:
                 kind, folder = cast(ExportFormat, format), limits.exports_path
-                made = export.make(InThisProcess(), sweep, job.plan, kind, folder)
+                made = export.make(InThisProcess(), study, job.plan, kind, folder)
                 file.writelines(export.pieces(made))
             else:
                 table = cast(DiagramFormat, format)
