@@ -115,7 +115,7 @@ def run_to_file(
     """
     claim_kernels()
     from worker.spec import SweepSpec
-    from worker.studies import from_json
+    from worker.studies import from_json, study_of
 
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
@@ -129,7 +129,7 @@ def run_to_file(
     where = _line(line or {})
     # Before computing for hours.
     if format in EXPORTS:
-        export.check_numbers(parsed)
+        export.check_numbers(parsed, study_of(parsed).plan(parsed))
     else:
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)

@@ -36,10 +36,9 @@ _WRITERS: Final[Mapping[ExportFormat, Callable[[Stored[Any], Layout, Iterable[Bl
 }
 
 
-def check_numbers(spec: Any) -> None:
+def check_numbers(spec: Any, plan: Plan) -> None:
     """Raise InvalidRequest for a study whose arrays such files cannot hold: complex numbers."""
-    study = study_of(spec)
-    for array in study.variables(spec, study.plan(spec).chunk_shape).arrays:
+    for array in study_of(spec).variables(spec, plan.chunk_shape).arrays:
         if np.dtype(array.dtype).kind == "c":
             rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
             raise InvalidRequest.of("format", rule)

@@ -178,7 +178,7 @@ def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQ
     Of a job of basins or multistability Parquet has a row for every attractor of a cell.
     """
     study, plan = dependencies.stored(service, job), service.manager.preparer.prepare(job).plan
-    export_files.check_numbers(study.spec)
+    export_files.check_numbers(study.spec, plan)
     export_files.check_size(study, plan, service.settings.max_export_bytes)
     file = export_files.make(service.background, study, plan, query.format, service.settings.exports_path)
     headers = {
