@@ -60,10 +60,14 @@ class JobRun:
         return self._has_ready and not self.refused and not self.has_unsaved
 
     @property
+    def stopped(self) -> bool:
+        """Whether no further chunk is submitted: it is being cancelled, or has failed."""
+        return self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
+
+    @property
     def _has_ready(self) -> bool:
         """Whether there is a chunk to submit, now or later."""
-        stopped = self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
-        return not stopped and self._ready_queue.ready > 0
+        return not self.stopped and self._ready_queue.ready > 0
 
     def pop(self) -> Chunk:
         """The next chunk to compute."""

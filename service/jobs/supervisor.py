@@ -317,14 +317,14 @@ class Supervisor:
             # The others' stores are in the same bucket: each would wait as long. The next sync tries again.
             log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
-        self._withdraw_cancelled(cluster)
+        self._withdraw_stopped(cluster)
         self._ask_for_workers()
 
-    def _withdraw_cancelled(self, cluster: ClusterState) -> None:
-        """Without workers, take back the chunks of jobs that are being cancelled: none of them will begin."""
+    def _withdraw_stopped(self, cluster: ClusterState) -> None:
+        """Without workers, take back the chunks of jobs that are stopped: none will begin."""
         if cluster.connected and not cluster.workers:
             for run in self._runs.values():
-                for future in list(run.in_flight.values()) if run.stopping else ():
+                for future in list(run.in_flight.values()) if run.stopped else ():
                     future.cancel()
 
     def _ask_for_workers(self) -> None:

@@ -6,16 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from harm import leave
 from paths import CACHE
 from running import costing, running
 from scripted import wait_for
 
 from service.jobs.model import JobState
-from worker import watchdog
+from worker import store, watchdog
 from worker.executors import dask
 from worker.executors.dask import Dask
+from worker.executors.errors import WorkerLeft
 from worker.executors.quarantine import MARKS, Quarantine
 from worker.kernel_cache import warm
+from worker.plan import make_plan
+from worker.schema import layout
 
 PATIENCE = 240.0
 
@@ -42,7 +46,8 @@ def test_one_of_two_workers_fails_everything(
         client.run(break_disk, workers=[bad])
         with running(tmp_path, executor, chunk_tries=2) as service:
             job = service.submit(costing(chunks=60, seconds=0.1))
-            ended = service.until(job, JobState.DONE, seconds=PATIENCE)
+            ended = service.until(job, JobState.DONE, JobState.FAILED, seconds=PATIENCE)
+            assert (ended.state, ended.error) == (JobState.DONE, None)
             assert ended.chunks_done == ended.chunks_total
         failures = [message for message in caplog.messages if "Input/output error" in message]
         assert all(f"worker {bad} on {socket.gethostname()}" in message for message in failures)
@@ -50,6 +55,26 @@ def test_one_of_two_workers_fails_everything(
         rested = [message for message in caplog.messages if "gets none for 5 s" in message]
         assert rested
         assert all(f"worker {bad} on " in message for message in rested)
+    finally:
+        executor.close()
+
+
+def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
+    warm(CACHE)
+    executor = Dask(workers=2, kernel_cache=CACHE)
+    try:
+        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+        first, second = sorted(executor._connection.client.scheduler_info()["workers"])
+        spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")
+        plan = make_plan(spec)
+        store.create(url, layout(spec, plan.chunk_shape))
+        executor._quarantine.failed((url, 0), first)
+        executor._connection.client.run(leave, workers=[second], on_error="ignore")
+        try:
+            report = executor.submit(spec, plan[0], url).result(PATIENCE)
+        except WorkerLeft:
+            report = executor.submit(spec, plan[0], url).result(PATIENCE)
+        assert report.index == 0
     finally:
         executor.close()
 

@@ -39,6 +39,8 @@ log = logging.getLogger(__name__)
 COUNT_SECONDS: Final = 1.0
 #: Why nothing can be written where the stores are.
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
+#: Seconds between two looks at whether the workers are there to which a chunk that failed is bound.
+OTHERS_SECONDS: Final = 2.0
 #: Above that of any chunk: a request waits for the result.
 CALL_PRIORITY: Final = 1_000_000.0
 
@@ -162,26 +164,25 @@ class Dask:
     ) -> "Future[Any]":
         """Submit to the scheduler. Raises ClusterLost, also if the connection is lost at this moment."""
         client = self._connection.client
-        elsewhere = self._elsewhere(identity)
+        others = self._others(identity)
         try:
             future = client.submit(
-                run_if_admitted, function, *arguments, pure=False, priority=priority, **elsewhere
+                run_if_admitted, function, *arguments, pure=False, priority=priority, workers=others
             )
-            outcome = self._outcome(future, identity)
+            outcome = self._outcome(future, identity, others)
             return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
         except Exception as error:  # distributed raises whatever comes when its client is closing
             if client.status != "running":
                 raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
             raise
 
-    def _elsewhere(self, identity: Hashable) -> dict[str, Any]:
-        """Options that send a chunk that failed to another worker than before, if there is one."""
+    def _others(self, identity: Hashable) -> list[str] | None:
+        """The workers on which a chunk that failed has not failed yet; None for all, or if there are none."""
         failed_on = self._quarantine.failed_on(identity)
         if not failed_on:
-            return {}
+            return None
         useless = {worker.worker for worker in self._roster.refused}
-        others = self._connection.threads_of().keys() - failed_on - useless
-        return {"workers": sorted(others), "allow_other_workers": True} if others else {}
+        return sorted(self._connection.threads_of().keys() - failed_on - useless) or None
 
     def _on_event(self, event: dict[str, Any]) -> None:
         """A worker began a task, or its watchdog terminates it over one."""
@@ -192,13 +193,25 @@ class Dask:
         if "why" in event and not task.termination.done():
             task.termination.set_result(event["why"])
 
-    async def _outcome(self, future: Any, identity: Hashable) -> Any:
-        """The result of a task, in the client's event loop; the cluster forgets the task in any case."""
+    async def _outcome(self, future: Any, identity: Hashable, others: list[str] | None) -> Any:
+        """The result of a task, in the client's event loop; the cluster forgets the task in any case.
+
+        `others`: the workers that alone may run it.
+        """
         task = _Task(asyncio.get_running_loop().create_future(), identity)
         self._tasks[future.key] = task
         result = asyncio.ensure_future(future.result())
         try:
-            await asyncio.wait({result, task.termination}, return_when=asyncio.FIRST_COMPLETED)
+            while not result.done() and not task.termination.done():
+                await asyncio.wait(
+                    {result, task.termination},
+                    timeout=None if others is None else OTHERS_SECONDS,
+                    return_when=asyncio.FIRST_COMPLETED,
+                )
+                waits = not result.done() and task.worker is None
+                if waits and others is not None and await self._are_gone(others):
+                    await future.cancel()
+                    raise WorkerLeft("the workers on which it had not failed are gone")
             if not result.done():
                 await future.cancel()  # else the scheduler may start it on another worker
                 raise WorkerDied(task.termination.result())
@@ -217,7 +230,7 @@ class Dask:
         except asyncio.CancelledError:
             await future.cancel()
             raise
-        except (TaskError, WorkerRefused):
+        except (TaskError, WorkerLeft, WorkerRefused):
             raise
         except Exception as error:
             self._on_failed(task, error)
@@ -226,6 +239,13 @@ class Dask:
             result.cancel()
             del self._tasks[future.key]
             future.release()
+
+    async def _are_gone(self, workers: list[str]) -> bool:
+        """Whether none of these is there any more; distributed would keep their tasks for ever."""
+        try:
+            return not await self._connection.client.scheduler.ncores(workers=workers)
+        except (OSError, ClusterLost):
+            return False
 
     def _on_failed(self, task: _Task, error: Exception) -> None:
         """A chunk failed, or its worker died of it: the error says where, and the next try goes elsewhere."""
