@@ -33,7 +33,7 @@ NOT_RUN = {
     "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
     "takes minutes": r"bounce figure (all|hysteresis|branches|curves|energy)\b|bounce tradeoff |"
     r"python -m benchmarks\.",
-    "goes on until it is stopped": r"dask worker ",
+    "goes on until it is stopped": r"dask worker |bounce serve --cluster elastic:cluster",
     "the service must be stopped": r"bounce (restore|adopt) ",
 }
 
