@@ -38,7 +38,7 @@ NOT_RUN = {
 }
 
 #: So that a good reason does not become a habit.
-MOST_NOT_RUN = 12
+MOST_NOT_RUN = 15
 
 #: What must not be hidden in a block of plain text.
 LOOKS_RUNNABLE = re.compile(
