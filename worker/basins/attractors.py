@@ -58,8 +58,10 @@ EXPONENT_WINDOW: Final = 1000
 SAME_DISTRIBUTION: Final = 0.05
 HALVES: Final = 1.5
 
-#: Share of all starts to which motion that ends is followed, where that is cheap.
+#: Share of all starts to which motion that ends is followed, where that takes at most so many times what all
+#: starts up to `until` take.
 LEFT: Final = 0.001
+WORTH: Final = 4.0
 
 #: Searches for further aperiodic attractors among the starts farthest from those known.
 SEARCHES: Final = 4
@@ -280,11 +282,11 @@ class _Search:
     def _worth(self, starts: int, rate: float) -> int:
         """Plate periods after which LEFT of all starts should be left of so many that leave at this rate.
 
-        0 if that costs more than all starts up to `until`.
+        0 if that costs more than WORTH times all starts up to `until`.
         """
         share = starts / len(self._owner)
         periods = math.log(max(share / LEFT, 1.0)) / rate
-        return math.ceil(periods) if share * periods <= self._rules.until else 0
+        return math.ceil(periods) if share * periods <= WORTH * self._rules.until else 0
 
     def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
         """Assign starts without a cycle to attractors that are told apart by the distribution of flights."""

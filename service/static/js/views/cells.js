@@ -12,14 +12,14 @@ export function windowOf(columns, rows, positive = false) {
   return { x0: first(x, columns), x1: x.at(-1), y0: first(y, rows), y1: y.at(-1) };
 }
 
-/** Each pixel has the colour of the nearest cell: `colourOf(row, column)` as 32 bits. */
+/** Each pixel has the colour of the nearest cell: `colourOf(row, column, x, y)` as 32 bits; x and y count pixels. */
 export function drawCells(ctx, box, columns, rows, colourOf) {
   const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
   const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(columns, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
   const fill = (pixels) => {
     for (let y = 0; y < height; y++) {
       const row = nearestIndex(rows, box.y.value(box.top + ((y + 0.5) * box.height) / height));
-      for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i]);
+      for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i], i, y);
     }
   };
   bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
