@@ -523,7 +523,7 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
     with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
         wait_shown(page, xi=0.05)
         page.get_by_text(
-            f"lead to another mode (hatched /) in {100 * cells.count(1) / len(cells):.2g} %"
+            f"lead to other modes (hatched /) in {100 * cells.count(1) / len(cells):.2g} %"
         ).wait_for()
         hatched = picture(page)
         page.locator(".panel .plot").focus()

@@ -2,7 +2,7 @@
 
 import { h } from "../lib/dom.js";
 import { clampIndex, nearestIndex } from "../lib/physics.js";
-import { bitmap, circle } from "../plot/drawing.js";
+import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 
 /** The window of all cells around `columns` and `rows`; with `positive` none of it is below 0, for logarithmic axes. */
@@ -38,6 +38,11 @@ export function nextCell(columns, rows, current, right, up) {
 export function drawRing(ctx, { x, y, theme }, column, row, radius) {
   circle(ctx, theme.surface, 4.5, x.pixel(column), y.pixel(row), radius);
   circle(ctx, theme.cursor, 2, x.pixel(column), y.pixel(row), radius);
+}
+
+/** Hatched cells in a plot's legend. */
+export function hatchSymbol(ctx, x, y, theme) {
+  for (const left of [x, x + 8, x + 16]) polyline(ctx, theme.text, 1.6, [[left, y + 6], [left + 8, y - 6]]);
 }
 
 /** An entry of a legend: a colour and what it stands for. */

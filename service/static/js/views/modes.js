@@ -8,7 +8,7 @@ import { number, ordinal, plural } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
-import { drawCells, drawRing, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
+import { drawCells, drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
@@ -135,7 +135,7 @@ export class Modes extends PlotView {
     const differ = (kind) => hysteresis.reduce((sum, value) => sum + (value === kind), 0);
     const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
-    const parts = [[mode, "to another mode (hatched /)"], [flights, "to the same mode with other flights (hatched \\)"]].filter(([cells]) => cells);
+    const parts = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
     return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${percentage(cells, hysteresis.length)}`).join(", ")} of the cells shown.`;
   }
 
@@ -152,7 +152,7 @@ export class Modes extends PlotView {
       y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
       title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
       legend: [
-        ...(this.plane.arrays.hysteresis?.some(Boolean) ? [["up and down differ", drawHatched]] : []),
+        ...(this.plane.arrays.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
         ["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)],
       ],
       colours: present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
@@ -235,14 +235,6 @@ function lineAt(hysteresis, x, y) {
   const along = hysteresis === HYSTERESIS.mode ? x + y : x - y + 1e6 * HATCH;
   const line = Math.floor((along % HATCH) / HATCH_LINE);
   return line < 2 ? line : -1;
-}
-
-/** The symbol of the hatching in a legend. */
-function drawHatched(ctx, x, y, theme) {
-  for (const left of [x, x + 8, x + 16]) {
-    polyline(ctx, theme.surface, HATCH_LINE, [[left + 2, y + 6], [left + 10, y - 6]]);
-    polyline(ctx, theme.text, HATCH_LINE, [[left, y + 6], [left + 8, y - 6]]);
-  }
 }
 
 const percentage = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;
