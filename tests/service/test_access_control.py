@@ -419,6 +419,19 @@ def logged(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
             yield log
 
 
+def test_a_library_with_a_handler_of_its_own_writes_one_line(monkeypatch: pytest.MonkeyPatch):
+    """As distributed has from its configuration."""
+    log = io.StringIO()
+    logger = logging.getLogger("distributed.of_a_test")
+    logger.addHandler(logging.StreamHandler(log))
+    monkeypatch.setattr(sys, "stderr", log)
+    with log_to_stderr("info"):
+        logger.warning("a worker is lost")
+        logger.info("a worker is there")
+    (line,) = lines(log)
+    assert (line["level"], line["event"]) == ("warning", "a worker is lost")
+
+
 def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     job = local.post("/v1/jobs", json=SWEEP).json()
     answer = local.get(job["links"]["self"])

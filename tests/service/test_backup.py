@@ -174,6 +174,20 @@ def test_the_doctor_names_what_needs_attention(folder: Path):
     assert {path: path.read_bytes() for path in data.glob("ledger*")} == files
 
 
+def test_the_doctor_names_a_kernel_cache_that_others_can_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
+    command = ("doctor", "--data", str(tmp_path / "data"), "--url", f"http://127.0.0.1:{free_port()}")
+    assert f"{cache}, 0 compiled kernels" in " ".join(bounce(*command).output.split())
+    cache.chmod(0o777)
+    answer = bounce(*command)
+    assert answer.exit_code == 1
+    assert "remove it" in answer.output
+
+
 def test_adopt_makes_no_ledger_where_there_is_nothing_to_adopt(tmp_path: Path):
     """In a folder that is none of a service's."""
     result = bounce("adopt", "--all", "--data", str(tmp_path))

@@ -17,6 +17,7 @@ from service.jobs.ledger import Ledger
 from service.jobs.model import JobState
 from service.jobs.stores import deletion
 from service.jobs.transactions import DeletionStep
+from service.settings import Settings
 from worker import store
 from worker.executors.inline import Inline
 
@@ -227,3 +228,15 @@ def test_metadata_repaired_while_the_job_is_deleted_does_not_stay(
         service.manager._scrubber._thread.join()
         wait_for(lambda: service.pending_deletions() == 0)
         assert names(done) == []
+
+
+def test_it_tells_when_a_deleted_address_is_free(done: Path):
+    """A study submitted again waits for that."""
+    record_deletion(done, age=0.0)
+    freed = threading.Event()
+    with Ledger(done / "ledger.sqlite") as ledger:
+        deleter = deletion.Deleter(ledger, Settings(data=done), freed.set)
+        deleter.start()
+        assert freed.wait(DEADLINE)
+        deleter.stop(DEADLINE)
+    assert names(done) == []

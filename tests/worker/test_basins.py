@@ -298,3 +298,18 @@ def test_cost_grows_with_the_starts_and_with_settle_until():
     assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
     assert large.longest_core_seconds > 5.0 * large.core_seconds
     assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds
+
+
+@pytest.mark.parametrize(
+    ("flights", "near"),
+    [
+        ([1.0, 2.0], True),
+        ([2.01, 0.99], True),
+        ([2.01, np.nan], True),
+        ([2.1, 1.0], False),
+        ([np.nan], False),
+    ],
+)
+def test_flights_are_near_to_a_set_from_either_side(flights: list[float], near: bool):
+    found = attractors._near(np.array([flights]), np.array([0.5, 1.0, 2.0, 3.0]))
+    assert found.tolist() == [near]

@@ -438,6 +438,12 @@ def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
         check_size(cost, max_cells=high - 1)
     with pytest.raises(SpecTooLarge, match="bytes"):
         check_size(cost, max_bytes=cost.bytes - 1)
+    assert cost.longest_core_seconds is None
+    longer = spec.model_copy(update={"settle_until": 10_000})
+    longest = estimate(longer, cost.chunks).longest_core_seconds
+    assert longest is not None
+    # settle + observe is 100 periods, settle_until a hundred times that, of the cells that are computed.
+    assert 10 * cost.core_seconds < longest < 1_000 * cost.core_seconds
     coarse = sweep(refine={"by": "mode"})
     assert computed_shares(coarse, coarse.refine)[1] == 1.0
 

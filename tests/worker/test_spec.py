@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from kernel.params import Cell
 from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
 from worker.spec import SweepSpec
 from worker.spec.axes import MAX_AXIS_VALUES
@@ -21,6 +22,7 @@ from worker.spec.contact_models import (
     penetration_of,
 )
 from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
+from worker.spec.sweep import no_cycle
 from worker.spec.time_steps import corners
 from worker.tasks import plate_of
 
@@ -793,6 +795,13 @@ def test_toml_infinity_and_dates_are_no_numbers(tmp_path):
     with pytest.raises(SpecInvalid, match=f"omega: must be {FORMS[:8]}") as caught:
         SweepSpec.from_file(tmp_path / "a.toml")
     assert "gamma: must be finite, not inf" in str(caught.value)
+
+
+@pytest.mark.parametrize(("gamma", "nearest"), [(2.9, "1.35"), (6.9, "7.28"), (12.0, "7.28")])
+def test_of_several_ranges_with_a_cycle_the_nearest_is_proposed(gamma: float, nearest: str):
+    """At omega 1.2 and xi 0.1, (1, 1) is stable from 1.359 to 2.829 and from 7.287 to 11.267."""
+    rule = no_cycle(Cell(gamma, 1.2, 0.1), 1)
+    assert f"it exists from gamma {nearest}" in rule
 
 
 def test_json_schema_tells_the_bounds():
