@@ -2,13 +2,12 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import partial
-from typing import Any, Final
+from functools import cache, partial
+from typing import Final
 
 from fastapi import Depends, FastAPI
-from fastapi.openapi.utils import get_openapi
 
-from service.api import problems
+from service.api import openapi, problems
 from service.api.capacity import Capacity, ListenerLimit
 from service.api.dependencies import Service, reject_repeated_parameters
 from service.api.middleware.access_control import AccessControl
@@ -18,20 +17,14 @@ from service.api.middleware.head import HeadAsGet
 from service.api.monitoring import Metrics, Readiness
 from service.api.progress_stream import ProgressStream
 from service.api.routers import basins, docs, health, jobs, model, page, page_data, results
-from service.api.schemas import ProblemDocument
 from service.background import Background, InThisProcess
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import MAX_PENDING, OnDemandCache
 from service.jobs.stores.adoption import open_ledger
 from service.render import export
-from service.results.trajectory import TrajectorySpec
 from service.settings import Settings
-from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.executors.base import Executor
-from worker.orbits import OrbitsSpec
-from worker.spec import SweepSpec
-from worker.spec.window import Window
 
 #: Chunks of stores read at a time.
 CHUNKS: Final = 4
@@ -55,6 +48,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         version="0.1.0",
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
+        generate_unique_id_function=openapi.operation_id,
         dependencies=[Depends(reject_repeated_parameters)],
         lifespan=partial(
             _lifespan,
@@ -72,7 +66,9 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
     app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens)
     app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
-    app.openapi = partial(_openapi, app)  # type: ignore[method-assign]
+    app.openapi = cache(  # type: ignore[method-assign]
+        partial(openapi.document, app, needs_token=bool(tokens))
+    )
     return app
 
 
@@ -123,23 +119,3 @@ def _service(
         readiness=readiness,
         metrics=metrics,
     )
-
-
-def _openapi(app: FastAPI) -> dict[str, Any]:
-    """The API document, with the schemas of bodies that FastAPI does not parse itself."""
-    if app.openapi_schema is None:
-        document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
-        schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        for body_model in (
-            SweepSpec,
-            OrbitsSpec,
-            BasinSpec,
-            MultistabilitySpec,
-            Window,
-            TrajectorySpec,
-            ProblemDocument,
-        ):
-            schema = body_model.model_json_schema(ref_template="#/components/schemas/{model}")
-            schemas |= schema.pop("$defs", {}) | {body_model.__name__: schema}
-        app.openapi_schema = document
-    return app.openapi_schema

@@ -807,6 +807,7 @@ def test_of_several_ranges_with_a_cycle_the_nearest_is_proposed(gamma: float, ne
 def test_json_schema_tells_the_bounds():
     schema = SweepSpec.model_json_schema()
     assert schema["properties"]["keep"] == {
-        "default": 64, "maximum": 10_000, "minimum": 1, "title": "Keep", "type": "integer"
+        "default": 64, "maximum": 10_000, "minimum": 1, "title": "Keep", "type": "integer",
+        "description": "Flights stored, the last ones.",
     }  # fmt: skip
     assert schema["required"] == ["gamma", "omega", "xi"]

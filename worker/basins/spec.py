@@ -6,15 +6,24 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from kernel.params import MAX_EXPONENTS
-from worker.spec import AXES, LARGEST, SMALLEST, SpecError, SweepSpec
-from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
+from worker.spec import AXES, SpecError, SweepSpec
+from worker.spec.axes import NUMBER, WHOLE, Strict
 from worker.spec.contact_models import Auto, Ball, Contact, Soft, model_fields
 from worker.spec.errors import BrokenRuleError, did_you_mean
 from worker.spec.specification import Specification
-from worker.spec.sweep import MAX_KEEP, MAX_PERIODS
+from worker.spec.sweep import (
+    Exponents,
+    Gamma,
+    Keep,
+    MicroFlight,
+    Observe,
+    Omega,
+    Settle,
+    SettleUntil,
+    Xi,
+)
 
 #: Starts of one cell at most, and rows or columns: a cell's starts are computed and stored together.
 MAX_STARTS: Final = 512 * 512
@@ -106,16 +115,16 @@ class GridSpec(Specification):
 
     AXES: ClassVar = AXES
 
-    gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
-    omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
-    xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
+    gamma: Gamma
+    omega: Omega
+    xi: Xi
     protocol: Plane
     model: Contact = Soft()
-    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE]
-    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE]
-    keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
-    micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.05
-    settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
+    settle: Settle
+    observe: Observe
+    keep: Keep = 64
+    micro_flight: MicroFlight = 0.05
+    settle_until: SettleUntil = None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
@@ -162,15 +171,15 @@ class BasinSpec(GridSpec):
     """Basins: `keep` flights of each attractor are stored."""
 
     protocol: Basin
-    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 500
-    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 60
-    exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
+    settle: Settle = 500
+    observe: Observe = 60
+    exponents: Exponents = 0
 
 
 class MultistabilitySpec(GridSpec):
     """Multistability: `keep` flights of each attractor are stored."""
 
     protocol: Multistability
-    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 800
-    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 150
-    keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 16
+    settle: Settle = 800
+    observe: Observe = 150
+    keep: Keep = 16

@@ -49,6 +49,36 @@ MAX_STARTS: Final = 1_000
 WITH_CYCLES: Final = ("rigid", "soft", "stepped")
 
 
+Gamma = Annotated[
+    Axis,
+    AfterValidator(within(SMALLEST, LARGEST)),
+    Field(description="Amplitude of the plate's acceleration over gravity (dimensionless)."),
+]
+Omega = Annotated[
+    Axis,
+    AfterValidator(within(SMALLEST, LARGEST)),
+    Field(description="Angular frequency of the plate over that of the spring (dimensionless)."),
+]
+Xi = Annotated[
+    Axis,
+    AfterValidator(within(0.0, LARGEST)),
+    Field(description="Damping ratio of the spring (dimensionless)."),
+]
+Settle = Annotated[int, Field(ge=0, le=MAX_PERIODS, description="Plate periods before the window."), WHOLE]
+Observe = Annotated[int, Field(ge=1, le=MAX_PERIODS, description="Plate periods of the window."), WHOLE]
+Keep = Annotated[int, Field(ge=1, le=MAX_KEEP, description="Flights stored, the last ones."), WHOLE]
+MicroFlight = Annotated[
+    float, Field(ge=0.0, description="Flights shorter than this are not counted as bounces (rad)."), NUMBER
+]
+SettleUntil = Annotated[
+    Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None,
+    Field(description="Plate periods in all that a cell which has not settled may go on for; null: none."),
+]
+Exponents = Annotated[
+    int, Field(ge=0, le=MAX_EXPONENTS, description="Lyapunov exponents computed, per plate period."), WHOLE
+]
+
+
 class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
@@ -59,20 +89,32 @@ class SweepSpec(Specification):
 
     AXES: ClassVar = AXES
 
-    gamma: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
-    omega: Annotated[Axis, AfterValidator(within(SMALLEST, LARGEST))]
-    xi: Annotated[Axis, AfterValidator(within(0.0, LARGEST))]
-    protocol: Protocol = Rest()
-    model: Contact = Soft()
-    settle: Annotated[int, Field(ge=0, le=MAX_PERIODS), WHOLE] = 200
-    observe: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] = 100
-    keep: Annotated[int, Field(ge=1, le=MAX_KEEP), WHOLE] = 64
-    micro_flight: Annotated[float, Field(ge=0.0), NUMBER] = 0.05
-    settle_tolerance: Annotated[float, Field(ge=0.0, le=MAX_SETTLE_TOLERANCE), NUMBER] = 0.0
-    settle_until: Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None = None
-    exponents: Annotated[int, Field(ge=0, le=MAX_EXPONENTS), WHOLE] = 0
-    refine: Refinement = None
-    parent: JobId | None = None
+    gamma: Gamma
+    omega: Omega
+    xi: Xi
+    protocol: Annotated[Protocol, Field(description="Whether cells start from rest, or along a ramp.")] = (
+        Rest()
+    )
+    model: Annotated[Contact, Field(description="The contact of the lower mass with the plate.")] = Soft()
+    settle: Settle = 200
+    observe: Observe = 100
+    keep: Keep = 64
+    micro_flight: MicroFlight = 0.05
+    settle_tolerance: Annotated[
+        float,
+        Field(
+            ge=0.0,
+            le=MAX_SETTLE_TOLERANCE,
+            description="A cell ends early when its flights repeat within this (rad); 0: never.",
+        ),
+        NUMBER,
+    ] = 0.0
+    settle_until: SettleUntil = None
+    exponents: Exponents = 0
+    refine: Annotated[
+        Refinement, Field(description="Compute only where the map changes; null: every cell.")
+    ] = None
+    parent: Annotated[JobId | None, Field(description="The job in whose map this sweep is a window.")] = None
 
     @model_validator(mode="after")
     def _rules(self) -> Self:

@@ -15,7 +15,7 @@ from service.render import answers
 from service.results.multistability import plane_memory
 from service.results.selection import BASE_MEMORY
 
-router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
+router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
 
 #: Bytes of memory per start, with its id as text.
 _PER_START: Final = 64
@@ -33,7 +33,7 @@ def _memory(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -
     responses={**content("json", *PICTURES), **NOT_MODIFIED, **problem_responses(404, 422)},
 )
 @costly(_memory)
-def basins(
+def get_basins(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.BasinQuery, Query()]
 ) -> Response:
     """The attractors of one cell, and which of them each start of the plane reaches.
@@ -59,7 +59,7 @@ def _plane_memory(service: ServiceDep, job: JobRecord, query: parameters.Multist
     responses={**content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
 @costly(_plane_memory)
-def multistability(
+def get_multistability(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.MultistabilityQuery, Query()]
 ) -> Response:
     """The attractors of every cell at one xi, matched from cell to cell, and their births and deaths.

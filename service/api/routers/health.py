@@ -8,11 +8,11 @@ from service.api.dependencies import ServiceDep
 from service.api.problems import ProblemResponse
 from service.api.schemas import Health, ReadinessView, problem_responses
 
-router = APIRouter()
+router = APIRouter(tags=["service"])
 
 
 @router.get("/healthz", summary="Liveness")
-def healthz() -> Health:
+def get_liveness() -> Health:
     """The service answers requests."""
     return Health(status="ok")
 
@@ -24,7 +24,7 @@ def healthz() -> Health:
     response_model_exclude_defaults=True,
     responses=problem_responses(503),
 )
-def readyz(service: ServiceDep) -> Any:
+def get_readiness(service: ServiceDep) -> Any:
     """The ledger can be used, the Dask scheduler answers and has workers: jobs are computed."""
     fault = service.readiness.fault()
     return (
@@ -40,6 +40,6 @@ def readyz(service: ServiceDep) -> Any:
     response_class=Response,
     responses={200: {"content": {"text/plain": {}}}},
 )
-def metrics(service: ServiceDep) -> Response:
+def get_metrics(service: ServiceDep) -> Response:
     """Requests, jobs and readiness, in Prometheus's text format."""
     return Response(service.metrics.text(), media_type="text/plain; version=0.0.4")

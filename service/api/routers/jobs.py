@@ -18,7 +18,7 @@ from worker.cost import Cost
 from worker.spec.window import Window
 from worker.studies import from_json
 
-router = APIRouter(prefix="/v1")
+router = APIRouter(prefix="/v1", tags=["jobs"])
 
 
 def _json_schema(*names: str) -> dict[str, Any]:
@@ -54,7 +54,7 @@ _MAX_RETRY_AFTER: Final = 10
     },
     openapi_extra=_json_schema("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
 )
-def submit(
+def submit_job(
     service: ServiceDep,
     body: JsonBody,
     query: Annotated[parameters.SubmitQuery, Query()],
@@ -89,7 +89,7 @@ def _cost(service: ServiceDep, spec: Any) -> Response:
 
 
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
-def jobs(service: ServiceDep, query: Annotated[parameters.JobsQuery, Query()]) -> schemas.JobList:
+def list_jobs(service: ServiceDep, query: Annotated[parameters.JobsQuery, Query()]) -> schemas.JobList:
     """Newest first; `next` is the cursor of the next page."""
     states = tuple(JobState) if query.state is None else (query.state,)
     before = None if query.cursor is None else int(query.cursor)
@@ -108,7 +108,7 @@ def jobs(service: ServiceDep, query: Annotated[parameters.JobsQuery, Query()]) -
     response_model=JobView,
     responses={**NOT_MODIFIED, **problem_responses(404)},
 )
-def job(service: ServiceDep, job_id: str, request: Request) -> Response:
+def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     """State, progress and failures; 304 if the ETag in `If-None-Match` is current."""
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
@@ -123,7 +123,7 @@ def job(service: ServiceDep, job_id: str, request: Request) -> Response:
 @router.delete(
     "/jobs/{job_id}", summary="Delete a job", status_code=204, responses=problem_responses(404, 409)
 )
-def delete(service: ServiceDep, job: JobDep) -> None:
+def delete_job(service: ServiceDep, job: JobDep) -> None:
     """Removes the job and its results; 409 while it is queued or running."""
     service.manager.delete(job.id)
 
@@ -135,7 +135,7 @@ def delete(service: ServiceDep, job: JobDep) -> None:
     response_model=JobView,
     responses=problem_responses(404, 409),
 )
-def cancel(service: ServiceDep, job: JobDep) -> Response:
+def cancel_job(service: ServiceDep, job: JobDep) -> Response:
     """Stops the job; the chunks that are done are kept."""
     return _job_response(service.manager.cancel(job.id), 202)
 
@@ -147,7 +147,7 @@ def cancel(service: ServiceDep, job: JobDep) -> Response:
     response_model=JobView,
     responses={200: {"model": JobView}, **problem_responses(404, 409, 413, 422, 429)},
 )
-def resume(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
+def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     """A failed or cancelled job computes the chunks that are missing; 200 if it is queued or running.
 
     A job of another kernel version starts anew as a job of this one: the response describes the new job,
@@ -167,7 +167,7 @@ def resume(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     responses={200: {"model": JobView}, **problem_responses(400, 404, 413, 415, 422, 429)},
     openapi_extra=_json_schema("Window"),
 )
-def refine(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
+def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
     """Submits an adaptive sweep of a window of the (Γ, Ω) map, on a grid `finer` times as fine.
 
     202 if it is accepted, 200 if it is queued, running or done already. Its `spec.parent` is this job.
@@ -188,7 +188,7 @@ async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:
     dependencies=[Depends(_listener_slot)],
     responses=problem_responses(404, 503),
 )
-async def events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
+async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[ServerSentEvent]:
     """Server-sent events, each the job without its specification.
 
     They are named `progress` while the job is queued or running; the last one, of a finished job, `end`.

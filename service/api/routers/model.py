@@ -21,7 +21,7 @@ from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, Trajectory
 from service.results.work_precision import Tradeoff
 from worker.orbits import MAX_GRID
 
-router = APIRouter(prefix="/v1")
+router = APIRouter(prefix="/v1", tags=["model"])
 
 #: Bytes of a point of a branch, with what is computed on the way to it, and of an answer of curves.
 _PER_POINT: Final = 4_000
@@ -42,7 +42,7 @@ _TRAJECTORY_BODY: Final = {
     responses=problem_responses(422, 429),
 )
 @costly(BASE_MEMORY, "trajectory")
-def threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
+def get_threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
     """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
 
     In closed form, of the rigid contact without restitution.
@@ -62,7 +62,7 @@ def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:
     responses=problem_responses(413, 422, 429),
 )
 @costly(_orbits_memory, "trajectory")
-def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query()]) -> Response:
+def get_orbits(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query()]) -> Response:
     """Cycles of one bounce in k plate periods, stable and unstable, and where their branches turn or end.
 
     In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes back
@@ -80,7 +80,7 @@ def branches(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query
     responses={**PENDING_RESPONSE, **problem_responses(413, 422, 429, 503)},
 )
 @costly(_CURVES_MEMORY, "on demand")
-def curves(service: ServiceDep, query: Annotated[parameters.CurvesQuery, Query()]) -> Response:
+def get_curves(service: ServiceDep, query: Annotated[parameters.CurvesQuery, Query()]) -> Response:
     """Curves of folds, flips and other events over Ω at one ξ, or over ξ at one Ω, and where they meet.
 
     Workers compute them, some seconds for each mode; until then 202 with the progress.
@@ -115,7 +115,7 @@ def _plane(query: parameters.CurvesQuery) -> tuple[Parameter, float, tuple[float
     openapi_extra=_TRAJECTORY_BODY,
 )
 @costly(MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
-def trajectory(service: ServiceDep, body: JsonBody) -> Response:
+def compute_trajectory(service: ServiceDep, body: JsonBody) -> Response:
     """One cell from rest, after `settle` plate periods, or from a start: plate,
     masses and contact force, sample by sample.
 
@@ -138,7 +138,7 @@ def trajectory(service: ServiceDep, body: JsonBody) -> Response:
     },
 )
 @costly(work_precision_diagram.MEMORY, "on demand")
-def tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
+def get_tradeoff(service: ServiceDep, query: Annotated[parameters.TradeoffQuery, Query()]) -> Response:
     """Cost and accuracy of each contact model, measured over a fixed set of cells with extremes among them.
 
     Measured once in the service's lifetime, which takes a minute or two, beside

@@ -18,7 +18,7 @@ _POLICY: Final = (
     "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 
-router = APIRouter()
+router = APIRouter(tags=["page"])
 
 
 class FigureView(BaseModel):
@@ -35,7 +35,7 @@ def static_files() -> StaticFiles:
 
 
 @router.get("/v1/figures", summary="List the paper's figures")
-def figures() -> list[FigureView]:
+def list_figures() -> list[FigureView]:
     """The figures of the paper that are made from sweeps, as `bounce figure` makes them."""
     return [
         FigureView(number=figure.number, title=figure.title, sweeps=[dict(sweep) for sweep in figure.sweeps])

@@ -20,7 +20,7 @@ from service.results.mode_map import comparison_memory, plane_size
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES
 
-router = APIRouter(prefix="/v1/jobs/{job_id}")
+router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["page"])
 
 #: Bytes of memory per flight of a line, and per cell of a plane.
 _PER_FLIGHT: Final = 24
@@ -40,7 +40,7 @@ def _line_memory(service: ServiceDep, job: JobDep, query: parameters.LineViewQue
     responses={200: _PACKED, **problem_responses(404, 413, 422)},
 )
 @costly(_line_memory)
-def line(
+def get_line(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.LineViewQuery, Query()], request: Request
 ) -> Response:
     """One line of cells in binary form: outcome and mode of each, and its flights.
@@ -73,7 +73,7 @@ def _plane_memory(
     responses={200: _PACKED, **problem_responses(404, 413, 422)},
 )
 @costly(_plane_memory)
-def plane(
+def get_plane(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.PlaneViewQuery, Query()], request: Request
 ) -> Response:
     """The mode map, or a window of it, in binary form: `outcome`, `bounces` and `periods` in rows of Ω.
@@ -95,7 +95,9 @@ def plane(
     responses=problem_responses(404, 409, 413, 422, 429),
 )
 @costly(BASE_MEMORY + MAX_SAMPLES * BYTES_PER_SAMPLE, "trajectory")
-def trajectory(service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]) -> Response:
+def get_cell_trajectory(
+    service: ServiceDep, job: JobDep, query: Annotated[parameters.CellQuery, Query()]
+) -> Response:
     """One cell in motion: as it settles from rest, where the ramp left it, or on one of its attractors."""
     values = {"gamma": query.gamma, "omega": query.omega, "xi": query.xi}
     if query.attractor is None:

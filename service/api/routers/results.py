@@ -24,7 +24,7 @@ from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store
 
-router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute)
+router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
 
 #: Bytes of an answer with the branches of words.
 _WORDS_MEMORY: Final = 16 * 2**20
@@ -57,7 +57,7 @@ def _diagram_memory(service: ServiceDep, job: JobRecord, query: parameters.Diagr
     responses={**content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
 @costly(_diagram_memory)
-def diagram(
+def get_diagram(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.DiagramQuery, Query()]
 ) -> Response:
     """The bifurcation diagram along one axis; `complete` tells whether all its cells are computed.
@@ -96,7 +96,7 @@ def _threshold_memory(service: ServiceDep, job: JobRecord, query: parameters.Job
     responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 409, 413, 422, 429, 503)},
 )
 @costly(_threshold_memory, "on demand")
-def job_threshold(
+def get_job_threshold(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobThresholdQuery, Query()]
 ) -> Response:
     """Per Ω at one ξ: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
@@ -129,7 +129,7 @@ def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQu
     responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 422, 429, 503)},
 )
 @costly(_WORDS_MEMORY, "on demand")
-def job_orbits(
+def get_job_orbits(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobOrbitsQuery, Query()]
 ) -> Response:
     """Branches of the cycles that the cells along Γ settled to, stable and unstable, with their events.
@@ -151,7 +151,9 @@ def job_orbits(
     responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
 @costly(_modes_memory)
-def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]) -> Response:
+def get_modes(
+    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]
+) -> Response:
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ.
 
     Of an adaptive map also the share of cells computed, and with `mask` which ones: the others have the
@@ -174,7 +176,9 @@ def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.Export
     responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
 )
 @costly(_export_memory, "export")
-def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]) -> Response:
+def export_job(
+    service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]
+) -> Response:
     """The whole study as one file: NetCDF holds the store's arrays, Parquet a row for every cell.
 
     Of a job of basins or multistability Parquet has a row for every attractor of a cell.
@@ -202,7 +206,7 @@ def _zarr_memory(service: ServiceDep, job: JobRecord, key: str) -> int:
     responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
 )
 @costly(_zarr_memory, "store")
-def zarr(service: ServiceDep, job: ResultsJob, key: str) -> Response:
+def get_zarr_file(service: ServiceDep, job: ResultsJob, key: str) -> Response:
     """The store, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
     prepared = service.manager.preparer.prepare(job)
     content = store.read_key(prepared.store_url, key) if prepared.layout.has_key(key) else None

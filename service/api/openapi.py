@@ -1,0 +1,144 @@
+"""The API document: what FastAPI derives from the endpoints, with bodies, authentication and examples.
+
+It is OpenAPI 3.1 in the parts that generators of clients understand: no keyword of a later version, and
+defaults that are objects are told in the description.
+"""
+
+import json
+from collections.abc import Iterator
+from typing import Any, Final
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
+from pydantic import BaseModel
+
+from service.api.middleware.access_control import OPEN_PATHS
+from service.api.schemas import ProblemDocument, problem_responses
+from service.results.trajectory import TrajectorySpec
+from worker.basins.spec import BasinSpec, MultistabilitySpec
+from worker.orbits import OrbitsSpec
+from worker.spec import SweepSpec
+from worker.spec.window import Window
+
+#: Models of bodies that FastAPI does not parse itself, and of problems.
+_MODELS: Final[tuple[type[BaseModel], ...]] = (
+    SweepSpec,
+    OrbitsSpec,
+    BasinSpec,
+    MultistabilitySpec,
+    Window,
+    TrajectorySpec,
+    ProblemDocument,
+)
+
+#: The tags of the routers.
+_TAGS: Final = {
+    "jobs": "Submit, show, list, change and follow sweeps and other studies.",
+    "results": "Diagrams, thresholds, maps, basins and files of what is computed.",
+    "model": "Thresholds, cycles and motions of springs without a sweep.",
+    "service": "Whether the service lives, accepts jobs, and what it does.",
+    "page": "What the page in the browser reads; it may change with the page.",
+}
+
+_TOKEN: Final = {
+    "type": "http",
+    "scheme": "bearer",
+    "description": "Required by a service that has tokens (`bounce serve --token`).",
+}
+
+_MOTION: Final = {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2}
+
+#: Examples of bodies, each a valid one.
+EXAMPLES: Final[dict[str, dict[str, Any]]] = {
+    "SweepSpec": {
+        "name": "up and down",
+        "gamma": {"start": 1.0, "stop": 5.0, "num": 201},
+        "omega": 0.5,
+        "xi": [0.1, 0.26],
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+        "model": {"kind": "rigid"},
+    },
+    "OrbitsSpec": {"protocol": {"kind": "orbits"}, "omega": [0.5, 0.6], "xi": 0.26},
+    "BasinSpec": {
+        "gamma": 3.6,
+        "omega": 0.5,
+        "xi": 0.26,
+        "protocol": {"kind": "basin", "rows": 64, "columns": 64},
+        "model": {"kind": "rigid"},
+    },
+    "MultistabilitySpec": {
+        "gamma": {"start": 0.9, "stop": 6.0, "num": 40},
+        "omega": [0.5, 0.6],
+        "xi": 0.26,
+        "protocol": {"kind": "multistability"},
+        "model": {"kind": "rigid"},
+    },
+    "Window": {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
+    "TrajectorySpec": _MOTION,
+}
+
+
+def operation_id(route: APIRoute) -> str:
+    """The name of an endpoint's function: what a generated client calls it."""
+    return route.name
+
+
+def document(app: FastAPI, *, needs_token: bool) -> dict[str, Any]:
+    """The API document of an application whose endpoints need a token, or none."""
+    document = get_openapi(
+        title=app.title,
+        version=app.version,
+        summary=app.summary,
+        routes=app.routes,
+        tags=[{"name": name, "description": text} for name, text in _TAGS.items()],
+    )
+    components = document.setdefault("components", {})
+    schemas = components.setdefault("schemas", {})
+    for model in _MODELS:
+        schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+        schemas |= schema.pop("$defs", {}) | {model.__name__: schema}
+    for name, example in EXAMPLES.items():
+        schemas[name]["examples"] = [example]
+    for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's; this service answers with problems
+        schemas.pop(name, None)
+    components["securitySchemes"] = {"token": _TOKEN}
+    if needs_token:
+        document["security"] = [{"token": []}]
+    for path, operations in document["paths"].items():
+        for operation in operations.values():
+            _mend_responses(operation["responses"])
+            if path in OPEN_PATHS:
+                operation["security"] = []
+    for schema in _schemas_in(document):
+        _tell_object_default(schema)
+    return document
+
+
+def _mend_responses(responses: dict[str, Any]) -> None:
+    """Problems for what FastAPI says of rejected parameters; a stream of events in terms of OpenAPI 3.1."""
+    if "HTTPValidationError" in json.dumps(responses.get("422", {})):
+        responses["422"] = problem_responses(422)[422]
+    for response in responses.values():
+        for content in response.get("content", {}).values():
+            if content.pop("itemSchema", None) is not None:
+                content["schema"] = {"type": "string", "description": "server-sent events"}
+
+
+def _schemas_in(part: Any) -> Iterator[dict[str, Any]]:
+    """Every JSON object of the document."""
+    if isinstance(part, dict):
+        yield part
+        for value in part.values():
+            yield from _schemas_in(value)
+    elif isinstance(part, list):
+        for value in part:
+            yield from _schemas_in(value)
+
+
+def _tell_object_default(schema: dict[str, Any]) -> None:
+    """Say a default that is an object in the description: generators of clients reject the field."""
+    if isinstance(schema.get("default"), dict) and ("oneOf" in schema or "$ref" in schema):
+        fields = {name: value for name, value in schema.pop("default").items() if value is not None}
+        said = schema.get("description", "")
+        schema["description"] = f"{said} Default: {json.dumps(fields)}.".strip()

@@ -1,0 +1,146 @@
+"""The API document: valid, with names that a person would choose, and enough to generate a client from."""
+
+import importlib
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
+from scripted import DEADLINE, wait_for
+
+from service.api.app import create_app
+from service.api.openapi import EXAMPLES
+from service.results.trajectory import TrajectorySpec
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.inline import Inline
+from worker.spec.window import Window
+from worker.studies import from_json
+
+
+def document_of(folder: Path, **settings: Any) -> dict[str, Any]:
+    executor = Inline()
+    try:
+        return create_app(Settings(data=folder, **settings), executor).openapi()
+    finally:
+        executor.close()
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return document_of(tmp_path_factory.mktemp("data"))
+
+
+def operations(document: dict[str, Any]) -> list[dict[str, Any]]:
+    return [operation for methods in document["paths"].values() for operation in methods.values()]
+
+
+def test_it_is_valid_and_of_the_version_it_names(document: dict[str, Any]):
+    assert document["openapi"].startswith("3.1.")
+    OpenAPIV31SpecValidator(document).validate()
+    assert "itemSchema" not in json.dumps(document)  # of 3.2, which the validator does not know
+
+
+def test_every_operation_has_a_name_of_its_own_and_a_tag(document: dict[str, Any]):
+    tags = {tag["name"] for tag in document["tags"]}
+    names = [operation["operationId"] for operation in operations(document)]
+    assert len(set(names)) == len(names) > 20
+    assert all(re.fullmatch("[a-z]+(_[a-z]+)+", name) for name in names)
+    assert {tag for operation in operations(document) for tag in operation["tags"]} == tags
+
+
+def test_every_error_is_a_problem_document(document: dict[str, Any]):
+    for operation in operations(document):
+        for status, answer in operation["responses"].items():
+            if status >= "4":
+                assert list(answer["content"]) == ["application/problem+json"], operation["operationId"]
+
+
+def test_the_fields_of_a_sweep_have_meanings_and_defaults(document: dict[str, Any]):
+    schema = document["components"]["schemas"]["SweepSpec"]
+    for name, field in schema["properties"].items():
+        if name == "name":
+            continue
+        assert field["description"].endswith("."), name
+        assert name in schema["required"] or "default" in field or "Default: " in field["description"], name
+    assert schema["properties"]["observe"]["minimum"] == 1
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_are_accepted(document: dict[str, Any], name: str):
+    (example,) = document["components"]["schemas"][name]["examples"]
+    text = json.dumps(example)
+    if name == "Window":
+        Window.from_json(text)
+    elif name == "TrajectorySpec":
+        TrajectorySpec(**json.loads(text))
+    else:
+        assert type(from_json(text)).__name__ == name
+
+
+def test_no_default_is_an_object(document: dict[str, Any]):
+    """openapi-python-client leaves out operations whose bodies have one."""
+
+    def defaults(part: Any) -> Iterator[object]:
+        if isinstance(part, dict):
+            yield part.get("default")
+            part = list(part.values())
+        for inner in part if isinstance(part, list) else ():
+            yield from defaults(inner)
+
+    found = list(defaults(document))
+    assert 200 in found
+    assert not any(isinstance(default, dict) for default in found)
+
+
+@pytest.mark.parametrize("token", [None, "a-token-of-the-service"])
+def test_it_says_whether_a_token_is_needed(tmp_path: Path, token: str | None):
+    document = document_of(tmp_path, token=token)
+    (scheme,) = document["components"]["securitySchemes"].values()
+    assert (scheme["type"], scheme["scheme"]) == ("http", "bearer")
+    assert document.get("security") == ([{"token": []}] if token else None)
+    assert document["paths"]["/healthz"]["get"]["security"] == []
+    assert "security" not in document["paths"]["/v1/jobs"]["post"]
+
+
+def test_a_generated_client_submits_a_sweep(
+    tmp_path: Path, document: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+):
+    source, package = tmp_path / "openapi.json", tmp_path / "generated"
+    source.write_text(json.dumps(document))
+    (tmp_path / "options.yml").write_text("post_hooks: []\n")
+    command = [sys.executable, "-m", "openapi_python_client", "generate", "--fail-on-warning"]
+    options = ["--path", source, "--meta", "none", "--output-path", package]
+    subprocess.run([*command, *options, "--config", tmp_path / "options.yml"], check=True, cwd=tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    generated = importlib.import_module("generated")
+    models = importlib.import_module("generated.models")
+    calls = {
+        name: importlib.import_module(f"generated.api.{tag}.{name}").sync
+        for tag, name in (("jobs", "submit_job"), ("jobs", "get_job"))
+    }
+    executor = Inline()
+    settings = Settings(data=tmp_path / "data", port=0, heartbeat_seconds=0.2)
+    with (
+        embedded.running(settings, executor) as address,
+        generated.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        sweep = models.SweepSpec(
+            gamma=models.Range(start=1.0, stop=2.0, num=5),
+            omega=0.5,
+            xi=[0.1, 0.26],
+            model=models.Rigid(),
+            settle=20,
+            observe=10,
+        )
+        job = calls["submit_job"](client=client, body=sweep)
+        wait_for(lambda: calls["get_job"](job.id, client=client).state == "done")
+        problem = calls["submit_job"](client=client, body=models.SweepSpec(gamma=-1.0, omega=0.5, xi=0.26))
+        assert problem.status == 422
+        assert problem.errors[0].field == "gamma"
+    executor.close()
