@@ -213,7 +213,13 @@ def test_slow_springs_with_strong_dashpots_are_left_to_the_scalar_functions():
 # --- soft -----------------------------------------------------------------------------------
 
 #: Adhesive or not, e, d: underdamped and overdamped contacts, stiff and compliant.
-CONTACTS = [(True, 0.01, 1e-3), (True, 0.01, 1e-6), (True, 0.5, 1e-2), (False, 0.01, 1e-3), (False, 0.3, 1e-5)]
+CONTACTS = [
+    (True, 0.01, 1e-3),
+    (True, 0.01, 1e-6),
+    (True, 0.5, 1e-2),
+    (False, 0.01, 1e-3),
+    (False, 0.3, 1e-5),
+]
 
 
 def soft(gamma, omega, xi, contact, *, settle=0, observe=3, lines=0, in_lanes=True) -> Line:
