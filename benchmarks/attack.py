@@ -152,8 +152,10 @@ def other_user(service: Target) -> list[Row]:
     done = subprocess.run(
         [sys.executable, str(ROOT / "tests" / "support" / "other_user.py"), str(OTHER)],
         input=json.dumps({"ports": ports, "markers": str(markers), "files": files}),
-        capture_output=True, text=True, check=True, timeout=SECONDS,
+        capture_output=True, text=True, check=False, timeout=SECONDS,
     )  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"the other user's attempts failed: {done.stderr[-2000:]}")
     seen = json.loads(done.stdout)
     return [
         ("another user sends code to every port (TCP and TLS)", len(ports), len(seen["ran"])),

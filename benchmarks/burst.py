@@ -4,14 +4,16 @@
 
 Runs `bounce serve` with two workers. First the jobs' throughput alone, then while `clients` connections send
 `requests` costly GETs in all: pictures, tables, lines, maps, files, thresholds, chunks of the store, of a
-sweep of `cells` cells; who is told to come again does. Then twenty diagrams of a million flights at once, and
-a hundred answers that nobody reads. Exits with 1 if a promise is broken: the service takes 1.5 GB or more,
-the 99th percentile of polls is 250 ms or more, or jobs have less than 70% of their throughput alone.
+sweep of `cells` cells; who is told to come again does. The clients stand for other machines, so their threads
+run at the lowest priority. Then twenty diagrams of a million flights at once, and a hundred answers that
+nobody reads. Exits with 1 if a promise is broken: the service takes 1.5 GB or more, the 99th percentile of
+polls is 250 ms or more, or jobs have less than 70% of their throughput alone.
 """
 
 import argparse
 import http.client
 import itertools
+import os
 import socket
 import sys
 import tempfile
@@ -41,6 +43,8 @@ KEEP = 20
 
 #: Seconds for which a client that is told to come again does.
 PATIENCE = 120.0
+#: Of the threads that send costly requests: they stand for other machines.
+CLIENTS_NICENESS = 19
 
 
 def large(cells: int) -> dict[str, Any]:
@@ -204,11 +208,18 @@ def costly(large_job: str, wide_job: str, every: int) -> list[str]:
     ]
 
 
+def _yield_to_others() -> None:
+    """Lower the priority of this thread, where threads have their own."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), CLIENTS_NICENESS)
+
+
 class Burst:
     """Costly requests, `clients` at a time: how each ended, how often it was told to wait, how long it took.
 
     Who is told to come again does, after the time that the answer names, for PATIENCE seconds. Bodies are
-    read and dropped: a client library would use more processor time than the service.
+    read and dropped: a client library would use more processor time than the service. The clients' threads
+    have the niceness CLIENTS_NICENESS.
     """
 
     def __init__(self, port: int, paths: list[str], requests: int, clients: int) -> None:
@@ -216,7 +227,7 @@ class Burst:
         self._numbers, self._lock = itertools.count(), threading.Lock()
         self.statuses, self.refusals = Counter[int](), 0
         self.seconds: list[float] = []
-        with ThreadPoolExecutor(clients) as pool:
+        with ThreadPoolExecutor(clients, initializer=_yield_to_others) as pool:
             list(pool.map(self._client, range(clients)))
 
     def _client(self, _: int) -> None:
@@ -330,7 +341,8 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
     print(f"idle: {used(service)[0]:.0f} MB and {used(service)[1]} handles", flush=True)
     with Jobs(service) as jobs:
         alone, _ = report.phase("jobs alone", lambda: rate(jobs, lambda: time.sleep(arguments.seconds)))
-        what = f"{arguments.requests} GETs by {arguments.clients} clients beside jobs"
+        who = f"{arguments.clients} clients of niceness {CLIENTS_NICENESS}"
+        what = f"{arguments.requests} GETs by {who} beside jobs"
         beside, burst = report.phase(what, lambda: rate(jobs, requests))
     print(f"    {burst}")
     report.throughput(alone, beside)

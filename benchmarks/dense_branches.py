@@ -58,9 +58,23 @@ def grazes(events: Events, omega: float, xi: float, periods: int) -> np.ndarray:
         small = any(abs(a) < dense_branches.DEEP for a, _ in sides)
         undecided, invented = undecided + small, invented + (not small)
         print(f"({omega!r}, {xi!r}) (1,{periods}) {kind} at {t!r}: {'not decided' if small else 'invented'}")
-    for low, high in missed:
-        print(f"({omega!r}, {xi!r}) (1,{periods}) missed between {low!r} and {high!r}")
-    return np.array([len(changes), len(missed), int(ours.sum()), invented, undecided])
+    small = [_is_small(omega, xi, periods, low, high) for low, high in missed]
+    for (low, high), shallow in zip(missed, small, strict=True):
+        what = "not decided" if shallow else "missed"
+        print(f"({omega!r}, {xi!r}) (1,{periods}) {what} between {low!r} and {high!r}")
+    return np.array(
+        [len(changes), len(missed) - sum(small), int(ours.sum()), invented, undecided + sum(small)]
+    )
+
+
+def _is_small(omega: float, xi: float, periods: int, low: float, high: float) -> bool:
+    """Whether between two flight times a minimum crosses not zero but the depth that is not decided."""
+    sides = [dense_branches.held(omega, xi, periods, t) for t in (low, high)]
+    if any((getattr(sides[0], name)[0] > 0.0) != (getattr(sides[1], name)[0] > 0.0)
+           for name in ("gap", "impact", "force", "landing", "takeoff")):  # fmt: skip
+        return False
+    depths = [getattr(side, name)[0] for side in sides for name in ("gap", "force")]
+    return any(abs(depth + dense_branches.DEEP) < dense_branches.DEEP for depth in depths)
 
 
 def main() -> None:

@@ -37,6 +37,8 @@ ENDLESS: dict[str, dict[str, Any]] = {
         "gamma": {"start": 2.0, "stop": 5.0, "num": 8},
     },
 }
+#: Undamped springs that never leave the plate: each cell is one contact, which is not divided.
+UNDIVIDED: dict[str, Any] = {"model": SOFT, "gamma": {"start": 0.1, "stop": 0.6, "num": 8}, "xi": 0.0}
 LONGEST = {"settle": 10_000_000, "observe": 10_000_000, "omega": 0.5, "xi": 0.26}
 
 #: Jobs of the last part, and their core-seconds.
@@ -92,17 +94,24 @@ def beside_many(client: Client, jobs: int, repeat: int) -> None:
     row("cancelling each of them, s", [cancelled(job) for job in many])
 
 
+def begun(client: Client, changes: dict[str, Any]) -> Job:
+    """A job of the longest windows, when every worker is in one of its cells."""
+    brief = {"settle": 1, "observe": 10, "name": "compiles"}
+    client.submit(LONGEST | changes | brief).wait(progress=False)
+    endless = client.submit(LONGEST | changes | {"name": "endless"})
+    while endless.refresh().state != "running":
+        time.sleep(0.05)
+    time.sleep(2.0)
+    return endless
+
+
 def beside_endless(client: Client, repeat: int) -> None:
     """Small jobs beside cells that take a minute or more, and cancels of these."""
     for name, changes in ENDLESS.items():
-        brief = {"settle": 1, "observe": 10, "name": "compiles"}
-        client.submit(LONGEST | changes | brief).wait(progress=False)
-        endless = client.submit(LONGEST | changes | {"name": "endless"})
-        while endless.refresh().state != "running":
-            time.sleep(0.05)
-        time.sleep(2.0)  # so that every worker is in one of its cells
+        endless = begun(client, changes)
         row(f"a small job beside {name}, s", times(client, repeat))
         row(f"cancelling {name}, s", [cancelled(endless)])
+    row("cancelling cells of one contact each, s", [cancelled(begun(client, UNDIVIDED))])
 
 
 def gaps(client: Client, seconds: float) -> Iterator[float]:

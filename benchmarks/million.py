@@ -31,6 +31,7 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobState
 from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
+from worker.executors.base import ClusterState
 from worker.executors.dask import Dask
 from worker.plan import Chunk, make_plan
 from worker.spec import SweepSpec
@@ -67,6 +68,13 @@ class Simulated:
     def workers(self) -> int:
         """The number of simulated workers."""
         return self._workers
+
+    def state(self) -> ClusterState:
+        """Always connected."""
+        return ClusterState(connected=True, workers=self._workers)
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        """The number of workers does not change."""
 
     def close(self) -> None:
         """End the thread."""

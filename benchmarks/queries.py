@@ -30,6 +30,7 @@ from kernel.params import Outcome
 from service.client import Client
 from service.server import embedded
 from worker import schema, store
+from worker.executors.base import ClusterState
 from worker.plan import Chunk
 from worker.spec import AXES, SweepSpec
 from worker.tasks import ChunkReport, run_chunk
@@ -76,6 +77,13 @@ class Tiling:
     def workers(self) -> int:
         """Two threads."""
         return 2
+
+    def state(self) -> ClusterState:
+        """Always connected."""
+        return ClusterState(connected=True, workers=2)
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        """The number of workers does not change."""
 
     def close(self) -> None:
         """End the threads."""

@@ -11,9 +11,10 @@ five leaves without reading it. Prints a line per minute and at the end the figu
 docs/reliability.md; exits with 1 if a promise is broken.
 
 On a machine that does much else, a request may wait because nothing runs. So waits are bounded by progress,
-not by the clock: what takes longer than PATIENCE seconds is a defect, where a second counts only if a thread
-of this process, which does nothing else and has the service's priority, was run ten times in it. A request
-that times out earlier is repeated. A poll whose kept connection the service closed as idle, after
+not by the clock: what takes longer than PATIENCE seconds is a defect, where a second counts by the share of
+the time in which threads of the service and its cluster were run, of that in which they could have been; one
+in which all of them waited for something else counts in full. A request that times out earlier is repeated,
+and what is wrong is printed at once. A poll whose kept connection the service closed as idle, after
 KEEP_ALIVE seconds without a request, is sent again on a new one, as HTTP asks of clients.
 """
 
@@ -51,24 +52,42 @@ MORE_HANDLES: Final = 10
 LOCKED_SECONDS: Final = 8.0
 #: Seconds of progress until an answer must come, damage be repaired and a job done, with faults.
 PATIENCE: Final = 300.0
-#: Seconds between two counts of the thread that tells progress.
-TICK: Final = 0.1
+#: Seconds between two counts of progress; the system counts a thread's wait for a processor when it ends.
+TICK: Final = 5.0
+#: Nanoseconds of a processor below which there was nothing to run.
+BLINK: Final = 1_000_000
 #: What clients may be told instead of an answer: come again, or that there are no workers or it is repaired.
 LATER: Final = (202, 429, 503)
 
 
 class Progress:
-    """Seconds in which the machine ran this process: a count that is late counts as one."""
+    """Seconds, each counted by the share for which the machine ran the threads that could run."""
 
-    def __init__(self) -> None:
+    def __init__(self, processes: Callable[[], list[int]]) -> None:
         self.seconds = 0.0
+        self._processes = processes
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._count, daemon=True)
         self._thread.start()
 
     def _count(self) -> None:
+        before, counted = self._times(), time.monotonic()
         while not self._over.wait(TICK):
-            self.seconds += TICK
+            times, now = self._times(), time.monotonic()
+            known = [(times[thread], before[thread]) for thread in times.keys() & before.keys()]
+            ran, waited = (sum(new[i] - old[i] for new, old in known) for i in (0, 1))
+            self.seconds += (now - counted) * (ran + BLINK) / (ran + waited + BLINK)
+            before, counted = times, now
+
+    def _times(self) -> dict[Path, tuple[int, int]]:
+        """Of each thread the nanoseconds for which it ran, and for which it could have."""
+        times = {}
+        for pid in self._processes():
+            for file in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+                with suppress(OSError, ValueError):
+                    ran, waited, _ = map(int, file.read_text().split())
+                    times[file] = ran, waited
+        return times
 
     def end(self) -> None:
         """Count no more."""
@@ -81,7 +100,8 @@ class Soak:
 
     def __init__(self, service: Serving, cluster: Cluster) -> None:
         self._service, self._cluster = service, cluster
-        self._over, self._lock, self._progress = threading.Event(), threading.Lock(), Progress()
+        self._over, self._lock = threading.Event(), threading.Lock()
+        self._progress = Progress(self._processes)
         self._began = time.monotonic()
         self.repeated = 0  # requests that timed out before PATIENCE seconds of progress
         self.jobs, self.faults, self.answers = 0, Counter[str](), Counter[int]()
@@ -96,6 +116,16 @@ class Soak:
             "trajectory?gamma=2&xi=0.26", "threshold?xi=0.26",
         ]  # fmt: skip
         self._bodies = {path: self._body(path) for path in self._paths}
+
+    def _processes(self) -> list[int]:
+        """The processes of the service and its cluster."""
+        programs = (self._service, self._cluster.scheduler, self._cluster.workers)
+        roots = [program.process.pid for program in programs]
+        found = list(roots)
+        for root in roots:
+            with suppress(psutil.NoSuchProcess):
+                found += [child.pid for child in psutil.Process(root).children(recursive=True)]
+        return found
 
     def _send(self, method: str, path: str, json: Any = None) -> httpx2.Response:
         """The answer to a request. Raises httpx2.TimeoutException after PATIENCE seconds of progress."""
@@ -149,6 +179,7 @@ class Soak:
     def _note_wrong(self, what: str) -> None:
         with self._lock:
             self.wrong.append(what)
+        print(f"WRONG {what}", flush=True)
 
     def _in_turn(self, name: str, work: Callable[[random.Random], None], seed: int) -> threading.Thread:
         """A thread that works until the end; an error is noted and does not end it."""
@@ -319,7 +350,7 @@ class Soak:
         print(f"wrong: {len(self.wrong)} {self.wrong[:10]}")
         print(f"polls {len(polls.seconds)}, p99 {p99:.0f} ms; errors {len(polls.wrong)} {polls.wrong[:3]}")
         print(
-            f"the machine ran this process in {self._progress.seconds:.0f} of "
+            f"the machine ran the service for {self._progress.seconds:.0f} of "
             f"{time.monotonic() - self._began:.0f} s; defect: a wait of {PATIENCE:.0f} of the former; "
             f"{self.repeated} requests repeated, {polls.reopened} polls after {KEEP_ALIVE:.0f} s without one"
         )

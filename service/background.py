@@ -23,8 +23,9 @@ Result = TypeVar("Result")
 
 #: Added to the niceness of these processes: two of them take a tenth of two busy processors.
 NICER: Final = 10
-#: A process that holds more bytes after an answer ends, and gives back what the C library would keep.
-MOST_KEPT: Final = 320 * 2**20
+#: A process that holds more bytes after an answer ends, and gives back what the C library would keep. What
+#: answers of all kinds import and load takes 350 MB, and seconds of a processor in each new process.
+MOST_KEPT: Final = 448 * 2**20
 #: Bytes more than before after which a process tells the C library to return memory.
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes end but one.

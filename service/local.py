@@ -63,9 +63,9 @@ def run(
 ) -> "xarray.Dataset":
     """Compute a study and return its results: dims, coordinates and arrays of docs/specification.md.
 
-    `spec`: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file. `store`: a folder to
-    be made, the study's zarr store; the Dataset then reads values where they are used. Without one, the
-    results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
+    `spec`: a mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file. `store`: a
+    folder to be made, the study's zarr store; the Dataset then reads values where they are used. Without one,
+    the results are held in memory. `workers`: threads that compute, by default one per core. `progress` as of
     `Job.wait`.
 
     An interrupted run leaves `STORE.partial`; the same call goes on there. A store of the same study that is
@@ -74,6 +74,8 @@ def run(
     while another process computes the same store.
     """
     import xarray
+
+    from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 
     def opened(url: str) -> "xarray.Dataset":
         dataset: xarray.Dataset = xarray.open_zarr(url, consolidated=True, chunks=None)
@@ -113,27 +115,32 @@ def run_to_file(
     """
     claim_kernels()
     from worker.spec import SweepSpec
-    from worker.studies import from_json
+    from worker.studies import from_json, study_of
 
     target, parsed = Path(output), from_json(body(spec))
-    if not isinstance(parsed, SweepSpec):
-        raise InvalidRequest.of("format", "only a sweep is written as one file; name a zarr store instead")
+    if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
+        formats = ", ".join((*EXPORTS, "zarr"))
+        raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
     from service.render import answers, export
-    from service.results.selection import Sweep, fixed_axes, resolve_direction
+    from service.results.selection import Stored, Sweep, fixed_axes, resolve_direction
 
     where = _line(line or {})
-    if format not in EXPORTS:  # before computing for hours
+    # Before computing for hours.
+    if format in EXPORTS:
+        export.check_numbers(parsed, study_of(parsed).plan(parsed))
+    else:
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)
     with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
         sweep = Sweep(job.spec, job.store_url, complete=True)
+        study = sweep if isinstance(parsed, SweepSpec) else Stored(job.spec, job.store_url, complete=True)
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
             if format in EXPORTS:
                 kind, folder = cast(ExportFormat, format), limits.exports_path
-                made = export.make(InThisProcess(), sweep, job.plan, kind, folder)
+                made = export.make(InThisProcess(), study, job.plan, kind, folder)
                 file.writelines(export.pieces(made))
             else:
                 table = cast(DiagramFormat, format)

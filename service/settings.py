@@ -276,12 +276,17 @@ class Settings(BaseSettings):
         in_bucket = self.stores is not None and store.in_bucket(self.stores)
         return (self.data,) if in_bucket else (self.data, stores)
 
+    @property
+    def stores_url(self) -> str:
+        """The folder of the stores, as an absolute path, or the prefix of their bucket."""
+        if self.stores is not None and store.in_bucket(self.stores):
+            return self.stores.rstrip("/")
+        folder = self.data / "stores" if self.stores is None else Path(self.stores)
+        return str(folder.absolute())
+
     def store_of(self, job_id: str) -> str:
         """The address of a job's zarr store: an absolute path or an s3:// URL."""
-        if self.stores is not None and store.in_bucket(self.stores):
-            return f"{self.stores.rstrip('/')}/{job_id}.zarr"
-        folder = self.data / "stores" if self.stores is None else Path(self.stores)
-        return str(folder.absolute() / f"{job_id}.zarr")
+        return f"{self.stores_url}/{job_id}.zarr"
 
 
 def is_loopback(host: str) -> bool:

@@ -28,10 +28,32 @@ OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
 ALLOWED = {
     "kernel": {"numpy", "numba"},
     "kernel.params": {"numpy"},
-    "worker": {"numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed"},
-    "worker.spec": {"numpy", "pydantic"},
-    "worker.plan": {"numpy", "pydantic"},
-    "service.client": {"httpx2", "numpy", "xarray", "matplotlib", "rich", "pydantic", "zarr"},
+    "worker": {
+        "numpy",
+        "numba",
+        "pydantic",
+        "zarr",
+        "numcodecs",
+        "obstore",
+        "xarray",
+        "dask",
+        "distributed",
+        "yaml",
+    },
+    "worker.spec": {"numpy", "pydantic", "yaml"},
+    "worker.plan": {"numpy", "pydantic", "yaml"},
+    "service.client": {
+        "httpx2",
+        "numpy",
+        "xarray",
+        "pandas",
+        "matplotlib",
+        "rich",
+        "pydantic",
+        "zarr",
+        "yaml",
+        "IPython",
+    },
 }
 
 #: What a specification is made of: light, so that clients can hold one.
@@ -114,7 +136,7 @@ def libraries_imported(*folders: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("folders", "extras"),
-    [(TOP_LEVEL, ["s3"]), (["tests"], ["test"]), (["benchmarks"], ["bench", "test"])],
+    [(TOP_LEVEL, ["s3", "notebook"]), (["tests"], ["test"]), (["benchmarks"], ["bench", "test"])],
     ids=["program", "tests", "benchmarks"],
 )
 def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Sequence[str]):
@@ -191,7 +213,10 @@ def test_client_exports_what_it_promises():
 
     assert {"Client", "Job"} <= set(service.client.__all__)
     for name in service.client.__all__:
-        assert getattr(service.client, name).__module__.startswith("service.client"), name
+        assert getattr(service.client, name).__module__.startswith(("service.client", "worker.spec")), name
+    assert set(service.client.__all__) <= set(dir(service.client))
+    with pytest.raises(AttributeError, match="has no attribute 'Speck'"):
+        service.client.Speck  # noqa: B018
 
 
 def test_no_file_names_a_package_registry_or_a_folder_of_somebodys_machine():

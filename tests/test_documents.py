@@ -33,11 +33,12 @@ NOT_RUN = {
     "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
     "takes minutes": r"bounce figure (all|hysteresis|branches|curves|energy)\b|bounce tradeoff |"
     r"python -m benchmarks\.",
+    "goes on until it is stopped": r"dask worker |bounce serve --cluster elastic:cluster",
     "the service must be stopped": r"bounce (restore|adopt) ",
 }
 
 #: So that a good reason does not become a habit.
-MOST_NOT_RUN = 12
+MOST_NOT_RUN = 15
 
 #: What must not be hidden in a block of plain text.
 LOOKS_RUNNABLE = re.compile(

@@ -14,6 +14,7 @@ import importlib
 import itertools
 import logging
 import math
+import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -41,6 +42,9 @@ log = logging.getLogger(__name__)
 #: with a core of its own. Twice the target of a chunk, so that few pause that are harder than their estimate.
 #: By the core's clock: on a busy machine, pauses would otherwise take what time a worker gets.
 SLICE_SECONDS: Final = 1.5
+
+#: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
+LEAVING: Final = threading.Event()
 
 #: Seconds between two checks of the cancel flag, which may be in a distant bucket.
 CANCEL_SECONDS: Final = 0.25
@@ -242,11 +246,12 @@ class Work:
         return done
 
     def pause_if_due(self, under_way: _Arrays) -> None:
-        """Write a checkpoint and raise ChunkPaused if the slice is over. `under_way`: of a line, or empty.
+        """Write a checkpoint and raise ChunkPaused if the slice is over, or the worker is leaving.
 
+        `under_way`: of a line, or empty.
         Where a checkpoint cannot be written, as on a full disk, the chunk goes on.
         """
-        if time.thread_time() - self._slice_began <= self._slice_seconds:
+        if not LEAVING.is_set() and time.thread_time() - self._slice_began <= self._slice_seconds:
             return
         arrays = {_SECONDS: np.array(self.seconds)} | self._kept()
         arrays |= {_LINE + name: array for name, array in under_way.items()}

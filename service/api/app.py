@@ -98,8 +98,9 @@ def _service(
     settings: Settings, ledger: Ledger, executor: Executor, background: Background, metrics: Metrics
 ) -> Service:
     readiness = Readiness(executor, ledger_fault=ledger.fault)
-    metrics.add_jobs(ledger, readiness)
     manager = JobManager(ledger, executor, settings)
+    metrics.add_jobs(ledger, readiness, manager)
+    metrics.add_cluster(executor)
     return Service(
         settings=settings,
         ledger=ledger,

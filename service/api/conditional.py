@@ -17,9 +17,10 @@ NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
 }
 
 
-def job_headers(job: JobRecord, failures: int = 0) -> dict[str, str]:
+def job_headers(job: JobRecord, failures: int = 0, notice: str | None = None) -> dict[str, str]:
     """ETag and Cache-Control of a job's view; the tag is weak, because it ignores the estimated time left."""
-    return _headers(f"W/{_tag(failures, *job.revision)}")
+    told = () if notice is None else (notice,)
+    return _headers(f"W/{_tag(failures, *job.revision, *told)}")
 
 
 def not_modified(request: Request, headers: Mapping[str, str]) -> Response | None:

@@ -1,8 +1,9 @@
 """FastAPI dependencies: the parts of the running service, the job named by a path, and JSON bodies."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 from fastapi import Depends, Request
 
@@ -19,10 +20,11 @@ from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
 from service.results.basins import Basins
 from service.results.multistability import Multistability
-from service.results.selection import Sweep
+from service.results.selection import Stored, Sweep
 from service.settings import Settings
 from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.spec import SweepSpec
+from worker.spec.specification import Specification
 
 
 @dataclass(frozen=True)
@@ -69,40 +71,52 @@ def find_job(job_id: str, service: ServiceDep) -> JobRecord:
 JobDep = Annotated[JobRecord, Depends(find_job)]
 
 
+def stored(service: Service, job: JobRecord) -> Stored[Specification]:
+    """What a job of any kind computes and where its results are."""
+    prepared = service.manager.preparer.prepare(job)
+    kind = next((kind for spec, kind in _STORED.items() if isinstance(prepared.spec, spec)), Stored)
+    done = job.state is JobState.DONE
+    return kind(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing)
+
+
+_STORED: Final[Mapping[type, type[Stored[Any]]]] = {
+    SweepSpec: Sweep, BasinSpec: Basins, MultistabilitySpec: Multistability,
+}  # fmt: skip
+
+
 def sweep(service: Service, job: JobRecord) -> Sweep:
     """What a job computes and where its results are. Raises InvalidRequest for other kinds of study."""
-    prepared = service.manager.preparer.prepare(job)
-    if not isinstance(prepared.spec, SweepSpec):
-        kind = prepared.spec.protocol.kind
+    found = stored(service, job)
+    if not isinstance(found, Sweep):
+        kind = _kind(found)
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    done = job.state is JobState.DONE
-    return Sweep(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing)
+    return found
 
 
 def basins(service: Service, job: JobRecord) -> Basins:
     """The basins of a job and where they are. Raises InvalidRequest for other kinds of study."""
-    prepared = service.manager.preparer.prepare(job)
-    if not isinstance(prepared.spec, BasinSpec):
-        raise _other_study("basin", prepared.spec.protocol.kind)
-    done = job.state is JobState.DONE
-    return Basins(prepared.spec, prepared.store_url, done, job.repairing, job.kernel_version)
+    found = stored(service, job)
+    if not isinstance(found, Basins):
+        raise _other_study("basin", _kind(found))
+    return found
 
 
 def multistability(service: Service, job: JobRecord) -> Multistability:
     """The attractors over a job's grid and where they are. Raises InvalidRequest for other kinds of study."""
-    prepared = service.manager.preparer.prepare(job)
-    if not isinstance(prepared.spec, MultistabilitySpec):
-        raise _other_study("multistability", prepared.spec.protocol.kind)
-    done = job.state is JobState.DONE
-    return Multistability(prepared.spec, prepared.store_url, done, job.repairing, job.kernel_version)
+    found = stored(service, job)
+    if not isinstance(found, Multistability):
+        raise _other_study("multistability", _kind(found))
+    return found
+
+
+def _kind(found: Stored[Any]) -> str:
+    return str(found.spec.protocol.kind)
 
 
 def attractors(service: Service, job: JobRecord) -> Basins | Multistability:
     """A job that stores attractors of its cells. Raises InvalidRequest for other kinds of study."""
-    spec = service.manager.preparer.prepare(job).spec
-    if isinstance(spec, MultistabilitySpec):
-        return multistability(service, job)
-    return basins(service, job)
+    found = stored(service, job)
+    return found if isinstance(found, Multistability) else basins(service, job)
 
 
 def attractors_along(service: Service, job: JobRecord, query: DiagramQuery) -> Multistability | None:
@@ -110,14 +124,15 @@ def attractors_along(service: Service, job: JobRecord, query: DiagramQuery) -> M
 
     Raises InvalidRequest for another axis than gamma, and for what only flights of a sweep can be asked for.
     """
-    if not isinstance(service.manager.preparer.prepare(job).spec, MultistabilitySpec):
+    found = stored(service, job)
+    if not isinstance(found, Multistability):
         return None
     if query.along != "gamma":
         raise InvalidRequest.of("along", "must be gamma, along which a job of multistability is followed")
     for name in ("gamma", "direction", "min_flight", "every"):
         if getattr(query, name) != DiagramQuery.model_fields[name].default:
             raise InvalidRequest.of(name, "is not for a job of multistability, whose diagram has every cell")
-    return multistability(service, job)
+    return found
 
 
 def _other_study(expected: str, kind: str) -> InvalidRequest:

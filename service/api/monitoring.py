@@ -3,13 +3,16 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from typing import Final
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
+from service.jobs.manager import JobManager
 from service.jobs.model import JobState
 from worker.executors.base import Executor
 
@@ -18,7 +21,7 @@ _METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "OPTIONS", "PUT", 
 
 
 class Readiness:
-    """Whether the ledger can be used and the scheduler answers; thread-safe.
+    """Whether the ledger can be used, the scheduler answers and there are workers; thread-safe.
 
     Caches the executor's answer for `max_age` seconds. `ledger_fault` says why the ledger cannot be used.
     """
@@ -32,25 +35,21 @@ class Readiness:
         self._executor, self._max_age, self._ledger_fault = executor, max_age, ledger_fault
         self._lock = threading.Lock()
         self._checked = float("-inf")
-        self._ready = False
+        self._fault: str | None = None
 
     def fault(self) -> str | None:
         """Why no jobs are accepted or computed; None if they are."""
         if (fault := self._ledger_fault()) is not None:
             return fault
-        return None if self._answers() else "the Dask scheduler does not answer; jobs wait until it does"
+        with self._lock:
+            if time.monotonic() - self._checked > self._max_age:
+                self._fault = self._executor.state().fault
+                self._checked = time.monotonic()
+            return self._fault
 
     def ready(self) -> bool:
         """Whether jobs are accepted and computed."""
         return self.fault() is None
-
-    def _answers(self) -> bool:
-        """Whether the executor could compute at most `max_age` seconds ago."""
-        with self._lock:
-            if time.monotonic() - self._checked > self._max_age:
-                self._ready = self._executor.ready()
-                self._checked = time.monotonic()
-            return self._ready
 
 
 class Metrics:
@@ -72,9 +71,13 @@ class Metrics:
             registry=self._registry,
         )
 
-    def add_jobs(self, ledger: Ledger, readiness: Readiness) -> None:
-        """Report the ledger's jobs and the scheduler's readiness too."""
-        self._registry.register(_JobsCollector(ledger, readiness))
+    def add_jobs(self, ledger: Ledger, readiness: Readiness, manager: JobManager) -> None:
+        """Report the ledger's jobs, their chunks and the scheduler's readiness too."""
+        self._registry.register(_JobsCollector(ledger, readiness, manager))
+
+    def add_cluster(self, executor: Executor) -> None:
+        """Report the workers too."""
+        self._registry.register(_ClusterCollector(executor))
 
     def count_request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is the path's template, so that job ids do not become labels."""
@@ -89,8 +92,8 @@ class Metrics:
 class _JobsCollector(Collector):
     """Reads the ledger and the readiness whenever metrics are collected."""
 
-    def __init__(self, ledger: Ledger, readiness: Readiness) -> None:
-        self._ledger, self._readiness = ledger, readiness
+    def __init__(self, ledger: Ledger, readiness: Readiness, manager: JobManager) -> None:
+        self._ledger, self._readiness, self._manager = ledger, readiness, manager
 
     def collect(self) -> Iterator[Metric]:
         jobs = GaugeMetricFamily("bounce_jobs", "Jobs in the ledger.", labels=["state"])
@@ -104,6 +107,50 @@ class _JobsCollector(Collector):
         yield GaugeMetricFamily(
             "bounce_ready", "Whether jobs are accepted and computed.", self._readiness.ready()
         )
+        yield GaugeMetricFamily(
+            "bounce_chunks_in_flight",
+            "Chunks that workers compute, or that wait for one.",
+            self._manager.chunks_in_flight,
+        )
+        tally = self._manager.tally
+        yield CounterMetricFamily(
+            "bounce_chunks_computed", "Chunks computed since the start.", tally.computed
+        )
+        yield CounterMetricFamily(
+            "bounce_chunk_seconds", "Seconds of workers for the chunks computed.", tally.seconds
+        )
+        returned = CounterMetricFamily(
+            "bounce_chunks_returned",
+            "Chunks that came back without a result, by what followed and the kind of error.",
+            labels=["action", "error"],
+        )
+        for (action, error), number in tally.returned.items():
+            returned.add_metric([action, error], number)
+        yield returned
+
+    def describe(self) -> list[Metric]:
+        return []
+
+
+class _ClusterCollector(Collector):
+    """Asks the executor whenever metrics are collected."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def collect(self) -> Iterator[Metric]:
+        cluster = self._executor.state()
+        workers = GaugeMetricFamily(
+            "bounce_workers", "Workers that compute, are planned, or are refused.", labels=["state"]
+        )
+        workers.add_metric(["computing"], cluster.workers)
+        workers.add_metric(["refused"], len(cluster.refused))
+        if cluster.planned is not None:
+            workers.add_metric(["planned"], cluster.planned)
+        yield workers
+        build = InfoMetricFamily("bounce_build", "What this service is.")
+        build.add_metric([], {"version": version("bouncing-spring"), "kernel_version": KERNEL_VERSION})
+        yield build
 
     def describe(self) -> list[Metric]:
         return []

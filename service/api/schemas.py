@@ -63,7 +63,8 @@ class JobView(BaseModel):
     error: str | None
     kernel_version: str
     notice: str | None = Field(
-        description="of a job of another kernel version than this release's: that it is; else null"
+        description="of a job of another kernel version than this release's: that it is; of a job that is "
+        "not computed now: why (no scheduler, no workers yet, workers refused); else null"
     )
     replaced_by: str | None = Field(
         description="id of the job that computes the sweep anew, with this release's kernel version"

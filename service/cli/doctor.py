@@ -91,13 +91,13 @@ def _ledger(settings: Settings) -> Iterator[Finding]:
 
 def _stores(settings: Settings) -> Iterator[Finding]:
     """Stores that the ledger does not know, and what is left of deletions that it does not record."""
-    place = settings.store_of("").rsplit("/", 1)[0]
+    place = settings.stores_url
     names = store.names_in(place)
     yield Finding("stores", f"{place}: {sum(name.endswith('.zarr') for name in names)} stores")
     known = backup.known_ids(settings.ledger_path) if settings.ledger_path.exists() else set()
     for name in names:
         job_id, _, rest = name.partition(".zarr")
-        if job_id not in known and not rest:
+        if job_id not in known and name.endswith(".zarr"):
             yield Finding("stores", f"{name} is unknown to the ledger: bounce adopt {job_id}", ok=False)
         if job_id not in known and rest.startswith(".deleted-"):
             text = "is left of a deletion that the ledger does not know: remove it, or rename and adopt it"

@@ -1,4 +1,4 @@
-"""The commands on jobs: submit, run, status, wait, follow, cancel, resume, delete, list."""
+"""The commands on jobs: submit, run, status, wait, watch, follow, cancel, resume, delete, list."""
 
 import json
 import sys
@@ -35,8 +35,8 @@ def submit(
 ) -> None:
     """Submit a sweep and print its job id.
 
-    SPEC is a .json or .toml file, or - for JSON on standard input. The same sweep is always the same job: one
-    that is done is not computed again, one that failed or was cancelled continues.
+    SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
+    job: one that is done is not computed again, one that failed or was cancelled continues.
     """
     from service.cli import output
     from service.client.specification import read
@@ -128,6 +128,50 @@ def follow(job_id: str, as_json: bool, url: str, token: str | None) -> None:
 
 
 @click.command()
+@click.option(
+    "--interval",
+    type=click.FloatRange(min=0.1),
+    default=1.0,
+    show_default=True,
+    help="Seconds between two looks.",
+)
+@service_options
+def watch(interval: float, url: str, token: str | None) -> None:
+    """Show jobs live until Ctrl-C.
+
+    They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it
+    is one table, and the command ends.
+    """
+    import time
+
+    from rich.console import Console
+    from rich.live import Live
+
+    from service.cli import output
+
+    console = Console()
+    ended: dict[str, Job] = {}
+    with open_client(url, token) as client:
+
+        def jobs() -> "list[Job]":
+            found = [*client.jobs("running"), *client.jobs("queued")]
+            for id in shown - {job.id for job in found}:
+                ended[id] = client.job(id)
+            return [*found, *ended.values()]
+
+        shown: set[str] = set()
+        if not console.is_terminal:
+            click.echo(output.job_table(jobs()))
+            return
+        with Live(console=console, auto_refresh=False) as live:
+            while True:
+                now = jobs()
+                live.update(output.jobs_live(now), refresh=True)
+                shown = {job.id for job in now if not job.finished}
+                time.sleep(interval)
+
+
+@click.command()
 @job_argument
 @service_options
 def cancel(job_id: str, url: str, token: str | None) -> None:
@@ -150,8 +194,10 @@ def resume(job_id: str, url: str, token: str | None) -> None:
     from service.client.display import summary
 
     with open_client(url, token) as client:
-        job = client.job(job_id).resume()
-    if job.id != job_id:
+        job = client.job(job_id)
+        asked_for = job.id
+        job.resume()
+    if job.id != asked_for:
         click.echo(job.id)
         click.echo(f"job {job.id} {job.notice}", err=True)
     click.echo(summary(job), err=True)
@@ -179,7 +225,7 @@ def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> 
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 
-COMMANDS: Final = (submit, run, status, wait, follow, cancel, resume, delete, list_jobs)
+COMMANDS: Final = (submit, run, status, wait, watch, follow, cancel, resume, delete, list_jobs)
 
 
 def _wait(job: "Job", timeout: float | None = None) -> None:

@@ -3,6 +3,8 @@
 Modules that take long to import are imported by the commands that need them.
 """
 
+from typing import Final
+
 import click
 
 from service.cli import data, jobs, orbits, results
@@ -10,6 +12,9 @@ from service.cli.figure import figure
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.cli.tradeoff import tradeoff
 from service.tokens import AUTO, data_folder, write_private
+
+#: Shells that can complete.
+SHELLS: Final = ("bash", "zsh", "fish")
 
 
 @click.group(
@@ -56,6 +61,29 @@ def metrics(url: str, token: str | None) -> None:
     """Print the service's metrics in Prometheus's text format."""
     with open_client(url, token) as client:
         click.echo(client.metrics(), nl=False)
+
+
+@main.command()
+@click.argument("shell", type=click.Choice(SHELLS), required=False)
+def completion(shell: str | None) -> None:
+    """Print a script that completes commands in a shell.
+
+    It completes commands, options and ids of jobs. SHELL is bash, zsh or fish, by default that of SHELL in
+    the environment. For example, in ~/.bashrc:
+
+      eval "$(bounce completion bash)"
+    """
+    import os
+    from pathlib import Path
+
+    from click.shell_completion import get_completion_class
+
+    name = shell or Path(os.environ.get("SHELL", "")).name
+    if name not in SHELLS:
+        raise click.UsageError(f"name the shell: {', '.join(SHELLS)}")
+    complete = get_completion_class(name)
+    assert complete is not None
+    click.echo(complete(main, {}, "bounce", "_BOUNCE_COMPLETE").source())
 
 
 @main.command("open")

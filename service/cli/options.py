@@ -1,11 +1,14 @@
 """What the commands of `bounce` share: error messages, common options, output files."""
 
 import errno
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -13,16 +16,25 @@ if TYPE_CHECKING:
 AXES: Final = ("gamma", "omega", "xi")
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
 
+#: Seconds that the completion of an id waits for the service.
+COMPLETION_SECONDS: Final = 2.0
+
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
 class CommandGroup(click.Group):
-    """A group whose commands report an error as one message on standard error and exit code 1."""
+    """A group whose commands report an error as one message on standard error and exit code 1.
+
+    SIGINT ends a command with exit code 130.
+    """
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; exceptions raised on purpose and those of the file system become messages."""
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo(err=True)  # after ^C
+            sys.exit(130)
         except Exception as error:
             message = _message(error)
             if message is None:
@@ -30,7 +42,23 @@ class CommandGroup(click.Group):
             raise click.ClickException(message) from error
 
 
-job_argument = click.argument("job_id", metavar="ID")
+def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Ids of the service's jobs that begin so, with their states and names; none if it does not answer."""
+    from service.client import BounceError, Client
+
+    given = ctx.params
+    url = given.get("url") or os.environ.get("BOUNCE_URL") or DEFAULT_URL
+    token = given.get("token") or os.environ.get("BOUNCE_TOKEN")
+    try:
+        with Client(url, token, timeout=COMPLETION_SECONDS) as client:
+            jobs = [job for job in client.jobs() if job.id.startswith(incomplete)]
+    except BounceError:
+        return []
+    return [CompletionItem(job.id, help=f"{job.state} {job.name}".rstrip()) for job in jobs]
+
+
+job_argument = click.argument("job_id", metavar="ID", shell_complete=complete_id)
+optional_job_argument = click.argument("job_id", metavar="[ID]", required=False, shell_complete=complete_id)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 min_flight_option = click.option(
     "--min-flight",

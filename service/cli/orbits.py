@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from service.cli.options import format_option, open_client, output_format, service_options, write_file
+from service.cli.options import (
+    format_option,
+    open_client,
+    optional_job_argument,
+    output_format,
+    service_options,
+    write_file,
+)
 from service.formats import TABLES
 
 if TYPE_CHECKING:
@@ -28,7 +35,7 @@ gamma_max_option = click.option(
 
 
 @click.command()
-@click.argument("job_id", metavar="[ID]", required=False)
+@optional_job_argument
 @click.option("--omega", type=float, help="Ω; of a job, the nearest grid value is used.")
 @click.option("--xi", type=float, help="ξ; of a job, the nearest grid value is used.")
 @modes_option

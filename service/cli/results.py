@@ -13,6 +13,7 @@ from service.cli.options import (
     line_options,
     min_flight_option,
     open_client,
+    optional_job_argument,
     output_format,
     output_option,
     service_options,
@@ -51,7 +52,7 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
 
 
 @click.command()
-@click.argument("job_id", metavar="[ID]", required=False)
+@optional_job_argument
 @click.option("--omega", type=float, help="Ω, without ID.")
 @click.option("--xi", type=float, help="ξ; of a job, the nearest grid value is used.")
 @click.option(

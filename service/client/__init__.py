@@ -1,5 +1,12 @@
-"""The Python client of bouncing-spring. Importing it loads no server library and no numerical one."""
+"""The Python client of bouncing-spring. Importing it loads no server library and no numerical one.
 
+The specifications and their parts can be imported from here too: they load numpy and pydantic when used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+from service.client.asynchronous import AsyncClient, AsyncJob
 from service.client.client import Client
 from service.client.errors import (
     BadRequest,
@@ -23,8 +30,19 @@ from service.client.errors import (
 from service.client.job import Job
 from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
 
+if TYPE_CHECKING:
+    from worker.spec import SweepSpec
+    from worker.spec.axes import Range
+    from worker.spec.contact_models import Auto, Ball, Rigid, Soft, Stepped
+    from worker.spec.protocols import OnCycle, Ramp, Rest
+    from worker.spec.refine import Refine
+
 __all__ = [
+    "AsyncClient",
+    "AsyncJob",
+    "Auto",
     "BadRequest",
+    "Ball",
     "BounceError",
     "Busy",
     "Client",
@@ -38,14 +56,43 @@ __all__ = [
     "JobStatus",
     "NotComputedYet",
     "NotFound",
+    "OnCycle",
     "Problem",
     "Progress",
+    "Ramp",
+    "Range",
+    "Refine",
     "Refused",
+    "Rest",
+    "Rigid",
     "ServiceError",
     "ServiceUnreachable",
+    "Soft",
+    "Stepped",
     "StoreUnreachable",
+    "SweepSpec",
     "TooLarge",
     "Unauthorized",
     "UnexpectedAnswer",
     "WaitTimeout",
 ]
+
+#: The modules of the specifications' classes.
+_SPECIFICATIONS: Final = {
+    "worker.spec": ("SweepSpec",),
+    "worker.spec.axes": ("Range",),
+    "worker.spec.contact_models": ("Auto", "Ball", "Rigid", "Soft", "Stepped"),
+    "worker.spec.protocols": ("OnCycle", "Ramp", "Rest"),
+    "worker.spec.refine": ("Refine",),
+}
+
+
+def __getattr__(name: str) -> object:
+    for module, names in _SPECIFICATIONS.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -26,6 +26,11 @@ DEFAULT_URL: Final = "http://127.0.0.1:8000"
 #: Jobs in one request for a list of jobs.
 PAGE_SIZE: Final = 1000
 
+#: Hex digits of an id, and the fewest of its first ones that select a job. No other text becomes a part of an
+#: address.
+_ID_LENGTH: Final = 32
+_SHORTEST_ID: Final = 4
+
 
 class Client:
     """A client of a running service.
@@ -64,7 +69,7 @@ class Client:
         return f"{self.url}/" if token is None else f"{self.url}/#token={quote(token, safe='')}"
 
     def submit(self, spec: Specification, *, key: str | None = None) -> Job:
-        """Submit a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
+        """Submit a sweep: a mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file.
 
         The same sweep is always the same job: submitted again, a job that is done is returned as it is, and
         one that failed or was cancelled continues. With an idempotency `key`, a repeated request changes
@@ -85,8 +90,28 @@ class Client:
             raise UnexpectedAnswer(f"the answer is not an estimate: {error!r}") from error
 
     def job(self, id: str) -> Job:
-        """The job with this id. Raises NotFound."""
-        return Job(self._transport, self._transport.get(f"/v1/jobs/{_valid_id(id)}"))
+        """The job with this id, or the only one whose id begins with it: four hex digits or more.
+
+        Raises NotFound, also where several ids begin so.
+        """
+        if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_ID},{_ID_LENGTH}}}", id):
+            raise _not_found(
+                f"no job has the id {id!r}: an id is {_ID_LENGTH} hex digits, and its first {_SHORTEST_ID} "
+                "or more select it where no other id begins so"
+            )
+        if len(id) < _ID_LENGTH:
+            id = self._whole_id(id)
+        return Job(self._transport, self._transport.get(f"/v1/jobs/{id}"))
+
+    def _whole_id(self, beginning: str) -> str:
+        """The only id that begins so."""
+        found = [job.id for job in self.jobs() if job.id.startswith(beginning)]
+        if not found:
+            raise _not_found(f"no job has an id that begins with {beginning}")
+        if len(found) > 1:
+            named = ", ".join(sorted(found)[:5])
+            raise _not_found(f"{len(found)} jobs have ids that begin with {beginning}, as {named}")
+        return found[0]
 
     def jobs(self, state: str | None = None) -> Iterator[Job]:
         """All jobs, or those in one state, newest first; requested page by page."""
@@ -268,9 +293,5 @@ class Client:
         return f"<Client {self.url}>"
 
 
-def _valid_id(text: str) -> str:
-    """The id, if it has the form of one: no other text may become part of an address. Raises NotFound."""
-    if not re.fullmatch("[0-9a-f]{32}", text):
-        detail = f"no job has the id {text!r}: an id is 32 hex digits"
-        raise NotFound(Problem(status=404, title="Not Found", detail=detail))
-    return text
+def _not_found(detail: str) -> NotFound:
+    return NotFound(Problem(status=404, title="Not Found", detail=detail))

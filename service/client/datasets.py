@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
+from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import UnexpectedAnswer
 
 Attributes: TypeAlias = Mapping[str, Any]

@@ -29,7 +29,9 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
         yield progress
     elif not progress:
         yield lambda job: None
-    elif _is_terminal(sys.stderr) or "ipykernel" in sys.modules:
+    elif "ipykernel" in sys.modules:
+        yield _in_notebook()
+    elif _is_terminal(sys.stderr):
         with _progress_bar() as show:
             yield show
     else:
@@ -173,6 +175,22 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
             )
 
         yield show
+
+
+def _in_notebook() -> Callable[[JobStatus], None]:
+    """A function that shows a job as HTML below the cell of a notebook, and from then on in that place."""
+    from IPython.display import HTML, DisplayHandle
+
+    handle = DisplayHandle()
+    shown = False
+
+    def show(job: JobStatus) -> None:
+        nonlocal shown
+        content = HTML(job_html(job))
+        (handle.update if shown else handle.display)(content)
+        shown = True
+
+    return show
 
 
 def _is_terminal(stream: TextIO) -> bool:

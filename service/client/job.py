@@ -3,10 +3,11 @@
 import heapq
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 from service.client.display import PartsCallback, display_job, display_parts, job_html, summary
 from service.client.errors import (
+    BounceError,
     Busy,
     JobCancelled,
     JobFailed,
@@ -14,6 +15,7 @@ from service.client.errors import (
     UnexpectedAnswer,
     WaitTimeout,
 )
+from service.client.models import JobStatus
 from service.client.results import Results
 from service.client.specification import body
 from service.client.transport import Transport, json_object, retry_after
@@ -140,12 +142,12 @@ class Job(Results):
         with display_job(progress) as show:
             show(self)
             delay = FIRST_DELAY
-            while not self._has_ended() and (left := deadline - time.monotonic()) > 0:
-                time.sleep(min(delay if self._retry_after is None else self._retry_after, left))
+            while not self.has_ended() and (left := deadline - time.monotonic()) > 0:
+                time.sleep(min(self.pause(delay), left))
                 delay = min(delay * 1.15, MAX_DELAY)
-                self._refresh_through_outage()
+                self.refresh_through_outage()
                 show(self)
-        self._raise_unless_done(timeout)
+        raise_unless_done(self, timeout)
         return self
 
     def plot(
@@ -164,18 +166,41 @@ class Job(Results):
         diagram: solid where stable. `ax`: default the current axes of pyplot if it is in use, else those of a
         new figure. Raises BounceError for an unknown kind, and as these methods.
         """
-        from service.client.plots import plot
+        from service.client import plots
 
-        return plot(self, self.spec, kind, ax=ax, branches=branches, **selection)
+        spec = self.spec
+        long = [axis for axis in plots.AXES if _length(spec[axis]) > 1]
+        if kind is None:
+            kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
+        if kind not in get_args(plots.Kind):
+            raise BounceError(f"kind: must be one of {', '.join(get_args(plots.Kind))}, not {kind!r:.40}")
+        if branches is not None and kind != "diagram":
+            raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
+        ax = ax if ax is not None else plots.new_axes()
+        if kind == "modes":
+            plots.draw_modes(ax, self.modes(**selection))
+        elif kind == "threshold":
+            plots.draw_thresholds(ax, self.threshold(progress=False, **selection))
+        else:
+            if "along" not in selection and long and "gamma" not in long:
+                selection["along"] = long[0]
+            plots.draw_diagram(ax, self.diagram(**selection))
+            if branches is not None:
+                plots.draw_branches(ax, branches)
+        return ax
 
-    def _has_ended(self) -> bool:
+    def pause(self, otherwise: float) -> float:
+        """Seconds until the service wants to be asked again, or `otherwise`."""
+        return otherwise if self._retry_after is None else self._retry_after
+
+    def has_ended(self) -> bool:
         """Whether the job is finished; becomes the job that replaces it first, if there is one."""
         while self.finished and self.state != "done" and self.replaced_by is not None:
             self.id, self._etag = self.replaced_by, None
-            self._refresh_through_outage()
+            self.refresh_through_outage()
         return self.finished
 
-    def _refresh_through_outage(self) -> None:
+    def refresh_through_outage(self) -> None:
         """Refresh, retrying for `MAX_OUTAGE` seconds while the service is away."""
         deadline = time.monotonic() + MAX_OUTAGE
         while True:
@@ -187,19 +212,28 @@ class Job(Results):
                     raise
             time.sleep(1.0)
 
-    def _raise_unless_done(self, timeout: float | None) -> None:
-        if self.state == "failed":
-            raise JobFailed(self)
-        if self.state == "cancelled":
-            raise JobCancelled(self)
-        if not self.finished:
-            raise WaitTimeout(self, timeout or 0.0)
-
     def __repr__(self) -> str:
         return f"<Job {summary(self)}>"
 
     def _repr_html_(self) -> str:
         return job_html(self)
+
+
+def _length(axis: object) -> int:
+    """How many values an axis of a specification has."""
+    if isinstance(axis, Mapping):
+        return int(axis["num"])
+    return len(axis) if isinstance(axis, list) else 1
+
+
+def raise_unless_done(job: JobStatus, timeout: float | None) -> None:
+    """Raise JobFailed, JobCancelled, or WaitTimeout for a job that is not done after a wait."""
+    if job.state == "failed":
+        raise JobFailed(job)
+    if job.state == "cancelled":
+        raise JobCancelled(job)
+    if not job.finished:
+        raise WaitTimeout(job, timeout or 0.0)
 
 
 def as_completed(jobs: Iterable[Job], timeout: float | None = None) -> Iterator[Job]:
@@ -210,14 +244,14 @@ def as_completed(jobs: Iterable[Job], timeout: float | None = None) -> Iterator[
         due, number, delay, job = heapq.heappop(waiting)
         time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
         if due > 0.0:
-            job._refresh_through_outage()
-        if job._has_ended():
+            job.refresh_through_outage()
+        if job.has_ended():
             yield job
         elif time.monotonic() >= deadline:
             raise WaitTimeout(job, timeout or 0.0)
         else:
             # Many jobs share the rate of requests that one of them would have.
-            pause = max(delay if job._retry_after is None else job._retry_after, REQUEST_DELAY * len(waiting))
+            pause = max(job.pause(delay), REQUEST_DELAY * len(waiting))
             entry = (time.monotonic() + pause, number, min(delay * 1.15, MAX_DELAY), job)
             heapq.heappush(waiting, entry)
 
@@ -234,5 +268,5 @@ def wait_all(
         ended += 1
         show(ended, len(jobs))
     for job in jobs:
-        job._raise_unless_done(timeout)
+        raise_unless_done(job, timeout)
     return jobs

@@ -4,19 +4,15 @@ Colours are those of the service's pictures. Nothing is shown or saved: that is 
 `xarray.Dataset.plot`.
 """
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from kernel.labels import LABELS
-from service.client.errors import BounceError
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
-
-    from service.client.results import Results
 
 Kind = Literal["diagram", "modes", "threshold"]
 
@@ -37,40 +33,6 @@ AXES: Final = {
     "xi": r"damping ratio $\xi$",
 }
 FLIGHT: Final = "flight time (rad)"
-
-
-def plot(
-    job: "Results",
-    spec: Mapping[str, Any],
-    kind: Kind | None = None,
-    *,
-    ax: "Axes | None" = None,
-    branches: "xarray.Dataset | None" = None,
-    **selection: Any,
-) -> "Axes":
-    """Plot the results of a job with this specification, as `Job.plot`."""
-    long = [axis for axis in AXES if _length(spec[axis]) > 1]
-    if kind is None:
-        kind = "modes" if {"gamma", "omega"} <= set(long) and "along" not in selection else "diagram"
-    if kind not in get_args(Kind):
-        raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
-    if branches is not None and kind != "diagram":
-        raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
-    if ax is None:
-        from matplotlib.figure import Figure
-
-        ax = _current_axes() or Figure(layout="constrained").subplots()
-    if kind == "modes":
-        draw_modes(ax, job.modes(**selection))
-    elif kind == "threshold":
-        draw_thresholds(ax, job.threshold(progress=False, **selection))
-    else:
-        if "along" not in selection and long and "gamma" not in long:
-            selection["along"] = long[0]
-        draw_diagram(ax, job.diagram(**selection))
-        if branches is not None:
-            draw_branches(ax, branches)
-    return ax
 
 
 def draw_diagram(ax: "Axes", diagram: "xarray.Dataset") -> None:
@@ -143,19 +105,17 @@ def draw_thresholds(ax: "Axes", thresholds: "xarray.Dataset") -> None:
     ax.legend(frameon=False)
 
 
-def _current_axes() -> "Axes | None":
-    """The current axes of pyplot if it is in use, as in a notebook; None otherwise."""
+def new_axes() -> "Axes":
+    """The current axes of pyplot if it is in use, as in a notebook; those of a new figure otherwise."""
     import sys
 
     pyplot = sys.modules.get("matplotlib.pyplot")
-    return None if pyplot is None else pyplot.gca()
+    if pyplot is not None:
+        axes: Axes = pyplot.gca()
+        return axes
+    from matplotlib.figure import Figure
 
-
-def _length(axis: object) -> int:
-    """How many values an axis of a specification has."""
-    if isinstance(axis, Mapping):
-        return int(axis["num"])
-    return len(axis) if isinstance(axis, list) else 1
+    return Figure(layout="constrained").subplots()
 
 
 def _symbol(axis: str) -> str:

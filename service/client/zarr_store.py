@@ -9,6 +9,7 @@ import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
 
+from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import NotFound, StoreUnreachable, UnexpectedAnswer
 from service.client.transport import Transport
 

@@ -59,6 +59,7 @@ class Ledger:
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
         self._damage: str | None = None  # why nothing is written until the next start
         self._refused: str | None = None  # why the last transaction could not begin
+        self._closed = False
         with ExitStack() as opened:
             opened.enter_context(locked(path))
             self._connections = opened.enter_context(ExitStack())
@@ -93,12 +94,14 @@ class Ledger:
     def close(self) -> None:
         """Close the file and unlock the data folder."""
         with self._write_lock, self._read_lock:
+            self._closed = True
             self._opened.close()
 
     @contextmanager
     def reading(self) -> Iterator[ReadTransaction]:
         """Read the ledger; never waits for a writer. Raises LedgerUnavailable."""
         with self._read_lock, self._available():
+            self._check_open()
             yield ReadTransaction(self._reader)
 
     @contextmanager
@@ -166,8 +169,14 @@ class Ledger:
         finally:
             self._write_lock.release()
 
+    def _check_open(self) -> None:
+        """Raises LedgerUnavailable: a thread that outlives the service's end does nothing more."""
+        if self._closed:
+            raise LedgerUnavailable("the ledger is closed: the service ends")
+
     def _check_files(self) -> None:
         """Raises LedgerUnavailable."""
+        self._check_open()
         if self._damage is None and self._files.changed_from_outside():
             self._damage = (
                 f"the data folder's {self.path.name} has another size or time of change than the service "

@@ -14,6 +14,7 @@ from service.jobs.ledger import NOT_LOCAL, Ledger
 from service.jobs.ledger_files import network_file_system
 from service.jobs.model import RESUMABLE, UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer, first_cells
+from service.jobs.retry import Tally
 from service.jobs.stores.deletion import Deleter
 from service.jobs.stores.repair import Repairer
 from service.jobs.stores.scrub import Scrubber
@@ -53,7 +54,22 @@ class JobManager:
 
     def is_computing(self) -> bool:
         """Whether chunks of jobs are in flight."""
-        return self._supervisor.is_computing()
+        return self.chunks_in_flight > 0
+
+    @property
+    def chunks_in_flight(self) -> int:
+        """Chunks of jobs that workers compute, or that wait for one."""
+        return self._supervisor.in_flight()
+
+    @property
+    def cluster_fault(self) -> str | None:
+        """Why no chunk is computed, as found last; None if chunks are. Returns at once."""
+        return self._supervisor.cluster.explanation
+
+    @property
+    def tally(self) -> Tally:
+        """How chunks came back since the start."""
+        return self._supervisor.tally
 
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
@@ -80,6 +96,8 @@ class JobManager:
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""
         notices = []
+        if refused := len(self._supervisor.cluster.refused):
+            notices.append(f"workers refused: {refused}; the log names them")
         if unknown := len(self.unknown_stores):
             notices.append(
                 f"stores that the ledger does not know: {unknown}; bounce doctor names them, "

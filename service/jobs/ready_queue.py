@@ -49,9 +49,9 @@ class ReadyQueue:
         return self._remaining
 
     @property
-    def ready(self) -> bool:
-        """Whether there is a chunk to pop."""
-        return self._initial_popped < len(self._initial) or bool(self._first) or bool(self._later)
+    def ready(self) -> int:
+        """How many chunks can be popped."""
+        return len(self._initial) - self._initial_popped + len(self._first) + len(self._later)
 
     def pop(self) -> int:
         """A chunk that can be computed now; raises IndexError if none is ready.

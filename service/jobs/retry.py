@@ -3,13 +3,15 @@
 A chunk can come back for five reasons, which count differently:
 
 - its time slice is over: it goes on before others of its job begin, and nothing is counted;
-- it was cancelled, or the cluster or the bucket was lost: the chunk is requeued and nothing is counted;
+- it was cancelled, the cluster or the bucket was lost, its worker was told to leave, or may not compute: the
+  chunk is requeued and nothing is counted;
 - its worker died while computing another chunk: a collateral loss, counted on its own;
 - it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
 - no chunk of the job can be stored, as on a full disk: the job stops at once.
 """
 
 import errno
+from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from worker import store
-from worker.executors.errors import ClusterLost, WorkerLost
+from worker.executors.errors import ClusterLost, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import StoreDamaged
 from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
 
@@ -51,6 +53,8 @@ UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
     CancelledError: Action.REQUEUE,
     ChunkPaused: Action.CONTINUE,
     ClusterLost: Action.PAUSE,
+    WorkerLeft: Action.CONTINUE,
+    WorkerRefused: Action.CONTINUE,
     **dict.fromkeys(store.UNREACHABLE, Action.PAUSE),
 }
 
@@ -101,3 +105,26 @@ class RetryPolicy:
         if history.fatal or (isinstance(error, OSError) and error.errno in FATAL_ERRNOS):
             return Action.FATAL
         return Action.RETRY if history.tries + 1 < self.chunk_tries else Action.GIVE_UP
+
+
+class Tally:
+    """How chunks came back since the service started, for its metrics. Written by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self.computed = 0
+        self.seconds = 0.0  # of workers, for these
+        self._returned: Counter[tuple[str, str]] = Counter()
+
+    def add_computed(self, seconds: float) -> None:
+        """A chunk came back with a report."""
+        self.computed += 1
+        self.seconds += seconds
+
+    def add_returned(self, action: Action, error: BaseException) -> None:
+        """A chunk came back without a report."""
+        self._returned[action.value, type(error).__name__] += 1
+
+    @property
+    def returned(self) -> dict[tuple[str, str], int]:
+        """Chunks that came back without a report, by what followed and the kind of error."""
+        return dict(self._returned)

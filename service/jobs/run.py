@@ -60,10 +60,14 @@ class JobRun:
         return self._has_ready and not self.refused and not self.has_unsaved
 
     @property
+    def stopped(self) -> bool:
+        """Whether no further chunk is submitted: it is being cancelled, or has failed."""
+        return self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
+
+    @property
     def _has_ready(self) -> bool:
         """Whether there is a chunk to submit, now or later."""
-        stopped = self.stopping or self._policy.stops_job(len(self._failures), self._fatal)
-        return not stopped and self._ready_queue.ready
+        return not self.stopped and self._ready_queue.ready > 0
 
     def pop(self) -> Chunk:
         """The next chunk to compute."""
@@ -88,6 +92,11 @@ class JobRun:
     def remaining_seconds(self) -> float:
         """Core-seconds of the chunks that are not done, by the cost table."""
         return self._ready_queue.remaining * self.chunk_seconds
+
+    @property
+    def at_once(self) -> int:
+        """Chunks that could be computed at once now."""
+        return len(self.in_flight) + (self._ready_queue.ready if self._has_ready else 0)
 
     @property
     def is_idle(self) -> bool:
@@ -172,13 +181,19 @@ class JobRun:
         return summary_of(self._failures)
 
 
+def text_of(error: BaseException) -> str:
+    """An error with its notes: the cells, and the worker."""
+    notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
+    kind = "" if isinstance(error, ExecutorError) else f"{type(error).__name__}: "
+    return f"{kind}{error}{notes}"
+
+
 def _failure(chunk: int, cells: str, error: BaseException, tries: int) -> Failure:
     """The record of an error. A worker's death has no traceback: it would be the executor's own."""
-    notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
     if isinstance(error, ExecutorError):
-        return Failure(chunk, cells, f"{error}{notes}", None, tries)
+        return Failure(chunk, cells, text_of(error), None, tries)
     trace = "".join(traceback.format_exception(error))[-MAX_TRACEBACK:]
-    return Failure(chunk, cells, f"{type(error).__name__}: {error}{notes}", trace, tries)
+    return Failure(chunk, cells, text_of(error), trace, tries)
 
 
 def predecessors(plan: Plan) -> NDArray[np.int64]:

@@ -22,12 +22,12 @@ from service.jobs.model import UNFINISHED, JobRecord, JobState
 from service.jobs.model_selection import ModelSelector
 from service.jobs.prepare import JobPreparer
 from service.jobs.ready_queue import Rotation
-from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
-from service.jobs.run import JobRun
+from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy, Tally
+from service.jobs.run import JobRun, text_of
 from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
-from worker.executors.base import Executor
+from worker.executors.base import ClusterState, Executor
 from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport
@@ -93,8 +93,8 @@ class Supervisor:
     are what the ledger has marked; one whose address still has results of a deleted job waits for it to be
     free. `after_writing` removes the store of a job that was deleted while the store was created.
 
-    `start`, `is_computing`, `wake`, `invalidate` and `stop` may be called from any thread; all else runs in
-    its own.
+    `start`, `in_flight`, `tally`, `cluster`, `wake`, `invalidate` and `stop` may be used from any thread; all
+    else runs in its own.
     """
 
     def __init__(
@@ -110,6 +110,8 @@ class Supervisor:
         self._preparer, self._is_verified = preparer, is_verified
         self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
+        self.tally = Tally()
+        self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
         self._messages: deque[Message] = deque()  # received, and not yet taken in
@@ -128,9 +130,9 @@ class Supervisor:
         self.wake()
         self._thread.start()
 
-    def is_computing(self) -> bool:
-        """Whether chunks of jobs are in flight."""
-        return any(run.in_flight for run in list(self._runs.values()))
+    def in_flight(self) -> int:
+        """Chunks of jobs that are at the executor."""
+        return sum(len(run.in_flight) for run in list(self._runs.values()))
 
     def wake(self) -> None:
         """Have the ledger synced now. Call it after a change of the ledger."""
@@ -234,15 +236,18 @@ class Supervisor:
         run.remove_in_flight(chunk)
         error = _error_of(finished.future)
         if error is None:
-            run.unsaved_reports.append(finished.future.result())
+            report = finished.future.result()
+            run.unsaved_reports.append(report)
+            self.tally.add_computed(report.seconds)
             return
         self._on_error(run, chunk, error)
 
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
         """Carry out what the retry policy decides about a chunk that has no report."""
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
+        self.tally.add_returned(action, error)
         if action in FAILED_TRIES:
-            log.warning("job %s, chunk %d: %s: %s", run.job.id, chunk, type(error).__name__, error)
+            log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error))
         if action is Action.PAUSE:
             self._slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
@@ -289,8 +294,10 @@ class Supervisor:
     def _sync(self) -> None:
         """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
         self._ledger.keep_reserve()
-        self._slots = self._settings.window * self._executor.workers()
-        pause = self._settings.heartbeat_seconds * (1.0 if self._slots else IDLE_SHARE)
+        cluster = self.cluster = self._executor.state()
+        # Without workers as for one: what waits at the scheduler has a cluster that can grow start some.
+        self._slots = self._settings.window * max(cluster.workers, 1) if cluster.connected else 0
+        pause = self._settings.heartbeat_seconds * (1.0 if cluster.workers else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
         for submitting in self._runs.values():
             submitting.refused = False
@@ -310,6 +317,23 @@ class Supervisor:
             # The others' stores are in the same bucket: each would wait as long. The next sync tries again.
             log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
+        self._withdraw_stopped(cluster)
+        self._ask_for_workers()
+
+    def _withdraw_stopped(self, cluster: ClusterState) -> None:
+        """Without workers, take back the chunks of jobs that are stopped: none will begin."""
+        if cluster.connected and not cluster.workers:
+            for run in self._runs.values():
+                for future in list(run.in_flight.values()) if run.stopped else ():
+                    future.cancel()
+
+    def _ask_for_workers(self) -> None:
+        """Tell the executor what is left to compute, in two digits: at each sync a little less is left."""
+        runs = [run for run in self._runs.values() if run.at_once]
+        waiting = self._waiting.values()
+        seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
+        at_once = sum(run.at_once for run in runs) + len(waiting)
+        self._executor.ask_for(_two_digits(seconds), int(_two_digits(at_once)))
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
         """Put the jobs that may start in order, and all of them in the rotation."""
@@ -548,6 +572,14 @@ class Supervisor:
 def _order(run: JobRun) -> tuple[float, int]:
     """The order of jobs in memory, as that of those that wait: by what is left of them."""
     return run.remaining_seconds, run.job.seq
+
+
+def _two_digits(value: float) -> float:
+    """Rounded up to two significant digits."""
+    if value <= 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(value / unit) * unit
 
 
 def _error_of(future: "Future[ChunkReport]") -> BaseException | None:

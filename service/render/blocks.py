@@ -1,40 +1,66 @@
-"""What the files of a whole sweep share: which arrays they hold, and the chunks in order."""
+"""What the files of a whole study share: which arrays they hold, and the chunks in order."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from service.results.counting import LABEL, labelled
-from service.results.selection import Sweep, read
+from service.results.selection import Stored, Sweep, read, read_stored
 from worker import schema
+from worker.schema import Layout
 from worker.spec import SweepSpec
 from worker.studies import Plan
 
 
-def exported(spec: SweepSpec) -> tuple[schema.Array, ...]:
-    """The exported arrays: all but the states that a ramp carries on from, and labels where there are any."""
+def exported(study: Stored[Any], layout: Layout) -> tuple[schema.Array, ...]:
+    """The exported arrays: of a sweep `of_sweep`, of any other study all that is stored."""
+    return of_sweep(study.spec) if isinstance(study, Sweep) else layout.arrays
+
+
+def of_sweep(spec: SweepSpec) -> tuple[schema.Array, ...]:
+    """All arrays but the states that a ramp carries on from, and labels where there are any."""
     stored = tuple(array for array in schema.arrays(spec) if array is not schema.END_STATE)
     return (*stored, LABEL) if spec.exponents else stored
 
 
 class Block(NamedTuple):
-    """One chunk of a sweep."""
+    """One chunk of a study."""
 
-    direction: str
+    direction: str | None  # of a sweep
     cells: Mapping[str, slice]  # the grid indices it spans, by axis in the order of the store
-    arrays: Mapping[str, NDArray[Any]]  # `exported` by name: (xi, omega, gamma), then the extra dimension
+    arrays: Mapping[str, NDArray[Any]]  # `exported` by name: along `cells`, then the extra dimensions
 
 
-def blocks(sweep: Sweep, plan: Plan) -> Iterator[Block]:
+def blocks(study: Stored[Any], plan: Plan, layout: Layout) -> Iterator[Block]:
     """Every chunk of the plan; cells that are not computed yet hold fill values.
 
     Raises a `store.StoreError`.
     """
-    names = [array.name for array in exported(sweep.spec) if array is not LABEL]
+    names = [array.name for array in exported(study, layout) if array is not LABEL]
     for chunk in plan:
-        cells = dict(zip(schema.CELL_DIMS, chunk.slices, strict=True))
-        direction = sweep.spec.directions[cells.pop("direction").start]
-        arrays = read(sweep, names, direction, cells)
-        arrays |= labelled(sweep.spec, arrays[schema.OUTCOME.name], arrays)
-        yield Block(direction, cells, arrays)
+        cells = dict(zip(layout.chunk_sizes, chunk.slices, strict=True))
+        if isinstance(study, Sweep):
+            direction = study.spec.directions[cells.pop("direction").start]
+            arrays = read(study, names, direction, cells)
+            arrays |= labelled(study.spec, arrays[schema.OUTCOME.name], arrays)
+            yield Block(direction, cells, arrays)
+        else:
+            empty = _fill_values(layout, cells)
+            yield Block(None, cells, read_stored(study, names, cells, lambda empty=empty: empty))  # type: ignore[misc]
+
+
+def _fill_values(layout: Layout, cells: Mapping[str, slice]) -> dict[str, NDArray[Any]]:
+    """What the arrays of a chunk hold before any cell is computed."""
+    return {
+        array.name: np.full(
+            [
+                cells[dim].stop - cells[dim].start if dim in cells else layout.extra_sizes[dim]
+                for dim in array.dims
+            ],
+            array.fill,
+            array.dtype,
+        )
+        for array in layout.arrays
+    }

@@ -1,4 +1,4 @@
-"""A whole sweep as one file: written chunk by chunk into a temporary file, then sent.
+"""A whole study as one file: written chunk by chunk into a temporary file, then sent.
 
 The file is unlinked before it is sent, so that nothing of it stays on the disk however the request ends.
 """
@@ -9,19 +9,17 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Any, Final
 
 import numpy as np
 
 from service.background import Background
-from service.errors import ExportFailed, NoSpace, TooLarge
+from service.errors import ExportFailed, InvalidRequest, NoSpace, TooLarge
 from service.formats import ExportFormat
 from service.render import netcdf, parquet
 from service.render.blocks import Block, blocks
-from service.results.selection import Sweep
-from worker import schema
+from service.results.selection import Stored
 from worker.schema import Layout
-from worker.spec import SweepSpec
 from worker.studies import Plan, study_of
 
 #: Bytes sent at a time.
@@ -32,15 +30,23 @@ SPARE: Final = 16 * 2**20
 #: A disk with fewer bytes free counts as full when a file could not be written.
 FULL: Final = 2**20
 
-_WRITERS: Final[Mapping[ExportFormat, Callable[[Sweep, Layout, Iterable[Block], Path], None]]] = {
+_WRITERS: Final[Mapping[ExportFormat, Callable[[Stored[Any], Layout, Iterable[Block], Path], None]]] = {
     "nc": netcdf.write,
     "parquet": parquet.write,
 }
 
 
-def check_size(spec: SweepSpec, max_bytes: int) -> None:
-    """Raise TooLarge for a sweep of more bytes than one file may hold."""
-    size = int(np.prod(spec.shape)) * schema.bytes_per_cell(spec)
+def check_numbers(spec: Any, plan: Plan) -> None:
+    """Raise InvalidRequest for a study whose arrays such files cannot hold: complex numbers."""
+    for array in study_of(spec).variables(spec, plan.chunk_shape).arrays:
+        if np.dtype(array.dtype).kind == "c":
+            rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
+            raise InvalidRequest.of("format", rule)
+
+
+def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
+    """Raise TooLarge for a study of more bytes than one file may hold."""
+    size = study_of(study.spec).estimate(study.spec, plan).bytes
     if size > max_bytes:
         raise TooLarge(
             f"the sweep holds {size:,} bytes; the limit for one file is {max_bytes:,}: "
@@ -48,8 +54,10 @@ def check_size(spec: SweepSpec, max_bytes: int) -> None:
         )
 
 
-def make(background: Background, sweep: Sweep, plan: Plan, format: ExportFormat, folder: Path) -> IO[bytes]:
-    """The sweep's file, written in the background; open for reading and already unlinked.
+def make(
+    background: Background, study: Stored[Any], plan: Plan, format: ExportFormat, folder: Path
+) -> IO[bytes]:
+    """The study's file, written in the background; open for reading and already unlinked.
 
     Raises NoSpace, another OSError, ExportFailed, NotComputed, a `store.StoreError`.
     """
@@ -57,18 +65,18 @@ def make(background: Background, sweep: Sweep, plan: Plan, format: ExportFormat,
     handle, name = tempfile.mkstemp(suffix=f".{format}", dir=folder)
     os.close(handle)
     try:
-        background.run(write, sweep, plan, format, Path(name))
+        background.run(write, study, plan, format, Path(name))
         return Path(name).open("rb")
     finally:
         Path(name).unlink()
 
 
-def write(sweep: Sweep, plan: Plan, format: ExportFormat, path: Path) -> None:
-    """Write the sweep's file. Raises NoSpace, another OSError, ExportFailed, a `store.StoreError`."""
+def write(study: Stored[Any], plan: Plan, format: ExportFormat, path: Path) -> None:
+    """Write the study's file. Raises NoSpace, another OSError, ExportFailed, a `store.StoreError`."""
     folder = path.parent
-    layout = study_of(sweep.spec).variables(sweep.spec, plan.chunk_shape)
+    layout = study_of(study.spec).variables(study.spec, plan.chunk_shape)
     try:
-        _WRITERS[format](sweep, layout, _while_there_is_room(blocks(sweep, plan), folder), path)
+        _WRITERS[format](study, layout, _while_there_is_room(blocks(study, plan, layout), folder), path)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise NoSpace(f"no space left for the export file: {error.strerror}") from error

@@ -1,4 +1,4 @@
-"""A sweep as NetCDF 4: the dimensions, coordinates, arrays and attributes of its store, chunk by chunk.
+"""A study as NetCDF 4: the dimensions, coordinates, arrays and attributes of its store, chunk by chunk.
 
 The file is written by another process, see `netcdf_writer`.
 """
@@ -20,16 +20,15 @@ from service.errors import ExportFailed
 from service.render import netcdf_writer
 from service.render.blocks import Block, exported
 from service.render.netcdf_writer import Head, Part, Variable
-from service.results.selection import Sweep
+from service.results.selection import Stored
 from worker.schema import Array, Layout
-from worker.spec import SweepSpec
 
 #: -P: no module is imported from the current folder.
 _WRITER: Final = (sys.executable, "-P", "-m", netcdf_writer.__name__)
 
 
-def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> None:
-    """Write the sweep's file. Raises OSError, ExportFailed, and what `blocks` raises."""
+def write(study: Stored[Any], layout: Layout, blocks: Iterable[Block], path: Path) -> None:
+    """Write the study's file. Raises OSError, ExportFailed, and what `blocks` raises."""
     with subprocess.Popen(
         [*_WRITER, str(path)],
         stdin=subprocess.PIPE,
@@ -43,7 +42,7 @@ def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> 
         assert process.stdin
         assert process.stdout
         try:
-            _send(chain([_head(sweep, layout)], _parts(sweep.spec, blocks), [None]), process.stdin)
+            _send(chain([_head(study, layout)], _parts(study, layout, blocks), [None]), process.stdin)
         except BaseException:
             process.kill()
             raise
@@ -64,10 +63,12 @@ def _send(objects: Iterable[Any], pipe: IO[bytes]) -> None:
             pipe.close()
 
 
-def _parts(spec: SweepSpec, blocks: Iterable[Block]) -> Iterator[Part]:
-    names = [array.name for array in exported(spec)]
+def _parts(study: Stored[Any], layout: Layout, blocks: Iterable[Block]) -> Iterator[Part]:
+    names = [array.name for array in exported(study, layout)]
     for block in blocks:
-        where: tuple[int | slice, ...] = (spec.directions.index(block.direction), *block.cells.values())
+        where: tuple[int | slice, ...] = tuple(block.cells.values())
+        if block.direction is not None:
+            where = (study.spec.directions.index(block.direction), *where)
         yield Part(where, {name: block.arrays[name] for name in names})
 
 
@@ -83,8 +84,8 @@ def _check(answer: bytes, returncode: int) -> None:
     raise ExportFailed(report["text"])
 
 
-def _head(sweep: Sweep, layout: Layout) -> Head:
-    arrays, attributes = exported(sweep.spec), {**layout.attributes, **sweep.attributes}
+def _head(study: Stored[Any], layout: Layout) -> Head:
+    arrays, attributes = exported(study, layout), {**layout.attributes, **study.attributes}
     return Head(
         sizes={
             dim: size for array in arrays for dim, size in zip(array.dims, layout.shape(array), strict=True)

@@ -1,4 +1,4 @@
-"""A sweep as Parquet: one row per cell, its flights as lists, chunk by chunk."""
+"""A study as Parquet, chunk by chunk; of a sweep one row per cell, its flights as lists."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from kernel.labels import LABELS
-from service.render.blocks import Block, exported
+from service.render.blocks import Block, of_sweep
+from service.render.study_rows import lists, rows_of, schema_of
 from service.results.counting import LABEL
-from service.results.selection import Sweep
+from service.results.selection import Stored, Sweep
 from worker import schema
 from worker.schema import Layout
 from worker.spec import AXES, SweepSpec
@@ -30,7 +31,7 @@ _NAMED: Final = (schema.OUTCOME.name, LABEL.name)
 
 def _schema(spec: SweepSpec) -> pa.Schema:
     """Where the cell is, its outcome and label by name, then the stored arrays: counts first, lists last."""
-    arrays = {array.name: array for array in exported(spec)}
+    arrays = {array.name: array for array in of_sweep(spec)}
     named = [name for name in _NAMED if name in arrays]
     return pa.schema(
         [
@@ -48,19 +49,25 @@ def _schema(spec: SweepSpec) -> pa.Schema:
     )
 
 
-def write(sweep: Sweep, layout: Layout, blocks: Iterable[Block], path: Path) -> None:
-    """Write the sweep's file. Raises OSError, and what `blocks` raises."""
-    origin = {**sweep.attributes, "spec": json.dumps(sweep.spec.as_submitted())}
-    table = _schema(sweep.spec).with_metadata(origin)
-    with parquet.ParquetWriter(path, table, compression="zstd") as file:
-        for block in blocks:
-            file.write_batch(_rows(sweep.spec, block, table))
+def write(study: Stored[Any], layout: Layout, blocks: Iterable[Block], path: Path) -> None:
+    """Write the study's file. Raises OSError, and what `blocks` raises."""
+    origin = {**study.attributes, "spec": json.dumps(study.spec.as_submitted())}
+    is_sweep = isinstance(study, Sweep)
+    table = _schema(study.spec) if is_sweep else schema_of(layout)
+    table = table.with_metadata(origin)
+    try:
+        with parquet.ParquetWriter(path, table, compression="zstd") as file:
+            for block in blocks:
+                rows = _rows(study.spec, block, table) if is_sweep else rows_of(layout, block, table)
+                file.write_batch(rows)
+    finally:
+        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
 
 
 def _rows(spec: SweepSpec, block: Block, table: pa.Schema) -> pa.RecordBatch:
     values = [spec.axis_values(axis)[block.cells[axis]] for axis in AXES]
     grid = dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
-    columns = {array.name: _values(array, block.arrays) for array in exported(spec)}
+    columns = {array.name: _values(array, block.arrays) for array in of_sweep(spec)}
     columns |= {axis: grid[axis].ravel() for axis in AXES}
     columns["direction"] = np.full(len(columns["flights"]), block.direction)
     columns |= {name: np.array(LABELS)[columns[name]] for name in _NAMED if name in columns}
@@ -73,13 +80,4 @@ def _values(array: schema.Array, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if not array.extra_dims:
         return values.ravel()
     flights = arrays["flights"].ravel()
-    return _lists(values, flights if "flight" in array.dims else np.full_like(flights, values.shape[-1]))
-
-
-def _lists(values: NDArray[Any], flights: NDArray[np.int32]) -> pa.Array:
-    """(…, keep) → for each cell the list of the first of them, as many as `flights` (cells,) says."""
-    keep = values.shape[-1]
-    kept = np.minimum(flights, keep)
-    offsets = np.concatenate([[0], np.cumsum(kept)]).astype(np.int32)
-    flat = values.reshape(-1, keep)[np.arange(keep) < kept[:, None]]
-    return pa.ListArray.from_arrays(pa.array(offsets), pa.array(flat))
+    return lists(values, flights if "flight" in array.dims else np.full_like(flights, values.shape[-1]))

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from kernel.labels import LABELS, label_codes
 from kernel.params import Outcome
-from service.results.selection import nearest_index
-from worker import store
+from service.results.selection import Stored, nearest_index, read_stored
 from worker.basins.attractors import EXPONENT_WINDOW
 from worker.basins.spec import BasinSpec
 from worker.spec import AXES
@@ -24,15 +23,8 @@ PER_ATTRACTOR: Final = (
 NUMBERS: Final = ("attractor_count", "undecided", "basin_entropy", "boundary_entropy")
 
 
-@dataclass(frozen=True)
-class Basins:
-    """The specification of a job's basins and the address of its store."""
-
-    spec: BasinSpec
-    url: str
-    complete: bool  # the job is done: a missing chunk is damage, not work to come
-    repairing: bool
-    kernel_version: str  # that computed it
+class Basins(Stored[BasinSpec]):
+    """Basins of attraction."""
 
 
 @dataclass(frozen=True)
@@ -90,17 +82,16 @@ def basin(basins: Basins, gamma: float | None, omega: float | None, xi: float | 
 def _read(basins: Basins, indices: Mapping[str, int]) -> dict[str, NDArray[Any]]:
     spec = basins.spec
     names = ["attractor", *PER_ATTRACTOR, *NUMBERS, "outcome", *(["lyapunov"] if spec.exponents else [])]
-    try:
-        return store.read_slice(basins.url, names, complete=basins.complete, **indices)
-    except store.StoreMissing as error:
-        if basins.complete:
-            raise store.StoreDamaged(str(error)) from error
-        # The job is still queued: its store is created with the first chunk.
-        plane = spec.protocol
-        return {
+    plane = spec.protocol
+    return read_stored(
+        basins,
+        names,
+        indices,
+        lambda: {
             "outcome": np.array(Outcome.MISSING),
             "attractor": np.zeros((plane.rows, plane.columns), np.uint8),
-        }
+        },
+    )
 
 
 def _attractors(spec: BasinSpec, arrays: Mapping[str, NDArray[Any]]) -> tuple[Attractor, ...]:

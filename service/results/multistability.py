@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from service.results.basins import attractor_label
-from service.results.selection import BASE_MEMORY, check_points, nearest_index
-from worker import store
+from service.results.selection import BASE_MEMORY, Stored, check_points, nearest_index, read_stored
 from worker.basins.multistability import MAX_ATTRACTORS
 from worker.basins.spec import MultistabilitySpec
 
@@ -40,15 +39,8 @@ _Arrays = Mapping[str, NDArray[Any]]
 _Mode = tuple[int, int, int]  # outcome, bounces, periods
 
 
-@dataclass(frozen=True)
-class Multistability:
-    """The specification of a job of multistability and the address of its store."""
-
-    spec: MultistabilitySpec
-    url: str
-    complete: bool  # the job is done: a missing chunk is damage, not work to come
-    repairing: bool
-    kernel_version: str  # that computed it
+class Multistability(Stored[MultistabilitySpec]):
+    """Attractors over a grid."""
 
 
 class Place(NamedTuple):
@@ -170,17 +162,14 @@ def flights(job: Multistability, xi: float | None, omega: float) -> NDArray[np.f
 
 
 def _read(job: Multistability, names: Sequence[str], **at: int) -> dict[str, NDArray[Any]]:
-    try:
-        return store.read_slice(job.url, names, complete=job.complete, **at)
-    except store.StoreMissing as error:
-        if job.complete:
-            raise store.StoreDamaged(str(error)) from error
-        # The job is still queued: its store is created with the first chunk. No cell has an attractor.
-        shape = tuple(
-            n for axis, n in zip(("xi", "omega", "gamma"), job.spec.shape, strict=True) if axis not in at
-        )
-        extra = {"outcome": (), "attractor_count": (), "flight_time": (0, 0)}
-        return {name: np.zeros((*shape, *extra.get(name, (0,)))) for name in names}
+    # Before there is a store, no cell has an attractor.
+    shape = tuple(
+        n for axis, n in zip(("xi", "omega", "gamma"), job.spec.shape, strict=True) if axis not in at
+    )
+    extra = {"outcome": (), "attractor_count": (), "flight_time": (0, 0)}
+    return read_stored(
+        job, names, at, lambda: {name: np.zeros((*shape, *extra.get(name, (0,)))) for name in names}
+    )
 
 
 def _known(arrays: _Arrays, i: int, j: int) -> range:

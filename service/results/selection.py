@@ -5,10 +5,10 @@ them select and read the cells here.
 """
 
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,14 @@ ROUNDING: Final = 1e-9
 Indices = Mapping[str, int | slice]
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """The specification of a job's sweep as it is computed, and the address of its store."""
+_Spec_co = TypeVar("_Spec_co", bound=Specification, covariant=True)
 
-    spec: SweepSpec
+
+@dataclass(frozen=True)
+class Stored(Generic[_Spec_co]):
+    """The specification of a job's study as it is computed, and the address of its store."""
+
+    spec: _Spec_co
     url: str
     complete: bool = False  # the job is done: a missing chunk is damage, not work to come
     kernel_version: str = KERNEL_VERSION  # that computed it
@@ -53,6 +56,10 @@ class Sweep:
                 f"the release that wrote this file computes version {KERNEL_VERSION}"
             )
         return attributes
+
+
+class Sweep(Stored[SweepSpec]):
+    """A sweep."""
 
 
 def check_kernel(version: str) -> None:
@@ -142,13 +149,26 @@ def read(sweep: Sweep, names: Sequence[str], direction: str, indices: Indices) -
     Cells that are not computed yet hold fill values. Raises a `store.StoreError`.
     """
     selected = {"direction": sweep.spec.directions.index(direction), **indices}
+    return read_stored(sweep, names, selected, lambda: _fill_values(sweep.spec, names, selected))
+
+
+def read_stored(
+    study: Stored[Specification],
+    names: Sequence[str],
+    indices: Indices,
+    empty: Callable[[], dict[str, NDArray[Any]]],
+) -> dict[str, NDArray[Any]]:
+    """The named arrays of any study at `indices`; `empty` makes what they hold before there is a store.
+
+    Raises a `store.StoreError`.
+    """
     try:
-        return store.read_slice(sweep.url, names, **selected, complete=sweep.complete)
+        return store.read_slice(study.url, names, **indices, complete=study.complete)
     except store.StoreMissing as error:
-        if sweep.complete:
+        if study.complete:
             raise store.StoreDamaged(str(error)) from error
         # The job is still queued: its store is created with the first chunk.
-        return _fill_values(sweep.spec, names, selected)
+        return empty()
 
 
 def _fill_values(spec: SweepSpec, names: Sequence[str], selected: Indices) -> dict[str, NDArray[Any]]:

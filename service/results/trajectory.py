@@ -16,8 +16,15 @@ from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.results.basins import Basins
 from service.results.multistability import Multistability
-from service.results.selection import Sweep, check_kernel, nearest_index, read, resolve_direction
-from worker import schema, store
+from service.results.selection import (
+    Sweep,
+    check_kernel,
+    nearest_index,
+    read,
+    read_stored,
+    resolve_direction,
+)
+from worker import schema
 from worker.basins.spec import MAX_HEIGHT
 from worker.basins.starts import contact_states, drop_states
 from worker.cost import period_seconds
@@ -291,13 +298,8 @@ def of_attractor(
     spec = job.spec
     cell = {axis: nearest_index(spec, axis, values.get(axis)) for axis in AXES}
     indices = {axis: point.index for axis, point in cell.items()}
-    try:
-        names = ("attractor_outcome", "attractor_state")
-        arrays = store.read_slice(job.url, names, complete=job.complete, **indices)
-    except store.StoreMissing as error:
-        if job.complete:
-            raise store.StoreDamaged(str(error)) from error
-        arrays = {"attractor_outcome": np.zeros(0)}  # the job is still queued
+    names = ("attractor_outcome", "attractor_state")
+    arrays = read_stored(job, names, indices, lambda: {"attractor_outcome": np.zeros(0)})
     stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
     if not 1 <= attractor <= stored:
         rule = (

@@ -4,6 +4,7 @@ import importlib
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,46 +14,35 @@ from distributed import Security
 from service.settings import Settings
 from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
-from worker.executors.errors import ClusterLost
+from worker.executors.targets import Made
 
 
 @contextmanager
 def connected_cluster(settings: Settings) -> Iterator[Dask]:
     """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost."""
-    with _created(settings.cluster) as created:
-        cluster = Dask(
-            settings.scheduler if created is None else created,
-            scheduler_file=settings.scheduler_file,
-            security=_tls(settings),
-            workers=settings.workers,
-            memory=settings.worker_memory,
-        )
-        try:
-            yield cluster
-        finally:
-            cluster.close()
-
-
-@contextmanager
-def _created(name: str | None) -> Iterator[Any]:
-    """The cluster that the function `module:function` returns; None without a name. Raises ClusterLost."""
-    if name is None:
-        yield None
-        return
-    module, _, function = name.partition(":")
-    try:
-        # Counts for a scheduler in this process; a remote one must be started with these settings.
-        dask.config.set(SCHEDULER_SETTINGS)
-        with _current_folder_last():
-            imported = importlib.import_module(module)
-        cluster = getattr(imported, function)()
-    except Exception as error:
-        raise ClusterLost(f"no cluster from {name}: {type(error).__name__}: {error}") from error
+    name = settings.cluster
+    cluster = Dask(
+        settings.scheduler if name is None else Made(partial(_create, name), name),
+        scheduler_file=settings.scheduler_file,
+        security=_tls(settings),
+        workers=settings.workers,
+        memory=settings.worker_memory,
+        stores=settings.stores_url,
+    )
     try:
         yield cluster
     finally:
-        if hasattr(cluster, "close"):
-            cluster.close()
+        cluster.close()
+
+
+def _create(name: str) -> Any:
+    """The cluster that the function `module:function` returns. Raises whatever it raises."""
+    module, _, function = name.partition(":")
+    # Counts for a scheduler in this process; a remote one must be started with these settings.
+    dask.config.set(SCHEDULER_SETTINGS)
+    with _current_folder_last():
+        imported = importlib.import_module(module)
+    return getattr(imported, function)()
 
 
 @contextmanager

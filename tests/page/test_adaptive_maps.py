@@ -7,6 +7,7 @@ import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
+from served import done
 
 pytestmark = needs_chromium
 
@@ -26,12 +27,6 @@ MAP: dict[str, Any] = {
 def job_of(address: str, id: str) -> dict[str, Any]:
     view: dict[str, Any] = httpx2.get(f"{address}/v1/jobs/{id}", timeout=DEADLINE).json()
     return view
-
-
-def done(address: str, spec: dict[str, Any]) -> str:
-    id = str(httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).json()["id"])
-    wait_for(lambda: job_of(address, id)["state"] == "done")
-    return id
 
 
 def picture(page: Any) -> str:

@@ -6,6 +6,7 @@ import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
+from served import done
 
 pytestmark = needs_chromium
 
@@ -21,14 +22,7 @@ PLOT = ".panel .plot canvas"
 
 @pytest.fixture(scope="module")
 def drops(address: str) -> str:
-    job = httpx2.post(f"{address}/v1/jobs", json=DROPS, timeout=DEADLINE).raise_for_status().json()["id"]
-
-    def state() -> str:
-        return str(httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()["state"])
-
-    wait_for(lambda: state() not in ("queued", "running"))
-    assert state() == "done"
-    return str(job)
+    return done(address, DROPS)
 
 
 def basins_of(address: str, job: str, gamma: float) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
+from served import done
 
 pytestmark = needs_chromium
 
@@ -19,14 +20,7 @@ PLANE: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def job(address: str) -> str:
-    job = httpx2.post(f"{address}/v1/jobs", json=PLANE, timeout=DEADLINE).raise_for_status().json()["id"]
-
-    def state() -> str:
-        return str(httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()["state"])
-
-    wait_for(lambda: state() not in ("queued", "running"))
-    assert state() == "done"
-    return str(job)
+    return done(address, PLANE)
 
 
 def line_of(address: str, job: str, omega: float) -> dict[str, Any]:

@@ -19,7 +19,7 @@ def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacem
     done, interrupted = (EXPECTED[name]["id"] for name in ("done", "interrupted"))
     settings = embedded.settings(data=unpacked(tmp_path), port=0)
     with (
-        embedded.running(settings, Held(capacity=0)) as address,
+        embedded.running(settings, Held()) as address,
         Client(address) as client,
         chromium() as browser,
         opened(browser, f"{address}/#/job/{done}/diagram?omega=0.5") as page,

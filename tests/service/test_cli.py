@@ -33,9 +33,9 @@ from worker.executors.inline import Inline
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
 COMMANDS = [
-    "adopt", "backup", "basins", "cancel", "curves", "delete", "diagram", "doctor", "export", "figure",
-    "follow", "list", "metrics", "modes", "multistability", "open", "orbits", "restore", "resume", "run",
-    "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait",
+    "adopt", "backup", "basins", "cancel", "completion", "curves", "delete", "diagram", "doctor", "export",
+    "figure", "follow", "list", "metrics", "modes", "multistability", "open", "orbits", "restore", "resume",
+    "run", "serve", "status", "submit", "threshold", "tradeoff", "trajectory", "wait", "watch",
 ]  # fmt: skip
 
 SPEC = {**TWO_LINES, "name": "two ω"}

@@ -123,7 +123,7 @@ def test_what_json_cannot_carry_is_refused_before_it_is_sent(client: Client):
     ("name", "content", "word"),
     [
         ("missing.json", None, "No such file"),
-        ("sweep.yaml", b"gamma: 1", r"\.json or \.toml"),
+        ("sweep.txt", b"gamma: 1", r"\.json, \.toml or \.yaml"),
         ("broken.json", b'{"gamma": ', "not JSON"),
         ("broken.toml", b"gamma = ", "not TOML"),
         ("twice.json", b'{"xi": 1, "xi": 2}', "twice"),

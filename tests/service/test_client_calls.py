@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 
 from service.cli.main import main
+from service.cli.output import jobs_live
 from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
 from service.server import embedded
 from worker.executors.inline import Inline
@@ -110,6 +112,73 @@ def test_a_key_on_the_command_line(idle: Running, tmp_path: Path):
         done = bounce(idle, "submit", str(file), "--key", "mine")
     assert done.exit_code == 1
     assert "Idempotency-Key" in done.stderr
+
+
+# Names
+
+
+def test_the_first_digits_of_an_id_select_its_job(running: Running, idle: Running):
+    assert running.client.job(running.job.id[:4]).id == running.job.id
+    assert running.job.id in output_of(running, "status", running.job.id[:6])
+    with pytest.raises(NotFound, match="an id is 32 hex digits"):
+        running.client.job(running.job.id[:3])
+    other = "0000" if not running.job.id.startswith("0000") else "1111"
+    with pytest.raises(NotFound, match=f"no job has an id that begins with {other}"):
+        running.client.job(other)
+
+
+def test_digits_that_several_ids_begin_with_select_none(running: Running, monkeypatch: pytest.MonkeyPatch):
+    other = running.job.id[:8] + ("1" if running.job.id[8] == "0" else "0") * 24
+    same = Job.from_view(running.client._transport, {**running.job.view, "id": other})
+    monkeypatch.setattr(Client, "jobs", lambda self: iter([running.job, same]))
+    with pytest.raises(NotFound, match=f"2 jobs have ids that begin with {running.job.id[:8]}, as "):
+        running.client.job(running.job.id[:8])
+    assert running.client.job(running.job.id[:9]).id == running.job.id
+
+
+def completions(running: Running, words: str) -> list[str]:
+    """What the shell is told of `words`, of which the last is incomplete."""
+    environment = {
+        "BOUNCE_URL": running.address, "BOUNCE_TOKEN": TOKEN, "_BOUNCE_COMPLETE": "bash_complete",
+        "COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1),
+    }  # fmt: skip
+    done = CliRunner().invoke(main, [], env=environment, prog_name="bounce")
+    return done.stdout.split()
+
+
+def test_the_shell_completes_commands_options_and_ids(running: Running):
+    assert completions(running, "bounce thr") == ["plain,threshold"]
+    assert completions(running, "bounce status --u") == ["plain,--url"]
+    assert completions(running, f"bounce status {running.job.id[:4]}") == [f"plain,{running.job.id}"]
+    assert completions(running, "bounce orbits zz") == []
+    assert completions(running._replace(address="http://127.0.0.1:9"), "bounce status ") == []
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_a_shell(shell: str):
+    for words, environment in ((["completion", shell], {}), (["completion"], {"SHELL": f"/usr/bin/{shell}"})):
+        done = CliRunner().invoke(main, words, env={"SHELL": "", **environment})
+        assert (done.exit_code, "_BOUNCE_COMPLETE" in done.stdout) == (0, True)
+    assert CliRunner().invoke(main, ["completion"], env={"SHELL": "/bin/other"}).exit_code == 2
+
+
+def test_watch_without_a_terminal_is_one_table(idle: Running):
+    lines = output_of(idle, "watch").splitlines()
+    assert lines[0].split() == ["ID", "STATE", "DONE", "CELLS", "NAME"]
+    assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
+
+
+def test_watched_jobs_have_bars(idle: Running):
+    from rich.console import Console
+
+    console = Console(width=120, record=True, file=StringIO())
+    console.print(jobs_live([idle.job]))
+    text = console.export_text()
+    assert text.split()[:6] == ["ID", "STATE", "DONE", "CELLS", "LEFT", "NAME"]
+    assert idle.job.id[:8] in text
+    assert idle.job.name in text
+    console.print(jobs_live([]))
+    assert "no job is queued or running" in console.export_text()
 
 
 # Changing

@@ -182,6 +182,7 @@ def test_the_axes_are_named_and_the_fixed_values_stated():
 def test_the_title_says_how_the_cells_were_computed():
     assert drawn(cells()).get_title("right") == "rigid contact, from rest"
     ramp = {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "up"}}
+    assert drawn(cells(every=2)).get_title("right") == "rigid contact, from rest, 1 cell in 2"
     thinned = drawn(cells(min_flight=0.5, every=1_000), **ramp)
     assert thinned.get_title("right") == (
         f"rigid contact, ramped along {SYMBOLS['gamma']}, flights above 0.5 rad, 1 cell in 1,000"

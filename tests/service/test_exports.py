@@ -3,9 +3,10 @@
 import io
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import Any
 
 import httpx2
 import numpy as np
@@ -16,6 +17,7 @@ from pyarrow import parquet
 from scripted import DEADLINE, Held
 from served import RAMP, computing, finished, get, occupied, service, taken
 
+from kernel.labels import LABELS
 from kernel.params import Outcome
 from service import formats
 from service.api import schemas
@@ -34,9 +36,9 @@ from worker.spec import SweepSpec
 class Done:
     """A finished job, the client that made it, and its store as xarray reads it from the disk."""
 
-    def __init__(self, client: TestClient, folder: Path) -> None:
+    def __init__(self, client: TestClient, folder: Path, spec: Mapping[str, Any] = RAMP) -> None:
         self.client = client
-        self.here = finished(client, RAMP)
+        self.here = finished(client, dict(spec))
         (url,) = folder.rglob("*.zarr")
         self.store = xarray.open_zarr(url, chunks=None).load()
 
@@ -309,3 +311,54 @@ def test_another_jobs_results_are_not_reached_through_ones_own(wire: tuple[str, 
 @pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "PATCH"])
 def test_the_store_is_read_only(done: Done, method: str):
     assert done.client.request(method, f"{done.here}/zarr/zarr.json").status_code == 405
+
+
+ATTRACTORS: dict[str, dict[str, Any]] = {
+    "basin": {"protocol": {"kind": "basin", "rows": 8, "columns": 6}, "gamma": [0.6, 1.27], "exponents": 1},
+    "multistability": {"protocol": {"kind": "multistability"}, "gamma": [3.4, 3.6]},
+}
+
+
+@pytest.fixture(scope="module", params=ATTRACTORS)
+def attractors(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    spec = ATTRACTORS[request.param] | {"omega": [0.5], "xi": 0.26, "model": {"kind": "rigid"}, "settle": 200}
+    folder = tmp_path_factory.mktemp(request.param)
+    with computing(folder) as client:
+        yield Done(client, folder, spec)
+
+
+def test_netcdf_holds_what_is_stored_of_attractors(attractors: Done, tmp_path: Path):
+    (tmp_path / "a.nc").write_bytes(attractors.client.get(f"{attractors.here}/export?format=nc").content)
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        assert set(dataset.variables) == set(attractors.store.variables)
+        for name, array in attractors.store.variables.items():
+            np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
+            assert dataset[name].attrs.get("units") == array.attrs.get("units")
+
+
+def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
+    content = attractors.client.get(f"{attractors.here}/export?format=parquet").content
+    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
+    stored = attractors.store
+    assert len(rows) == int(stored.attractor_count.sum())
+    for row in rows:
+        cell = stored.sel({axis: row[axis] for axis in ("gamma", "omega", "xi")} | {"id": row["id"]})
+        assert row["fraction"] == cell.fraction.item()
+        assert row["attractor_outcome"] == LABELS[cell.attractor_outcome.item()]
+        assert row["attractor_state"] == cell.attractor_state.values.tolist()
+        flights = cell.flight_time.values
+        assert row["flight_time"] == flights[np.isfinite(flights)].tolist()
+        if "starts" in row:
+            assert row["starts"] == np.flatnonzero(cell.attractor.values == row["id"]).tolist()
+            np.testing.assert_array_equal(row["lyapunov"], cell.lyapunov.values)
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet"])
+def test_basins_not_begun_export_no_attractor(tmp_path: Path, format: str):
+    spec = ATTRACTORS["basin"] | {"omega": 0.5, "xi": 0.26}
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=spec).headers["Location"]
+        answer = client.get(f"{here}/export?format={format}")
+        assert answer.headers["Bounce-Complete"] == "false"
+        if format == "parquet":
+            assert parquet.read_table(io.BytesIO(answer.content)).num_rows == 0

@@ -1,20 +1,40 @@
-"""The figures of the paper from start to end, and their captions against the numbers of docs/model.md."""
+"""The figures of the paper from start to end, and their captions against the numbers of docs/model.md.
+
+What each figure draws and says has to be what tests/golden/figures.json holds;
+`python tests/service/test_figures.py` writes that file anew, after a look at the figures. Some cells are
+chaotic: where another C library rounds otherwise, their dots lie elsewhere.
+"""
 
 import io
 import json
 import re
 import subprocess
 import sys
+import tempfile
+from collections import UserDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import matplotlib.image
 import numpy as np
 import pytest
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(Path(__file__).parents[1] / "support"), str(Path(__file__).parents[2])]
+
+    from paths import CACHE
+
+    from worker.kernel_cache import warm
+
+    warm(CACHE)  # before kernels are declared below
+
+from artists import difference, read_back
 from click.testing import CliRunner
-from paths import ROOT
+from paths import CACHE, GOLDEN, ROOT
 from PIL import Image
 from scripted import DEADLINE
 
@@ -27,7 +47,7 @@ from service.cli.main import main
 from service.client import Client
 from service.figures import ball, canvas, catalogue, hysteresis
 from service.figures.caption import Caption, Verdict, compared, left_open
-from service.figures.catalogue import Figure, Picture
+from service.figures.catalogue import Figure
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -48,6 +68,8 @@ SMALL: Mapping[int, Mapping[str, Any]] = {
     8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
     9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
 }
+#: What each figure draws from these cells.
+DRAWN = GOLDEN / "figures.json"
 #: Frequencies of ramps that start on a cycle.
 SEEDED = (0.33, 0.44, 0.6, 0.62, 0.7)
 NEAR_TWO = {"gamma": {**presets.GAMMA_NEAR_TWO, "num": 9}}
@@ -75,11 +97,41 @@ def client(cluster: Dask, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         yield client
 
 
+@dataclass(frozen=True)
+class Made:
+    """A picture, and what its artists draw."""
+
+    content: bytes
+    caption: Caption
+    drawn: list[str]
+
+
+class Pictures(UserDict[int | str, Made]):
+    """Figures by number or name, each made when it is first asked for."""
+
+    def __init__(self, client: Client) -> None:
+        super().__init__()
+        self._client = client
+
+    def __missing__(self, number: int | str) -> Made:
+        figure = SMALL_FIGURES[number] if isinstance(number, int) else small_explanation(number)
+        with pytest.MonkeyPatch.context() as patch:
+            drawings: list[canvas.Drawing] = []
+            encoded = canvas.Drawing.encoded
+            patch.setattr(
+                canvas.Drawing, "encoded", lambda self, *args: drawings.append(self) or encoded(self, *args)
+            )
+            (picture,) = catalogue.make([figure], self._client, "png", progress=False)
+        (drawing,) = drawings
+        with mpl.rc_context(canvas.STYLE):
+            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure))
+        return self[number]
+
+
 @pytest.fixture(scope="module")
-def pictures(client: Client) -> dict[int, Picture]:
+def pictures(client: Client) -> Pictures:
     """Every figure, drawn from small grids."""
-    made = catalogue.make(list(SMALL_FIGURES.values()), client, "png", progress=False)
-    return dict(zip(SMALL_FIGURES, made, strict=True))
+    return Pictures(client)
 
 
 def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
@@ -133,8 +185,15 @@ def test_an_unknown_figure_names_those_there_are(which: str):
         catalogue.figures(which)
 
 
+@pytest.mark.parametrize("number", [*SMALL, *catalogue.EXPLANATIONS])
+def test_a_figure_draws_and_says_what_it_did(pictures: Pictures, number: int | str):
+    golden = json.loads(DRAWN.read_text())["figures"][str(number)]
+    assert str(pictures[number].caption).splitlines() == golden["caption"]
+    assert difference(pictures[number].drawn, golden["drawn"]) == ""
+
+
 @pytest.mark.parametrize("number", SMALL)
-def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: dict[int, Picture], number: int):
+def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: Pictures, number: int):
     content, caption = pictures[number].content, pictures[number].caption
     assert content.startswith(b"\x89PNG")
     assert len(content) < 150_000
@@ -150,9 +209,7 @@ def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: dict[int, Pic
 
 
 @pytest.mark.parametrize("number", [4, 9])
-def test_svg_holds_letters_as_lines_and_dots_as_an_image(
-    client: Client, pictures: dict[int, Picture], number: int
-):
+def test_svg_holds_letters_as_lines_and_dots_as_an_image(client: Client, pictures: Pictures, number: int):
     content = SMALL_FIGURES[number].make(client, "svg", progress=False).content.decode()
     assert content == SMALL_FIGURES[number].make(client, "svg", progress=False).content.decode()
     assert "<svg" in content
@@ -160,7 +217,7 @@ def test_svg_holds_letters_as_lines_and_dots_as_an_image(
     assert ("<image" in content) == (number == 4)
 
 
-def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: dict[int, Picture]):
+def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: Pictures):
     of_figure_2 = diagram(client, 2)
     modes = {
         gamma: (int(cell.bounces), int(cell.periods))
@@ -175,13 +232,13 @@ def test_fig_2_has_the_papers_modes_from_rest(client: Client, pictures: dict[int
     assert agreeing(pictures[2].caption).startswith(expected)
 
 
-def test_fig_2_on_the_ramp_is_not_in_the_mode_it_has_from_rest(client: Client, pictures: dict[int, Picture]):
+def test_fig_2_on_the_ramp_is_not_in_the_mode_it_has_from_rest(client: Client, pictures: Pictures):
     cell = diagram(client, 2, sweep=1).sel(gamma=3.6, method="nearest")
     assert (int(cell.bounces), int(cell.periods)) != (1, 2)
     assert "at Γ = 3.6, when Γ is ramped up" in contradicting(pictures[2].caption)
 
 
-def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: dict[int, Picture]):
+def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: Pictures):
     cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": presets.SOFT}
     motion = client.trajectory({**cell, "settle": 200, "periods": 4, "samples": 50})
     assert motion.sizes["phase"] == 201
@@ -192,7 +249,7 @@ def test_motion_takes_off_as_long_as_the_diagram_says(client: Client, pictures: 
     assert float(((motion.z2 - motion.plate) * motion.in_flight).min()) >= -1e-9
 
 
-def test_fig_3_spring_and_ball_agree(pictures: dict[int, Picture]):
+def test_fig_3_spring_and_ball_agree(pictures: Pictures):
     agrees, open_ = agreeing(pictures[3].caption), leaving_open(pictures[3].caption)
     same, periodic = map(int, re.findall(r"(\d+) of (\d+) periodic cells", agrees)[0])
     assert same == periodic > 50
@@ -208,7 +265,7 @@ def test_a_difference_that_can_be_seen_is_not_small(deviation: float, small: boo
         assert claim.verdict == (Verdict.AGREES if small else Verdict.CONTRADICTS)
 
 
-def test_fig_4_names_the_springs_own_restitution(pictures: dict[int, Picture]):
+def test_fig_4_names_the_springs_own_restitution(pictures: Pictures):
     assert float(restitution_of(np.array([0.5]))[0]) == pytest.approx(0.1492, abs=5e-5)
     open_ = leaving_open(pictures[4].caption)
     assert "f(0.5) = 0.1492" in open_
@@ -217,7 +274,7 @@ def test_fig_4_names_the_springs_own_restitution(pictures: dict[int, Picture]):
     assert "forbidden zones: for Γ = 4.7 to 5.3" in agreeing(pictures[4].caption)
 
 
-def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: dict[int, Picture]):
+def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: Pictures):
     job = client.submit(SMALL_FIGURES[5].sweeps[0])
     for xi in presets.DAMPINGS:
         onset = job.threshold(xi=xi)
@@ -228,7 +285,7 @@ def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: dict
     assert "1.599 at Ω = 4" in contradicting(caption)
 
 
-def test_fig_5_has_the_maxima_of_eq_25_and_not_its_values_at_the_root_of_two(pictures: dict[int, Picture]):
+def test_fig_5_has_the_maxima_of_eq_25_and_not_its_values_at_the_root_of_two(pictures: Pictures):
     # docs/model.md, section 5: the maximum is 7.29511 at 1.43529 for ξ = 0.05; √(1 + 1/8ξ²) is 7.14 there.
     open_ = leaving_open(pictures[5].caption)
     assert "a maximum, 7.295 at Ω = 1.4353 (ξ = 0.05) and 2.48 at Ω = 1.7601 (ξ = 0.2)" in open_
@@ -240,27 +297,25 @@ def test_fig_5_has_the_maxima_of_eq_25_and_not_its_values_at_the_root_of_two(pic
         assert grid[at] == pytest.approx(omega, abs=1e-4)
 
 
-def test_fig_5_says_how_far_off_the_printed_equations_are(pictures: dict[int, Picture]):
+def test_fig_5_says_how_far_off_the_printed_equations_are(pictures: Pictures):
     contradicts = contradicting(pictures[5].caption)
     assert "Eq. 22 as printed" in contradicts
     # The denominator of Eq. 24 is below zero between its roots, about Ω = 1 and √2.
     assert re.search(r"off by π from Ω = 1\.0\d to 1\.(39|4)", contradicts)
 
 
-def test_fig_6_has_models_minimum(pictures: dict[int, Picture]):
+def test_fig_6_has_models_minimum(pictures: Pictures):
     assert "0.1941 at Ω = 0.9928" in agreeing(pictures[6].caption)
     # The maximum is at 1.43529 (docs/model.md, section 5).
     assert "beyond Ω = 1.44" in leaving_open(pictures[6].caption)
 
 
-def test_fig_9_names_the_maximum_outside_its_frame(pictures: dict[int, Picture]):
+def test_fig_9_names_the_maximum_outside_its_frame(pictures: Pictures):
     assert "120 plate periods" in pictures[9].caption.shows
     assert "7.3 at Ω = 1.435" in pictures[9].caption.shows  # 7.29511 at 1.43529 (docs/model.md, section 5)
 
 
-def test_fig_7_is_quasi_periodic_around_four_and_not_chaotic_at_two(
-    client: Client, pictures: dict[int, Picture]
-):
+def test_fig_7_is_quasi_periodic_around_four_and_not_chaotic_at_two(client: Client, pictures: Pictures):
     agrees, contradicts = agreeing(pictures[7].caption), contradicting(pictures[7].caption)
     assert "(a) is chaotic beyond Γ ≈ 2." in agrees
     near_four = (
@@ -287,14 +342,14 @@ def test_fig_7_is_quasi_periodic_around_four_and_not_chaotic_at_two(
     )
 
 
-def test_fig_8_is_chaotic_at_low_frequency_only_when_shaken_hard(pictures: dict[int, Picture]):
+def test_fig_8_is_chaotic_at_low_frequency_only_when_shaken_hard(pictures: Pictures):
     agrees, contradicts = agreeing(pictures[8].caption), contradicting(pictures[8].caption)
     assert "at Γ = 2 low Ω is chaotic" in agrees
     assert "at Γ = 3 low Ω is chaotic" in agrees
     assert "at Γ = 1 low Ω is not chaotic" in contradicts
 
 
-def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int, Picture]):
+def test_fig_9_descends_to_models_thresholds(client: Client, pictures: Pictures):
     loop = client.submit(SMALL_FIGURES[9].sweeps[0]).threshold(xi=0.05)
     for omega, gamma in DESCENDING.items():
         assert float(loop.down.sel(omega=omega)) == pytest.approx(gamma, abs=0.006)
@@ -302,35 +357,35 @@ def test_fig_9_descends_to_models_thresholds(client: Client, pictures: dict[int,
     assert "Ω = 0.62: down to Γ = 0.5" in agreeing(pictures[9].caption)
 
 
-@pytest.fixture(scope="module")
-def explanations(client: Client) -> dict[str, Picture]:
-    """The figures of docs/hysteresis.md, from fewer sweeps and cells."""
-    small = {name: catalogue.explanation(name) for name in catalogue.EXPLANATIONS}
-    loop, *seeded = small["hysteresis"].sweeps
-    few = [sweep for sweep in seeded if sweep["omega"] in SEEDED]
-    small["hysteresis"] = replace(small["hysteresis"], sweeps=({**loop, **SMALL[9]}, *few))
-    (branches,) = small["branches"].sweeps
-    fewer = {"gamma": {"start": 0.45, "stop": 1.1, "num": 66}}
-    small["branches"] = replace(small["branches"], sweeps=({**branches, **fewer},))
-    made = catalogue.make(list(small.values()), client, "png", progress=False)
-    return dict(zip(small, made, strict=True))
+def small_explanation(name: str) -> Figure:
+    """A figure of docs/hysteresis.md, from fewer sweeps and cells."""
+    figure = catalogue.explanation(name)
+    if name == "hysteresis":
+        loop, *seeded = figure.sweeps
+        few = [sweep for sweep in seeded if sweep["omega"] in SEEDED]
+        return replace(figure, sweeps=({**loop, **SMALL[9]}, *few))
+    if name == "branches":
+        (branches,) = figure.sweeps
+        return replace(figure, sweeps=({**branches, "gamma": {"start": 0.45, "stop": 1.1, "num": 66}},))
+    return figure
 
 
 def computed(caption: Caption) -> str:
     return caption.claims_that(Verdict.COMPUTED)
 
 
-def test_explanations_have_ink_and_captions(explanations: dict[str, Picture]):
-    for name, picture in explanations.items():
-        image = Image.open(io.BytesIO(picture.content))
-        assert image.text["Description"] == str(picture.caption)
-        assert str(picture.caption).startswith(f"{name.capitalize()}. ")
-        assert 0.01 < np.mean(np.asarray(image.convert("L")) < 128) < 0.4
-        assert np.all(np.asarray(image.convert("L"))[:, -2:] == 255)  # nothing is cut off on the right
+@pytest.mark.parametrize("name", catalogue.EXPLANATIONS)
+def test_explanations_have_ink_and_captions(pictures: Pictures, name: str):
+    picture = pictures[name]
+    image = Image.open(io.BytesIO(picture.content))
+    assert image.text["Description"] == str(picture.caption)
+    assert str(picture.caption).startswith(f"{name.capitalize()}. ")
+    assert 0.01 < np.mean(np.asarray(image.convert("L")) < 128) < 0.4
+    assert np.all(np.asarray(image.convert("L"))[:, -2:] == 255)  # nothing is cut off on the right
 
 
-def test_ramps_from_the_cycle_end_at_the_predicted_folds(explanations: dict[str, Picture]):
-    text = computed(explanations["hysteresis"].caption)
+def test_ramps_from_the_cycle_end_at_the_predicted_folds(pictures: Pictures):
+    text = computed(pictures["hysteresis"].caption)
     assert text.startswith(
         f"{len(SEEDED)} of {len(SEEDED)} ramps from the cycle end within 2·10⁻⁵ of the fold"
     )
@@ -338,8 +393,8 @@ def test_ramps_from_the_cycle_end_at_the_predicted_folds(explanations: dict[str,
     assert same == known == len(DESCENDING) + 2  # 0.46 is unresolved
 
 
-def test_simulated_cycles_lie_on_the_branches(explanations: dict[str, Picture]):
-    text = computed(explanations["branches"].caption)
+def test_simulated_cycles_lie_on_the_branches(pictures: Pictures):
+    text = computed(pictures["branches"].caption)
     found = thresholds(0.6, 0.05)
     begins = f"begins at Γ_th = {found.gamma_th:.6f}, leaps at {found.jump:.6f} and ends at {found.down:.6f}"
     assert begins in text
@@ -348,12 +403,12 @@ def test_simulated_cycles_lie_on_the_branches(explanations: dict[str, Picture]):
     assert float(f"1e-{'⁰¹²³⁴⁵⁶'.index(text.split('10⁻')[1][0])}") <= 1e-3
 
 
-def test_curves_and_energy_name_their_points(explanations: dict[str, Picture]):
-    text = computed(explanations["curves"].caption)
+def test_curves_and_energy_name_their_points(pictures: Pictures):
+    text = computed(pictures["curves"].caption)
     assert "cusps at Ω = 0.28383, 0.41681, 0.80087" in text
     assert "Bogdanov–Takens points at Ω = 0.34552, 0.35267, 0.44840, 0.46723" in text
     assert "the minima end at ξ = 0.10631, 0.08716, 0.07032, 0.05825" in text
-    text = computed(explanations["energy"].caption)
+    text = computed(pictures["energy"].caption)
     assert text == (
         "the impact takes least, 24 %, at Ω = 0.620 next to Ω_11; "
         "the impact takes least, 40 %, at Ω = 0.435 next to Ω_21."
@@ -387,7 +442,7 @@ def test_caption_sorts_claims():
 
 
 def test_all_figures_go_into_a_folder_with_their_captions(
-    client: Client, pictures: dict[int, Picture], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    client: Client, pictures: Pictures, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(catalogue, "FIGURES", {n: SMALL_FIGURES[n] for n in (1, 6)})
     monkeypatch.chdir(tmp_path)
@@ -445,5 +500,29 @@ def test_notebook_runs_from_submission_to_a_figure(
     drawn = plt.get_fignums()
     plt.close("all")
     printed = [line for cell in cells for output in cell["outputs"] for line in output.get("text", [])]
-    assert len(drawn) >= 3
+    assert len(drawn) >= 2
     assert capsys.readouterr().out == "".join(printed)  # what the notebook shows is what it does
+
+
+def write() -> None:
+    """Write what each figure draws and says, as it is now."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        closing(Dask(workers=2, kernel_cache=CACHE)) as executor,
+        embedded.running(Settings(data=Path(folder), port=0), executor) as url,
+        Client(url) as client,
+    ):
+        pictures = Pictures(client)
+        figures = {
+            str(number): {
+                "caption": str(pictures[number].caption).splitlines(),
+                "drawn": pictures[number].drawn,
+            }
+            for number in (*SMALL, *catalogue.EXPLANATIONS)
+        }
+    source = f"what the artists of each figure draw, read back by python {Path(__file__).relative_to(ROOT)}"
+    DRAWN.write_text(json.dumps({"source": source, "figures": figures}, indent=1, ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    write()

@@ -8,6 +8,7 @@ A few hundred requests by default; a long run:
 import contextlib
 import os
 from collections.abc import Iterator
+from concurrent.futures import Future
 from typing import Any, NamedTuple
 
 import httpx2
@@ -30,6 +31,7 @@ from served import finished
 from service.server import embedded
 from service.settings import Settings
 from worker.executors.inline import Inline
+from worker.tasks import ChunkReport
 
 #: Seconds for a response on a busy machine.
 TIMEOUT = 60
@@ -55,14 +57,14 @@ AT_A_TIME = 4
 
 
 class Idle(Inline):
-    """Starts no job: generated sweeps may be long."""
+    """Computes no chunk: generated sweeps may be long."""
 
-    def workers(self) -> int:
-        return 0
+    def submit(self, *_: Any, **__: Any) -> "Future[ChunkReport]":
+        return Future()
 
 
 class Api(NamedTuple):
-    """A service with one done job and one that never starts."""
+    """A service with one done job and one that never ends."""
 
     address: str
     done: str

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from paths import SUPPORT
 
-from service.errors import DataFolderBusy, IllegalTransition, LedgerUnusable
+from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
 from service.jobs.ledger import Ledger
 from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
@@ -241,6 +241,24 @@ def test_one_service_at_a_time(tmp_path: Path):
     with Ledger(path), pytest.raises(DataFolderBusy, match="another service uses the data folder"):
         Ledger(path)
     Ledger(path).close()
+
+
+def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):
+    """Threads may outlive the service's end. SQLite removes the log at the close, which is no loss then."""
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        accept(ledger)
+    with pytest.raises(LedgerUnavailable, match="closed"), ledger.reading():
+        pass
+    with pytest.raises(LedgerUnavailable, match="closed"), ledger.writing():
+        pass
+    with pytest.raises(LedgerUnavailable, match="closed"):
+        ledger.check()
+    assert "closed" in str(ledger.fault())
+    ledger.keep_reserve()
+    ledger.close()
+    assert not (tmp_path / "ledger.sqlite-wal").exists()
+    with Ledger(tmp_path / "ledger.sqlite") as again:
+        assert current(again).name == "a name"
 
 
 def test_a_newer_ledger_is_left_alone(tmp_path: Path):

@@ -178,10 +178,16 @@ def test_a_missing_folder_is_named(tmp_path: Path):
         local.run(SPEC, tmp_path / "nowhere" / "a.zarr", progress=False)
 
 
-def test_a_file_of_a_study_that_is_no_sweep_is_refused(tmp_path: Path):
-    with pytest.raises(InvalidRequest, match="only a sweep"):
+def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tmp_path: Path):
+    with pytest.raises(InvalidRequest, match="multiplier of this study is complex"):
         local.run_to_file(ORBITS, tmp_path / "a.nc", "nc", progress=False)
+    basins = STUDIES["basins"] | {"protocol": {"kind": "basin", "rows": 4, "columns": 4}, "omega": 0.5}
+    with pytest.raises(InvalidRequest, match="only a sweep has a diagram; this study is written as nc"):
+        local.run_to_file(basins, tmp_path / "a.png", "png", progress=False)
     assert not list(tmp_path.iterdir())
+    local.run_to_file(basins, tmp_path / "a.nc", "nc", progress=False)
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        np.testing.assert_array_equal(dataset.attractor, local.run(basins, progress=False).attractor)
 
 
 # Interrupted

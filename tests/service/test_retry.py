@@ -6,7 +6,7 @@ from concurrent.futures import CancelledError
 import pytest
 
 from service.jobs.retry import MAX_COLLATERAL_LOSSES, Action, Decision, History, RetryPolicy
-from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
+from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
 from worker.tasks import ChunkCancelled, PredecessorMissing
 
@@ -37,6 +37,9 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (ClusterLost("gone"), STOPPING, Action.PAUSE),
     # the bucket does not answer
     *((kind("gone"), history, Action.PAUSE) for kind in UNREACHABLE for history in (FRESH, LAST_TRY, FATAL)),
+    # the worker was told to leave, or may not compute
+    *((kind("no"), history, Action.CONTINUE) for kind in (WorkerLeft, WorkerRefused)
+      for history in (FRESH, LAST_TRY, LAST_LOSS, FATAL, STOPPING)),
     # the worker died on another chunk
     (WorkerLost("gone"), FRESH, Action.COLLATERAL),
     (WorkerLost("gone"), LAST_TRY, Action.COLLATERAL),

@@ -71,9 +71,10 @@ def _told(artist: Artist) -> str | None:
         return _line(artist)
     if isinstance(artist, AxesImage):
         corners = artist.get_window_extent().get_points()
-        return f"image {_values(artist.get_array())} {_where(artist, corners)}"
+        return f"image {_values(artist.to_rgba(artist.get_array()))} {_where(artist, corners)}"
     if isinstance(artist, Collection):
-        values = "" if artist.get_array() is None else f"{_values(artist.get_array())} "
+        array = artist.get_array()
+        values = "" if array is None else f"{_values(artist.to_rgba(array))} "
         return f"collection {len(artist.get_paths())} {values}{_where(artist, _collected(artist))}"
     if isinstance(artist, Patch):
         vertices = artist.get_transform().transform(artist.get_path().vertices)
@@ -98,8 +99,8 @@ def _hex(colour: Any) -> str:
 
 
 def _values(array: Any) -> str:
-    """The shape, the mean, and a mean weighted by the order of values."""
-    values = np.ma.filled(np.ma.asarray(array, float), -1.0)
+    """The shape of an array of colours, its mean, and a mean weighted by the order of its values."""
+    values = np.asarray(array, float)
     order = np.linspace(1.0, 2.0, values.size)
     return f"{values.shape} {_numbers(np.array([values.mean(), np.mean(order * values.ravel())]))}"
 

@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from worker import store
+from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
 from worker.plan import Chunk
 from worker.spec import SweepSpec
@@ -75,6 +76,12 @@ class Held:
 
     def workers(self) -> int:
         return self.capacity
+
+    def state(self) -> ClusterState:
+        return ClusterState(self.capacity > 0, self.capacity)
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        self.asked = (seconds, tasks)
 
     def close(self) -> None: ...
 

@@ -6,9 +6,10 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import uvicorn
 from fastapi.testclient import TestClient
-from scripted import Held, sweep, wait_for
+from scripted import DEADLINE, Held, sweep, wait_for
 
 from service.api.app import create_app
 from service.settings import Settings
@@ -70,6 +71,19 @@ def finished(client: TestClient, spec: dict[str, Any]) -> str:
     view = client.get(here).json()
     assert view["state"] == "done", view["error"]
     return here
+
+
+def done(address: str, spec: dict[str, Any]) -> str:
+    """Submit a study to the service at an address, wait until it is done, and return the job's id."""
+    answer = httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).raise_for_status()
+    here = f"{address}/v1/jobs/{answer.json()['id']}"
+
+    def state() -> str:
+        return str(httpx2.get(here, timeout=DEADLINE).json()["state"])
+
+    wait_for(lambda: state() not in ("queued", "running"))
+    assert state() == "done"
+    return str(answer.json()["id"])
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Adaptive maps: the refinement of a tile, and maps against full grids."""
 
+import hashlib
 import json
 from concurrent.futures import wait
 from pathlib import Path
@@ -118,6 +119,39 @@ def test_straight_borders_are_found_exactly(slope):
     computed, source = refined(kinds, Refine(by="mode", coarsest=64))
     assert np.array_equal(kinds.flat[source], kinds)
     assert np.mean(computed) < 0.15
+
+
+def island(rows: int, columns: int) -> np.ndarray:
+    """Kinds of cells: a disc, a thin tongue from it to the right, and a corner of another kind."""
+    row, column = np.ogrid[:rows, :columns]
+    kinds = np.ones((rows, columns), np.int64)
+    kinds[(row - 9) ** 2 + (column - 7) ** 2 < 23] = 2
+    kinds[(row == 9 + (column - 11) // 5) & (column > 11)] = 3
+    kinds[row + columns - 1 - column < 4] = 4
+    return kinds
+
+
+#: By, margin, coarsest; rounds and hash.
+CHOSEN: list[tuple[str, bool, int, list[Any]]] = [
+    ("mode", False, 8, [[32, 42, 68, 30, 7, 13, 7, 13, 6, 5, 7, 2], "1d8fbc77ccadbaad"]),
+    ("mode", True, 8, [[32, 54, 170, 80], "a309538e314a92f0"]),
+    ("bouncing", False, 5, [[59, 10, 12, 2], "157fc858dbe73877"]),
+    ("bouncing", True, 16, [[13, 8, 28, 28, 7], "e1b32411acfa8115"]),
+]
+
+
+@pytest.mark.parametrize(("by", "margin", "coarsest", "expected"), CHOSEN)
+def test_the_same_tile_is_always_refined_the_same_way(by: str, margin: bool, coarsest: int, expected: list):
+    """Stored maps depend on it: rounds, computed cells, and a hash of all cells' sources."""
+    kinds = island(21, 27)
+    outcomes = np.array([0, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, Outcome.AT_REST])[kinds]
+    tile = Refinement(kinds.shape, Refine(by=by, margin=margin, coarsest=coarsest))
+    rounds = []
+    while tile.cells.size:
+        rounds.append(len(tile.cells))
+        tile.split(outcomes, kinds, kinds % 2 + 1)
+    sources = tile.sources(outcomes).astype("<i8")
+    assert [rounds, hashlib.sha256(sources.tobytes()).hexdigest()[:16]] == expected
 
 
 def test_where_aperiodic_and_settling_cells_mix_aperiodic_ones_stand_for_all():

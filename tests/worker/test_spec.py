@@ -649,6 +649,38 @@ def test_restitution_from_nothing_to_one(model):
 # Files and text
 
 
+def test_yaml_files_are_read_as_yaml_1_2(tmp_path):
+    (tmp_path / "a.yaml").write_text(
+        """# of Fig. 2
+name: "no"
+gamma: {start: 1, stop: 6.0, num: 0011}
+omega: [0.5, 5e-1, .7]
+xi: 1e-3
+protocol:
+  kind: ramp
+  axis: gamma
+  direction: up
+settle_until: null
+refine: ~
+"""
+    )
+    fields = {"name": "no", "gamma": range_(1, 6.0, 11), "omega": [0.5, 0.5, 0.7], "xi": 1e-3,
+              "protocol": ramp()}  # fmt: skip
+    with pytest.raises(SpecInvalid) as caught:  # omega rises strictly
+        SweepSpec.from_file(tmp_path / "a.yaml")
+    text = (tmp_path / "a.yaml").read_text().replace("5e-1, ", "")
+    (tmp_path / "a.yml").write_text(text)
+    assert SweepSpec.from_file(tmp_path / "a.yml") == SweepSpec(**fields | {"omega": [0.5, 0.7]})
+    assert "omega" in str(caught.value)
+
+
+def test_yaml_words_and_dates_are_no_numbers(tmp_path):
+    (tmp_path / "a.yaml").write_text("gamma: .inf\nomega: 2020-01-01\nxi: 1_000\n")
+    with pytest.raises(SpecInvalid) as caught:
+        SweepSpec.from_file(tmp_path / "a.yaml")
+    assert [problem.field for problem in caught.value.problems] == ["gamma", "omega", "xi"]
+
+
 def test_json_and_toml_files_are_the_same_sweep(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(POINT | {"gamma": range_(), "model": {"kind": "rigid"}}))
     (tmp_path / "a.toml").write_text(
@@ -684,7 +716,15 @@ def test_number_too_large_for_json_readers_is_not_finite():
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("a.yaml", b"", "a specification file ends in .json or .toml"),
+        ("a.txt", b"", "a specification file ends in .json, .toml or .yaml"),
+        ("a.yaml", b"gamma: [1", "the text is not YAML: "),
+        ("a.yaml", b"\xff", "the text is not UTF-8 at byte 0"),
+        ("a.yaml", b"gamma: 1\ngamma: 2", "field 'gamma' is given twice; give it once"),
+        ("a.yml", b"gamma: &a [1, 2]\nomega: *a\nxi: 1", "aliases are not read; write the value twice"),
+        ("a.yaml", b"gamma: !!python/name:os.system x", "could not determine a constructor"),
+        ("a.yaml", b"gamma: " + b"[" * 100_000, "the YAML cannot be read: "),
+        ("a.yaml", b"gamma: " + b"9" * 500, "a number of 500 digits is too long"),
+        ("a.yaml", b"---\na: 1\n---\nb: 1", "the text is not YAML: "),
         ("a.toml", b"gamma = ", "the text is not TOML: "),
         ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
         ("a.toml", b"gamma = 1.5.1", "the text is not TOML: "),

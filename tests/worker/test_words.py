@@ -1,9 +1,13 @@
 """Words continued from cells: which part of a branch belongs to the cycle that a cell settled to."""
 
 import numpy as np
+import pytest
 
+from kernel.branches.events import Events, Kind
 from kernel.branches.words import WordBranch
-from worker.analysis.words import _Cycle, _up_to_shorter
+from kernel.params import Outcome
+from worker.analysis.words import Skipped, _Cycle, _cycles, _lies_on, _once, _round, _up_to_shorter
+from worker.schema import COMPUTED
 
 
 def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBranch:
@@ -49,3 +53,109 @@ def test_a_word_of_four_flights_may_be_one_of_two_gone_through_twice():
     twice = branch._replace(word="slsl", flight_time=times)
     above = _up_to_shorter(twice, settled(5.35, 4.0, 4.3, 4.0))
     assert above.gamma.tolist() == branch.gamma[5:].tolist()
+
+
+def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
+    """The first and the last of three flights are the same everywhere: neighbours in order are compared."""
+    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
+    times = np.column_stack([5.0 + APART, 5.0 - 2.0 * APART, 5.0 + APART])
+    above = _up_to_shorter(branch._replace(word="sss", flight_time=times), settled(5.35, 4.3, 5.35))
+    assert above.gamma.tolist() == branch.gamma[5:].tolist()
+    below = _up_to_shorter(branch._replace(word="sss", flight_time=times), settled(4.65, 5.7, 4.65))
+    assert below.gamma.tolist() == branch.gamma[:5].tolist()
+
+
+@pytest.mark.parametrize(
+    ("times", "phases", "bounces", "flights"),
+    [
+        ([1, 2, 1, 2], [0, 3, 0, 3], 2, 2),
+        ([1, 1, 1, 1], [0, 0, 0, 0], 2, 2),
+        ([1, 1, 1, 1], [0, 0, 0, 0], 1, 1),
+        ([1, 1, 1, 1], [0, 0, 0, 0], 0, 1),
+        ([1, 1e-9, 1, 1e-9], [0, 1, 0, 1], 1, 2),  # with a hop that does not count
+        ([7, 1, 2, 1, 2], [0, 0, 3, 0, 3], 2, 2),  # the last flights, not the first
+        ([1, 2, 1], [0, 3, 0], 2, 0),
+        ([1, 2, 3, 4], [0, 1, 2, 3], 1, 0),
+        ([1, 1], [1e-4, 2 * np.pi - 1e-4], 1, 1),  # phases are on a circle
+        ([1, 1], [0, np.pi], 1, 0),
+        ([1, 1.0011], [0, 0], 1, 0),
+        ([1, 1.0009], [0, 0], 1, 1),
+        ([1, 1], [0, 0.0011], 1, 0),
+    ],
+)
+def test_a_round_is_the_fewest_flights_that_repeat(
+    times: list[float], phases: list[float], bounces: int, flights: int
+):
+    assert _round(np.array(times, float), np.array(phases, float), bounces) == flights
+
+
+@pytest.mark.parametrize(
+    ("change", "lies"),
+    [
+        ({}, True),
+        ({"flight_time": (4.3, 5.35)}, True),  # in any order
+        ({"flight_time": (5.35 + 0.019, 4.3)}, True),
+        ({"flight_time": (5.35 + 0.021, 4.3)}, False),
+        ({"flight_time": (5.35, 4.3 - 0.021)}, False),
+        ({"periods": 1}, False),
+        ({"flight_time": (5.35, 4.3, 4.3)}, False),
+        ({"gamma": 1.99}, False),
+        ({"gamma": 2.0, "flight_time": (4.55, 5.9)}, True),
+        ({"gamma": 3.0, "flight_time": (5.45, 4.1)}, True),
+        ({"gamma": 3.01, "flight_time": (5.45, 4.1)}, False),
+    ],
+)
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_cycle_on_a_branch_lies_between_two_of_its_points(change: dict, lies: bool, backwards: bool):
+    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
+    if backwards:
+        branch = branch._replace(gamma=branch.gamma[::-1], flight_time=branch.flight_time[::-1])
+    fields = {"gamma": 2.0 + 8.0 / 9.0, "flight_time": (5.35, 4.3)} | change
+    cycle = settled(5.0, 5.0)._replace(**fields | {"flight_time": np.array(fields["flight_time"])})
+    assert _lies_on(cycle, branch) is lies
+
+
+def test_a_branch_that_stands_still_in_gamma_has_the_cycles_of_its_points():
+    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)._replace(gamma=np.full(10, 2.5))
+    assert _lies_on(settled(5.05, 4.9), branch)
+    assert not _lies_on(settled(5.2, 4.6), branch)
+
+
+def test_an_event_found_twice_is_told_once():
+    kinds = [Kind.FLIP, Kind.FOLD, Kind.FLIP, Kind.FLIP, Kind.FOLD]
+    gamma = np.array([2.0, 2.0, 3.0, 2.0 + 5e-10, 2.0 + 5e-9])
+    rows = np.arange(5)
+    events = Events(
+        kind=np.array([str(kind) for kind in kinds]), omega=rows / 10, xi=rows / 10, bounces=rows,
+        periods=rows, flight_time=rows / 1.0, gamma=gamma, multiplier=np.zeros((5, 2), complex),
+        admissible=rows,
+    )  # fmt: skip
+    once = _once(events)
+    assert once.bounces.tolist() == [0, 1, 2, 4]
+    assert once.gamma.tolist() == gamma[[0, 1, 2, 4]].tolist()
+
+
+def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
+    times = np.array([[1, 2, 1, 2, 9, 9], [3, 3, 0, 0, 0, 0], [1, 2, 3, 4, 0, 0], [4, 4, 0, 0, 0, 0]], float)
+    arrays = {
+        "outcome": np.array([Outcome.PERIODIC] * 3 + [Outcome.APERIODIC]),
+        "flight_time": times,
+        "takeoff_phase": times / 10,
+        "flights": np.array([4, 2, 4, 2]),
+        "bounces": np.array([2, 1, 2, 1]),
+        "periods": np.array([3, 1, 2, 1]),
+    }
+    gamma = np.array([1.0, 1.5, 2.0, 2.5])
+    skipped: list[Skipped] = []
+    found = list(_cycles(gamma, arrays, skipped))
+    assert [(c.gamma, c.bounces, c.periods) for c in found] == [(1.0, 2, 3), (1.5, 1, 1)]
+    assert [c.flight_time.tolist() for c in found] == [[1, 2], [3]]
+    assert [c.takeoff_phase.tolist() for c in found] == [[0.1, 0.2], [0.3]]
+    (missed,) = skipped
+    assert missed[:3] == (2.0, 2, 2)
+    assert "its 4 stored flights" in missed.reason
+    computed = np.array([0, 1, 1, 1], np.uint8)
+    adaptive = list(_cycles(gamma, {**arrays, COMPUTED.name: computed}, []))
+    assert [c.gamma for c in adaptive] == [1.5]
+    more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
+    assert len(list(_cycles(gamma, more_flights_than_kept, []))) >= 1

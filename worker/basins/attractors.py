@@ -16,6 +16,7 @@ them may pause between runs and answer from what is kept.
    find no further attractor.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -57,6 +58,9 @@ EXPONENT_WINDOW: Final = 1000
 SAME_DISTRIBUTION: Final = 0.05
 HALVES: Final = 1.5
 
+#: Share of all starts to which motion that ends is followed, where that is cheap.
+LEFT: Final = 0.001
+
 #: Searches for further aperiodic attractors among the starts farthest from those known.
 SEARCHES: Final = 4
 
@@ -87,6 +91,7 @@ class Rules(NamedTuple):
     keep: int  # flights recorded of each attractor
     micro_flight: float  # rad; shorter flights do not count, unless all are
     exponents: int
+    extends: bool = False  # whether motion that is known to end may go on beyond `until`, once
 
 
 @dataclass
@@ -155,6 +160,7 @@ def find(starts: NDArray[np.float64], rules: Rules, run: Run) -> Found:
 class _Search:
     def __init__(self, starts: NDArray[np.float64], rules: Rules, run: Run) -> None:
         self._rules, self._run = rules, run
+        self._until = rules.until
         self._owner = np.full(len(starts), -1)  # index into _attractors
         self._attractors: list[Attractor] = []
         self._ends = _Ends.empty(len(starts))
@@ -169,9 +175,12 @@ class _Search:
         rate = 0.0
         while len(undecided):
             aperiodic = self._ends.outcome[undecided] == Outcome.APERIODIC
-            rate = self._rate_of_leaving(undecided[aperiodic], taken)
+            if self._until - taken < rules.observe and rate > 0.0 and rules.extends:
+                self._until = max(self._until, taken + self._worth(len(undecided), rate))
+                rules = self._rules = rules._replace(extends=False)
+            rate = self._rate_of_leaving(undecided[aperiodic], taken) or rate
             goes_on = undecided if rate > 0.0 else undecided[~aperiodic]
-            added = min(taken, rules.until - taken)
+            added = min(taken, self._until - taken)
             if len(goes_on) == 0 or added < rules.observe:
                 break
             # a longer window: it shows longer cycles
@@ -208,7 +217,7 @@ class _Search:
 
     def _run_on(self, which: NDArray[np.intp], taken: int, observe: int, keep: int) -> Line:
         """Representatives, run on until `until`, or for another window."""
-        settle = max(self._rules.until - taken - observe, self._rules.observe)
+        settle = max(self._until - taken - observe, self._rules.observe)
         return self._line(Request(self._ends.state[which], settle, observe, keep))
 
     def _assign_cycles(self, which: NDArray[np.intp], taken: int) -> NDArray[np.intp]:
@@ -265,8 +274,17 @@ class _Search:
         some = _spread(which, REPRESENTATIVES)
         line = self._run_on(some, taken, self._rules.observe, CYCLE_FLIGHTS)
         left = int(np.isin(line.outcome, (Outcome.PERIODIC, Outcome.AT_REST)).sum())
-        followed = max(self._rules.until - taken, 2 * self._rules.observe)
+        followed = max(self._until - taken, 2 * self._rules.observe)
         return left / (followed * (len(some) - 0.5 * left))
+
+    def _worth(self, starts: int, rate: float) -> int:
+        """Plate periods after which LEFT of all starts should be left of so many that leave at this rate.
+
+        0 if that costs more than all starts up to `until`.
+        """
+        share = starts / len(self._owner)
+        periods = math.log(max(share / LEFT, 1.0)) / rate
+        return math.ceil(periods) if share * periods <= self._rules.until else 0
 
     def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
         """Assign starts without a cycle to attractors that are told apart by the distribution of flights."""

@@ -149,7 +149,8 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
 
 def rules_of(spec: BasinSpec) -> Rules:
     """What a specification says of the runs of a search."""
-    return Rules(spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
+    window = (spec.settle, spec.observe, spec.until, spec.keep, spec.micro_flight, spec.exponents)
+    return Rules(*window, extends=spec.settle_until is None)
 
 
 def _runner(

@@ -3,12 +3,42 @@
 import math
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from worker.studies import Chunk, Spec
 from worker.tasks import ChunkReport
 
 Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class ClusterState:
+    """Whether chunks can be computed; `workers` counts the tasks that run at once."""
+
+    connected: bool  # a scheduler answers
+    workers: int
+    planned: int | None = None  # workers that the cluster shall have, if that is known
+    reason: str = ""  # why there is no scheduler
+    refused: tuple[str, ...] = ()  # workers that may not compute: host, address and why
+
+    @property
+    def fault(self) -> str | None:
+        """Why no chunk is computed now; None if chunks are. Names no address: it is for everybody."""
+        if not self.connected:
+            return "the Dask scheduler does not answer; jobs wait until it does"
+        if self.workers:
+            return None
+        asked = "" if self.planned is None else f" ({self.planned} asked for)"
+        refused = f"; workers refused: {len(self.refused)}" if self.refused else ""
+        return f"no workers yet{asked}; jobs wait until there are{refused}"
+
+    @property
+    def explanation(self) -> str | None:
+        """`fault` with what is known of its cause, for those who may see the service's addresses."""
+        if (fault := self.fault) is None:
+            return None
+        return "; ".join([fault, *([self.reason] if self.reason else []), *self.refused])
 
 
 class Executor(Protocol):
@@ -49,6 +79,15 @@ class Executor(Protocol):
 
     def workers(self) -> int:
         """The number of tasks that run at once; 0 without workers. May be a second old."""
+
+    def state(self) -> ClusterState:
+        """Whether there is a cluster, and workers; returns within seconds. May be a second old."""
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        """Say that `seconds` core-seconds are left to compute, in `tasks` chunks that could run at once.
+
+        A cluster that can grow has as many workers as these need.
+        """
 
     def close(self) -> None:
         """Release workers, connections and threads. Futures that have not ended are cancelled or fail."""

@@ -1,20 +1,20 @@
 """The connection to a Dask scheduler, restored when the scheduler dies, freezes or is replaced."""
 
 import contextlib
-import json
 import logging
 import socket
 import threading
-import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Collection
 from typing import Any, Final
 
 import dask
 from distributed import Client, WorkerPlugin
 from distributed.comm.addressing import get_address_host_port
 
+from worker.executors.demand import HANDLER, Demand
 from worker.executors.errors import ClusterLost
+from worker.executors.targets import NO_SCHEDULER, Target
+from worker.executors.worker_plugin import ROSTER
 from worker.watchdog import TOPIC
 
 log = logging.getLogger(__name__)
@@ -37,10 +37,6 @@ _WITHOUT_SETTING: Final[dict[str, str]] = {
     "distributed.scheduler.allowed-failures": "a chunk that kills its worker kills several before it fails",
     "distributed.scheduler.worker-saturation": "chunks may wait behind one that hangs",
 }
-#: Raised where no scheduler can be reached: a time-out is an OSError, a scheduler file may be half written.
-_NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
-
-Target = Callable[[], Any]
 
 
 class _ClientOfOneConnection(Client):
@@ -58,11 +54,12 @@ class _ClientOfOneConnection(Client):
 
 
 class SchedulerConnection:
-    """A Dask client for the scheduler that `target()` names (an address or a cluster object).
+    """A Dask client for the scheduler that `target` finds (an address or a cluster object).
 
     A thread checks the connection every second, reconnects when it is lost, and registers `plugin` with
-    every scheduler anew. `on_event` gets the events that workers log under `TOPIC`, in the client's event
-    loop. Thread-safe. Raises ClusterLost if no scheduler answers within `timeout` seconds at first.
+    every scheduler anew. `on_event` gets the events that workers log under `TOPIC`, and `on_roster` those
+    under `ROSTER`, in the client's event loop. Thread-safe. Raises ClusterLost if no scheduler answers within
+    `timeout` seconds at first.
     """
 
     def __init__(
@@ -70,13 +67,18 @@ class SchedulerConnection:
         target: Target,
         plugin: WorkerPlugin,
         on_event: Callable[[dict[str, Any]], None],
+        on_roster: Callable[[dict[str, Any]], None],
         *,
         security: Any = None,
         timeout: float,
     ) -> None:
-        self._target, self._plugin, self._on_event, self._security = target, plugin, on_event, security
+        self._target, self._plugin, self._security = target, plugin, security
+        self._on_event, self._on_roster = on_event, on_roster
         self._closed = threading.Event()
         self._scheduler_id = ""  # of the scheduler that has our plugin; empty while there is none
+        self._takes_demand = False  # whether that scheduler has the plugin `Demand`
+        self._asked: tuple[float, int] | None = None  # of that scheduler
+        self.fault = ""  # why the last attempt to connect failed
         self._client = self._connect(timeout)
         try:
             self._register()
@@ -93,15 +95,52 @@ class SchedulerConnection:
             raise ClusterLost(f"not connected to a scheduler: {self._client.status}")
         return self._client
 
-    def worker_threads(self) -> int:
-        """The scheduler's count of its workers' threads; 0 if it does not answer within `PING_SECONDS`."""
+    def worker_threads(self) -> int | None:
+        """The scheduler's count of its workers' threads; None if it does not answer within `PING_SECONDS`."""
         if self._client.status != "running":
-            return 0
+            return None
         try:
             identity = self._identity()
         except (OSError, TimeoutError, RuntimeError):  # the last: the client was closed meanwhile
-            return 0
-        return int(identity["total_threads"]) if identity["id"] == self._scheduler_id else 0
+            return None
+        return int(identity["total_threads"]) if identity["id"] == self._scheduler_id else None
+
+    def threads_of(self, workers: Collection[str] | None = None) -> dict[str, int]:
+        """Threads of workers, of these or of all, by the addresses of those that are there.
+
+        Empty if the scheduler does not answer within `PING_SECONDS`.
+        """
+        client = self._client
+        asked = None if workers is None else list(workers)
+        try:
+            threads: dict[str, int] = client.sync(
+                client.scheduler.ncores, workers=asked, callback_timeout=PING_SECONDS
+            )
+        except (OSError, TimeoutError, RuntimeError):
+            return {}
+        return threads
+
+    def run_on(self, worker: str, function: Callable[..., Any], *arguments: Any) -> None:
+        """Run `function(*arguments, dask_worker=...)` in a worker's event loop; returns at once."""
+        client = self._client
+
+        async def run() -> None:
+            with contextlib.suppress(Exception):  # the worker is gone, or the scheduler
+                await client.run(function, *arguments, workers=[worker], on_error="ignore")
+
+        client.loop.add_callback(run)
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        """Tell the scheduler what is left to compute (see `Demand`); returns at once."""
+        if self._takes_demand and self._scheduler_id and self._asked != (seconds, tasks):
+            self._asked = (seconds, tasks)
+            self._client.loop.add_callback(self._tell, self._client, seconds, tasks)
+
+    async def _tell(self, client: Any, seconds: float, tasks: int) -> None:
+        try:
+            await getattr(client.scheduler, HANDLER)(client=client.id, seconds=seconds, tasks=tasks)
+        except Exception:  # noqa: BLE001 - whatever it is, the next demand is told again
+            self._asked = None
 
     def close(self) -> None:
         """Disconnect. The scheduler and its workers stay."""
@@ -119,20 +158,23 @@ class SchedulerConnection:
     def _connect(self, timeout: float) -> Any:
         address: Any = "an unknown address"
         try:
-            address = self._target()
+            address = self._target.find()
             if isinstance(address, str):
                 get_address_host_port(address)  # with a malformed address, a client takes a minute to close
             return _ClientOfOneConnection(  # type: ignore[no-untyped-call]
                 address, timeout=timeout, set_as_default=False, security=self._security
             )
-        except _NO_SCHEDULER as error:
+        except NO_SCHEDULER as error:
+            self._target.unanswered()
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
     def _register(self) -> None:
         """Prepare a scheduler for tasks: events, plugin, settings. Until then `client` raises ClusterLost."""
         self._client.subscribe_topic(TOPIC, lambda event: self._on_event(event[1]))
+        self._client.subscribe_topic(ROSTER, lambda event: self._on_roster(event[1]))
         self._client.register_plugin(self._plugin)
         self._check_settings()
+        self._register_demand()
         self._scheduler_id = self._identity(REGISTER_SECONDS)["id"]
 
     def _check_settings(self) -> None:
@@ -149,12 +191,23 @@ class SchedulerConnection:
                     name, actual, _WITHOUT_SETTING[name], environment_variable(name), required,
                 )  # fmt: skip
 
+    def _register_demand(self) -> None:
+        """Without it the scheduler counts the chunks in flight only, and adaptive clusters stay small."""
+        self._takes_demand, self._asked = False, None
+        try:
+            self._client.register_plugin(Demand())
+            self._takes_demand = True
+        except Exception as error:  # noqa: BLE001 - of whatever kind: it cannot import this project
+            log.warning("the scheduler cannot be told how much is left to compute: %s", error)
+
     def _keep_connected(self) -> None:
         while not self._closed.wait(RETRY_SECONDS):
             try:
                 self._reconnect_if_lost()
-            except ClusterLost:
-                continue  # tried again at the next check
+                self._target.refill()
+                self.fault = ""
+            except ClusterLost as error:
+                self.fault = str(error)  # tried again at the next check
             except Exception:
                 log.exception("cannot use the scheduler that answers; retrying in %g s", RETRY_SECONDS)
 
@@ -180,10 +233,10 @@ class SchedulerConnection:
         """
         address: Any = "an unknown address"
         try:
-            address = self._target()
+            address = self._target.find()
             if isinstance(address, str):
                 socket.create_connection(get_address_host_port(address), PING_SECONDS).close()
-        except _NO_SCHEDULER as error:
+        except NO_SCHEDULER as error:
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
     def _is_replaced(self) -> bool:
@@ -196,17 +249,3 @@ class SchedulerConnection:
 def environment_variable(setting: str) -> str:
     """The environment variable that sets a Dask setting."""
     return "DASK_" + setting.replace(".", "__").replace("-", "_").upper()
-
-
-def read_scheduler_file(file: Path, deadline: float) -> str:
-    """The address in a scheduler file, which is waited for until `deadline` (by `time.monotonic`).
-
-    distributed itself would wait for ever. Raises ClusterLost.
-    """
-    while True:
-        try:
-            return str(json.loads(file.read_text())["address"])
-        except _NO_SCHEDULER as error:
-            if time.monotonic() > deadline:
-                raise ClusterLost(f"no scheduler has written its address to {file}: {error}") from error
-        time.sleep(0.1)

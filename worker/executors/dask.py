@@ -1,28 +1,46 @@
 """Computes chunks on a Dask cluster: an existing one, or worker processes of this machine."""
 
 import asyncio
+import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from distributed import KilledWorker
 
-from worker.executors.base import Result
-from worker.executors.connection import SchedulerConnection, read_scheduler_file
-from worker.executors.errors import ClusterLost, ExecutorError, WorkerDied, WorkerLost
+from worker import store
+from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
+from worker.executors.base import ClusterState, Result
+from worker.executors.connection import SchedulerConnection
+from worker.executors.errors import (
+    ClusterLost,
+    ExecutorError,
+    WorkerDied,
+    WorkerLeft,
+    WorkerLost,
+    WorkerRefused,
+)
 from worker.executors.local_cluster import LocalWorkers
-from worker.executors.worker_plugin import WarmKernels
+from worker.executors.quarantine import MARKS, REST_SECONDS, Quarantine
+from worker.executors.roster import Roster
+from worker.executors.targets import Fixed, Made, SchedulerFile, Target
+from worker.executors.worker_plugin import PreparedWorker, rest
 from worker.studies import Chunk, Spec
 from worker.tasks import ChunkReport, TaskError
 from worker.watchdog import run_watched
 
+log = logging.getLogger(__name__)
+
 #: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
+#: Why nothing can be written where the stores are.
+_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
+#: Seconds between two looks at whether the workers are there to which a chunk that failed is bound.
+OTHERS_SECONDS: Final = 2.0
 #: Above that of any chunk: a request waits for the result.
 CALL_PRIORITY: Final = 1_000_000.0
 
@@ -32,19 +50,22 @@ class _Task:
     """A task on the cluster, and what workers reported of it."""
 
     termination: "asyncio.Future[str]"  # why the watchdog terminated a worker over it
-    watched: bool  # whether workers report when they begin it
+    chunk: Hashable  # its store and number; None: a call, of which workers do not report that they begin it
     worker: str | None = None  # the address of the last worker that began it
 
 
 class Dask:
     """An executor on a Dask cluster: an existing one, or `workers` processes on this machine.
 
-    For an existing cluster give `address` (tcp://host:port, or a cluster object of Dask's) or
-    `scheduler_file`, with distributed's `security` if the scheduler requires TLS. The connection is
-    restored when a lost scheduler is back.
+    For an existing cluster give `address` (tcp://host:port, a cluster object of Dask's, or a `Made` cluster,
+    which `close` closes) or `scheduler_file`, with distributed's `security` if the scheduler requires TLS.
+    The connection is restored when a lost scheduler is back.
 
     Without either, starts a cluster that listens on loopback only; each of its processes may use `memory`
     bytes (None: an equal share of the machine's).
+
+    Workers that differ from this process in what stored bytes depend on, or do not see the same folder (or
+    bucket) `stores`, get no chunk: see `worker.executors.admission`.
 
     Returns when the workers present have compiled their kernels; later workers compile on joining.
     Raises ClusterLost if no scheduler answers within `timeout` seconds.
@@ -59,20 +80,27 @@ class Dask:
         workers: int = 2,
         memory: int | None = None,
         kernel_cache: str | Path | None = None,
+        stores: str | None = None,
         timeout: float = 30.0,
     ) -> None:
         self._workers: LocalWorkers | None = None
-        self._count_time, self._count = -math.inf, 0  # when the workers were last counted
+        self._count_time = -math.inf  # when the workers were last counted
+        self._state = ClusterState(connected=False, workers=0)
         self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
         if address is None and scheduler_file is None:
             self._workers = LocalWorkers(workers, memory)
             address = self._workers.cluster
-        plugin = WarmKernels(str(kernel_cache) if kernel_cache else None)
+        self._roster, self._quarantine = Roster(), Quarantine()
+        own_machine = self._workers is not None or stores is None
+        probe = None if own_machine else _probe(str(stores))
+        plugin = PreparedWorker(Requirements(facts(), probe), str(kernel_cache) if kernel_cache else None)
+        self._target = _target(address, scheduler_file, timeout)
         try:
             self._connection = SchedulerConnection(
-                _target(address, scheduler_file, timeout),
+                self._target,
                 plugin,
                 self._on_event,
+                self._roster.note,
                 security=security,
                 timeout=timeout,
             )
@@ -83,42 +111,78 @@ class Dask:
     def submit(
         self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
     ) -> "Future[ChunkReport]":
-        return self._submit(run_watched, spec, chunk, store_url, seconds, priority=priority)
+        identity = (store_url, chunk.index)
+        return self._submit(
+            run_watched, spec, chunk, store_url, seconds, priority=priority, identity=identity
+        )
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._submit(function, *arguments, priority=CALL_PRIORITY, watched=False)
+        return self._submit(function, *arguments, priority=CALL_PRIORITY)
 
     def ready(self) -> bool:
-        self._count = self._connection.worker_threads()
-        self._count_time = time.monotonic()
-        return self._count > 0
+        self._count()
+        return self._state.workers > 0
 
     def workers(self) -> int:
+        return self.state().workers
+
+    def state(self) -> ClusterState:
         if time.monotonic() - self._count_time > COUNT_SECONDS:
-            self.ready()
-        return self._count
+            self._count()
+        return self._state
+
+    def ask_for(self, seconds: float, tasks: int) -> None:
+        self._connection.ask_for(seconds, tasks)
+
+    def _count(self) -> None:
+        threads = self._connection.worker_threads()
+        useless = 0
+        if threads and (refused := [worker.worker for worker in self._roster.refused]):
+            present = self._connection.threads_of(refused)
+            self._roster.keep(set(present))
+            useless = sum(present.values())
+        self._state = ClusterState(
+            threads is not None,
+            max((threads or 0) - useless, 0),
+            self._target.planned(),
+            self._connection.fault,
+            tuple(map(str, self._roster.refused)),
+        )
+        self._count_time = time.monotonic()
 
     def close(self) -> None:
         self._connection.close()
         self._close_workers()
 
     def _close_workers(self) -> None:
+        self._target.close()
         if self._workers is not None:
             self._workers.close()
 
     def _submit(
-        self, function: Callable[..., Any], *arguments: Any, priority: float, watched: bool = True
+        self, function: Callable[..., Any], *arguments: Any, priority: float, identity: Hashable = None
     ) -> "Future[Any]":
         """Submit to the scheduler. Raises ClusterLost, also if the connection is lost at this moment."""
         client = self._connection.client
+        others = self._others(identity)
         try:
-            future = client.submit(function, *arguments, pure=False, priority=priority)
-            outcome = self._outcome(future, watched=watched)
+            future = client.submit(
+                run_if_admitted, function, *arguments, pure=False, priority=priority, workers=others
+            )
+            outcome = self._outcome(future, identity, others)
             return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
         except Exception as error:  # distributed raises whatever comes when its client is closing
             if client.status != "running":
                 raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
             raise
+
+    def _others(self, identity: Hashable) -> list[str] | None:
+        """The workers on which a chunk that failed has not failed yet; None for all, or if there are none."""
+        failed_on = self._quarantine.failed_on(identity)
+        if not failed_on:
+            return None
+        useless = {worker.worker for worker in self._roster.refused}
+        return sorted(self._connection.threads_of().keys() - failed_on - useless) or None
 
     def _on_event(self, event: dict[str, Any]) -> None:
         """A worker began a task, or its watchdog terminates it over one."""
@@ -129,45 +193,102 @@ class Dask:
         if "why" in event and not task.termination.done():
             task.termination.set_result(event["why"])
 
-    async def _outcome(self, future: Any, *, watched: bool = True) -> Any:
-        """The result of a task, in the client's event loop; the cluster forgets the task in any case."""
-        task = _Task(asyncio.get_running_loop().create_future(), watched)
+    async def _outcome(self, future: Any, identity: Hashable, others: list[str] | None) -> Any:
+        """The result of a task, in the client's event loop; the cluster forgets the task in any case.
+
+        `others`: the workers that alone may run it.
+        """
+        task = _Task(asyncio.get_running_loop().create_future(), identity)
         self._tasks[future.key] = task
         result = asyncio.ensure_future(future.result())
         try:
-            await asyncio.wait({result, task.termination}, return_when=asyncio.FIRST_COMPLETED)
+            while not result.done() and not task.termination.done():
+                await asyncio.wait(
+                    {result, task.termination},
+                    timeout=None if others is None else OTHERS_SECONDS,
+                    return_when=asyncio.FIRST_COMPLETED,
+                )
+                waits = not result.done() and task.worker is None
+                if waits and others is not None and await self._are_gone(others):
+                    await future.cancel()
+                    raise WorkerLeft("the workers on which it had not failed are gone")
             if not result.done():
                 await future.cancel()  # else the scheduler may start it on another worker
                 raise WorkerDied(task.termination.result())
             outcome = result.result()
-            if isinstance(outcome, TaskError):
+            if isinstance(outcome, TaskError | WorkerRefused):
                 raise outcome
+            self._on_computed(task)
             return outcome
         except KilledWorker as error:
-            raise _executor_error(task, error) from None
+            lost = self._executor_error(task, error)
+            if isinstance(lost, WorkerDied):
+                self._on_failed(task, lost)
+            raise lost from None
         except CancelledError as error:
             raise ClusterLost(f"the cluster dropped the task: {error}") from None
         except asyncio.CancelledError:
             await future.cancel()
+            raise
+        except (TaskError, WorkerLeft, WorkerRefused):
+            raise
+        except Exception as error:
+            self._on_failed(task, error)
             raise
         finally:
             result.cancel()
             del self._tasks[future.key]
             future.release()
 
+    async def _are_gone(self, workers: list[str]) -> bool:
+        """Whether none of these is there any more; distributed would keep their tasks for ever."""
+        try:
+            return not await self._connection.client.scheduler.ncores(workers=workers)
+        except (OSError, ClusterLost):
+            return False
 
-def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> Callable[[], Any]:
-    """What to connect to, now and after each loss of the scheduler; raises ClusterLost if there is none."""
-    if scheduler_file is None:
-        return lambda: address
-    # Waits for the file at first; when the connection is lost, the deadline has passed.
-    return partial(read_scheduler_file, Path(scheduler_file), time.monotonic() + timeout)
+    def _on_failed(self, task: _Task, error: Exception) -> None:
+        """A chunk failed, or its worker died of it: the error says where, and the next try goes elsewhere."""
+        if task.chunk is not None and task.worker is not None:
+            error.add_note(f"worker {self._roster.describe(task.worker)}")
+            self._quarantine.failed(task.chunk, task.worker)
+
+    def _on_computed(self, task: _Task) -> None:
+        """A chunk was computed; workers that failed several that others computed get none for a while."""
+        if task.chunk is None:
+            return
+        for worker in self._quarantine.computed(task.chunk, task.worker):
+            log.warning(
+                "worker %s failed %d chunks in a row that others computed: it gets none for %g s",
+                self._roster.describe(worker), MARKS, REST_SECONDS,
+            )  # fmt: skip
+            self._connection.run_on(worker, rest, REST_SECONDS)
+
+    def _executor_error(self, task: _Task, error: KilledWorker) -> ExecutorError:
+        """Tell a task that was running when its last worker died from one that only waited there."""
+        address = error.last_worker.address
+        if task.termination.done():
+            return WorkerDied(task.termination.result())
+        if self._roster.is_leaving(address):
+            return WorkerLeft(f"the worker {self._roster.describe(address)} was told to leave")
+        if task.chunk is None or task.worker == address:
+            return WorkerDied("the worker process that computed it died")
+        return WorkerLost("the worker process at which it waited died")
 
 
-def _executor_error(task: _Task, error: KilledWorker) -> ExecutorError:
-    """Tell a task that was running when its last worker died from one that only waited there."""
-    if task.termination.done():
-        return WorkerDied(task.termination.result())
-    if not task.watched or task.worker == error.last_worker.address:
-        return WorkerDied("the worker process that computed it died")
-    return WorkerLost("the worker process at which it waited died")
+def _probe(stores: str) -> Probe | None:
+    """The probe among the stores; None, with a warning, where it cannot be written."""
+    try:
+        return Probe(stores, store.write_probe(stores))
+    except _UNWRITABLE as error:
+        log.warning(
+            "workers are not asked whether they see %s, nothing can be written there: %s", stores, error
+        )
+        return None
+
+
+def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> Target:
+    """What to connect to, now and after each loss of the scheduler."""
+    if scheduler_file is not None:
+        return SchedulerFile(Path(scheduler_file), timeout)
+    return address if isinstance(address, Made) else Fixed(address)

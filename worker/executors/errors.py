@@ -3,6 +3,8 @@
 ExecutorError
 ├── WorkerDied      its worker process died while running it, or was terminated because of it
 ├── WorkerLost      its worker process died before the task began
+├── WorkerLeft      its worker was told to leave, by a batch queue, its lifetime or an operator
+├── WorkerRefused   its worker may not compute: it differs from the service, or does not see the stores
 └── ClusterLost     the scheduler is gone, or was never reached
 """
 
@@ -17,6 +19,14 @@ class WorkerDied(ExecutorError):
 
 class WorkerLost(ExecutorError):
     """The worker process at which this task waited died: another task is to blame."""
+
+
+class WorkerLeft(ExecutorError):
+    """The worker was told to leave before the task was done: nobody is to blame."""
+
+
+class WorkerRefused(ExecutorError):
+    """The worker may not compute; the message says why."""
 
 
 class ClusterLost(ExecutorError):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from worker.executors.base import Result
+from worker.executors.base import ClusterState, Result
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkReport
 
@@ -35,6 +35,11 @@ class Inline:
 
     def workers(self) -> int:
         return self._workers if self._open else 0
+
+    def state(self) -> ClusterState:
+        return ClusterState(self.workers() > 0, self.workers())
+
+    def ask_for(self, seconds: float, tasks: int) -> None: ...
 
     def close(self) -> None:
         self._open = False

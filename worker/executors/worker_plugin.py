@@ -1,4 +1,4 @@
-"""The plugin that prepares a Dask worker for tasks and ends its process quickly.
+"""The plugin that prepares a Dask worker for tasks, or refuses it, and ends its process quickly.
 
 Imports no kernel: a worker unpickles the plugin, and so imports this module, before it has claimed its
 kernel cache. For the same reason `worker/executors/__init__.py` is empty.
@@ -6,35 +6,131 @@ kernel cache. For the same reason `worker/executors/__init__.py` is empty.
 
 import asyncio
 import os
-from typing import Any
+import signal
+import socket
+import threading
+import time
+from typing import Any, Final
 
 from distributed import Status, WorkerPlugin
 
+from worker.executors.admission import Requirements
 from worker.kernel_cache import claim_cache, warm
 
+#: The topic under which a worker's plugin logs events, each with "worker", "host" and "process", and one of
+#: "refused" (why), "admitted" and "leaving".
+ROSTER: Final = "bouncing-spring-workers"
+#: Seconds between two looks at whether a refused worker may compute now: its folder may be mounted late.
+JUDGE_SECONDS: Final = 5.0
+#: Time for the last event to reach the scheduler before the process ends, and the longest that chunks may
+#: take to pause before.
+REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 
-class WarmKernels(WorkerPlugin):
-    """Compiles all kernels on every worker that starts or joins, before it takes a task.
 
-    `root` is the folder of the kernel caches; None: the default of `worker.kernel_cache`.
+class PreparedWorker(WorkerPlugin):
+    """Compiles all kernels on every worker that starts or joins, before it takes a task, or refuses it.
+
+    `root` is the folder of the kernel caches; None: the default of `worker.kernel_cache`. A refused worker
+    stays, and the scheduler gives it no task until it meets the requirements.
     """
 
     name = "bouncing-spring-kernels"
 
-    def __init__(self, root: str | None = None) -> None:
-        self._root = root
+    def __init__(self, requirements: Requirements, root: str | None = None) -> None:
+        self._requirements, self._root = requirements, root
+        self._removed = False
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process. Compiles in a thread, beside the event loop."""
+        self._refused = ""
         claim_cache(self._root)
-        await asyncio.to_thread(warm, self._root)
+        await self._judge(worker)
+        if worker.nanny is not None and threading.current_thread() is threading.main_thread():
+            # Batch queues end all processes of a job at once: this one too, and not through its nanny.
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._leave, worker)
 
-    def teardown(self, worker: Any) -> None:
+    async def teardown(self, worker: Any) -> None:
         """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
 
         A closing worker would first finish the chunk it computes and then free all compiled code, which
-        takes seconds when the service stops or the scheduler restarts. Nothing is lost: the service submits
-        an unfinished chunk again. Without a nanny, nobody would notice that the process has ended.
+        takes seconds when the service stops or the scheduler restarts. Nothing is lost: the chunk pauses, and
+        the service submits it again and knows that the worker was told to leave. Without a nanny, nobody
+        would notice that the process has ended.
         """
-        if worker.nanny is not None and worker.status == Status.closing:
-            os._exit(0)
+        self._removed = True
+        if worker.status == Status.closing:
+            _log(worker, leaving=True)
+            if worker.nanny is not None:
+                await _pause_chunks(worker)
+                os._exit(0)
+
+    async def _judge(self, worker: Any) -> None:
+        """Admit or refuse the worker; a refused one is judged again later."""
+        reason = await asyncio.to_thread(self._requirements.judge, worker.state.nthreads)
+        if reason:
+            set_available(worker, available=False)
+            if reason != self._refused:
+                _log(worker, refused=reason, threads=worker.state.nthreads)
+            worker.loop.call_later(JUDGE_SECONDS, self._judge_again, worker)
+        else:
+            await asyncio.to_thread(warm, self._root)
+            set_available(worker, available=True)
+            _log(worker, admitted=True)
+        self._refused = reason
+
+    async def _judge_again(self, worker: Any) -> None:
+        if not self._removed:
+            await self._judge(worker)
+
+    def _leave(self, worker: Any) -> None:
+        """SIGTERM: say so, let chunks pause, then end as SIGTERM would."""
+        _log(worker, leaving=True)
+        set_available(worker, available=False)
+        worker.loop.add_callback(self._end, worker)
+
+    async def _end(self, worker: Any) -> None:
+        await _pause_chunks(worker)
+        os._exit(128 + signal.SIGTERM)
+
+
+def set_available(worker: Any, *, available: bool) -> None:
+    """Have the scheduler give this worker tasks, or none.
+
+    The worker itself stays as it is: one that is paused would keep the tasks that it was given before, and
+    its memory monitor would end the pause.
+    """
+    worker.batched_send(
+        {
+            "op": "worker-status-change",
+            "status": (Status.running if available else Status.paused).name,
+            "stimulus_id": f"bouncing-spring-{time.time()}",
+        }
+    )
+
+
+def rest(seconds: float, dask_worker: Any) -> None:
+    """Run on a worker by the service: take no task for so long."""
+    set_available(dask_worker, available=False)
+    dask_worker.loop.call_later(seconds, set_available_again, dask_worker)
+
+
+def set_available_again(worker: Any) -> None:
+    """The end of a rest, unless the worker is leaving."""
+    if worker.status == Status.running:
+        set_available(worker, available=True)
+
+
+async def _pause_chunks(worker: Any) -> None:
+    """Have the chunks of this worker write what they have computed, and wait until they have."""
+    from worker.tasks import LEAVING  # noqa: PLC0415 - see above
+
+    LEAVING.set()
+    deadline = time.monotonic() + PAUSE_SECONDS
+    await asyncio.sleep(REPORT_SECONDS)
+    while worker.active_threads and time.monotonic() < deadline:
+        await asyncio.sleep(0.02)
+
+
+def _log(worker: Any, **what: Any) -> None:
+    event = {"worker": worker.address, "host": socket.gethostname(), "process": os.getpid()}
+    worker.log_event(ROSTER, event | what)

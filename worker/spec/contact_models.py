@@ -112,7 +112,7 @@ class Soft(_SoftContact):
 class Stepped(_SoftContact):
     """The same contact with fixed time steps; `worker.spec.time_steps` checks them."""
 
-    kind: Literal["stepped"]
+    kind: Literal["stepped"] = "stepped"
     steps_per_contact: Annotated[int, Field(ge=1, le=MAX_STEPS_PER_CONTACT), WHOLE] = 20
     scheme: Literal["verlet", "euler"] = "verlet"
 
@@ -140,7 +140,7 @@ class Stepped(_SoftContact):
 class Rigid(ContactFields):
     """Ideal plate; restitution 0 sticks at once."""
 
-    kind: Literal["rigid"]
+    kind: Literal["rigid"] = "rigid"
     restitution: _Restitution = 0.0
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
@@ -160,7 +160,7 @@ class Rigid(ContactFields):
 class Ball(ContactFields):
     """One rigid point mass; restitution null takes the spring's own, f(xi)."""
 
-    kind: Literal["ball"]
+    kind: Literal["ball"] = "ball"
     restitution: Annotated[float, Field(ge=0.0, lt=1.0), NUMBER] | None = None
 
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
@@ -175,7 +175,7 @@ class Ball(ContactFields):
 class Auto(_SoftContact):
     """The cheapest model within `tolerance` (rad of flight time) of exact soft."""
 
-    kind: Literal["auto"]
+    kind: Literal["auto"] = "auto"
     tolerance: Annotated[float, NUMBER] = 1e-3
 
     @model_validator(mode="after")

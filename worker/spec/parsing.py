@@ -7,13 +7,15 @@ length. These functions reject all of it with `SpecUnreadable`.
 import json
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from worker.spec import yaml_text
 from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
-MAX_TOML_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty
+MAX_SLOW_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty, yaml by a thousand
 MAX_DIGITS: Final = 400  # a double has at most 309 before the point
 #: Names in one dotted key, `model.kind`; tomllib takes quadratic time for them.
 MAX_KEY_PARTS: Final = 16
@@ -80,27 +82,32 @@ def fields_of(data: object, what: str) -> dict[str, Any]:
 
 
 def read_file(path: Path) -> object:
-    """Read and parse a .json or .toml file. Raises `SpecUnreadable`, also for a missing file."""
-    if path.suffix not in (".json", ".toml"):
-        raise _unreadable(f"{path}: a specification file ends in .json or .toml")
+    """Read and parse a .json, .toml, .yaml or .yml file. Raises `SpecUnreadable`, also for a missing file."""
+    if path.suffix not in _READERS:
+        raise _unreadable(f"{path}: a specification file ends in .json, .toml or .yaml")
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise _unreadable(f"{path}: must be at most {MAX_FILE_BYTES} bytes; give long axes as ranges")
         content = path.read_bytes()
     except OSError as error:
         raise _unreadable(f"{path}: {error.strerror or error}") from None
-    return read_json(content) if path.suffix == ".json" else _read_toml(content)
+    return _READERS[path.suffix](content)
+
+
+def _text(content: bytes, format: str) -> str:
+    """The text of a file in a format whose reader is slow."""
+    if len(content) > MAX_SLOW_BYTES:
+        raise _unreadable(
+            f"a {format} file must be at most {MAX_SLOW_BYTES} bytes; give long axes as ranges, or write JSON"
+        )
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
 
 
 def _read_toml(content: bytes) -> object:
-    if len(content) > MAX_TOML_BYTES:
-        raise _unreadable(
-            f"a TOML file must be at most {MAX_TOML_BYTES} bytes; give long axes as ranges, or write JSON"
-        )
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+    text = _text(content, "TOML")
     _check_keys(text)
     try:
         return tomllib.loads(text)
@@ -121,3 +128,17 @@ def _check_keys(text: str) -> None:
                 f"a key of more than {MAX_KEY_PARTS} parts at line {line}; a specification needs two, "
                 "as model.kind"
             )
+
+
+def _read_yaml(content: bytes) -> object:
+    try:
+        return yaml_text.load(_text(content, "YAML"), _whole)
+    except yaml_text.YAMLError as error:
+        raise _unreadable(f"the text is not YAML: {' '.join(str(error).split())}") from None
+    except (RecursionError, ValueError) as error:
+        raise _unreadable(f"the YAML cannot be read: {error}") from None
+
+
+_READERS: Final[dict[str, Callable[[bytes], object]]] = {
+    ".json": read_json, ".toml": _read_toml, ".yaml": _read_yaml, ".yml": _read_yaml,
+}  # fmt: skip

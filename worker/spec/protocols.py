@@ -54,7 +54,7 @@ class Ramp(Strict):
     The first cell of a line starts from rest, or on a cycle.
     """
 
-    kind: Literal["ramp"]
+    kind: Literal["ramp"] = "ramp"
     axis: AxisName
     direction: Literal["up", "down", "both"]
     start: Start = None

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
 from unicodedata import category
 
 import numpy as np
@@ -46,11 +46,13 @@ class Specification(Strict):
 
     name: Label = ""
 
-    def __init__(self, /, **data: object) -> None:
-        try:
-            super().__init__(**data)
-        except ValidationError as error:
-            raise SpecInvalid(problems_of(error, self.objects())) from None
+    if not TYPE_CHECKING:  # editors and type checkers see the fields
+
+        def __init__(self, /, **data: object) -> None:
+            try:
+                super().__init__(**data)
+            except ValidationError as error:
+                raise SpecInvalid(problems_of(error, self.objects())) from None
 
     @classmethod
     def objects(cls) -> Mapping[str, tuple[str, ...]]:

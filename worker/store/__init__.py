@@ -24,6 +24,7 @@ from worker.store.errors import (
     StoreError,
     StoreMissing,
 )
+from worker.store.probe import read_probe, write_probe
 from worker.store.store import (
     check_chunk,
     chunk_shape,
@@ -61,6 +62,7 @@ __all__ = [
     "read_chunk",
     "read_coordinates",
     "read_key",
+    "read_probe",
     "read_slice",
     "remove",
     "remove_checkpoint",
@@ -70,4 +72,5 @@ __all__ = [
     "sweep_leftovers",
     "write_checkpoint",
     "write_chunk",
+    "write_probe",
 ]

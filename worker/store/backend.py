@@ -92,6 +92,12 @@ def put(url: str, key: str, content: bytes) -> None:
         raise
 
 
+def make_place(url: str) -> None:
+    """Make the folder at an address, and those above it; a bucket needs none."""
+    if not in_bucket(url):
+        Path(url).mkdir(parents=True, exist_ok=True)
+
+
 def delete(url: str, key: str) -> None:
     """Remove a key of a store, if it exists."""
     try:

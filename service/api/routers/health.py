@@ -25,7 +25,7 @@ def healthz() -> Health:
     responses=problem_responses(503),
 )
 def readyz(service: ServiceDep) -> Any:
-    """The ledger can be used and the Dask scheduler answers, so jobs are computed."""
+    """The ledger can be used, the Dask scheduler answers and has workers: jobs are computed."""
     fault = service.readiness.fault()
     return (
         ReadinessView(status="ok", notices=service.manager.notices())

@@ -113,10 +113,11 @@ def job(service: ServiceDep, job_id: str, request: Request) -> Response:
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
-    headers = job_headers(job, len(failures))
+    notice = service.manager.cluster_fault if job.state in UNFINISHED else None
+    headers = job_headers(job, len(failures), notice)
     if seconds := _retry_after(job):
         headers["Retry-After"] = str(seconds)
-    return not_modified(request, headers) or _job_response(job, 200, headers, failures)
+    return not_modified(request, headers) or _job_response(job, 200, headers, failures, notice)
 
 
 @router.delete(

@@ -168,16 +168,19 @@ def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.Export
 
 @router.get(
     "/export",
-    summary="Export the sweep as a file",
+    summary="Export the job's results as a file",
     responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
 )
 @costly(_export_memory, "export")
 def export(service: ServiceDep, job: JobDep, query: Annotated[parameters.ExportQuery, Query()]) -> Response:
-    """The whole sweep as one file: NetCDF holds the store's arrays, Parquet a row for every cell."""
-    sweep = dependencies.sweep(service, job)
-    export_files.check_size(sweep.spec, service.settings.max_export_bytes)
-    plan = service.manager.preparer.prepare(job).plan
-    file = export_files.make(service.background, sweep, plan, query.format, service.settings.exports_path)
+    """The whole study as one file: NetCDF holds the store's arrays, Parquet a row for every cell.
+
+    Of a job of basins or multistability Parquet has a row for every attractor of a cell.
+    """
+    study, plan = dependencies.stored(service, job), service.manager.preparer.prepare(job).plan
+    export_files.check_numbers(study.spec, plan)
+    export_files.check_size(study, plan, service.settings.max_export_bytes)
+    file = export_files.make(service.background, study, plan, query.format, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',

@@ -45,7 +45,7 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
 
     Raises OSError, or one of `store.UNREACHABLE`.
     """
-    names = store.names_in(settings.store_of("").rsplit("/", 1)[0])
+    names = store.names_in(settings.stores_url)
     ids = [match[1] for name in names if (match := _STORE_NAME.fullmatch(name))]
     with ledger.reading() as reading:
         known = reading.ids() | {deletion.job_id for deletion in reading.deletions()}
@@ -55,7 +55,7 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
 def has_stores(settings: Settings) -> bool:
     """Whether there are stores where the settings say; assumed of a place that does not answer."""
     try:
-        names = store.names_in(settings.store_of("").rsplit("/", 1)[0])
+        names = store.names_in(settings.stores_url)
     except Exception as error:  # noqa: BLE001 - whatever keeps it from answering
         log.warning("the stores cannot be listed: %s", error)
         return True

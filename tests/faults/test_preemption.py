@@ -1,0 +1,118 @@
+"""Workers that are told to leave: no chunk is blamed for it, and every job is computed to its end."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from dask_processes import Processes, dask_processes, family
+from paths import CACHE
+from running import Running, costing, running
+from scripted import wait_for
+
+from service.jobs.model import JobRecord, JobState
+from service.jobs.run import JobRun
+from worker.executors.dask import Dask
+from worker.executors.errors import WorkerDied, WorkerLeft, WorkerLost
+from worker.kernel_cache import warm
+
+PATIENCE = 240.0
+#: The shortest lifetime of a worker (s), and how many times as long as its start it is at least.
+LIFETIME, STARTS = 5.0, 3.0
+
+
+@pytest.fixture
+def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
+    """What chunks came back with, of all jobs of the test."""
+    warm(CACHE)
+    seen: list[BaseException] = []
+    apply = JobRun.apply
+
+    def noted(run: JobRun, chunk: int, action: object, error: BaseException, again: bool = False) -> None:
+        seen.append(error)
+        apply(run, chunk, action, error, again)
+
+    monkeypatch.setattr(JobRun, "apply", noted)
+    return seen
+
+
+def blamed(errors: list[BaseException]) -> list[BaseException]:
+    return [error for error in errors if isinstance(error, WorkerDied | WorkerLost)]
+
+
+def long_job(service: Running) -> JobRecord:
+    """A job that takes longer than every test."""
+    return service.submit(costing(gamma={"start": 3.0, "stop": 3.5, "num": 100}, settle=10_000_000))
+
+
+def wait_until_computing(executor: Dask, processes: Processes) -> None:
+    wait_for(lambda: any(task.worker for task in executor._tasks.values()), processes.log, PATIENCE)
+
+
+@pytest.mark.timeout(700)
+def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, errors: list[BaseException]):
+    with dask_processes(tmp_path / "dask") as processes:
+        executor = Dask(processes.address, timeout=60)
+        try:
+            began = time.monotonic()
+            first = processes.worker()
+            executor.call(os.getpid).result(PATIENCE)
+            lifetime = max(LIFETIME, STARTS * (time.monotonic() - began))
+            first.terminate()
+            wait_for(lambda: executor.workers() == 0, seconds=60)
+            for _ in range(2):
+                processes.worker("--lifetime", f"{lifetime:.0f}s", "--lifetime-restart")
+            with running(tmp_path / "data", executor) as service:
+                job = service.submit(costing(chunks=100, seconds=0.3))
+                wait_for(
+                    lambda: service.job(job).state is JobState.DONE,
+                    lambda: f"{service.job(job)}\n{processes.log()}",
+                    600,
+                )
+                ended = service.job(job)
+        finally:
+            executor.close()
+        assert "worker-lifetime-reached" in processes.log()
+    assert ended.chunks_done == ended.chunks_total
+    assert blamed(errors) == []
+
+
+@pytest.mark.timeout(500)
+@pytest.mark.parametrize("whole", [True, False], ids=["all processes", "the nanny"])
+def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[BaseException], whole: bool):
+    """A batch queue sends it to all processes of a job; an operator to the one that he started."""
+    with dask_processes(tmp_path / "dask") as processes:
+        executor = Dask(processes.address, timeout=60)
+        try:
+            with running(tmp_path / "data", executor, chunk_tries=1) as service:
+                job = long_job(service)
+                for _ in range(2):
+                    worker = processes.worker()
+                    wait_until_computing(executor, processes)
+                    for each in family(worker) if whole else family(worker)[:1]:
+                        each.send_signal(signal.SIGTERM)
+                    worker.wait(60)
+                    wait_for(lambda: executor.workers() == 0, seconds=60)
+                assert service.job(job).state is JobState.RUNNING
+        finally:
+            executor.close()
+    assert any(isinstance(error, WorkerLeft) for error in errors)
+    assert blamed(errors) == []
+
+
+@pytest.mark.timeout(500)
+def test_a_worker_that_is_killed_costs_a_try(tmp_path: Path, errors: list[BaseException]):
+    with dask_processes(tmp_path / "dask") as processes:
+        executor = Dask(processes.address, timeout=60)
+        try:
+            with running(tmp_path / "data", executor, chunk_tries=1, failed_chunks=1) as service:
+                job = long_job(service)
+                worker = processes.worker()
+                wait_until_computing(executor, processes)
+                for each in reversed(family(worker)):
+                    each.kill()
+                service.until(job, JobState.FAILED, seconds=PATIENCE)
+        finally:
+            executor.close()
+    assert any(isinstance(error, WorkerDied) for error in errors)

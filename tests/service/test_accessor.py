@@ -1,0 +1,88 @@
+"""`dataset.bounce`: flights as a table, and plots of results that are Datasets already."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.figure import Figure
+
+from service.client import BounceError, Ramp, Range, Rigid, SweepSpec
+from service.local import run
+
+SPEC = SweepSpec(
+    gamma=Range(start=0.4, stop=1.2, num=9), omega=(0.56, 0.6), xi=0.05, model=Rigid(),
+    protocol=Ramp(axis="gamma", direction="both"), settle=40, observe=20,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sweep() -> xarray.Dataset:
+    return run(SPEC, progress=False)
+
+
+def test_a_row_per_flight(sweep: xarray.Dataset):
+    table = sweep.bounce.to_dataframe()
+    assert list(table.columns) == [
+        "gamma", "omega", "xi", "direction", "flight", "flight_time", "takeoff_phase", "outcome", "bounces",
+        "periods",
+    ]  # fmt: skip
+    assert len(table) == int(np.isfinite(sweep.flight_time).sum()) == int(sweep.flights.clip(max=64).sum())
+    one = table[(table.gamma == 1.2) & (table.omega == 0.6) & (table.direction == "down")]
+    cell = sweep.sel(gamma=1.2, omega=0.6, xi=0.05, direction="down")
+    assert one.flight.tolist() == list(range(len(one)))
+    np.testing.assert_array_equal(one.flight_time, cell.flight_time[: len(one)])
+    np.testing.assert_array_equal(one.takeoff_phase, cell.takeoff_phase[: len(one)])
+    assert set(one.bounces) == {int(cell.bounces)}
+    assert set(table.outcome) <= {"periodic", "aperiodic", "settling"}
+
+
+def test_a_line_has_the_same_rows(sweep: xarray.Dataset):
+    line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
+    table = sweep.bounce.to_dataframe()
+    of_line = table[(table.omega == 0.6) & (table.direction == "down")].reset_index(drop=True)
+    np.testing.assert_array_equal(line.bounce.to_dataframe().flight_time, of_line.flight_time)
+
+
+def test_only_what_has_flights_is_a_table(sweep: xarray.Dataset):
+    with pytest.raises(BounceError, match="to_dataframe"):
+        sweep.drop_vars("flight_time").bounce.to_dataframe()
+
+
+def test_a_line_of_a_sweep_is_a_diagram(sweep: xarray.Dataset):
+    ax = sweep.bounce.plot(omega=0.61, direction="down", ax=Figure().subplots())
+    drawn = ax.lines[0].get_xydata()
+    line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
+    np.testing.assert_array_equal(drawn[:, 1], line.flight_time.values.ravel())
+    assert r"$\Omega$ = 0.6" in ax.get_title()
+
+
+def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
+    ax = sweep.bounce.plot(direction="up", ax=Figure().subplots())
+    (mesh,) = ax.collections
+    assert mesh.get_array().shape == (2, 9)
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ({}, r"select of direction \(2 values\), omega \(2 values\), gamma \(9 values\)"),
+        ({"omega": 0.6}, r"select of direction \(2 values\), gamma"),
+        ({"direction": "sideways"}, "direction must be one of up, down, not 'sideways'"),
+        ({"speed": 1.0}, "speed is no axis"),
+    ],
+)
+def test_what_to_select_is_said(sweep: xarray.Dataset, where: dict[str, Any], message: str):
+    with pytest.raises(BounceError, match=message):
+        sweep.bounce.plot(**where)
+
+
+def test_other_datasets_are_not_drawn():
+    with pytest.raises(BounceError, match="plot: is of a diagram"):
+        xarray.Dataset().bounce.plot()
+
+
+def test_a_store_on_disk_is_asked_alike(tmp_path: Path):
+    stored = run(SPEC, tmp_path / "sweep.zarr", progress=False)
+    assert len(stored.bounce.to_dataframe()) == int(np.isfinite(stored.flight_time).sum())

@@ -1,0 +1,157 @@
+"""Clusters that grow and shrink, and clusters that vanish: real ones of this machine."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import dask
+import pytest
+from distributed import LocalCluster
+from paths import CACHE
+from running import costing, running
+from scripted import wait_for
+
+from service.api.monitoring import Readiness
+from service.jobs.model import JobState
+from worker.executors.connection import SCHEDULER_SETTINGS
+from worker.executors.dask import Dask
+from worker.executors.errors import ClusterLost
+from worker.executors.targets import Made
+from worker.kernel_cache import warm
+
+PATIENCE = 180.0
+
+
+def local_cluster(workers: int) -> LocalCluster:
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        memory_limit=None,
+    )
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[LocalCluster]]:
+    """Clusters that a test makes; closed at its end."""
+    warm(CACHE)
+    clusters: list[LocalCluster] = []
+    with dask.config.set(SCHEDULER_SETTINGS):
+        yield clusters
+    for cluster in clusters:
+        cluster.close()
+
+
+def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
+    tmp_path: Path, made: list[LocalCluster]
+):
+    made.append(local_cluster(0))
+    made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="1 s")
+    executor = Dask(made[0], kernel_cache=CACHE)
+    try:
+        assert executor.state().connected
+        assert executor.workers() == 0
+        assert Readiness(executor).fault() == "no workers yet (0 asked for); jobs wait until there are"
+        with running(tmp_path, executor) as service:
+            job = service.submit(costing(chunks=160, seconds=0.1))  # 16 core-seconds
+            wait_for(lambda: executor.workers() == 3, seconds=PATIENCE)
+            ended = service.until(job, JobState.DONE, seconds=PATIENCE)
+            assert ended.chunks_done == ended.chunks_total
+            wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
+    finally:
+        executor.close()
+
+
+def test_a_job_for_one_worker_starts_one(tmp_path: Path, made: list[LocalCluster]):
+    """A ramp is computed cell after cell: more workers would wait."""
+    most = 0
+    made.append(local_cluster(0))
+    made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="500 ms")
+    executor = Dask(made[0], kernel_cache=CACHE)
+
+    def done() -> bool:
+        nonlocal most
+        most = max(most, len(made[0].plan))
+        return service.job(job).state is JobState.DONE
+
+    try:
+        with running(tmp_path, executor) as service:
+            job = service.submit(
+                costing(chunks=30, seconds=0.1, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+            )
+            wait_for(done, lambda: f"{service.job(job)}", PATIENCE)
+    finally:
+        executor.close()
+    assert most == 1
+
+
+def test_a_cancelled_job_ends_while_there_are_no_workers(tmp_path: Path, made: list[LocalCluster]):
+    made.append(local_cluster(0))
+    executor = Dask(made[0], kernel_cache=CACHE)
+    try:
+        with running(tmp_path, executor) as service:
+            job = service.submit(costing())
+            service.until(job, JobState.RUNNING)
+            service.manager.cancel(job.id)
+            service.until(job, JobState.CANCELLED)
+    finally:
+        executor.close()
+
+
+def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalCluster]):
+    def make() -> LocalCluster:
+        made.append(local_cluster(1))
+        return made[-1]
+
+    executor = Dask(Made(make, "mine:cluster"), kernel_cache=CACHE)
+    readiness = Readiness(executor, max_age=0.0)
+    faults = set()
+
+    def again() -> bool:
+        faults.add(readiness.fault())
+        return len(made) == 2 and executor.workers() == 1
+
+    try:
+        with running(tmp_path, executor) as service:
+            job = service.submit(costing(chunks=30, seconds=0.1))
+            wait_for(lambda: service.job(job).chunks_done >= 2, seconds=PATIENCE)
+            made[0].close()
+            wait_for(again, lambda: f"{faults}", PATIENCE)
+            service.until(job, JobState.DONE, seconds=PATIENCE)
+    finally:
+        executor.close()
+    assert made[1].status.name == "closed"
+    assert any("the Dask scheduler does not answer" in fault for fault in faults if fault)
+
+
+def test_a_function_that_fails_is_called_less_and_less_often(monkeypatch: pytest.MonkeyPatch):
+    now, calls = [0.0], []
+
+    def make() -> Any:
+        calls.append(now[0])
+        raise RuntimeError("the queue is closed")
+
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    target = Made(make, "mine:cluster")
+    while now[0] < 300:
+        with pytest.raises(
+            ClusterLost, match="no cluster from mine:cluster: RuntimeError: the queue is closed"
+        ):
+            target.find()
+        now[0] += 1
+    assert calls == [0, 1, 3, 7, 15, 31, 63, 123, 183, 243]
+
+
+def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
+        made.append(local_cluster(2))
+        executor = Dask(Made(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)
+        try:
+            name = next(iter(made[0].workers))
+            made[0].sync(made[0].workers[name].close)
+            wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
+            wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+        finally:
+            executor.close()
