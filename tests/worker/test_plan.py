@@ -185,7 +185,7 @@ def test_chunks_of_a_large_job_cost_a_second_or_so():
 
 
 def test_dear_cells_make_small_chunks():
-    spec = sweep(gamma=100, model={"kind": "stepped"}, settle=10_000_000)
+    spec = sweep(gamma=100, model={"kind": "stepped"}, settle=100_000)
     assert make_plan(spec)[0].cells == 1
 
 

@@ -241,12 +241,12 @@ class ContactModel(NamedTuple):
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
 #: docs/architecture.md). Costs: medians over cells of all kinds (`python -m benchmarks.kernel`).
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 2.0, "soft contact"),
+    "soft": ContactModel(Soft, "kernel.models.soft", 1.2, "soft contact"),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
     "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact"),
     "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact"),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 2.0, "auto contact"),
+    "auto": ContactModel(Auto, "kernel.models.soft", 1.2, "auto contact"),
 }
 
 
