@@ -22,6 +22,9 @@ export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unres
 /** Codes of kernel.labels beyond those of outcomes: aperiodic cells told apart by their Lyapunov exponents. */
 export const LABEL = { quasiPeriodic: 7, chaotic: 8 };
 
+/** Codes of service.results.hysteresis: how the two directions of a cell compare. */
+export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
+
 /** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
 export function threshold(omega, xi) {
   const [w, x] = [omega ** 2, xi ** 2];
