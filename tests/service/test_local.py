@@ -225,8 +225,16 @@ def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> sub
     return process
 
 
-@pytest.mark.parametrize("spec", [LONG, ORBITS, *STUDIES.values()], ids=["sweep", "orbits", *STUDIES.keys()])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("number", "spec"),
+    [
+        pytest.param(signal.SIGINT, LONG, id="sweep, Ctrl-C"),
+        *(
+            pytest.param(signal.SIGKILL, spec, id=name)
+            for name, spec in ({"sweep": LONG, "orbits": ORBITS} | STUDIES).items()
+        ),
+    ],
+)
 def test_an_interrupted_run_goes_on_where_it_stopped(
     tmp_path: Path, number: signal.Signals, spec: dict[str, Any]
 ):
