@@ -40,7 +40,7 @@ export class TrajectoryPanel {
       const trajectory = await this.#request(job, cell, signal);
       this.#play(job, { ...cell, ...trajectory });
       if (startOf(cell.direction)) this.portraits.show({ flights: trajectory.flights.flight_time });
-      else this.portraits.show({ flights: (await this.#requestFlights(job, cell, signal)).flights.flight_time });
+      else this.#showReturnMap(job, cell, signal);
     } catch (error) {
       if (error.name === "AbortError") return;
       this.#stop();
@@ -68,9 +68,16 @@ export class TrajectoryPanel {
     return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
   }
 
-  /** The motion of a cell for so long that its flights make a return map. */
-  #requestFlights(job, cell, signal) {
-    return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${query({ ...cell, periods: MAP_PERIODS, samples: MAP_SAMPLES })}`, { signal });
+  /** The motion of a cell for so long that its flights make a return map; the panel is complete without it. */
+  async #showReturnMap(job, cell, signal) {
+    const { portraits } = this;
+    try {
+      const parameters = query({ ...cell, periods: MAP_PERIODS, samples: MAP_SAMPLES });
+      const { flights } = await requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
+      portraits.show({ flights: flights.flight_time });
+    } catch (error) {
+      if (error.name !== "AbortError") portraits.fail(error);
+    }
   }
 
   hide() {

@@ -36,6 +36,11 @@ export class Portraits {
     this.portrait.draw();
   }
 
+  /** Why there is no return map. */
+  fail(error) {
+    this.mapNote.textContent = error.message;
+  }
+
   close() {
     this.map.close();
     this.portrait.close();
