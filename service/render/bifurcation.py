@@ -58,7 +58,7 @@ def draw(
     return encode(SIZE, lambda figure: _draw(figure.subplots(), diagrams, spec, caption), format, origin)
 
 
-def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec, caption: bool) -> None:
+def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec, caption: bool = True) -> None:
     first = diagrams[0]
     _scale(axes, first.values, max(_longest(diagram) for diagram in diagrams))
     for diagram, (colour, size) in zip(diagrams, ALONE if len(diagrams) == 1 else OVERLAID, strict=True):
