@@ -1,7 +1,8 @@
-"""Basins of attraction: the time of a large plane, and attractors told apart in cells of random choice.
+"""Basins of attraction: the time of a large plane, attractors told apart in random cells, coexisting ones.
 
     python -m benchmarks.basins time [--side 256]
     python -m benchmarks.basins cells [--kind rigid] [--seed 11] [--count 14] [--side 64]
+    python -m benchmarks.basins planes [--side 40]
 
 `time`: one cell of `side` x `side` drops with the default windows, settle 1,500 at xi .05; such a cell is one
 task on one core.
@@ -10,6 +11,9 @@ task on one core.
 found are run for 5,000 plate periods and grouped independently: cycles by mode and flights within 1e-6 rad,
 other motions by which parts of the plane (flight time, take-off phase) they visit in 3,000 plate periods.
 Spurious is an attractor of more than 0.3 % that shares such a group with another; merged, one that is in two.
+
+`planes`: multistability over `side` x `side` cells at two xi, 24 drops a cell: the share of cells with two
+attractors or more.
 """
 
 import argparse
@@ -25,9 +29,12 @@ from numpy.typing import NDArray
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
 from kernel.params import Line, Outcome
+from service.results.multistability import Multistability, plane
 from worker import store
 from worker.basins.attractors import Found, counted, find
-from worker.basins.spec import BasinSpec
+from worker.basins.multistability import MULTISTABILITY
+from worker.basins.multistability import run_chunk as compute_lines
+from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.basins.starts import starts_of
 from worker.basins.steps import line_run
 from worker.basins.study import BASINS, rules_of, run_chunk
@@ -38,6 +45,9 @@ TIMED: Final = (
     (3.6, 0.5, 0.26), (1.27, 0.5, 0.26), (5.0, 0.5, 0.26), (0.7, 0.6, 0.05), (1.0, 0.34, 0.05),
     (3.8, 1.0, 0.05),
 )  # fmt: skip
+
+#: Of `planes`: xi, and the ranges of gamma and omega.
+PLANES: Final = ((0.05, (0.3, 4.2), (0.28, 1.4)), (0.26, (0.9, 6.0), (0.2, 1.2)))
 
 #: Of `cells`: the contact, and the ranges of gamma and omega.
 KINDS: Final[dict[str, tuple[dict[str, Any], tuple[float, float]]]] = {
@@ -193,6 +203,29 @@ def cells(kind: str, seed: int, count: int, side: int) -> None:
     print(f"{len(rows)} cells: {sum(row[2] for row in rows)} spurious, {sum(row[3] for row in rows)} merged")
 
 
+def planes(side: int) -> None:
+    rows = []
+    for xi, gamma, omega in PLANES:
+        axes = [{"start": low, "stop": high, "num": side} for low, high in (gamma, omega)]
+        spec = MultistabilitySpec.parse(
+            {"gamma": axes[0], "omega": axes[1], "xi": xi, "model": {"kind": "rigid"},
+             "protocol": {"kind": "multistability"}}
+        )  # fmt: skip
+        plan = MULTISTABILITY.plan(spec)
+        with tempfile.TemporaryDirectory() as folder:
+            url = str(Path(folder) / "plane.zarr")
+            store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
+            core = time.process_time()
+            for chunk in plan:
+                compute_lines(spec, chunk, url)
+            core = time.process_time() - core
+            found = plane(Multistability(spec, url), None)
+        shares = [f"{100.0 * share:.1f}" for share in (found.several_by_drops, found.several)]
+        rows.append([f"{xi:g}", *shares, short(core)])
+        print(*rows[-1], sep=" | ", flush=True)
+    print(table(["ξ", "several by drops, %", "several, %", "core-s"], rows))
+
+
 def times(side: int) -> None:
     _timed(spec_of(TIMED[0], {"kind": "rigid"}, 8))  # loads the kernels
     rows = []
@@ -220,6 +253,8 @@ def main() -> None:
     what = parser.add_subparsers(dest="what", required=True)
     timing = what.add_parser("time")
     timing.add_argument("--side", type=int, default=256)
+    coexisting = what.add_parser("planes")
+    coexisting.add_argument("--side", type=int, default=40)
     checking = what.add_parser("cells")
     checking.add_argument("--kind", choices=KINDS, default="rigid")
     for name, default in (("seed", 11), ("count", 14), ("side", 64)):
@@ -228,6 +263,8 @@ def main() -> None:
     print(describe())
     if options.what == "time":
         times(options.side)
+    elif options.what == "planes":
+        planes(options.side)
     else:
         cells(options.kind, options.seed, options.count, options.side)
 

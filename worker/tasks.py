@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -29,7 +29,7 @@ from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
 from worker.cost import cells_at_once
 from worker.plan import Chunk
-from worker.refinement import Refinement
+from worker.refinement import Beyond, Refinement, surroundings
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 from worker.spec.protocols import Ramp
@@ -108,12 +108,12 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     """
     began = time.perf_counter()
     store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
-    record = _empty_record(spec, chunk)
+    record = _empty_record(spec, _surrounded(spec, chunk))
     work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
     if spec.refine is None:
         _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
     else:
-        _refine_tile(spec, spec.refine, chunk, record, work)
+        record = _refine_tile(spec, spec.refine, chunk, record, work)
     checksum = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
@@ -151,15 +151,19 @@ def _groups(spec: SweepSpec, indices: list[_LineIndex]) -> list[list[_LineIndex]
     return [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
 
 
-def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork") -> None:
+def _refine_tile(
+    spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays, work: "_SweepWork"
+) -> _Arrays:
     """Compute the cells that a tile needs, each round of the refinement as one line, and fill in the others.
 
-    A round that a task before this one has computed is in the record; the refinement is repeated from there.
+    record: of the tile and what of its surroundings is looked at; returns that of the tile alone. A round
+    that a task before this one has computed is in the record; the refinement is repeated from there.
     """
-    flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in record.items()}
-    cells = {name: array.ravel() for name, array in _cells(spec, chunk).items()}
+    around = _surrounded(spec, chunk)
+    flat = {name: array.reshape(around.cells, *array.shape[3:]) for name, array in record.items()}
+    cells = {name: array.ravel() for name, array in _cells(spec, around).items()}
     computed = flat[schema.COMPUTED.name]
-    tile = Refinement((chunk.shape[1], chunk.shape[2]), refine)
+    tile = Refinement((chunk.shape[1], chunk.shape[2]), refine, _beyond(spec, chunk))
     finished = work.lines_done
     for number in itertools.count():
         if not tile.cells.size:
@@ -172,9 +176,26 @@ def _refine_tile(spec: SweepSpec, refine: Refine, chunk: Chunk, record: _Arrays,
                 array[tile.cells] = 1 if array is computed else getattr(done, name)
             work.finish_line()
         tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
-    source = tile.sources(record["outcome"][0])
+    result = {name: array[:, *tile.inside] for name, array in record.items()}
+    source = tile.sources(result["outcome"][0])
     for name in schema.MODE_ARRAYS:
-        flat[name][...] = flat[name][source]
+        result[name] = result[name].ravel()[source].reshape(chunk.shape)
+    return result
+
+
+def _beyond(spec: SweepSpec, chunk: Chunk) -> Beyond:
+    """The map's cells around a tile: rows above and below, columns left and right."""
+    (top, bottom), (left, right) = chunk.omega, chunk.gamma
+    return top, spec.shape[2] - bottom, left, spec.shape[3] - right
+
+
+def _surrounded(spec: SweepSpec, chunk: Chunk) -> Chunk:
+    """A chunk of an adaptive map with the cells around it that are looked at; any other as it is."""
+    if spec.refine is None:
+        return chunk
+    (top, bottom), (first, last) = chunk.omega, chunk.gamma
+    above, below, left, right = surroundings(spec.refine, _beyond(spec, chunk))
+    return replace(chunk, omega=(top - above, bottom + below), gamma=(first - left, last + right))
 
 
 class Work:

@@ -205,6 +205,9 @@ class PlaneQuery(Query):
     xi: Number | None = None
     direction: Direction = None
     min_flight: MinFlight = None
+    hysteresis: bool = Field(
+        False, description="of a sweep ramped both ways: where its directions differ as well"
+    )
 
 
 class JobOrbitsQuery(Query):

@@ -113,6 +113,11 @@ class Modes(BaseModel):
     mask: list[list[int]] | None = Field(
         None, description="of an adaptive map, if asked for: 1 computed, 0 taken from its block"
     )
+    hysteresis: list[list[int]] | None = Field(
+        None,
+        description="of a sweep ramped both ways, if asked for: 1 where up and down have other modes, "
+        "2 where they have other flights of one mode, 0 elsewhere",
+    )
     min_flight: float = Field(description="rad; shorter flights do not count, unless all of a cell are")
     computed: float | None = Field(
         None, description="of an adaptive map: share of the plane's cells done that were computed"

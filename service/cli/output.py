@@ -209,16 +209,16 @@ def _differences(thresholds: "xarray.Dataset") -> list[str]:
 # Tables of cells and samples
 
 
-_MODE: Final = ("outcome", "bounces", "periods", "label")
+_MODE: Final = ("outcome", "bounces", "periods", "label", "hysteresis")
+#: Those whose numbers stand for names.
+_NAMED: Final = ("outcome", "label", "hysteresis")
 
 
 def modes_csv(mode_map: "xarray.Dataset") -> bytes:
     """One row per cell; outcomes and labels by name."""
     omega, gamma = mode_map.omega.values.tolist(), mode_map.gamma.values.tolist()
     planes = {name: mode_map[name].values.tolist() for name in _MODE if name in mode_map}
-    names = {
-        name: mode_map[name].attrs["flag_meanings"].split() for name in ("outcome", "label") if name in planes
-    }
+    names = {name: mode_map[name].attrs["flag_meanings"].split() for name in _NAMED if name in planes}
     rows = (
         (
             omega[i],

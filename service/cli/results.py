@@ -121,6 +121,7 @@ def threshold(
 )
 @min_flight_option
 @click.option("--every", type=click.IntRange(min=1), help="Take only every n-th value of both axes.")
+@click.option("--hysteresis", is_flag=True, help="Also write where the ramps up and down differ.")
 @format_option(*TABLES)
 @output_option
 @service_options
@@ -130,6 +131,7 @@ def modes(
     direction: str | None,
     min_flight: float | None,
     every: int | None,
+    hysteresis: bool,
     format: str | None,
     output: str,
     url: str,
@@ -141,7 +143,7 @@ def modes(
     format = output_format(output, TABLES, format)
     with open_client(url, token) as client:
         job = client.job(job_id)
-        mode_map = job.modes(xi, direction, min_flight=min_flight, every=every)
+        mode_map = job.modes(xi, direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
     write_file(output, modes_json(mode_map) if format == "json" else modes_csv(mode_map))
     _warn(job, "cells are missing")
 

@@ -28,6 +28,11 @@ _LABELS: Final = {
     "flag_meanings": " ".join(LABELS),
 }
 
+_HYSTERESIS: Final = {
+    "flag_values": np.arange(3, dtype=np.uint8),
+    "flag_meanings": "none other_mode other_flights",
+}
+
 #: dtype and attributes of every variable and coordinate of the results of a job.
 _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "gamma": (np.float64, {"long_name": "plate acceleration Γ = Aω²/g", "units": "1"}),
@@ -57,6 +62,7 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "difference": (np.str_, {"long_name": "why down and predicted_down differ"}),
     "up_computed": (np.bool_, {"long_name": "whether both cells beside up were computed"}),
     "computed": (np.uint8, {"long_name": "1: computed, 0: taken from its block"}),
+    "hysteresis": (np.uint8, {"long_name": "how the ramps up and down compare", **_HYSTERESIS}),
     "up_status": (np.str_, {"long_name": "why up is a number or NaN"}),
     "down_status": (np.str_, {"long_name": "why down is a number or NaN"}),
 }
@@ -215,7 +221,7 @@ def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         plane = ("omega", "gamma")
         variables = {
             field: _variable(field, plane, answer[field])
-            for field in ("outcome", "bounces", "periods", "label")
+            for field in ("outcome", "bounces", "periods", "label", "hysteresis")
             if answer.get(field) is not None
         }
         if answer.get("mask") is not None:

@@ -170,7 +170,8 @@ class Job(Results):
 
         `kind`: "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω; by
         default the map where Γ and Ω both have several values, else the diagram. `selection`: the arguments
-        of `diagram`, `modes` or `threshold`. `branches`, as `Client.orbits` returns them, are drawn over a
+        of `diagram`, `modes` or `threshold`; maps of sweeps ramped both ways are hatched where the directions
+        differ, unless `hysteresis` is False. `branches`, as `Client.orbits` returns them, are drawn over a
         diagram: solid where stable. `ax`: default the current axes of pyplot if it is in use, else those of a
         new figure. Raises BounceError for an unknown kind, and as these methods.
         """
@@ -186,7 +187,8 @@ class Job(Results):
             raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
         ax = ax if ax is not None else plots.new_axes()
         if kind == "modes":
-            plots.draw_modes(ax, self.modes(**selection))
+            both = spec["protocol"].get("direction") == "both"
+            plots.draw_modes(ax, self.modes(**{"hysteresis": both} | selection))
         elif kind == "threshold":
             plots.draw_thresholds(ax, self.threshold(progress=False, **selection))
         else:

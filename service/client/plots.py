@@ -34,6 +34,10 @@ AXES: Final = {
 }
 FLIGHT: Final = "flight time (rad)"
 
+#: Over the cells of a map whose directions differ, and what a legend calls them.
+HATCH: Final = "////"
+DIFFER: Final = "up and down differ"
+
 
 def draw_diagram(ax: "Axes", diagram: "xarray.Dataset") -> None:
     """The flights of every cell along the diagram's axis, as dots."""
@@ -82,6 +86,12 @@ def draw_modes(ax: "Axes", modes: "xarray.Dataset") -> None:
         Patch(facecolor=colours[i], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
         for i in seen
     ]
+    if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
+        ax.pcolor(
+            modes.gamma.values, modes.omega.values, np.ma.masked_where(~differ, differ), shading="nearest",
+            cmap=ListedColormap(["none"]), edgecolor="none", hatch=HATCH,
+        )  # fmt: skip
+        handles.append(Patch(facecolor="none", edgecolor="black", linewidth=0.4, hatch=HATCH, label=DIFFER))
     ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
     ax.set_xlabel(AXES["gamma"])
     ax.set_ylabel(AXES["omega"])

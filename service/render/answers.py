@@ -89,9 +89,10 @@ def modes(
     every: int,
     min_flight: float | None,
     mask: bool,
+    hysteresis: bool,
 ) -> Answer:
     """The mode map as JSON; mask: of an adaptive map, with which cells were computed."""
-    plane = mode_map.modes(sweep, xi, direction, max_points, every, min_flight)
+    plane = mode_map.modes(sweep, xi, direction, max_points, every, min_flight, hysteresis=hysteresis)
     return Answer(text.mode_map_json(plane, mask and sweep.spec.refine is not None), plane.complete)
 
 
@@ -128,9 +129,12 @@ def packed_plane(
     omega: tuple[float | None, float | None],
     max_points: int,
     min_flight: float | None,
+    hysteresis: bool,
 ) -> Answer:
     """A window of the mode map in binary form."""
-    plane = mode_map.modes_between(sweep, xi, direction, gamma, omega, max_points, min_flight)
+    plane = mode_map.modes_between(
+        sweep, xi, direction, gamma, omega, max_points, min_flight, hysteresis=hysteresis
+    )
     attributes = {
         "xi": plane.xi,
         "direction": plane.direction,

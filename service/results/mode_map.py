@@ -3,14 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
 from service.errors import InvalidRequest
-from service.results.counting import arrays_of_modes, needs_flights, recounted, shortest
+from service.results.counting import FLIGHT_ARRAYS, arrays_of_modes, needs_flights, recounted, shortest
+from service.results.hysteresis import Hysteresis, check_both_ways, compare
 from service.results.selection import (
     MAX_READ,
     Sweep,
@@ -22,6 +23,11 @@ from service.results.selection import (
 )
 from worker import schema
 from worker.spec import SweepSpec
+
+#: Flights of both directions that are compared at a time, and bytes of memory of each: time and phase, what
+#: counts, and their order.
+_COMPARED: Final = MAX_READ // 4
+_PER_COMPARED: Final = 48
 
 
 @dataclass(frozen=True)
@@ -39,11 +45,13 @@ class Plane:
     computed: float | None = (
         None  # of an adaptive map, the share of the plane's cells done that were computed
     )
+    compared: bool = True  # with `hysteresis` among the arrays: every cell is computed in both directions
 
     @property
     def complete(self) -> bool:
         """Whether every cell is computed, and the sweep undamaged."""
-        return not self.repairing and bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
+        done = bool(np.all(self.arrays["outcome"] != Outcome.MISSING))
+        return done and self.compared and not self.repairing
 
 
 def modes(
@@ -53,11 +61,14 @@ def modes(
     max_points: int,
     every: int = 1,
     min_flight: float | None = None,
+    *,
+    hysteresis: bool = False,
 ) -> Plane:
     """The mode map at the grid's xi nearest to `xi`, every n-th cell of both axes.
 
     `min_flight` is in rad; None is the sweep's `micro_flight`, whose modes are stored, for another value the
-    flights are read. Raises InvalidRequest as `selection.nearest_index`, TooLarge for more than `max_points`
+    flights are read. With `hysteresis`, of a sweep ramped both ways, the array of that name is a `Hysteresis`
+    for each cell. Raises InvalidRequest as `selection.nearest_index`, TooLarge for more than `max_points`
     cells, or more than MAX_READ flights to read.
     """
     lengths = [len(sweep.spec.axis_values(axis)) for axis in ("omega", "gamma")]
@@ -67,6 +78,8 @@ def modes(
     check_points(omegas * gammas, fitting, what, thinning(lengths, 1, fitting))
     part = slice(None, None, every)
     found = _recounted_plane(sweep, xi, direction, min_flight, part, part)
+    if hysteresis:
+        found = _compared(sweep, found, min_flight, part, part)
     return replace(found, every=every, computed=_computed_share(sweep, xi, found.direction))
 
 
@@ -78,17 +91,20 @@ def modes_between(
     omega: tuple[float | None, float | None],
     max_points: int,
     min_flight: float | None = None,
+    *,
+    hysteresis: bool = False,
 ) -> Plane:
     """The mode map between two values of gamma and of omega; None is the end of the axis.
 
-    Thinned to what `modes` can hold, with `min_flight` as there. Raises InvalidRequest as
+    Thinned to what `modes` can hold, with `min_flight` and `hysteresis` as there. Raises InvalidRequest as
     `selection.nearest_index`.
     """
     columns = _between(sweep.spec.axis_values("gamma"), *gamma)
     rows = _between(sweep.spec.axis_values("omega"), *omega)
     every = thinning((len(rows), len(columns)), 1, _cells(sweep.spec, min_flight, max_points)) or 1
     part = (slice(rows.start, rows.stop, every), slice(columns.start, columns.stop, every))
-    return replace(_recounted_plane(sweep, xi, direction, min_flight, *part), every=every)
+    found = _recounted_plane(sweep, xi, direction, min_flight, *part)
+    return replace(_compared(sweep, found, min_flight, *part) if hysteresis else found, every=every)
 
 
 def plane(
@@ -117,6 +133,13 @@ def plane_size(spec: SweepSpec, min_flight: float | None, max_points: int, every
     return cells, cells * spec.keep if needs_flights(spec, min_flight) else 0
 
 
+def comparison_memory(spec: SweepSpec) -> int:
+    """Bytes of memory that comparing the directions of a plane takes at most."""
+    cells = prod(len(spec.axis_values(axis)) for axis in ("omega", "gamma"))
+    row = len(spec.directions) * spec.keep * len(spec.axis_values("gamma"))
+    return min(cells * len(spec.directions) * spec.keep, max(_COMPARED, row)) * _PER_COMPARED
+
+
 def _cells(spec: SweepSpec, min_flight: float | None, max_points: int) -> int:
     """The most cells of one answer: where their flights are read, as many as MAX_READ flights belong to."""
     return min(max_points, max(1, MAX_READ // spec.keep)) if needs_flights(spec, min_flight) else max_points
@@ -134,14 +157,40 @@ def _recounted_plane(
     spec = sweep.spec
     if spec.refine is not None and needs_flights(spec, min_flight):
         rule = (
-            f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where its modes change, "
-            "and stores no flights of the other cells"
+            f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of these "
+            "flights change, and those of others change elsewhere; submit the map with micro_flight "
+            f"{min_flight:g} instead, or read diagrams, which count other flights where cells are computed"
         )
         raise InvalidRequest.of("min_flight", rule)
     names = arrays_of_modes(spec, min_flight)
     cells = plane(sweep, xi, resolve_direction(spec, direction), names, omega, gamma)
     arrays = recounted(spec, cells.arrays, min_flight)
     return replace(cells, arrays=arrays, min_flight=shortest(spec, min_flight))
+
+
+def _compared(sweep: Sweep, found: Plane, min_flight: float | None, omega: slice, gamma: slice) -> Plane:
+    """A part of a plane with the array `hysteresis`. Raises InvalidRequest for a sweep of one direction.
+
+    Cells that are not computed in both directions have none. The flights are read some rows at a time.
+    """
+    spec = sweep.spec
+    check_both_ways(spec)
+    names = {*arrays_of_modes(spec, min_flight), *FLIGHT_ARRAYS}
+    result = np.full(found.arrays["outcome"].shape, Hysteresis.NONE, np.uint8)
+    rows = range(len(spec.axis_values("omega")))[omega]
+    at_once = max(1, _COMPARED // (len(spec.directions) * spec.keep * len(found.gamma)))
+    compared = True
+    for first in range(0, len(rows), at_once):
+        some = rows[first : first + at_once]
+        part = slice(some.start, some.stop, some.step)
+        up, down = (
+            plane(sweep, found.xi, direction, tuple(names), part, gamma).arrays
+            for direction in spec.directions
+        )
+        up, down = ({**arrays, **recounted(spec, arrays, min_flight)} for arrays in (up, down))
+        compared &= all(bool(np.all(cells["outcome"] != Outcome.MISSING)) for cells in (up, down))
+        result[first : first + at_once] = compare(spec, up, down, min_flight)
+    return replace(found, arrays={**found.arrays, "hysteresis": result}, compared=compared)
 
 
 def _computed_share(sweep: Sweep, xi: float | None, direction: str) -> float | None:

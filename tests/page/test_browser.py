@@ -514,6 +514,45 @@ def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
         page.wait_for_url(re.compile("x0="))
 
 
+def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address: str, loop: str):
+    def plane(**query: str) -> Any:
+        path = f"{address}/v1/jobs/{loop}/modes"
+        return httpx2.get(path, params={"xi": 0.05, **query}, timeout=DEADLINE).json()
+
+    rows = plane(hysteresis="true")["hysteresis"]
+    assert "hysteresis" not in plane()
+    cells = [value for row in rows for value in row]
+    assert 0 < cells.count(1) < len(cells)
+    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        page.get_by_text(
+            f"lead to other modes (hatched /) in {100 * cells.count(1) / len(cells):.2g} %"
+        ).wait_for()
+        hatched = picture(page)
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        row, column = len(rows) // 2, len(rows[0]) // 2 + 1
+        for _ in range(len(rows[0])):
+            said = page.locator(".panel .readout").inner_text()
+            expected = {1: "ramped down, another mode", 2: "ramped down, other flights"}.get(
+                rows[row][column]
+            )
+            assert ("ramped down" in said) == (expected is not None)
+            assert expected is None or expected in said
+            if column == 0:
+                break
+            page.keyboard.press("ArrowLeft")
+            column -= 1
+        page.keyboard.press("Escape")
+        screenshot(page, "modes-hysteresis")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download PNG").click()
+        assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
+        page.get_by_label("Hatch where up and down differ").uncheck()
+        wait_for(lambda: picture(page) != hatched)
+        assert page.get_by_text("Hysteresis: going up").count() == 0
+
+
 def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp_path: Path):
     spec = {**MAP, "gamma": {**MAP["gamma"], "num": 60}, "omega": {**MAP["omega"], "num": 40}}
     with serving(tmp_path, 0, max_points=1000) as address:

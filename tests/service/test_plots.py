@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from served import computing
 
 from service.client import BounceError, Client, Job
-from service.client.plots import AXES, BLUE, OTHERS, PERIODS, RED
+from service.client.plots import AXES, BLUE, DIFFER, HATCH, OTHERS, PERIODS, RED
 
 RAMP: dict[str, Any] = {
     "gamma": {"start": 0.5, "stop": 1.5, "num": 21}, "omega": [0.6, 0.9, 1.2], "xi": 0.05,
@@ -101,3 +101,21 @@ def test_what_is_drawn_by_default(job: Job, client: Client):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):
         job.plot("modes", branches=client.orbits(0.6, 0.05, "1-1"))
+
+
+def test_a_map_is_hatched_where_up_and_down_differ(job: Job, ax: Axes):
+    differ = job.modes(hysteresis=True).hysteresis.values > 0
+    assert differ.any()
+    assert not differ.all()
+    job.plot("modes", ax=ax)
+    cells, hatched = ax.collections
+    assert cells.get_hatch() is None
+    assert hatched.get_hatch() == HATCH
+    shown = hatched.get_array()
+    assert np.array_equal(~np.ma.getmaskarray(shown).reshape(differ.shape), differ)
+    legend = ax.get_legend()
+    assert legend is not None
+    assert legend.get_texts()[-1].get_text() == DIFFER
+    plain = Figure().subplots()
+    job.plot("modes", ax=plain, hysteresis=False)
+    assert len(plain.collections) == 1

@@ -15,6 +15,7 @@ from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from service.results import density, mode_map, selection, thresholds
 from service.results import diagram as diagrams
 from service.results.counting import MODE_ARRAYS
+from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis
 from service.results.selection import Sweep
 from worker import schema, store
 from worker.plan import make_plan
@@ -357,3 +358,79 @@ def test_every_flight_is_counted_in_the_bin_of_its_cell(log, monkeypatch):
     expected[[1, 3], column] = 1
     expected[3, 1] += 1
     assert counts.tolist() == expected.tolist()
+
+
+#: Around the fold of Omega = 0.6 and, at larger Gamma, the flights that leap on the way up.
+BOTH_WAYS: dict[str, Any] = {
+    "gamma": {"start": 0.5, "stop": 1.2, "num": 15}, "omega": [0.58, 0.6, 0.62], "xi": 0.05, "settle": 60,
+    "observe": 20, "keep": 6, "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"}, "exponents": 0,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Sweep:
+    return computed(tmp_path_factory.mktemp("both"), SweepSpec(**BOTH_WAYS))
+
+
+def cycle(cell: dict[str, Any]) -> list[float]:
+    """Sorted flights of the last cycle of one cell."""
+    times = [time for time in cell["flight_time"].tolist() if math.isfinite(time)]
+    longer = [time for time in times if time > 0.05] or times
+    return sorted(longer[len(longer) - int(cell["bounces"]) :])
+
+
+def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Sweep):
+    names = ("flight_time", "outcome", "bounces", "periods")
+    up, down = (store.read_slice(both_ways.url, names, direction=i, xi=0) for i in (0, 1))
+    expected = np.zeros((3, 15), int)
+    for place in np.ndindex(3, 15):
+        cells = [{name: arrays[name][place] for name in names} for arrays in (up, down)]
+        modes = [tuple(int(cell[name]) for name in names[1:]) for cell in cells]
+        if Outcome.SETTLING in (modes[0][0], modes[1][0]):
+            continue
+        if modes[0] != modes[1]:
+            expected[place] = Hysteresis.MODE
+        elif modes[0][0] == Outcome.PERIODIC and any(
+            abs(a - b) > OTHER_FLIGHTS for a, b in zip(*map(cycle, cells), strict=True)
+        ):
+            expected[place] = Hysteresis.FLIGHTS
+    for direction in ("up", "down"):
+        found = mode_map.modes(both_ways, None, direction, 1000, hysteresis=True)
+        assert found.arrays["hysteresis"].tolist() == expected.tolist()
+    assert set(expected.ravel().tolist()) == {0, 1, 2}
+    window = mode_map.modes_between(both_ways, None, "up", (0.6, 1.0), (0.59, 0.7), 1000, hysteresis=True)
+    columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
+    assert window.arrays["hysteresis"].tolist() == expected[1:][:, columns].tolist()
+
+
+def test_rows_are_compared_in_parts(both_ways: Sweep, monkeypatch: pytest.MonkeyPatch):
+    whole = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
+    monkeypatch.setattr(mode_map, "_COMPARED", 1)
+    parts = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
+    assert whole.any()
+    assert np.array_equal(parts, whole)
+
+
+def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):
+    begun = computed(tmp_path, SweepSpec(**BOTH_WAYS), chunks=6)  # up is done, down is not begun
+    found = mode_map.modes(begun, None, "up", 1000, hysteresis=True)
+    assert (found.arrays["outcome"] != Outcome.MISSING).all()
+    assert not found.arrays["hysteresis"].any()
+    assert not found.complete
+    assert mode_map.modes(begun, None, "up", 1000).complete
+
+
+@pytest.mark.parametrize(
+    ("protocol", "rule"),
+    [
+        ({"kind": "rest"}, "from rest"),
+        ({"kind": "ramp", "axis": "gamma", "direction": "up"}, "ramped up only"),
+    ],
+)
+def test_hysteresis_of_one_direction_is_refused(tmp_path: Path, protocol: dict[str, str], rule: str):
+    one = handmade(
+        tmp_path, np.full((1, 1, 3, 15), Outcome.AT_REST), SweepSpec(**BOTH_WAYS | {"protocol": protocol})
+    )
+    with pytest.raises(InvalidRequest, match=rule):
+        mode_map.modes(one, None, None, 1000, hysteresis=True)

@@ -66,16 +66,23 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     return compute(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
 
 
-def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a tile are computed, and every cell's source, of cells that bounce `kinds` times."""
+def refined(
+    kinds: np.ndarray, refine: Refine, tile: tuple[slice, slice] = (slice(None), slice(None))
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells of a tile are computed, and every cell's source, of a map that bounces `kinds` times."""
+    (top, bottom, _), (left, right, _) = (span.indices(n) for span, n in zip(tile, kinds.shape, strict=True))
+    beyond = top, kinds.shape[0] - bottom, left, kinds.shape[1] - right
+    refinement = Refinement((bottom - top, right - left), refine, beyond)
+    above, below, before, after = refinement.surroundings
+    kinds = kinds[top - above : bottom + below, left - before : right + after]
     arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
-    tile = Refinement(kinds.shape, refine)
     computed = np.zeros(kinds.shape, np.bool_)
-    while tile.cells.size:
-        assert not computed.flat[tile.cells].any(), "computed twice"
-        computed.flat[tile.cells] = True
-        tile.split(*arrays)
-    return computed, tile.sources(arrays[0]).reshape(kinds.shape)
+    while refinement.cells.size:
+        assert not computed.flat[refinement.cells].any(), "computed twice"
+        computed.flat[refinement.cells] = True
+        refinement.split(*arrays)
+    inside = refinement.inside
+    return computed[inside], refinement.sources(arrays[0][inside]).reshape(arrays[0][inside].shape)
 
 
 MODE = Refine(by="mode", coarsest=8)
@@ -134,9 +141,9 @@ def island(rows: int, columns: int) -> np.ndarray:
 #: By, margin, coarsest; rounds and hash.
 CHOSEN: list[tuple[str, bool, int, list[Any]]] = [
     ("mode", False, 8, [[32, 42, 68, 30, 7, 13, 7, 13, 6, 5, 7, 2], "1d8fbc77ccadbaad"]),
-    ("mode", True, 8, [[32, 54, 170, 80], "a309538e314a92f0"]),
+    ("mode", True, 8, [[32, 54, 82, 80, 14], "1bbe081958e42c1b"]),
     ("bouncing", False, 5, [[59, 10, 12, 2], "157fc858dbe73877"]),
-    ("bouncing", True, 16, [[13, 8, 28, 28, 7], "e1b32411acfa8115"]),
+    ("bouncing", True, 16, [[13, 8, 8, 15, 7], "66d2bbd7133bc68f"]),
 ]
 
 
@@ -185,6 +192,73 @@ def test_a_margin_computes_more_and_misses_no_more(full):
     assert np.sum(kinds.flat[wide_sources] != kinds) <= np.sum(kinds.flat[sources] != kinds)
 
 
+def wave() -> np.ndarray:
+    """Kinds of 65 x 65 cells: two regions, their border a wave around column 33."""
+    row, column = np.mgrid[:65, :65]
+    return np.where(column > 33 + 2.2 * np.sin(row / 11), 2, 1)
+
+
+#: Tiles of these whose borders lie on corners of the whole map's blocks.
+QUARTERS = [
+    (slice(*rows), slice(*columns)) for rows in ((0, 33), (32, 65)) for columns in ((0, 33), (32, 65))
+]
+
+
+@pytest.mark.parametrize("tile", QUARTERS, ids=["upper left", "upper right", "lower left", "lower right"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice], turned: bool):
+    kinds = wave().T.copy() if turned else wave()
+    margin = Refine(by="mode", coarsest=16, margin=True)
+    whole, _ = refined(kinds, margin)
+    computed, source = refined(kinds, margin, tile)
+    away = np.ones((65, 65), np.bool_)
+    away[32], away[:, 32] = False, False  # the border itself: cells between corners beyond it are left out
+    assert np.array_equal(computed & away[tile], whole[tile] & away[tile])
+    assert not (computed & ~whole[tile]).any()
+    assert computed.flat[source].all()
+
+
+def test_a_change_just_beyond_the_border_widens_the_margin():
+    kinds = wave()
+    margin = Refine(by="mode", coarsest=16, margin=True)
+    tile = QUARTERS[0]
+    assert (kinds[tile] == 1).all()
+    computed, _ = refined(kinds, margin, tile)
+    alone, _ = refined(np.ascontiguousarray(kinds[tile]), margin)
+    assert computed[:, 25:].sum() > 2 * alone[:, 25:].sum()
+    plain, _ = refined(kinds, margin.model_copy(update={"margin": False}), tile)
+    assert plain.sum() == 9 + 4
+
+
+def test_without_a_margin_a_tile_depends_on_its_own_cells_alone():
+    kinds = wave()
+    for tile in QUARTERS:
+        computed, source = refined(kinds, MODE, tile)
+        alone, own = refined(np.ascontiguousarray(kinds[tile]), MODE)
+        assert np.array_equal(computed, alone)
+        assert np.array_equal(source, own)
+
+
+def test_surroundings_are_within_the_map_and_no_wider_than_a_block():
+    margin = Refine(by="mode", coarsest=8, margin=True)
+    assert Refinement((17, 17), margin, (0, 3, 8, 90)).surroundings == (0, 3, 8, 8)
+    assert Refinement((17, 17), MODE, (0, 3, 8, 90)).surroundings == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("beyond", [(0, 0, 1, 2), (3, 8, 0, 5), (1, 1, 1, 1), (0, 7, 0, 0)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 5), (10, 17)])
+def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
+    margin = Refine(by="mode", coarsest=4, margin=True)
+    rng = np.random.default_rng(3)
+    above, below, left, right = beyond
+    kinds = rng.integers(1, 3, (above + shape[0] + below, left + shape[1] + right))
+    tile = slice(above, above + shape[0]), slice(left, left + shape[1])
+    computed, source = refined(kinds, margin, tile)
+    assert computed.shape == shape
+    assert computed.flat[source].all()
+    assert np.array_equal(source[computed], np.flatnonzero(computed))
+
+
 def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
     outcome = np.array(
         [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
@@ -223,8 +297,9 @@ def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_pa
             assert {tuple(cell) for cell in cells[tile][~computed].tolist()} <= known
 
 
-def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
-    spec = adaptive()
+@pytest.mark.parametrize("margin", [False, True])
+def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
+    spec = adaptive(margin=margin)
     compute(spec, tmp_path / "whole.zarr")
     monkeypatch.setattr(tasks, "FIRST_STEPS", 512)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 0.0))
@@ -244,8 +319,9 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     assert files(url) == files(tmp_path / "whole.zarr")
 
 
-def test_same_bytes_with_two_worker_processes(cluster: Executor, tmp_path):
-    spec, url = adaptive(), tmp_path / "executed.zarr"
+@pytest.mark.parametrize("margin", [False, True])
+def test_same_bytes_with_two_worker_processes(cluster: Executor, tmp_path, margin):
+    spec, url = adaptive(margin=margin), tmp_path / "executed.zarr"
     compute(spec, tmp_path / "here.zarr")
     plan = make_plan(spec, chunk_shape=TILE)
     store.create(str(url), layout(spec, plan.chunk_shape))

@@ -58,8 +58,14 @@ EXPONENT_WINDOW: Final = 1000
 SAME_DISTRIBUTION: Final = 0.05
 HALVES: Final = 1.5
 
-#: Share of all starts to which motion that ends is followed, where that is cheap.
+#: Flights of a cycle from which on it is of an aperiodic attractor whose distribution it has: a torus that
+#: all but closes after so many flights seems to be on such a cycle for longer than a window.
+LONG_CYCLE: Final = 20
+
+#: Share of all starts to which motion that ends is followed, where that takes at most so many times what all
+#: starts up to `until` take.
 LEFT: Final = 0.001
+WORTH: Final = 4.0
 
 #: Searches for further aperiodic attractors among the starts farthest from those known.
 SEARCHES: Final = 4
@@ -171,7 +177,7 @@ class _Search:
         taken = rules.settle + rules.observe
         everything = np.arange(len(self._starts))
         self._advance(everything, self._starts, rules.settle, rules.observe)
-        undecided = self._assign_cycles(everything, taken)
+        undecided = self._assign_cycles(everything, taken, rules.observe)
         rate = 0.0
         while len(undecided):
             aperiodic = self._ends.outcome[undecided] == Outcome.APERIODIC
@@ -187,7 +193,7 @@ class _Search:
             observe = min(max(rules.observe, added // 2), LONG_WINDOW)
             self._advance(goes_on, self._ends.state[goes_on], added - observe, observe)
             taken += added
-            still = self._assign_cycles(goes_on, taken)
+            still = self._assign_cycles(goes_on, taken, observe)
             undecided = np.union1d(np.setdiff1d(undecided, goes_on), still)
         self._assign_aperiodic(undecided, taken, rate)
         return self._numbered()
@@ -220,15 +226,18 @@ class _Search:
         settle = max(self._until - taken - observe, self._rules.observe)
         return self._line(Request(self._ends.state[which], settle, observe, keep))
 
-    def _assign_cycles(self, which: NDArray[np.intp], taken: int) -> NDArray[np.intp]:
-        """Assign starts at rest or on cycles to attractors; returns those that still have none."""
+    def _assign_cycles(self, which: NDArray[np.intp], taken: int, observe: int) -> NDArray[np.intp]:
+        """Assign starts at rest or on cycles to attractors; returns those that still have none.
+
+        observe: the window that their cycles were found in. A shorter one may not show them again.
+        """
         outcome = self._ends.outcome[which]
         undecided = [which[np.isin(outcome, (Outcome.APERIODIC, Outcome.SETTLING))]]
         groups = _alike(self._ends, which)
         chosen = [_spread(group, CYCLE_REPRESENTATIVES) for group in groups]
         if not groups:
             return undecided[0]
-        line = self._run_on(np.concatenate(chosen), taken, self._rules.observe, CYCLE_FLIGHTS)
+        line = self._run_on(np.concatenate(chosen), taken, observe, CYCLE_FLIGHTS)
         first = 0
         for group, some in zip(groups, chosen, strict=True):
             reached = {self._cycle_of(line, i) for i in range(first, first + len(some))}
@@ -280,17 +289,18 @@ class _Search:
     def _worth(self, starts: int, rate: float) -> int:
         """Plate periods after which LEFT of all starts should be left of so many that leave at this rate.
 
-        0 if that costs more than all starts up to `until`.
+        0 if that costs more than WORTH times all starts up to `until`.
         """
         share = starts / len(self._owner)
         periods = math.log(max(share / LEFT, 1.0)) / rate
-        return math.ceil(periods) if share * periods <= self._rules.until else 0
+        return math.ceil(periods) if share * periods <= WORTH * self._rules.until else 0
 
     def _assign_aperiodic(self, which: NDArray[np.intp], taken: int, rate: float) -> None:
         """Assign starts without a cycle to attractors that are told apart by the distribution of flights."""
         settling = which[self._ends.outcome[which] == Outcome.SETTLING]
         for number, known in enumerate(self._attractors):
             self._owner[settling[_near(self._ends.time[settling], known.flights)]] = number
+        left = which[(self._owner[which] < 0) & (self._ends.outcome[which] != Outcome.APERIODIC)]
         which = which[self._ends.outcome[which] == Outcome.APERIODIC]
         samples: list[_Sample] = []
         groups: list[list[int]] = []
@@ -301,13 +311,45 @@ class _Search:
             before, groups = len(groups), _linked(samples)
             if len(groups) == before or len(chosen) == len(which):
                 break
-            distance = self._distances(which, samples, groups).min(axis=1)
+            distance = _distances(*self._flights(which), samples, groups).min(axis=1)
             chosen = which[np.argsort(-distance, kind="stable")[:REPRESENTATIVES]]
         if not groups:
             return
-        nearest = self._distances(which, samples, groups).argmin(axis=1)
-        numbers = [self._new(_pooled([samples[i] for i in group], rate)) for group in groups]
-        self._owner[which] = np.array(numbers)[nearest]
+        distance = _distances(*self._flights(which), samples, groups)
+        nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
+        numbers = np.array([self._new(_pooled([samples[i] for i in group], rate)) for group in groups])
+        self._owner[which] = numbers[nearest]
+        self._join_long_cycles(numbers.tolist())
+        if len(left):
+            # On a torus beside a locked one flights seem to repeat, or to settle, for longer than a window.
+            widest = np.array([distance[nearest == g].max(initial=0.0) for g in range(len(groups))])
+            distance = _distances(*self._last_flights(left), samples, groups)
+            nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
+            alike = distance <= widest[nearest]
+            self._owner[left[alike]] = numbers[nearest[alike]]
+
+    def _join_long_cycles(self, numbers: Sequence[int]) -> None:
+        """Give an aperiodic attractor the starts of long cycles that have its distribution."""
+        for number, known in enumerate(self._attractors[: numbers[0]]):
+            if known.bounces < LONG_CYCLE:
+                continue
+            apart = [ks_distance(known.flights, self._attractors[other].flights) for other in numbers]
+            if min(apart) <= SAME_DISTRIBUTION:
+                self._owner[self._owner == number] = numbers[int(np.argmin(apart))]
+
+    def _flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        return self._ends.time[which], self._ends.phase[which]
+
+    def _last_flights(self, which: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Flights of one more window of starts, whatever their outcome: times and phases."""
+        parts = []
+        for first in range(0, len(which), BLOCK):
+            states = self._ends.state[which[first : first + BLOCK]]
+            request = Request(states, 0, self._rules.observe, CYCLE_FLIGHTS)
+            reduce = partial(_ends_of_flights, micro_flight=self._rules.micro_flight)
+            parts.append(self._run(request, reduce))
+        time, phase = (np.concatenate([part[name] for part in parts]) for name in ("time", "phase"))
+        return time, phase
 
     def _samples(self, line: Line) -> list["_Sample"]:
         """The runs of a record that end on no attractor known already: aperiodic, or on long cycles."""
@@ -319,17 +361,6 @@ class _Search:
                 mode = int(line.bounces[i]), int(line.periods[i])
                 samples.append(_Sample(time, phase, line.end_state[i].copy(), mode))
         return samples
-
-    def _distances(
-        self, which: NDArray[np.intp], samples: Sequence["_Sample"], groups: Sequence[Sequence[int]]
-    ) -> NDArray[np.float64]:
-        """(n, groups) of the flights of starts from the flights of groups of representatives."""
-        columns = []
-        for group in groups:
-            time = np.concatenate([samples[i].time for i in group])
-            phase = np.concatenate([samples[i].phase for i in group])
-            columns.append(_distance_of_rows(self._ends.time[which], self._ends.phase[which], time, phase))
-        return np.stack(columns, axis=1)
 
     def _numbered(self) -> Found:
         counts = np.bincount(self._owner[self._owner >= 0], minlength=len(self._attractors))
@@ -381,21 +412,25 @@ def counted(line: Line, i: int, micro_flight: float) -> tuple[NDArray[np.float64
 def _reduced(line: Line, micro_flight: float) -> dict[str, NDArray[Any]]:
     """What of a record of n runs is kept: `_Ends`, with flights of those runs only that have no cycle."""
     cycle = np.zeros((len(line.outcome), 4))
-    times, phases = [], []
-    for i, outcome in enumerate(line.outcome):
-        time, phase = counted(line, i, micro_flight)
-        if outcome == Outcome.PERIODIC:
-            last = time[-line.bounces[i] :]
-            cycle[i] = last.sum(), (last * last).sum(), last.min(), last.max()
-        else:
-            missing = max(START_FLIGHTS - len(time), 0)
-            times.append(np.pad(time[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
-            phases.append(np.pad(phase[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
-    flights = [np.array(rows, np.float32).reshape(-1, START_FLIGHTS) for rows in (times, phases)]
+    for i in np.flatnonzero(line.outcome == Outcome.PERIODIC).tolist():
+        last = counted(line, i, micro_flight)[0][-line.bounces[i] :]
+        cycle[i] = last.sum(), (last * last).sum(), last.min(), last.max()
     return {
         "outcome": line.outcome, "bounces": line.bounces, "periods": line.periods, "state": line.end_state,
-        "cycle": cycle, "time": flights[0], "phase": flights[1],
+        "cycle": cycle, **_ends_of_flights(line, micro_flight, line.outcome != Outcome.PERIODIC),
     }  # fmt: skip
+
+
+def _ends_of_flights(
+    line: Line, micro_flight: float, which: NDArray[np.bool_] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Times and phases of the last START_FLIGHTS flights of runs that count, NaN beyond; of some, or all."""
+    rows: dict[str, list[NDArray[np.float64]]] = {"time": [], "phase": []}
+    for i in range(len(line.outcome)) if which is None else np.flatnonzero(which).tolist():
+        for values, flights in zip(rows.values(), counted(line, i, micro_flight), strict=True):
+            missing = max(START_FLIGHTS - len(flights), 0)
+            values.append(np.pad(flights[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
+    return {name: np.array(values, np.float32).reshape(-1, START_FLIGHTS) for name, values in rows.items()}
 
 
 def _alike(ends: _Ends, which: NDArray[np.intp]) -> list[NDArray[np.intp]]:
@@ -468,6 +503,21 @@ def _distance_of_rows(
         apart = np.maximum((rank + 1) / size - up_to, below - rank / size)
         distance = np.maximum(distance, np.where(rank < count[:, None], apart, 0.0).max(axis=1))
     return distance
+
+
+def _distances(
+    times: NDArray[np.float32],
+    phases: NDArray[np.float32],
+    samples: Sequence[_Sample],
+    groups: Sequence[Sequence[int]],
+) -> NDArray[np.float64]:
+    """(n, groups) of the flights of starts, (n, m), from the flights of groups of representatives."""
+    columns = []
+    for group in groups:
+        time = np.concatenate([samples[i].time for i in group])
+        phase = np.concatenate([samples[i].phase for i in group])
+        columns.append(_distance_of_rows(times, phases, time, phase))
+    return np.stack(columns, axis=1)
 
 
 def _linked(samples: Sequence[_Sample]) -> list[list[int]]:

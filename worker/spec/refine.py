@@ -23,7 +23,8 @@ class Refine(Strict):
     """Compute only the cells near which the map changes; the others take their values from their block.
 
     `by`: what is a change. `coarsest`: rows and columns of the blocks that the map begins with, in cells; by
-    default COARSEST. `margin`: whether the neighbours of a block that is split are split too.
+    default COARSEST. `margin`: whether the neighbours of a larger block that is split are split
+    too, and the smallest blocks computed whole.
     """
 
     by: Literal["mode", "bouncing"]

@@ -16,7 +16,7 @@ from service.formats import MEDIA_TYPES
 from service.render import answers, binary
 from service.render.answers import Answer
 from service.results import trajectory as trajectories
-from service.results.mode_map import plane_size
+from service.results.mode_map import comparison_memory, plane_size
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES
 
@@ -63,7 +63,8 @@ def _plane_memory(
 ) -> int:
     spec = dependencies.sweep(service, job).spec
     cells, flights = plane_size(spec, query.min_flight, service.settings.max_points)
-    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT
+    compared = comparison_memory(spec) if query.hysteresis else 0
+    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT + compared
 
 
 @router.get(
@@ -77,10 +78,12 @@ def plane(
 ) -> Response:
     """The mode map, or a window of it, in binary form: `outcome`, `bounces` and `periods` in rows of Ω.
 
-    Planes of more cells than one answer may hold are thinned: `every_gamma`, `every_omega`.
+    Planes of more cells than one answer may hold are thinned: `every_gamma`, `every_omega`. With `hysteresis`
+    as in `/modes`.
     """
     window = ((query.left, query.right), (query.bottom, query.top))
-    plane = (query.xi, query.direction, *window, service.settings.max_points, query.min_flight)
+    limits = (service.settings.max_points, query.min_flight, query.hysteresis)
+    plane = (query.xi, query.direction, *window, *limits)
     sweep = dependencies.sweep(service, job)
     return _packed(service.background.run(answers.packed_plane, sweep, *plane), request)
 

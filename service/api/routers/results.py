@@ -18,7 +18,7 @@ from service.render import answers
 from service.render import export as export_files
 from service.render import orbits as orbits_text
 from service.results import orbits, thresholds
-from service.results.mode_map import plane_size
+from service.results.mode_map import comparison_memory, plane_size
 from service.results.multistability import plane_memory
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
@@ -120,7 +120,8 @@ def job_threshold(
 def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQuery) -> int:
     spec = dependencies.sweep(service, job).spec
     cells, flights = plane_size(spec, query.min_flight, service.settings.max_points, query.every)
-    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT["json"]
+    compared = comparison_memory(spec) if query.hysteresis else 0
+    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT["json"] + compared
 
 
 @router.get(
@@ -156,11 +157,12 @@ def modes(service: ServiceDep, job: ResultsJob, query: Annotated[parameters.Mode
     """The mode map at one ξ: outcome, bounces and plate periods of every cell, rows of Ω, columns of Γ.
 
     Of an adaptive map also the share of cells computed, and with `mask` which ones: the others have the
-    values of the nearest corner or centre of their block.
+    values of the nearest corner or centre of their block. Of a sweep ramped both ways, with `hysteresis` also
+    where its directions differ.
     """
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
-    plane = (query.xi, query.direction, max_points, query.every, query.min_flight, query.mask)
-    answer = service.background.run(answers.modes, sweep, *plane)
+    plane = (query.xi, query.direction, max_points, query.every, query.min_flight)
+    answer = service.background.run(answers.modes, sweep, *plane, query.mask, query.hysteresis)
     return Response(answer.content, media_type=MEDIA_TYPES["json"], headers=_complete(answer.complete))
 
 

@@ -2,7 +2,7 @@
 
 import { h } from "../lib/dom.js";
 import { clampIndex, nearestIndex } from "../lib/physics.js";
-import { bitmap, circle } from "../plot/drawing.js";
+import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 
 /** The window of all cells around `columns` and `rows`; with `positive` none of it is below 0, for logarithmic axes. */
@@ -12,14 +12,14 @@ export function windowOf(columns, rows, positive = false) {
   return { x0: first(x, columns), x1: x.at(-1), y0: first(y, rows), y1: y.at(-1) };
 }
 
-/** Each pixel has the colour of the nearest cell: `colourOf(row, column)` as 32 bits. */
+/** Each pixel has the colour of the nearest cell: `colourOf(row, column, x, y)` as 32 bits; x and y count pixels. */
 export function drawCells(ctx, box, columns, rows, colourOf) {
   const [width, height] = [Math.round(box.width * box.ratio), Math.round(box.height * box.ratio)];
   const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(columns, box.x.value(box.left + ((i + 0.5) * box.width) / width)));
   const fill = (pixels) => {
     for (let y = 0; y < height; y++) {
       const row = nearestIndex(rows, box.y.value(box.top + ((y + 0.5) * box.height) / height));
-      for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i]);
+      for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(row, nearest[i], i, y);
     }
   };
   bitmap(ctx, width, height, fill, box.left, box.top, box.left + box.width, box.top + box.height);
@@ -38,6 +38,11 @@ export function nextCell(columns, rows, current, right, up) {
 export function drawRing(ctx, { x, y, theme }, column, row, radius) {
   circle(ctx, theme.surface, 4.5, x.pixel(column), y.pixel(row), radius);
   circle(ctx, theme.cursor, 2, x.pixel(column), y.pixel(row), radius);
+}
+
+/** Hatched cells in a plot's legend. */
+export function hatchSymbol(ctx, x, y, theme) {
+  for (const left of [x, x + 8, x + 16]) polyline(ctx, theme.text, 1.6, [[left, y + 6], [left + 8, y - 6]]);
 }
 
 /** An entry of a legend: a colour and what it stands for. */

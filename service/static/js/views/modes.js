@@ -5,14 +5,16 @@ import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/ap
 import { h } from "../lib/dom.js";
 import { csv, decimal } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
-import { LABEL_NAMES, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
+import { HYSTERESIS, HYSTERESIS_NAMES, LABEL_NAMES, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
-import { drawCells, drawRing, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
+import { drawCells, drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
 const DASH = [7, 4];
+const HATCH = 9; // px between the lines over cells whose directions differ; each is two lines, of text and of surface
+const HATCH_LINE = 1.6; // px, of either
 const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
 
 /** Cells are {column, row}: indices into the Γ and Ω that were loaded. */
@@ -26,6 +28,8 @@ export class Modes extends PlotView {
     this.direction = this.directions.includes(this.initial.dir) ? this.initial.dir : this.directions[0];
     this.isAdaptive = Boolean(this.job.spec.refine);
     this.minFlight = this.isAdaptive ? this.job.spec.micro_flight : minFlightOf(this.initial, this.job);
+    this.isTwoWay = this.directions.length > 1;
+    this.showsHysteresis = h("input", { type: "checkbox", checked: true, onchange: () => this.load() });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
     this.refineButton = this.job.spec.protocol.kind === "rest" && h("button", {
       type: "button", className: "quiet", onclick: () => this.#refineWindow(),
@@ -59,7 +63,8 @@ export class Modes extends PlotView {
     };
     const options = this.directions.map((direction) => h("option", { value: direction, selected: direction === this.direction }, direction));
     return h("div", { className: "controls" }, sliders(["xi"], this.grid, { xi: this.xi }, onMove),
-      this.directions.length > 1 && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)),
+      this.isTwoWay && h("label", { className: "option" }, "Ramp ", h("select", { onchange: onDirection }, options)),
+      this.isTwoWay && h("label", { className: "option" }, this.showsHysteresis, " Hatch where up and down differ"),
       !this.isAdaptive && minFlightInput(this.minFlight, onMinFlight),
       this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
       this.refineButton);
@@ -86,7 +91,8 @@ export class Modes extends PlotView {
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
   async request(signal) {
     const { x0: left, x1: right, y0: bottom, y1: top } = (this.isThinned && this.window) || {};
-    const parameters = query({ xi: this.xi, direction: this.direction, min_flight: this.minFlight, left, right, bottom, top });
+    const hysteresis = this.isTwoWay && this.showsHysteresis.checked;
+    const parameters = query({ xi: this.xi, direction: this.direction, min_flight: this.minFlight, hysteresis: hysteresis || null, left, right, bottom, top });
     this.plane = await requestArrays(`/v1/jobs/${this.job.id}/plane?${parameters}`, { signal });
     this.axes = this.plane.arrays; // gamma and omega: of the cells that were sent
     this.classes = modeClasses(this.plane.arrays);
@@ -107,8 +113,9 @@ export class Modes extends PlotView {
       legendEntry(modeColour(id, theme().dark), name, " ", h("small", {}, percentage(cells, total)))));
     const steps = [[this.plane.every_gamma, SYMBOL.gamma], [this.plane.every_omega, SYMBOL.omega]].filter(([every]) => every > 1);
     this.isThinned ||= steps.length > 0;
-    this.refined.hidden = !this.isAdaptive;
-    this.refined.textContent = this.isAdaptive ? this.#computedText() : "";
+    const note = this.isAdaptive ? this.#computedText() : this.#hysteresisText();
+    this.refined.hidden = !note;
+    this.refined.textContent = note;
     this.thinning.hidden = !steps.length;
     this.thinning.textContent = `Shown: every ${steps.map(([every, symbol]) => `${ordinal(every)} ${symbol}`).join(" and every ")}. Zoom in for more detail.`;
   }
@@ -119,6 +126,17 @@ export class Modes extends PlotView {
     const done = outcome.reduce((sum, value) => sum + (value !== OUTCOME.missing), 0);
     const cells = computed.reduce((sum, value) => sum + value, 0);
     return `Adaptive map: ${percentage(cells, Math.max(done, 1))} of the cells shown were computed; the others have the mode of their block.`;
+  }
+
+  /** In how many of the cells shown up and down differ. */
+  #hysteresisText() {
+    const { hysteresis } = this.plane.arrays;
+    if (!hysteresis) return "";
+    const differ = (kind) => hysteresis.reduce((sum, value) => sum + (value === kind), 0);
+    const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
+    if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
+    const parts = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
+    return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${percentage(cells, hysteresis.length)}`).join(", ")} of the cells shown.`;
   }
 
   whole() {
@@ -133,7 +151,10 @@ export class Modes extends PlotView {
       x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLog(this.job.spec.gamma) },
       y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
       title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
-      legend: [["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)]],
+      legend: [
+        ...(this.plane.arrays.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
+        ["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)],
+      ],
       colours: present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawCells(ctx, box), (ctx, box) => this.#drawThreshold(ctx, box)],
@@ -145,10 +166,15 @@ export class Modes extends PlotView {
     const { gamma, omega } = this.axes;
     const colours = new Uint32Array(256);
     for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
-    const { computed } = this.plane.arrays;
+    const { computed, hysteresis } = this.plane.arrays;
+    const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    drawCells(ctx, box, gamma, omega, (row, column) => {
+    drawCells(ctx, box, gamma, omega, (row, column, x, y) => {
       const cell = row * gamma.length + column;
+      if (hysteresis?.[cell]) {
+        const line = lineAt(hysteresis[cell], x / box.ratio, y / box.ratio);
+        if (line >= 0) return hatch[line];
+      }
       return mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
     });
   }
@@ -190,16 +216,28 @@ export class Modes extends PlotView {
     const cell = row * gamma.length + column;
     const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(labelsOf(this.plane.arrays)[cell], bounces[cell], periods[cell])];
     if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+    const differs = this.plane.arrays.hysteresis?.[cell];
+    if (differs) parts.push(`ramped ${this.directions.find((direction) => direction !== this.plane.direction)}, ${differs === HYSTERESIS.mode ? "another mode" : "other flights"}`);
     if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(this.plane.arrays.computed[cell] ? "computed" : "taken from its block");
     return parts.join(" · ");
   }
 
   /** As `bounce modes` writes it. */
   table() {
-    const { gamma, omega, outcome, label, bounces, periods } = this.plane.arrays;
-    const row = (_, i) => [decimal(omega[Math.floor(i / gamma.length)]), decimal(gamma[i % gamma.length]), LABEL_NAMES[outcome[i]], bounces[i], periods[i], ...(label ? [LABEL_NAMES[label[i]]] : [])];
-    return csv(["omega", "gamma", "outcome", "bounces", "periods", ...(label ? ["label"] : [])], Array.from(outcome, row));
+    const { gamma, omega, outcome, label, bounces, periods, hysteresis } = this.plane.arrays;
+    const row = (_, i) => [
+      decimal(omega[Math.floor(i / gamma.length)]), decimal(gamma[i % gamma.length]), LABEL_NAMES[outcome[i]], bounces[i], periods[i],
+      ...(label ? [LABEL_NAMES[label[i]]] : []), ...(hysteresis ? [HYSTERESIS_NAMES[hysteresis[i]]] : []),
+    ];
+    return csv(["omega", "gamma", "outcome", "bounces", "periods", ...(label ? ["label"] : []), ...(hysteresis ? ["hysteresis"] : [])], Array.from(outcome, row));
   }
+}
+
+/** Which line of the hatching is at (x, y): 0 of text, 1 of surface beside it, -1 none. They rise where modes differ. */
+function lineAt(hysteresis, x, y) {
+  const along = hysteresis === HYSTERESIS.mode ? x + y : x - y + 1e6 * HATCH;
+  const line = Math.floor((along % HATCH) / HATCH_LINE);
+  return line < 2 ? line : -1;
 }
 
 const percentage = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;

@@ -9,7 +9,7 @@ import { startName, startOf } from "../lib/starts.js";
 import { COLOURED, branchColour, onThemeChange, theme } from "../plot/colours.js";
 import { circle, disc, polyline, rgba32, verticalLine } from "../plot/drawing.js";
 import { cellBorders, extent } from "../plot/scale.js";
-import { drawCells, drawRing, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
+import { drawCells, drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { sliders } from "./controls.js";
 import { PlotView } from "./plot-view.js";
 
@@ -250,6 +250,7 @@ export class AttractorMap extends AttractorView {
       x: this.gammaScale(),
       y: { label: axisLabel("omega"), low: y0, high: y1, log: isLog(this.job.spec.omega) },
       colours: this.colours,
+      legend: this.shows?.checked !== false && this.plane.several > 0 ? [["several attractors", hatchSymbol]] : [],
       message: this.noneComputed ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawCells(ctx, box), (ctx, box) => this.shows?.checked !== false && this.#drawHatch(ctx, box)],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
