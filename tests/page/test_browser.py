@@ -660,7 +660,7 @@ def test_a_view_can_be_downloaded(browser: Any, address: str, loop: str, tab: st
         assert _downloaded(page, "PNG").startswith(b"\x89PNG\r\n\x1a\n")
         assert ElementTree.fromstring(_downloaded(page, "SVG")).tag.endswith("svg")
         header, *rows = _downloaded(page, "CSV").decode().splitlines()
-        assert header.startswith(("direction,gamma,omega,xi", "gamma,omega,xi", "omega,xi"))
+        assert header.startswith(("direction,gamma,omega,xi", "omega,gamma,outcome", "omega,xi"))
         assert len(rows) > 5
         assert _downloaded(page, "NetCDF").startswith(b"\x89HDF")
 
