@@ -8,10 +8,13 @@ of a contact or flight; a horizon is the time at which it is cut off, a budget t
 a phase function it may use.
 """
 
+import functools
 from typing import Any
 
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import by_type, jit
+
+inline_by_type = functools.partial(by_type, inline=True)
 
 
 @by_type
@@ -65,6 +68,28 @@ def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
 def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
     """The run as it is."""
     return run
+
+
+# Lanes: contacts and flights of many cells side by side, in a table of `kernel.models.lanes`, whose k-th lane
+# holds the next phase of a run (`cell.Progress`). A model without these is computed cell by cell.
+
+
+@inline_by_type
+def advance_lanes(plate: Any, table: Any, used: int) -> None:
+    """Evaluate the phase functions of the first `used` lanes once and move their searches on."""
+
+
+@inline_by_type
+def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, horizon: float) -> bool:  # type: ignore[empty-body]
+    """Put the run's next phase into lane k; False if it must be computed by `contact` or `flight`.
+
+    sin and cos are of the plate's phase now.
+    """
+
+
+@inline_by_type
+def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, float, float]:  # type: ignore[empty-body]
+    """The run's phase, which has ended in lane k, with sin and cos of the plate's phase at its end."""
 
 
 # Variations: how a small difference of the state at a fixed phase of the plate moves through contacts,

@@ -38,10 +38,11 @@ from kernel.exponents import (
     start_variations,
     write_exponents,
 )
-from kernel.interface import prepare
+from kernel.interface import advance_lanes, prepare
+from kernel.models import rigid_lanes as _rigid_lanes  # noqa: F401 - registers the model's lanes
+from kernel.models import soft_lanes as _soft_lanes  # noqa: F401 - registers the model's lanes
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
-from kernel.models.rigid import RigidPlate
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import jit
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
@@ -217,7 +218,7 @@ class LineRun:
             int(settle_until or 0), int(exponents),
         )  # fmt: skip
         self._variations = allocate_variations(plate, exponents) if exponents else None
-        in_lanes = in_lanes and isinstance(plate, RigidPlate) and self._variations is None
+        in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None
         self._at: Lanes | Walk = allocate_lanes() if in_lanes else _allocate_walk()
         self._flights = allocate_flights(keep, LANES if in_lanes else 1)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 KERNEL_VERSION: Final = "3"
 
 
-#: Cells that `rigid` computes side by side from rest, in lanes: two vectors of eight doubles, so that the
+#: Cells that `rigid` and `soft` compute side by side, in lanes: two vectors of eight doubles, so that the
 #: latency of one hides behind the other.
 LANES: Final = 16
 

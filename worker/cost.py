@@ -10,7 +10,7 @@ from kernel.params import LANES, periods_followed
 from worker.schema import bytes_of_map, bytes_per_cell
 from worker.spec import SweepSpec
 from worker.spec.axes import Strict
-from worker.spec.contact_models import CONTACT_MODELS, Rigid
+from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Problem, SpecTooLarge
 from worker.spec.refine import Refine
 
@@ -103,7 +103,7 @@ def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
 def cells_at_once(spec: SweepSpec) -> int:
     """Cells, or lines of a ramp, that the kernel computes side by side: fewer leave lanes idle."""
-    if not isinstance(spec.model, Rigid) or spec.exponents:
+    if not spec.model.in_lanes or spec.exponents:
         return 1
     return LANES if spec.ramp_axis is None else min(LANES, lines_of(spec))
 

@@ -45,21 +45,31 @@ GROW: Final = 2.0
 #: ... and times this if not, as in `first_root.safe_step`.
 KEEP: Final = 1.5
 
+#: Flights shorter than this (rad) are computed again by the scalar functions, whose power series keeps the
+#: digits. The closed form of the gap cancels to the order tau**3: here to 1e-4, which leaves 12 digits.
+SHORT_FLIGHT: Final = 0.05
+
+#: So are flights whose first safe step from the plate is shorter than this (rad): there the gap, of the
+#: order of the cube, 1e-12, is near the rounding of the closed form.
+SHORT_START: Final = 1e-4
+
 #: A lane's status after `advance`.
 SEARCHING: Final = 0.0
 AT_ROOT: Final = 1.0  # the zero is MOVE away from TAU
 AT_HORIZON: Final = 2.0
 FALLBACK: Final = 3.0  # MAX_EVALUATIONS were made, or a number is not finite
 
-# Rows of the table of lanes, each LANES wide. The phase: the plate's phase at tau = 0, the oscillator
-# (DAMPING to STIFFNESS; UNDER and NEARLY are 1.0 where it is underdamped or nearly critical), its state at
-# tau = 0, and the coefficients of F.
-(PHI, DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0) = range(12)
-(P, R, K0, K1, K2, A, B, HORIZON, NOISE) = range(12, 21)
-# The search: where it is, the width of the next step, 1.0 once Householder's steps are taken, evaluations,
-# status, the last step to the zero; and y, y', sin(phi + tau), cos(phi + tau) of the last evaluation.
-(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, Y, Y1, SIN, COS) = range(21, 31)
-ROWS: Final = 31
+# Rows of the table of lanes, each LANES wide. The phase: the plate's phase at tau = 0, the coefficients of F,
+# the horizon, a bound on F's rounding error at tau = 0. The search: where it is, the width of the next step,
+# 1.0 once Householder's steps are taken, evaluations, status, the last step to the zero; and sin(phi + tau),
+# cos(phi + tau) of the last evaluation.
+(PHI, K0, K1, K2, A, B, HORIZON, NOISE) = range(8)
+(TAU, GUESS, CLOSING, COUNT, STATUS, MOVE, SIN, COS) = range(8, 16)
+# The oscillator (DAMPING to STIFFNESS; UNDER and NEARLY are 1.0 where it is underdamped or nearly critical),
+# its state at tau = 0, its coefficients in F, and y, y' of the last evaluation. `soft_lanes` has rows of its
+# own in their place.
+(DAMPING, ROOT, INVERSE, SLOW, RATE, PERIOD, UNDER, NEARLY, STIFFNESS, Y0, V0, P, R, Y, Y1) = range(16, 31)
+ROWS: Final = 33
 
 
 @inlined
@@ -112,7 +122,7 @@ def coefficients(
 
 
 @jit
-def _safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
+def safe_step_once(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) -> float:
     """A step of at most h on which F surely stays positive: one round of `first_root.safe_step`.
 
     A curvature that is not positive is replaced by the tiniest one, whose parabola is a line.
@@ -121,6 +131,46 @@ def _safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, h: float) 
     root = math.sqrt(fma(f1, f1, 2.0 * curve * f0))
     rising = f1 > 0.0
     return min((f1 + root if rising else 2.0 * f0) / (curve if rising else root - f1), h)
+
+
+@inlined
+def move_on(
+    table: Any, k: int, tau: float, guess: float, f0: float, f1: float, f2: float, f3: float, f4: float,
+    over: float, noise: float, near: bool,
+) -> float:  # fmt: skip
+    """Move lane k on from tau, where F, three derivatives and the bound f4 are known (blocks 3 to 6).
+
+    `over`: a step that surely passes no zero, beside that of F itself. `near`: whether Newton's step is so
+    short that Householder's error estimate counts. Returns the longer safe step.
+    """
+    # 3. Householder's step, and whether F surely falls through zero (first_root.monotone_width)
+    inverse = 1.0 / f1
+    newton, c2, c3 = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
+    move, error = householder_step(newton, c2, c3, f4 * abs(inverse) * (1.0 / 24.0), True)
+    width = 2.0 * newton
+    steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
+    falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
+    closing = 1.0 if falls else table[CLOSING * LANES + k]
+    # 4. a step that cannot pass a zero
+    step = max(safe_step_once(max(f0, 0.0), f1, f2, f3, f4, guess), over)
+    # 5. the status
+    horizon = table[HORIZON * LANES + k]
+    exact = (abs(f0) <= noise) | (near & (error <= EPS * tau))
+    zero = exact if closing > 0.0 else f0 <= noise
+    at_root = (f1 < 0.0) & (tau + move <= horizon) & zero
+    status = AT_ROOT if at_root else SEARCHING
+    status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not at_root) else status
+    count = table[COUNT * LANES + k] + 1.0
+    failed = (count > MAX_EVALUATIONS) | (not (abs(f0) + f4 < math.inf))
+    status = FALLBACK if failed else status
+    # 6. the search's new state
+    onward = min(tau + (move if closing > 0.0 else step), horizon)
+    table[TAU * LANES + k] = onward if status == SEARCHING else tau
+    table[CLOSING * LANES + k] = closing
+    table[COUNT * LANES + k] = count
+    table[STATUS * LANES + k] = status
+    table[MOVE * LANES + k] = move if at_root else 0.0
+    return step
 
 
 @jit
@@ -185,39 +235,15 @@ def advance(table: Any, used: int) -> None:
         f4 = fma(abs(p), swing if by_energy else fade, fma(abs(r), swing1 if by_energy else fade1, smooth4))
         ringing = fma(abs(p), fma(period, abs(y1), abs(y)), abs(r) * fma(period, abs(y2), abs(y1)))
         clear = smooth - ringing
-        # 3. Householder's step, and whether F surely falls through zero (first_root.monotone_width)
-        inverse = 1.0 / f1
-        newton, c2, c3 = -f0 * inverse, 0.5 * f2 * inverse, f3 * inverse * (1.0 / 6.0)
-        move, error = householder_step(newton, c2, c3, f4 * abs(inverse) * (1.0 / 24.0), True)
-        near = newton * newton * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
-        width = 2.0 * newton
-        steepest = fma(width, fma(width, fma(width, f4 * (1.0 / 6.0), 0.5 * max(f3, 0.0)), max(f2, 0.0)), f1)
-        falls = (f1 < 0.0) & (f0 > 0.0) & (fma(steepest, width, f0) < 0.0)
-        closing = 1.0 if falls else table[CLOSING * LANES + k]
-        # 4. a step that cannot pass a zero
-        positive, guess = max(f0, 0.0), table[GUESS * LANES + k]
-        step = _safe_step(positive, f1, f2, f3, f4, guess)
-        over = _safe_step(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
-        step = max(step, over if clear > 0.0 else 0.0)
-        # 5. the status
-        horizon = table[HORIZON * LANES + k]
+        # 3. to 6.
         noise = fma(2.0 * EPS * tau, fma(k2, tau, abs(k1)), table[NOISE * LANES + k])
-        exact = (abs(f0) <= noise) | (near & (error <= EPS * tau))
-        zero = exact if closing > 0.0 else f0 <= noise
-        at_root = (f1 < 0.0) & (tau + move <= horizon) & zero
-        status = AT_ROOT if at_root else SEARCHING
-        status = AT_HORIZON if (tau >= horizon) & (f0 > 0.0) & (not at_root) else status
-        count = table[COUNT * LANES + k] + 1.0
-        failed = (count > MAX_EVALUATIONS) | (not (abs(f0) + f4 < math.inf))
-        status = FALLBACK if failed else status
-        # 6. the search's new state
-        onward = min(tau + (move if closing > 0.0 else step), horizon)
-        table[TAU * LANES + k] = onward if status == SEARCHING else tau
+        guess = table[GUESS * LANES + k]
+        over = safe_step_once(max(clear, 0.0), smooth1, smooth2, smooth3, smooth4, guess)
+        newton = -f0 * (1.0 / f1)
+        near = newton * newton * fma(drag, drag, stiffness + 1.0) < NEAR * NEAR
+        over = over if clear > 0.0 else 0.0
+        step = move_on(table, k, tau, guess, f0, f1, f2, f3, f4, over, noise, near)
         table[GUESS * LANES + k] = (GROW if step >= guess else KEEP) * step
-        table[CLOSING * LANES + k] = closing
-        table[COUNT * LANES + k] = count
-        table[STATUS * LANES + k] = status
-        table[MOVE * LANES + k] = move if at_root else 0.0
         table[Y * LANES + k] = y
         table[Y1 * LANES + k] = y1
         table[SIN * LANES + k] = sin

@@ -1,4 +1,4 @@
-"""The event loop of `rigid` for many lines of cells at a time, in lanes.
+"""The event loop for many lines of cells at a time, in lanes.
 
 Every lane holds one cell and one of its contacts or flights. `lanes.advance` moves all lanes on. A lane
 whose phase has ended goes through the landing or take-off here and gets its next phase or, at the end of
@@ -31,85 +31,15 @@ from kernel.cell import (
     store_state,
     write_record,
 )
-from kernel.interface import contact, flight, prepare
-from kernel.models.lanes import (
-    AT_ROOT,
-    COS,
-    COUNT,
-    FALLBACK,
-    K0,
-    K1,
-    MOVE,
-    ROWS,
-    SEARCHING,
-    SIN,
-    STATUS,
-    TAU,
-    Y1,
-    Y,
-    advance,
-    coefficients,
-    load,
-    supports,
-)
-from kernel.models.rigid import RigidPlate, Spring, land
+from kernel.interface import advance_lanes, contact, flight, load_lane, prepare, unload_lane
+from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
 from kernel.numerics.elementary import sincos
-from kernel.numerics.first_root import HORIZON, ROOT, Phase, departure_step
+from kernel.numerics.first_root import ROOT, Phase
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import decay_time, derivatives
 from kernel.params import LANES, STATE_FIELDS, Line
-from kernel.portable_math import hypot
-
-#: Flights shorter than this (rad) are computed again by the scalar functions, whose power series keeps the
-#: digits. The closed form of the gap cancels to the order tau**3: here to 1e-4, which leaves 12 digits.
-SHORT_FLIGHT: Final = 0.05
-
-#: So are flights whose first safe step from the plate is shorter than this (rad): there the gap, of the
-#: order of the cube, 1e-12, is near the rounding of the closed form.
-SHORT_START: Final = 1e-4
 
 #: Up to so many lines are computed one by one, more in a vector.
 FEW: Final = 3
-
-
-@inlined
-def _load_contact(
-    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
-) -> bool:
-    """Put a contact into lane k, unless it never ends, which `rigid` knows in closed form.
-
-    sin and cos are of the plate's phase now.
-    """
-    h = run.q - s.static_elongation - (s.q_re * cos - s.q_im * sin)
-    h1 = run.q1 + (s.q_re * sin + s.q_im * cos)
-    h2, h3, _ = derivatives(s.stuck, h, h1)
-    decayed = decay_time(s.stuck, h2, h3, s.mean_force - hypot(s.n_re, s.n_im))
-    if decayed == 0.0:
-        return False
-    load(table, k, s.stuck, run.phase, h, h1, 0.0, min(horizon, decayed))
-    coefficients(table, k, -s.stiffness, -s.dashpot, s.mean_force, 0.0, 0.0, -s.n_re, s.n_im)
-    return True
-
-
-@inlined
-def _load_flight(
-    table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float, horizon: float
-) -> bool:
-    """Put a flight into lane k, unless it begins with a short hop or too close to the plate."""
-    q2, q3, q4 = derivatives(s.flight, run.q, run.q1)
-    gap2, start = cos - s.gravity - 0.5 * q2, 0.0
-    if run.gap == 0.0 and run.gap1 == 0.0:
-        start = departure_step(max(gap2, 0.0), -sin - 0.5 * q3, 1.0 + 0.5 * q4)
-        if start < SHORT_START:
-            return False
-    elif run.gap == 0.0 and 2.0 * run.gap1 < -gap2 * SHORT_FLIGHT:
-        return False
-    load(table, k, s.flight, run.phase, run.q, run.q1, start, horizon)
-    coefficients(
-        table, k, -0.5, 0.0, run.gap + (cos + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin),
-        0.5 * s.gravity, -1.0, 0.0,
-    )  # fmt: skip
-    return True
 
 
 @inlined
@@ -124,42 +54,9 @@ def _needs_scalar(table: Any, k: int, run: Progress) -> bool:
     return table[STATUS * LANES + k] == FALLBACK or not run.in_flight
 
 
-@inlined
-def _phase_of(table: Any, k: int, s: Spring, run: Progress) -> tuple[Phase, float, float]:
-    """The phase that ended in lane k, with sin and cos of the plate's phase at its end.
-
-    The state at the zero follows from that at the last evaluation by Taylor series in the last step, MOVE,
-    to the fourth order (y) and third (y'); MOVE is below first_root.NEAR, so that the rest is rounding.
-    """
-    sin, cos = table[SIN * LANES + k], table[COS * LANES + k]
-    move = table[MOVE * LANES + k]
-    tau = table[TAU * LANES + k] + move
-    y, y1 = table[Y * LANES + k], table[Y1 * LANES + k]
-    osc = s.flight if run.in_flight else s.stuck
-    y2, y3, _ = derivatives(osc, y, y1)
-    y4 = -2.0 * osc.damping * y3 - osc.stiffness * y2
-    y += move * (y1 + 0.5 * move * (y2 + move * (1.0 / 3.0) * (y3 + 0.25 * move * y4)))
-    y1 += move * (y2 + 0.5 * move * (y3 + move * (1.0 / 3.0) * y4))
-    square = move * move
-    sine, versine = move * (1.0 - square * (1.0 / 6.0)), square * (0.5 - square * (1.0 / 24.0))
-    sin, cos = sin + cos * sine - sin * versine, cos - sin * sine - cos * versine
-    ending = ROOT if table[STATUS * LANES + k] == AT_ROOT else HORIZON
-    used = int(table[COUNT * LANES + k])
-    if not run.in_flight:
-        q = s.static_elongation + (s.q_re * cos - s.q_im * sin) + y
-        q1 = y1 - (s.q_re * sin + s.q_im * cos)
-        return Phase(tau, ending, ending == ROOT, 0.0, 0.0, q, q1, used), sin, cos
-    drift = table[K1 * LANES + k]
-    gap1 = sin + drift - s.gravity * tau - 0.5 * y1
-    if ending != ROOT:
-        gap = table[K0 * LANES + k] - cos + (drift - 0.5 * s.gravity * tau) * tau - 0.5 * y
-        return Phase(tau, ending, True, gap, gap1, y, y1, used), sin, cos
-    return land(s, sin, cos, tau, gap1, y, y1, used), sin, cos
-
-
 @jit
-def _scalar_phase(s: Spring, run: Progress) -> Phase:
-    """The run's next phase by the scalar functions of `rigid`."""
+def _scalar_phase(s: Any, run: Progress) -> Phase:
+    """The run's next phase by the scalar functions."""
     horizon = horizon_of(run)
     p: Phase
     if run.in_flight:
@@ -167,17 +64,6 @@ def _scalar_phase(s: Spring, run: Progress) -> Phase:
     else:
         p = contact(s, run.phase, run.gap, run.gap1, run.q, run.q1, horizon, run.budget)
     return p
-
-
-@inlined
-def _load(table: Any, k: int, s: Spring, run: Progress, sin: float, cos: float) -> bool:
-    """Put the run's next phase into lane k; False if it must be computed by the scalar functions."""
-    horizon = horizon_of(run)
-    if run.in_flight:
-        loaded = _load_flight(table, k, s, run, sin, cos, horizon)
-    else:
-        loaded = _load_contact(table, k, s, run, sin, cos, horizon)
-    return loaded and supports(s.stuck) and supports(s.flight)
 
 
 class Lanes(NamedTuple):
@@ -202,7 +88,7 @@ def allocate_lanes() -> Lanes:
 
 @jit
 def run_lockstep(
-    plate: RigidPlate, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
+    plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
     flights: Flights, lanes: Lanes, steps: int,
 ) -> bool:  # fmt: skip
     """Run lines of `length` cells each and fill `line`; arrays (n,) as in `kernel.line.run_line`.
@@ -238,7 +124,7 @@ def run_lockstep(
                     if scalar:
                         p = _scalar_phase(springs[k], before)
                     else:
-                        p, sin, cos = _phase_of(table, k, springs[k], before)
+                        p, sin, cos = unload_lane(springs[k], table, k, before)
                     runs[k] = record(before, p, window, flights, first)
                     if window.settle_tolerance > 0.0:
                         runs[k] = end_settling(before, runs[k], window, flights, first)
@@ -271,12 +157,12 @@ def run_lockstep(
                             )  # fmt: skip
                             sin, cos = sincos(runs[k].phase)
                 if index[k] >= 0:
-                    loaded = _load(table, k, springs[k], runs[k], sin, cos)
+                    loaded = load_lane(springs[k], table, k, runs[k], sin, cos, horizon_of(runs[k]))
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
                     if not loaded and steps <= 0:  # the next call goes on with this lane
                         _store_runs(runs, lanes.runs)
                         return False
-        advance(table, used)
+        advance_lanes(plate, table, used)
         steps -= 1
     _store_runs(runs, lanes.runs)
     return bool(counts[1] == len(gamma))

@@ -20,6 +20,7 @@ from kernel.models.contact_law import lifted_off, plate_force
 from kernel.models.flight import Flight, begin_flight, flight_terms, landing, state_after
 from kernel.models.soft_contact import (
     LiftoffFunction,
+    ModalState,
     SoftSpring,
     from_modes,
     liftoff_function,
@@ -93,14 +94,14 @@ def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: flo
     return lifted_off(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
-@contact.register(SoftSpring)
 @jit
-def _contact(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
-) -> Phase:
-    """In contact until the lift-off function falls to zero.
+def begin_contact(
+    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float
+) -> tuple[ModalState, LiftoffFunction, Terms, float, float]:
+    """The contact from this state: its modes, its lift-off function with its terms now, and where to search.
 
-    The search ends early once both free modes are too small to bring it there.
+    That is between two times (rad): the mass surely stays until the first, and from the second on both free
+    modes are too small to lift it.
     """
     m = to_modes(s, phi, gap, gap1, q, q1)
     p = liftoff_function(s, m, phi)
@@ -115,8 +116,22 @@ def _contact(
             quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * margin),
             quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * margin),
         )
+    t = terms(p, 0.0)
+    return m, p, t, sure_contact_time(p, t), decayed
+
+
+@contact.register(SoftSpring)
+@jit
+def _contact(
+    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
+) -> Phase:
+    """In contact until the lift-off function falls to zero.
+
+    The search ends early once both free modes are too small to bring it there.
+    """
+    m, p, _, start, decayed = begin_contact(s, phi, gap, gap1, q, q1)
     end = min(horizon, decayed)
-    tau, ending, used = first_root(p, sure_contact_time(p, terms(p, 0.0)), end, budget)
+    tau, ending, used = first_root(p, start, end, budget)
     if tau == 0.0 and ending == ROOT:
         if _lifts(s, begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)):
             if s.adhesive:
@@ -200,10 +215,13 @@ def _recontact_terms(p: Recontact, tau: float) -> Terms:
 
 @jit
 def _lowest_gap2(p: Flight, time: float) -> float:
-    """A lower bound <= 0 of gap'' over the first `time` rad of a flight."""
+    """A lower bound <= 0 of gap'' over the first `time` rad of a flight.
+
+    gap'' is at least a parabola that opens downwards, whose lowest value is at an end.
+    """
     _, q3, q4 = derivatives(p.osc, p.q, p.q1)
     gap3 = -p.sin - 0.5 * q3
-    return min(p.gap2 + time * (min(gap3, 0.0) - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
+    return min(p.gap2, p.gap2 + time * (gap3 - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
 
 
 @jit
@@ -213,7 +231,7 @@ def _no_recontact(s: SoftSpring, p: Flight, lowest_gap2: float, time: float) -> 
 
 
 @jit
-def _emergence_bound(s: SoftSpring, p: Flight) -> float:
+def emergence_bound(s: SoftSpring, p: Flight) -> float:
     """A time (rad) by which a mass that takes off below the surface is surely above it, without recontact.
 
     Twice -gap/gap', the time at constant velocity; 0 if that is not sure.
@@ -234,7 +252,7 @@ def _flight(
     p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
     emerged, used = 0.0, 0
     if gap < 0.0:
-        emerged = _emergence_bound(s, p)
+        emerged = emergence_bound(s, p)
     if gap < 0.0 and emerged == 0.0:
         emerged, ending, used = first_root(Emergence(p), 0.0, horizon, budget)
         tau, recontact = emerged, HORIZON

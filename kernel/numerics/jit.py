@@ -49,14 +49,16 @@ class by_type:  # noqa: N801 - a decorator
 
     The types are NamedTuples. The choice is made at compile time and costs nothing at run time;
     functions passed as arguments would serve as well but cannot be cached. Called from Python it is a
-    look-up, which raises TypeError for a type without an implementation.
+    look-up, which raises TypeError for a type without an implementation. With `inline` the implementation,
+    if it is `inlined`, becomes part of its caller.
     """
 
-    def __init__(self, declaration: Callable[..., Any]) -> None:
+    def __init__(self, declaration: Callable[..., Any], *, inline: bool = False) -> None:
         functools.update_wrapper(self, declaration)
         self._implementations: dict[type, Callable[..., Any]] = {}
         self._otherwise: Callable[..., Any] | None = None
-        overload(self, jit_options=_OPTIONS)(lambda first, *rest: self._resolve(first))
+        options: Any = {**_OPTIONS, "forceinline": True} if inline else _OPTIONS
+        overload(self, jit_options=options)(lambda first, *rest: self._resolve(first))
 
     def __call__(self, first: Any, *rest: Any) -> Any:
         chosen = self._chosen(type(first))

@@ -7,7 +7,6 @@ they come from may differ in the last digit from machine to machine.
 To write the file anew, after raising KERNEL_VERSION: python tests/kernel/test_golden_hash.py
 """
 
-import hashlib
 import json
 import sys
 from pathlib import Path
@@ -19,6 +18,7 @@ import pytest
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[1] / "support"), str(Path(__file__).parents[2])]
 
+from kernel_runs import digest
 from paths import GOLDEN
 
 from kernel.line import run_line
@@ -57,10 +57,6 @@ def line_of(case: str) -> Line:
         GAMMA, OMEGA, XI, plate=PLATES[plate], carry=PROTOCOLS[protocol], settle=60, observe=20, keep=12,
         micro_flight=0.01,
     )  # fmt: skip
-
-
-def digest(line: Line) -> str:
-    return hashlib.sha256(b"".join(np.ascontiguousarray(field).tobytes() for field in line)).hexdigest()
 
 
 @pytest.mark.parametrize("case", CASES)

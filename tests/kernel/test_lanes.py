@@ -208,3 +208,53 @@ def test_slow_springs_with_strong_dashpots_are_left_to_the_scalar_functions():
     np.testing.assert_allclose(
         lanes.flight_time[:, first], alone.flight_time[:, first], rtol=0, atol=1e-12, equal_nan=True
     )
+
+
+# --- soft -----------------------------------------------------------------------------------
+
+#: Adhesive or not, e, d: underdamped and overdamped contacts, stiff and compliant.
+CONTACTS = [
+    (True, 0.01, 1e-3),
+    (True, 0.01, 1e-6),
+    (True, 0.5, 1e-2),
+    (False, 0.01, 1e-3),
+    (False, 0.3, 1e-5),
+]
+
+
+def soft(gamma, omega, xi, contact, *, settle=0, observe=3, lines=0, in_lanes=True) -> Line:
+    """Cells from rest, or so many lines of a ramp."""
+    adhesive, e, d = contact
+    return run_line(
+        gamma, omega, xi, model=Model.SOFT, restitution=np.full(len(gamma), e),
+        penetration=np.full(len(gamma), d), adhesive=adhesive, carry=lines > 0,
+        start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40, in_lanes=in_lanes,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("contact", CONTACTS, ids=str)
+def test_soft_short_runs_agree_to_rounding(contact):
+    """Three plate periods leave chaos little time: nearly every flight agrees, the first ones all."""
+    rng = np.random.default_rng(5)
+    n = 400
+    cells = rng.uniform(0.5, 6, n), 10 ** rng.uniform(-1, 1, n), 10 ** rng.uniform(-2.5, 1, n)
+    lanes, alone = (soft(*cells, contact, in_lanes=in_lanes) for in_lanes in (True, False))
+    assert np.isfinite(alone.flight_time[:, 0]).sum() > n // 2
+    np.testing.assert_allclose(lanes.flight_time[:, 0], alone.flight_time[:, 0], rtol=0, atol=2e-9)
+    np.testing.assert_allclose(lanes.takeoff_phase[:, 0], alone.takeoff_phase[:, 0], rtol=0, atol=2e-9)
+    assert (lanes.flights == alone.flights).mean() >= 0.99
+    assert (np.abs(lanes.end_state - alone.end_state).max(axis=1) < 1e-6).mean() >= 0.98
+
+
+@pytest.mark.parametrize("contact", CONTACTS[2:4], ids=str)
+def test_a_soft_line_does_not_depend_on_the_others(contact):
+    """Same bytes however many lines run beside it, in whatever order."""
+    lines, length = LANES // 2 + 1, 4
+    cells = ramps(lines, length)
+    together = soft(*cells, contact, lines=lines, settle=10, observe=20)
+    assert len(set(together.outcome)) > 1
+    for i in reversed(range(lines)):
+        part = slice(i * length, (i + 1) * length)
+        alone = soft(*(axis[part] for axis in cells), contact, lines=1, settle=10, observe=20)
+        for name, field in together._asdict().items():
+            assert field[part].tobytes() == getattr(alone, name).tobytes(), name

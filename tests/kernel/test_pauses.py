@@ -70,7 +70,7 @@ def test_the_bytes_do_not_depend_on_the_parts(case: tuple[str, bool, dict[str, A
 
 
 def test_only_what_was_saved_of_the_same_line_is_restored():
-    run = line_run("soft", True, {})
+    run = line_run("stepped", True, {})
     saved = run.save()
     run.advance(100)
     assert run.save()["Walk.counts"][0] < len(GAMMA)
@@ -83,7 +83,7 @@ def test_only_what_was_saved_of_the_same_line_is_restored():
 
 def test_a_paused_line_has_the_cells_that_are_done():
     """The one under way may have the record of its window, while it is followed beyond that."""
-    run = line_run("soft", False, {})
+    run = line_run("stepped", False, {})
     assert not run.advance(2000)
     done = int(run.save()["Walk.counts"][0])
     assert 0 < done < len(GAMMA)

@@ -1,5 +1,6 @@
 """The plan: chunks partition the grid whatever its size and cut, and never wait for what comes later."""
 
+import importlib
 import math
 
 import numpy as np
@@ -7,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import kernel.line  # noqa: F401 - registers the models' lanes
+from kernel.interface import advance_lanes
 from kernel.params import LANES
 from worker.cost import (
     FOLLOWED_SHARE,
@@ -15,6 +18,7 @@ from worker.cost import (
     WITH_EXPONENTS,
     Cost,
     cell_seconds,
+    cells_at_once,
     check_size,
     estimate,
     longest_cell_seconds,
@@ -29,7 +33,7 @@ from worker.plan import (
 )
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
-from worker.spec.contact_models import CONTACT_MODELS, RIGID_ALONE_US, RIGID_ELASTIC_US
+from worker.spec.contact_models import CONTACT_MODELS, RIGID_ALONE_US, RIGID_ELASTIC_US, SOFT_ALONE_US
 from worker.spec.errors import SpecTooLarge
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
@@ -181,15 +185,26 @@ def test_chunks_of_a_large_job_cost_a_second_or_so():
 
 
 def test_dear_cells_make_small_chunks():
-    spec = sweep(gamma=100, model={"kind": "soft"}, settle=10_000_000)
+    spec = sweep(gamma=100, model={"kind": "stepped"}, settle=100_000)
     assert make_plan(spec)[0].cells == 1
 
 
 @pytest.mark.parametrize("settle", [100_000, 1_000_000])
-def test_chunks_of_cells_side_by_side_fill_the_lanes(settle):
-    spec = sweep(gamma=1_000, settle=settle)
+@pytest.mark.parametrize("kind", ["rigid", "soft"])
+def test_chunks_of_cells_side_by_side_fill_the_lanes(kind, settle):
+    spec = sweep(gamma=1_000, model={"kind": kind}, settle=settle)
     assert make_plan(spec)[0].cells >= LANES
-    assert all(chunk.cells == LANES for chunk in make_plan(sweep(gamma=64 * LANES, settle=10**6)))
+    full = sweep(gamma=64 * LANES, model={"kind": kind}, settle=10**6)
+    assert all(chunk.cells == LANES for chunk in make_plan(full))
+
+
+@pytest.mark.parametrize("kind", CONTACT_MODELS)
+def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
+    spec = sweep(gamma=100, model={"kind": kind})
+    module = importlib.import_module(CONTACT_MODELS[kind].kernel)
+    values = spec.model.exact if kind == "auto" else spec.model
+    plate = module.plate(**values.plate_arguments(*(np.ones(1),) * 3))
+    assert (cells_at_once(spec) > 1) == (type(plate) in advance_lanes)
 
 
 def test_chunks_fit_into_memory_however_many_flights_are_kept():
@@ -198,7 +213,7 @@ def test_chunks_fit_into_memory_however_many_flights_are_kept():
 
 
 def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
-    spec = sweep(omega=50, gamma=20, ramp=("omega", "up"), model={"kind": "soft"})
+    spec = sweep(omega=50, gamma=20, ramp=("omega", "up"), model={"kind": "stepped"})
     assert make_plan(spec, chunk_cells=100).chunk_shape == (1, 50, 2)
     assert make_plan(spec, chunk_cells=20).chunk_shape == (1, 17, 1)
 
@@ -284,6 +299,9 @@ def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
     assert cell_seconds(sweep()) == pytest.approx(periods * CONTACT_MODELS["rigid"].cost_us * 1e-6)
     elastic = sweep(model={"kind": "rigid", "restitution": 0.5})
     assert cell_seconds(elastic) == pytest.approx(periods * RIGID_ELASTIC_US * 1e-6)
+    soft = sweep(model={"kind": "soft"})
+    assert cell_seconds(soft) == pytest.approx(periods * CONTACT_MODELS["soft"].cost_us * 1e-6)
+    assert cell_seconds(soft, alone=True) == pytest.approx(periods * SOFT_ALONE_US * 1e-6)
 
 
 def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
@@ -311,7 +329,7 @@ def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
     assert cell_seconds(sweep(), alone=True) == pytest.approx(periods * RIGID_ALONE_US * 1e-6)
     for one_by_one in (
         sweep(gamma=2, ramp=("gamma", "up")),
-        sweep(model={"kind": "soft"}),
+        sweep(model={"kind": "stepped"}),
         sweep(exponents=1),
     ):
         assert cell_seconds(one_by_one, alone=True) == cell_seconds(one_by_one)

@@ -36,6 +36,8 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 RIGID_ALONE_US: Final = 0.75
 RIGID_ELASTIC_US: Final = 1.0
 RIGID_ELASTIC_ALONE_US: Final = 1.9
+#: And of `soft`, of a cell computed by itself.
+SOFT_ALONE_US: Final = 2.0
 
 _Array = NDArray[np.float64]
 _Restitution = Annotated[float, Field(ge=0.0, le=1.0), NUMBER]
@@ -58,9 +60,22 @@ class ContactFields(Strict):
         return base
 
     @property
+    def in_lanes(self) -> bool:
+        """Whether the kernel computes cells, or lines of a ramp, side by side."""
+        return False
+
+    @property
     def exponents(self) -> int:
         """The most Lyapunov exponents that can be computed with this contact; 0: none."""
         return 0
+
+
+def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
+    """The cost of a cell of which `at_once` are computed side by side, from those in full lanes and alone.
+
+    Half of the lanes, one vector, cost the same whatever is in them.
+    """
+    return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
 
 
 class _SoftContact(ContactFields):
@@ -103,6 +118,14 @@ class Soft(_SoftContact):
     """Spring-dashpot contact, solved exactly."""
 
     kind: Literal["soft"] = "soft"
+
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+        """`base` holds for full lanes."""
+        return _side_by_side(base, SOFT_ALONE_US, at_once)
+
+    @property
+    def in_lanes(self) -> bool:
+        return True
 
     @property
     def exponents(self) -> int:
@@ -147,10 +170,14 @@ class Rigid(ContactFields):
         return {"restitution": np.full(np.shape(xi), self.restitution)}
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
-        """`base` holds for full lanes; half of them, one vector, cost the same whatever is in them."""
-        alone = RIGID_ELASTIC_ALONE_US if self.restitution > 0.0 else RIGID_ALONE_US
-        in_lanes = RIGID_ELASTIC_US if self.restitution > 0.0 else base
-        return min(alone, in_lanes * max(LANES // 2 / at_once, 1.0)) if at_once > 1 else alone
+        """`base` holds for full lanes."""
+        if self.restitution > 0.0:
+            return _side_by_side(RIGID_ELASTIC_US, RIGID_ELASTIC_ALONE_US, at_once)
+        return _side_by_side(base, RIGID_ALONE_US, at_once)
+
+    @property
+    def in_lanes(self) -> bool:
+        return True
 
     @property
     def exponents(self) -> int:
@@ -188,6 +215,14 @@ class Auto(_SoftContact):
             raise BrokenRuleError("tolerance", rule)
         return self
 
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+        """Until a model is chosen, as the exact one."""
+        return self.exact.cost_us(base, gamma, omega, at_once=at_once)
+
+    @property
+    def in_lanes(self) -> bool:
+        return self.exact.in_lanes
+
     @property
     def exact(self) -> Soft:
         """The contact that the tolerance is measured from."""
@@ -206,12 +241,12 @@ class ContactModel(NamedTuple):
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
 #: docs/architecture.md). Costs: medians over cells of all kinds (`python -m benchmarks.kernel`).
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 2.0, "soft contact"),
+    "soft": ContactModel(Soft, "kernel.models.soft", 1.2, "soft contact"),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
     "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact"),
     "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact"),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 2.0, "auto contact"),
+    "auto": ContactModel(Auto, "kernel.models.soft", 1.2, "auto contact"),
 }
 
 
