@@ -1,6 +1,7 @@
 """Adaptive maps against full grids: cells computed, cells wrong, time.
 
     python -m benchmarks.adaptive [--xi 0.05,0.1,0.26] [--sides 513,1025] [--keep 64] [--rounds 16]
+    python -m benchmarks.adaptive --every 3 [--xi 0.05,0.26] [--sides 1025]
 
 Each map is a job of one service with two worker processes: the full grid, then the adaptive ones, one after
 the other, so that a ratio of times holds on a busy machine too. Wrong are cells of another class than in the
@@ -8,6 +9,9 @@ full grid: at rest or not, or the mode of up to four plate periods.
 
 Then what it costs that the rounds of a tile wait for one another: the kernel's time for --rounds tiles, round
 by round as a task computes them, relative to that for the same cells as one line.
+
+With --every n it measures core-seconds instead, which hold on a busy machine: those of every n-th tile,
+computed and stored whole and adaptively by turns in this process.
 """
 
 import argparse
@@ -32,10 +36,10 @@ from worker.executors.dask import Dask
 from worker.kernel_cache import warm
 from worker.plan import make_plan
 from worker.refinement import Refinement, classes
-from worker.schema import MODE_ARRAYS
+from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.spec.refine import Refine
-from worker.tasks import run_cells
+from worker.tasks import run_cells, run_chunk
 
 #: The part of the plane at each xi: gamma and omega from where cells rest to where most have no mode.
 PLANES: Final = {
@@ -150,6 +154,25 @@ def wrong(refine: Refine, full: _Map, found: _Map) -> int:
     return int(np.count_nonzero(kinds[0] != kinds[1]))
 
 
+def core_seconds(xi: float, side: int, keep: int, every: int) -> dict[str, float]:
+    """Core-seconds of every n-th tile, storing included: of all its cells ("full"), and each refinement."""
+    specs = {"full": sweep(xi, side, keep)}
+    specs |= {name: sweep(xi, side, keep, fields) for name, fields in REFINEMENTS.items()}
+    taken = dict.fromkeys(specs, 0.0)
+    shape = make_plan(specs["mode"]).chunk_shape
+    with tempfile.TemporaryDirectory() as folder:
+        plans = {name: make_plan(spec, chunk_shape=shape) for name, spec in specs.items()}
+        for name, spec in specs.items():
+            store.create(f"{folder}/{name}", layout(spec, shape))
+            run_chunk(spec, plans[name][0], f"{folder}/{name}")  # loads the kernel
+        for index in range(0, len(plans["full"]), every):
+            for name, spec in specs.items():
+                began = time.process_time()
+                run_chunk(spec, plans[name][index], f"{folder}/{name}")
+                taken[name] += time.process_time() - began
+    return taken
+
+
 def cost_of_rounds(spec: SweepSpec, tiles: int) -> float:
     """Time of every round as a line of its own, over that of all cells of a tile as one line."""
     assert spec.refine is not None
@@ -196,9 +219,17 @@ def main() -> None:
     parser.add_argument("--sides", default="513,1025")
     parser.add_argument("--keep", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=16)
+    parser.add_argument("--every", type=int, default=0)
     options = parser.parse_args()
     xis, sides = map(float, options.xi.split(",")), [int(side) for side in options.sides.split(",")]
     print(describe("zarr", "distributed"), flush=True)
+    if options.every:
+        for xi in xis:
+            for side in sides:
+                taken = core_seconds(xi, side, options.keep, options.every)
+                ratios = [f"{name} {taken['full'] / seconds:.2f}" for name, seconds in taken.items()]
+                print(f"{xi:g}, {side:,}², full {taken['full']:.1f} core-s; ratios:", *ratios[1:], flush=True)
+        return
     warm()  # so that one process compiles instead of three
     rows = []
     with serving() as service:

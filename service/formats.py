@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final, Literal, get_args
 
 TableFormat = Literal["json", "csv"]
-PictureFormat = Literal["png", "svg"]
+PictureFormat = Literal["png", "svg", "pdf"]
 
 #: A bifurcation diagram is sent as a table or as a picture.
 DiagramFormat = Literal[TableFormat, PictureFormat]
@@ -33,6 +33,7 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     "csv": "text/csv",
     "png": "image/png",
     "svg": "image/svg+xml",
+    "pdf": "application/pdf",
     "nc": "application/x-netcdf",
     "parquet": "application/vnd.apache.parquet",
 }

@@ -134,8 +134,9 @@ def run_to_file(
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)
     with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
-        sweep = Sweep(job.spec, job.store_url, complete=True)
-        study = sweep if isinstance(parsed, SweepSpec) else Stored(job.spec, job.store_url, complete=True)
+        sweep = Sweep(job.spec, job.store_url, complete=True, job=record.id)
+        other = Stored(job.spec, job.store_url, complete=True, job=record.id)
+        study = sweep if isinstance(parsed, SweepSpec) else other
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
             if format in EXPORTS:

@@ -146,11 +146,12 @@ def _figure_7() -> tuple[Sweep, ...]:
         "protocol": {"kind": "rest"},
         "settle": LONG_SETTLE,
     }
-    contacts = (SOFT, *CONTACTS.values(), *({**SOFT, "restitution": e} for e in ELASTIC))
+    elastic = {f"e = {e:g}": {**SOFT, "restitution": e} for e in ELASTIC}
+    contacts = {"the contact of the figure": SOFT, **CONTACTS, **elastic}
     return (
         sections,
         {**near_two, "name": "figure 7, hardly settled", "settle": SHORT_SETTLE},
-        *({**near_two, "name": f"figure 7, contact {i}", "model": model} for i, model in enumerate(contacts)),
+        *({**near_two, "name": f"figure 7, {words}", "model": model} for words, model in contacts.items()),
     )
 
 

@@ -78,6 +78,10 @@ class JobView(BaseModel):
     repairing: bool = Field(
         description="it was done, and computes stored results again that were damaged; no answer is complete"
     )
+    pinned: bool = Field(description="a user marked it, to find it again")
+    core_seconds: float = Field(
+        description="that its chunks took, those computed again included; not known of adopted chunks"
+    )
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists if it is long")
     choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
     failures: list[FailureView] = Field([], description="empty in lists and events")
@@ -85,7 +89,7 @@ class JobView(BaseModel):
 
 
 class JobList(BaseModel):
-    """A page of jobs, newest first."""
+    """A page of jobs."""
 
     jobs: list[JobView]
     total: int = Field(description="number of jobs on all pages")
@@ -426,6 +430,17 @@ class Health(BaseModel):
     status: Literal["ok"]
 
 
+class SoftwareView(BaseModel):
+    """What the service runs on."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    release: str
+    kernel_version: str = Field(description="with which new jobs are computed; a job names its own")
+    python: str
+    libraries: dict[str, str]
+
+
 class ReadinessView(BaseModel):
     """The service accepts and computes jobs."""
 
@@ -475,6 +490,8 @@ def job_view(
         started=_time(job.started),
         finished=None if job.repairing else _time(job.finished),
         repairing=job.repairing,
+        pinned=job.pinned,
+        core_seconds=round(job.core_seconds, 3),
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
         choice=choice_of(job),
         failures=[FailureView(**failure._asdict()) for failure in failures],
@@ -486,6 +503,8 @@ def job_view(
 _PARTS: Final = (
     "cancel",
     "resume",
+    "pin",
+    "unpin",
     "events",
     "diagram",
     "threshold",

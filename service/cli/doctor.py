@@ -1,24 +1,21 @@
 """What `bounce doctor` looks at: versions, cores, kernel cache, disk, ledger, stores, service."""
 
 import os
-import platform
 import shutil
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
 from typing import Final, NamedTuple
 
 import httpx2
 
-from kernel.params import KERNEL_VERSION
 from service.jobs import backup
 from service.jobs.ledger import NOT_LOCAL
 from service.jobs.ledger_files import copies_of, file_system, network_file_system
 from service.settings import Settings
+from service.software import software
 from worker import store
 from worker.kernel_cache import default_root
 from worker.ownership import NotOurs, check_unshared
 
-LIBRARIES: Final = ("numpy", "numba", "dask", "distributed", "zarr", "fastapi", "uvicorn")
 #: Bytes of free disk space below which jobs may soon fail.
 FREE_BYTES: Final = 1 << 30
 
@@ -46,9 +43,10 @@ def _contained(part: Callable[[Settings], Iterator[Finding]], settings: Settings
 
 
 def _machine(_: Settings) -> Iterator[Finding]:
-    ours = f"bouncing-spring {version('bouncing-spring')}, kernel version {KERNEL_VERSION}"
-    yield Finding("versions", f"{ours}, Python {platform.python_version()}, SQLite {backup.SQLITE_VERSION}")
-    yield Finding("libraries", ", ".join(f"{name} {version(name)}" for name in LIBRARIES))
+    here = software()
+    ours = f"bouncing-spring {here.release}, kernel version {here.kernel_version}"
+    yield Finding("versions", f"{ours}, Python {here.python}, SQLite {backup.SQLITE_VERSION}")
+    yield Finding("libraries", ", ".join(f"{name} {number}" for name, number in here.libraries.items()))
     yield Finding("cores", f"{len(os.sched_getaffinity(0))} of {os.cpu_count()}")
 
 

@@ -22,7 +22,7 @@ COMPILE_SECONDS: Final = 300.0
 @click.command()
 @click.argument("number", metavar="N|NAME|all")
 @click.option("-o", "--output", type=click.Path(allow_dash=True),
-              help="File, .png or .svg; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
+              help="A png, svg or pdf; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
 @click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
               help="Format of the files in the folder.")  # fmt: skip
 @data_option

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from service.client import Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
+ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
 
 
 @click.command()
@@ -214,14 +216,24 @@ def delete(job_id: str, url: str, token: str | None) -> None:
 
 @click.command("list")
 @click.option("--state", type=click.Choice(STATES), help="List only the jobs in this state.")
+@click.option("--search", help="List only jobs with this text in their name, or whose id begins so.")
+@click.option("--model", help="List only jobs of this kind of contact.")
+@click.option("--pinned", is_flag=True, help="List only pinned jobs.")
+@click.option("--from", "created_from", metavar="DATE", help="List only jobs created on DATE (UTC) or later.")
+@click.option("--before", "created_before", metavar="DATE", help="List only jobs created before DATE (UTC).")
+@click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
+@click.option("--limit", type=click.IntRange(min=1), help="List at most so many jobs.")
 @json_option
 @service_options
-def list_jobs(state: str | None, as_json: bool, url: str, token: str | None) -> None:
-    """List the jobs, newest first."""
+def list_jobs(
+    as_json: bool, url: str, token: str | None, pinned: bool, limit: int | None, **wanted: Any
+) -> None:
+    """List the jobs, the newest first."""
     from service.cli import output
 
     with open_client(url, token) as client:
-        jobs = list(client.jobs(state))
+        found = client.jobs(pinned=pinned or None, **wanted)
+        jobs = list(islice(found, limit))
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 

@@ -51,7 +51,8 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     token = given.get("token") or os.environ.get("BOUNCE_TOKEN")
     try:
         with Client(url, token, timeout=COMPLETION_SECONDS) as client:
-            jobs = [job for job in client.jobs() if job.id.startswith(incomplete)]
+            found = client.jobs(search=incomplete or None)
+            jobs = [job for job in found if job.id.startswith(incomplete)]
     except BounceError:
         return []
     return [CompletionItem(job.id, help=f"{job.state} {job.name}".rstrip()) for job in jobs]

@@ -34,10 +34,13 @@ _MULTISTABILITY: Final[tuple[str, ...]] = get_args(MultistabilityFormat)
 @click.command()
 @job_argument
 @line_options
+@click.option("--no-caption", is_flag=True, help="Leave out the line above a picture.")
 @format_option(*_DIAGRAMS)
 @output_option
 @service_options
-def diagram(job_id: str, output: str, format: str | None, url: str, token: str | None, **line: Any) -> None:
+def diagram(
+    job_id: str, output: str, format: str | None, no_caption: bool, url: str, token: str | None, **line: Any
+) -> None:
     """Draw a job's bifurcation diagram along one axis.
 
     The formats csv and json write its points instead. For example:
@@ -47,7 +50,7 @@ def diagram(job_id: str, output: str, format: str | None, url: str, token: str |
     format = output_format(output, _DIAGRAMS, format)
     with open_client(url, token) as client:
         job = client.job(job_id)
-        write_file(output, job.picture(format=format, **line))
+        write_file(output, job.picture(format=format, caption=not no_caption, **line))
     _warn(job, "the diagram is incomplete")
 
 

@@ -80,6 +80,14 @@ class AsyncJob(JobStatus):
         """As `Job.cancel`."""
         return await self._change(self.sync.cancel)
 
+    async def pin(self) -> "AsyncJob":
+        """As `Job.pin`."""
+        return await self._change(self.sync.pin)
+
+    async def unpin(self) -> "AsyncJob":
+        """As `Job.unpin`."""
+        return await self._change(self.sync.unpin)
+
     async def resume(self) -> "AsyncJob":
         """As `Job.resume`."""
         return await self._change(self.sync.resume)
@@ -202,9 +210,9 @@ class AsyncClient:
         """As `Client.job`."""
         return AsyncJob(await asyncio.to_thread(self.sync.job, id))
 
-    async def jobs(self, state: str | None = None) -> AsyncIterator[AsyncJob]:
-        """As `Client.jobs`."""
-        jobs = self.sync.jobs(state)
+    async def jobs(self, state: str | None = None, **wanted: Any) -> AsyncIterator[AsyncJob]:
+        """As `Client.jobs`, with the same arguments."""
+        jobs = self.sync.jobs(state, **wanted)
         while (job := await asyncio.to_thread(next, jobs, None)) is not None:
             yield AsyncJob(job)
 

@@ -3,6 +3,7 @@
 import re
 from collections import deque
 from collections.abc import Iterator
+from datetime import datetime
 from itertools import islice
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -105,7 +106,7 @@ class Client:
 
     def _whole_id(self, beginning: str) -> str:
         """The only id that begins so."""
-        found = [job.id for job in self.jobs() if job.id.startswith(beginning)]
+        found = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
         if not found:
             raise _not_found(f"no job has an id that begins with {beginning}")
         if len(found) > 1:
@@ -113,9 +114,35 @@ class Client:
             raise _not_found(f"{len(found)} jobs have ids that begin with {beginning}, as {named}")
         return found[0]
 
-    def jobs(self, state: str | None = None) -> Iterator[Job]:
-        """All jobs, or those in one state, newest first; requested page by page."""
-        query: dict[str, Any] = {"state": state, "limit": PAGE_SIZE}
+    def jobs(
+        self,
+        state: str | None = None,
+        *,
+        search: str | None = None,
+        model: str | None = None,
+        protocol: str | None = None,
+        pinned: bool | None = None,
+        created_from: datetime | str | None = None,
+        created_before: datetime | str | None = None,
+        order: str | None = None,
+    ) -> Iterator[Job]:
+        """All jobs, or those that every argument allows; requested page by page.
+
+        `search` is part of the name or the beginning of the id; `model` and `protocol` are kinds, such as
+        "rigid" and "ramp"; times are in UTC if they name no zone; `order` is "newest" (the default),
+        "oldest", "finished", "name" or "largest".
+        """
+        query: dict[str, Any] = {
+            "state": state,
+            "search": search,
+            "model": model,
+            "protocol": protocol,
+            "pinned": pinned,
+            "created_from": _time(created_from),
+            "created_before": _time(created_before),
+            "order": order,
+            "limit": PAGE_SIZE,
+        }
         while True:
             page = json_object(self._transport.get("/v1/jobs", query))
             if not isinstance(page.get("jobs"), list):
@@ -295,3 +322,7 @@ class Client:
 
 def _not_found(detail: str) -> NotFound:
     return NotFound(Problem(status=404, title="Not Found", detail=detail))
+
+
+def _time(time: datetime | str | None) -> str | None:
+    return time.isoformat() if isinstance(time, datetime) else time

@@ -82,6 +82,14 @@ class Job(Results):
         """Request that the job stops; repeating the request is harmless. Raises Conflict if it is done."""
         return self._post("cancel")
 
+    def pin(self) -> "Job":
+        """Mark the job, to find it again with `Client.jobs(pinned=True)` and on top of the page's list."""
+        return self._post("pin")
+
+    def unpin(self) -> "Job":
+        """Take the mark away."""
+        return self._post("unpin")
+
     def resume(self) -> "Job":
         """Continue a failed or cancelled job where it stopped. Raises Conflict if it is done.
 

@@ -116,6 +116,16 @@ class JobStatus:
         return bool(self.view.get("repairing"))
 
     @property
+    def pinned(self) -> bool:
+        """Whether a user marked the job."""
+        return bool(self.view.get("pinned"))
+
+    @property
+    def core_seconds(self) -> float:
+        """That its chunks took, those computed again included; not known of adopted chunks."""
+        return float(self.view.get("core_seconds") or 0.0)
+
+    @property
     def notice(self) -> str | None:
         """That another kernel version than the service's computed the job; None if it did not.
 

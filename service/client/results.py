@@ -67,14 +67,18 @@ class Results(JobStatus):
         direction: str | None = None,
         min_flight: float | None = None,
         every: int | None = None,
+        caption: bool = True,
     ) -> bytes:
-        """The diagram as the content of a file: `format` is png, svg, csv or json.
+        """The diagram as the content of a file: `format` is png, svg, pdf, csv or json.
+
+        `caption=False` leaves out the line above a picture. Its metadata hold job, specification, versions.
 
         A sweep ramped both ways shows both directions unless `direction` is given. Raises as `diagram`.
         """
         return self._diagram(
             along=along, gamma=gamma, omega=omega, xi=xi,
             direction=direction, min_flight=min_flight, every=every, format=format,
+            caption=None if caption else False,
         ).content  # fmt: skip
 
     def threshold(

@@ -81,6 +81,10 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     return draw_styled
 
 
+#: Metadata without the time of drawing, by format: the same drawing gives the same bytes.
+_TIMELESS: Final[dict[str, dict[str, None]]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+
 @dataclass(frozen=True)
 class Drawing:
     """A finished figure and its caption."""
@@ -89,11 +93,11 @@ class Drawing:
     caption: Caption
 
     def encoded(self, format: str) -> bytes:
-        """The bytes of a png or svg file."""
+        """The bytes of a png, svg or pdf file."""
         file = io.BytesIO()
         with mpl.rc_context(STYLE):
-            self.figure.savefig(file, format=format, metadata={"Date": None} if format == "svg" else {})
-        return file.getvalue() if format == "svg" else self._with_palette(file)
+            self.figure.savefig(file, format=format, metadata=_TIMELESS.get(format, {}))
+        return self._with_palette(file) if format == "png" else file.getvalue()
 
     def _with_palette(self, file: io.BytesIO) -> bytes:
         """The PNG with a palette, which has a third of the size, and the caption as its Description."""

@@ -50,7 +50,7 @@ class Figure:
         return [client.submit(sweep) for sweep in self.sweeps]
 
     def make(self, client: Client, format: str = "png", *, progress: bool = True) -> Picture:
-        """Compute what is missing and draw, as png or svg. Raises the errors of `service.client`."""
+        """Compute what is missing and draw, as png, svg or pdf. Raises the errors of `service.client`."""
         jobs = [job.wait(progress=progress) for job in self.submit(client)]
         drawing = _draw_functions()[self.number](client, jobs)
         return Picture(drawing.encoded(format), drawing.caption)

@@ -184,6 +184,12 @@ class JobManager:
             self._supervisor.wake()
         return Submission(record, accepted)
 
+    def pin(self, job_id: str, pinned: bool) -> JobRecord:
+        """Pin a job, or unpin it. Raises UnknownJob."""
+        with self._ledger.writing() as ledger:
+            ledger.pin(_existing(ledger.find(job_id), job_id), pinned)
+            return _existing(ledger.find(job_id), job_id)
+
     def delete(self, job_id: str) -> None:
         """Remove a job; its results are removed in the background, if need be after the next start.
 

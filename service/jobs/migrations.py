@@ -83,4 +83,20 @@ MIGRATIONS: Final = (
     ALTER TABLE jobs ADD COLUMN cells_computed INTEGER NOT NULL DEFAULT 0;
     ALTER TABLE chunks ADD COLUMN computed INTEGER;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN pinned INTEGER NOT NULL DEFAULT 0;
+    ALTER TABLE jobs ADD COLUMN core_seconds REAL NOT NULL DEFAULT 0;
+    UPDATE jobs SET core_seconds = (SELECT total(seconds) FROM chunks WHERE job = seq);
+    ALTER TABLE jobs ADD COLUMN model TEXT
+        AS (CASE WHEN json_valid(spec) THEN json_extract(spec, '$.model.kind') END) VIRTUAL;
+    ALTER TABLE jobs ADD COLUMN protocol TEXT
+        AS (CASE WHEN json_valid(spec) THEN json_extract(spec, '$.protocol.kind') END) VIRTUAL;
+    CREATE INDEX jobs_by_model ON jobs (model, seq);
+    CREATE INDEX jobs_by_protocol ON jobs (protocol, seq);
+    CREATE INDEX jobs_by_name ON jobs (name COLLATE NOCASE, seq);
+    CREATE INDEX jobs_by_cells ON jobs (cells_total, seq);
+    CREATE INDEX jobs_by_end ON jobs (coalesce(finished, 0), seq);
+    CREATE INDEX jobs_by_creation ON jobs (created);
+    CREATE INDEX jobs_pinned ON jobs (seq) WHERE pinned;
+    """,
 )

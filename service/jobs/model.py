@@ -114,6 +114,10 @@ class JobRecord(NewJob):
     cells_computed: int  # of those done, of an adaptive map
     choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
     replaced_by: str | None  # of an outdated job: id of the job that computes the same study anew
+    pinned: bool = False  # a user marked it, to find it again
+    core_seconds: float = (
+        0.0  # that its chunks took, those computed again included; of adopted ones not known
+    )
 
     @property
     def outdated(self) -> bool:
@@ -143,7 +147,7 @@ class JobRecord(NewJob):
     def revision(self) -> tuple[object, ...]:
         """Changes whenever what the job shows changes, except the estimated time left."""
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
-        return (self.id, *facts, self.notice, self.owner)
+        return (self.id, *facts, self.notice, self.owner, self.pinned)
 
     def progress(self, now: float) -> Progress:
         """The progress at `now`, in seconds since 1970; a job that is not running has no rate."""

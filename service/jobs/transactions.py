@@ -20,6 +20,7 @@ from service.jobs.model import (
     check_transition,
     summary_of,
 )
+from service.jobs.search import JobSearch, Position
 from worker.tasks import ChunkReport
 
 Column = str | float | bool | None
@@ -83,12 +84,19 @@ class ReadTransaction:
 
     def newest(self, state: JobState | None, limit: int, before: int | None = None) -> list[JobRecord]:
         """Jobs, the last accepted first; only those in `state` and with a `seq` below `before`."""
-        optional = {"state = ?": state, "seq < ?": before}
-        conditions = {sql: value for sql, value in optional.items() if value is not None}
-        where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
-        values = [*conditions.values(), limit]
-        rows = self._sql.execute(f"SELECT * FROM jobs {where} ORDER BY seq DESC LIMIT ?", values)
+        after = None if before is None else Position(before, before)
+        return self.search(JobSearch(state=state), limit, after)
+
+    def search(self, search: JobSearch, limit: int, after: Position | None = None) -> list[JobRecord]:
+        """The first `limit` jobs that a search finds behind a position, in its order."""
+        where, values = search.where(after)
+        rows = self._sql.execute(f"SELECT * FROM jobs {where} {search.order_by} LIMIT ?", [*values, limit])
         return [_record(row) for row in rows]
+
+    def count_found(self, search: JobSearch) -> int:
+        """Number of jobs that a search finds."""
+        where, values = search.where()
+        return int(self._sql.execute(f"SELECT count(*) FROM jobs {where}", values).fetchone()[0])
 
     def count(self, states: Sequence[JobState], owner: str | None = None) -> int:
         """Number of jobs in any of `states`; only those of `owner` if given."""
@@ -252,6 +260,10 @@ class WriteTransaction(ReadTransaction):
         """Request that a running job stops, or revoke the request."""
         self._update(job, cancel_requested=cancel_requested)
 
+    def pin(self, job: JobRecord, pinned: bool) -> None:
+        """Pin a job, or unpin it."""
+        self._update(job, pinned=pinned)
+
     def replace(self, job: JobRecord, successor: str) -> None:
         """Record the job that computes an outdated job's study anew."""
         self._update(job, replaced_by=successor)
@@ -323,12 +335,14 @@ class WriteTransaction(ReadTransaction):
         marked = [report for report in reports if self._insert_chunk(job, report)]
         self._sql.execute(
             "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ?,"
-            " cells_settling = cells_settling + ?, cells_computed = cells_computed + ? WHERE seq = ?",
+            " cells_settling = cells_settling + ?, cells_computed = cells_computed + ?,"
+            " core_seconds = core_seconds + ? WHERE seq = ?",
             (
                 len(marked),
                 sum(report.cells for report in marked),
                 sum(_settling(report.outcomes) for report in marked),
                 sum(report.computed or 0 for report in marked),
+                sum(report.seconds for report in marked),
                 job.seq,
             ),
         )
@@ -403,6 +417,6 @@ _COLUMNS: Final = frozenset(field.name for field in fields(JobRecord))
 def _record(row: sqlite3.Row) -> JobRecord:
     columns = {name: row[name] for name in _COLUMNS}
     columns["state"] = JobState(columns["state"])
-    columns["cancel_requested"] = bool(columns["cancel_requested"])
+    columns |= {name: bool(columns[name]) for name in ("cancel_requested", "pinned")}
     columns["chunk_shape"] = tuple(json.loads(columns["chunk_shape"]))
     return JobRecord(**columns)

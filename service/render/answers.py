@@ -27,7 +27,6 @@ from service.results.selection import Sweep, nearest_index
 from service.results.trajectory import TrajectorySpec
 from worker import kernel_cache
 from worker.orbits import Mode
-from worker.spec import SweepSpec
 
 
 class Answer(NamedTuple):
@@ -60,7 +59,9 @@ class View(NamedTuple):
     most: int  # flights sent as points
 
 
-def diagram(sweep: Sweep, line: Line, format: DiagramFormat, max_points: int, every: int) -> Answer:
+def diagram(
+    sweep: Sweep, line: Line, format: DiagramFormat, max_points: int, every: int, caption: bool = True
+) -> Answer:
     """The bifurcation diagram: JSON of one direction, a table or picture of all unless one is named."""
     if format in PICTURES:
         directions = diagrams.diagrams_to_draw(sweep, *line, every)
@@ -68,15 +69,16 @@ def diagram(sweep: Sweep, line: Line, format: DiagramFormat, max_points: int, ev
         directions = diagrams.diagrams(sweep, *line, max_points, every)
     else:
         directions = [diagrams.diagram(sweep, *line, max_points, every)]
-    return Answer(_encode(directions, sweep.spec, format), all(diagram.complete for diagram in directions))
+    content = _encode(directions, sweep, format, caption)
+    return Answer(content, all(diagram.complete for diagram in directions))
 
 
-def _encode(directions: list[Diagram], spec: SweepSpec, format: DiagramFormat) -> bytes:
+def _encode(directions: list[Diagram], sweep: Sweep, format: DiagramFormat, caption: bool) -> bytes:
     if format == "json":
         return text.diagram_json(directions[0])
     if format == "csv":
         return text.diagrams_csv(directions)
-    return bifurcation.draw(directions, spec, format)
+    return bifurcation.draw(directions, sweep.spec, format, sweep.origin, caption=caption)
 
 
 def modes(
@@ -155,7 +157,10 @@ def basin(
 ) -> Answer:
     """The basin of the cell nearest to `place`, (gamma, omega, xi), as JSON or as a picture."""
     cell = basin_results.basin(basins, *place)
-    content = basin_pictures.basin_json(cell) if format == "json" else basin_pictures.draw(cell, format)
+    if format == "json":
+        content = basin_pictures.basin_json(cell)
+    else:
+        content = basin_pictures.draw(cell, format, basins.origin)
     return Answer(content, cell.complete)
 
 
@@ -171,9 +176,9 @@ def multistability(
     elif format == "csv":
         content = multistability_pictures.multistability_csv(shown, flights)
     elif flights is None:
-        content = multistability_pictures.draw(shown, format)
+        content = multistability_pictures.draw(shown, format, job.origin)
     else:
-        content = multistability_pictures.draw_line(shown, flights, format)
+        content = multistability_pictures.draw_line(shown, flights, format, job.origin)
     return Answer(content, plane.complete)
 
 

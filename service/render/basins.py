@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from kernel.params import STATE_FIELDS
 from service.formats import PictureFormat
-from service.render.style import SYMBOLS, TEXT, encode
+from service.render.style import SYMBOLS, TEXT, Origin, encode
 from service.render.text import to_json
 from service.results.basins import Attractor, BasinCell
 
@@ -69,9 +69,9 @@ def _attractor(attractor: Attractor) -> dict[str, Any]:
     }
 
 
-def draw(cell: BasinCell, format: PictureFormat) -> bytes:
-    """A PNG or SVG of the plane of starts, each in the colour of its attractor."""
-    return encode(SIZE, lambda figure: _draw(figure, cell), format)
+def draw(cell: BasinCell, format: PictureFormat, origin: Origin) -> bytes:
+    """A picture of the plane of starts, each in the colour of its attractor."""
+    return encode(SIZE, lambda figure: _draw(figure, cell), format, origin)
 
 
 def _draw(figure: Figure, cell: BasinCell) -> None:

@@ -13,7 +13,7 @@ from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.formats import PictureFormat
-from service.render.style import BLUE, DPI, FONT, GREY, RED, SYMBOLS, TEXT, encode
+from service.render.style import BLUE, DPI, FONT, GREY, RED, SYMBOLS, TEXT, Origin, encode
 from service.results.counting import LABEL
 from service.results.density import Window, density
 from service.results.diagram import Diagram
@@ -42,15 +42,23 @@ FAINTEST: Final = 0.5
 OPAQUE: Final = 24
 
 
-def draw(diagrams: Sequence[Diagram], spec: SweepSpec, format: PictureFormat) -> bytes:
-    """A PNG or SVG of flight times along the axis, the directions over each other.
+def draw(
+    diagrams: Sequence[Diagram],
+    spec: SweepSpec,
+    format: PictureFormat,
+    origin: Origin,
+    *,
+    caption: bool = True,
+) -> bytes:
+    """A picture of flight times along the axis, the directions over each other.
 
-    A cell at rest has no flight and so no point. The picture says how many cells are missing.
+    A cell at rest has no flight and so no point. The picture says how many cells are missing. `caption`: with
+    the fixed values and how the cells were computed above it.
     """
-    return encode(SIZE, lambda figure: _draw(figure.subplots(), diagrams, spec), format)
+    return encode(SIZE, lambda figure: _draw(figure.subplots(), diagrams, spec, caption), format, origin)
 
 
-def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
+def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec, caption: bool = True) -> None:
     first = diagrams[0]
     _scale(axes, first.values, max(_longest(diagram) for diagram in diagrams))
     for diagram, (colour, size) in zip(diagrams, ALONE if len(diagrams) == 1 else OVERLAID, strict=True):
@@ -61,7 +69,9 @@ def _draw(axes: Axes, diagrams: Sequence[Diagram], spec: SweepSpec) -> None:
     _draw_periods(axes)
     if first.along == "gamma":
         _draw_threshold(axes, first)
-    _describe(axes, first, spec)
+    _label(axes, first)
+    if caption:
+        _describe(axes, first, spec)
     if len(diagrams) > 1:
         _legend(axes)
     _warn(axes, diagrams)
@@ -180,13 +190,16 @@ def _draw_threshold(axes: Axes, diagram: Diagram) -> None:
         )
 
 
-def _describe(axes: Axes, diagram: Diagram, spec: SweepSpec) -> None:
+def _label(axes: Axes, diagram: Diagram) -> None:
     axes.set_xlabel(SYMBOLS[diagram.along], fontsize=12, **TEXT)
     axes.set_ylabel(r"flight time $\varphi$  (rad)", fontsize=12, **TEXT)
+    axes.tick_params(which="both", direction="in", top=True, labelfontfamily=FONT, labelsize=10)
+
+
+def _describe(axes: Axes, diagram: Diagram, spec: SweepSpec) -> None:
     fixed = ",   ".join(f"{SYMBOLS[axis]} = {value:.6g}" for axis, value in diagram.fixed.items())
     axes.set_title(fixed, loc="left", fontsize=11, **TEXT)
     axes.set_title(_subtitle(diagram, spec), loc="right", fontsize=8.5, color="0.35", **TEXT)
-    axes.tick_params(which="both", direction="in", top=True, labelfontfamily=FONT, labelsize=10)
 
 
 def _subtitle(diagram: Diagram, spec: SweepSpec) -> str:

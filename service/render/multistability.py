@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.formats import PictureFormat
 from service.render.basins import COLOURS, UNDECIDED
-from service.render.style import FONT, SYMBOLS, TEXT, encode
+from service.render.style import FONT, SYMBOLS, TEXT, Origin, encode
 from service.render.text import to_json
 from service.results.multistability import Attractor, Place, Plane
 
@@ -86,14 +86,14 @@ def multistability_csv(plane: Plane, flights: NDArray[np.float64] | None = None)
     return text.getvalue().encode()
 
 
-def draw(plane: Plane, format: PictureFormat) -> bytes:
-    """A PNG or SVG of two maps: the number of attractors, and the one that most drops reach."""
-    return encode(PLANE_SIZE, lambda figure: _draw(figure, plane), format)
+def draw(plane: Plane, format: PictureFormat, origin: Origin) -> bytes:
+    """A picture of two maps: the number of attractors, and the one that most drops reach."""
+    return encode(PLANE_SIZE, lambda figure: _draw(figure, plane), format, origin)
 
 
-def draw_line(plane: Plane, flights: NDArray[np.float64], format: PictureFormat) -> bytes:
-    """A PNG or SVG of the flights (gamma, attractor, flight) of one line, each attractor in its colour."""
-    return encode(LINE_SIZE, lambda figure: _draw_line(figure, plane, flights), format)
+def draw_line(plane: Plane, flights: NDArray[np.float64], format: PictureFormat, origin: Origin) -> bytes:
+    """A picture of the flights (gamma, attractor, flight) of one line, each attractor in its colour."""
+    return encode(LINE_SIZE, lambda figure: _draw_line(figure, plane, flights), format, origin)
 
 
 def _colour(number: int) -> str:

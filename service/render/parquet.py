@@ -1,6 +1,5 @@
 """A study as Parquet, chunk by chunk; of a sweep one row per cell, its flights as lists."""
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -51,7 +50,7 @@ def _schema(spec: SweepSpec) -> pa.Schema:
 
 def write(study: Stored[Any], layout: Layout, blocks: Iterable[Block], path: Path) -> None:
     """Write the study's file. Raises OSError, and what `blocks` raises."""
-    origin = {**study.attributes, "spec": json.dumps(study.spec.as_submitted())}
+    origin = study.origin
     is_sweep = isinstance(study, Sweep)
     table = _schema(study.spec) if is_sweep else schema_of(layout)
     table = table.with_metadata(origin)

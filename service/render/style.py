@@ -5,7 +5,8 @@ in a process that has only the client, which must not import the service.
 """
 
 import io
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
@@ -26,15 +27,37 @@ GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
 _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 
 
-def encode(size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat) -> bytes:
-    """The bytes of a png or svg that `draw` draws, the same for the same drawing; `size` is in inches."""
-    return _THREAD.submit(_encode, size, draw, format).result()
+#: What a picture was made from, by name: job, specification, versions.
+Origin = Mapping[str, str]
 
 
-def _encode(size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat) -> bytes:
-    with mpl.rc_context({"svg.hashsalt": "bouncing-spring"}):
+def encode(
+    size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat, origin: Origin
+) -> bytes:
+    """The bytes of a picture that `draw` draws, the same for the same drawing; `size` is in inches.
+
+    `origin` is in the file's metadata. Text is text in an SVG, and embedded as a font in a PDF.
+    """
+    return _THREAD.submit(_encode, size, draw, format, origin).result()
+
+
+def _encode(
+    size: tuple[float, float], draw: Callable[[Figure], None], format: PictureFormat, origin: Origin
+) -> bytes:
+    with mpl.rc_context({"svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42}):
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         draw(figure)
         file = io.BytesIO()
-        figure.savefig(file, format=format, metadata={"Date": None} if format == "svg" else {})
+        figure.savefig(file, format=format, metadata=_metadata(format, origin))
     return file.getvalue()
+
+
+def _metadata(format: PictureFormat, origin: Origin) -> dict[str, str | None]:
+    """The origin under the names that the format has for it, without the time of drawing."""
+    program = f"bouncing-spring {origin['release']}"
+    described = json.dumps(dict(origin), ensure_ascii=False)
+    if format == "png":
+        return {"Software": program, "Description": described}
+    if format == "svg":
+        return {"Creator": program, "Description": described, "Date": None}
+    return {"Creator": program, "Subject": described, "CreationDate": None}

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from service.formats import PictureFormat
 from service.render.point_labels import PointLabel, place
 from service.render.style import FONT, TEXT, encode
+from service.software import software
 from worker.analysis.work_precision import Measurement
 
 
@@ -47,8 +48,8 @@ COSTS: Final = (0.02, 1e4)
 
 
 def draw(rows: Sequence[Measurement], format: PictureFormat) -> bytes:
-    """The bytes of a png or svg: one panel for each purpose, hollow markers for the nonadhesive law."""
-    return encode(SIZE, lambda figure: compose(figure, rows), format)
+    """The bytes of a picture: one panel for each purpose, hollow markers for the nonadhesive law."""
+    return encode(SIZE, lambda figure: compose(figure, rows), format, {"release": software().release})
 
 
 def compose(figure: Figure, rows: Sequence[Measurement]) -> None:

@@ -4,6 +4,7 @@ The other modules of this package say which cells belong to a diagram, a mode ma
 them select and read the cells here.
 """
 
+import json
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from kernel.params import KERNEL_VERSION
 from service.errors import InvalidRequest, OutdatedJob, TooLarge
+from service.software import software
 from worker import schema, store
 from worker.spec import AXES, SweepSpec
 from worker.spec.errors import one_of
@@ -45,17 +47,24 @@ class Stored(Generic[_Spec_co]):
     complete: bool = False  # the job is done: a missing chunk is damage, not work to come
     kernel_version: str = KERNEL_VERSION  # that computed it
     repairing: bool = False  # damage was found: no answer is complete until the job is done again
+    job: str | None = None  # its id
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Attributes of a file with these results: the kernel version, and a comment if it is not ours."""
-        attributes = {"kernel_version": self.kernel_version}
+        """Attributes of a file with these results: job and versions, a comment if the kernel is not ours."""
+        job = {} if self.job is None else {"job": self.job}
+        attributes = {**job, "kernel_version": self.kernel_version, "release": software().release}
         if self.kernel_version != KERNEL_VERSION:
             attributes["comment"] = (
                 f"computed by kernel version {self.kernel_version}; "
                 f"the release that wrote this file computes version {KERNEL_VERSION}"
             )
         return attributes
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """The attributes and the specification, as JSON."""
+        return {**self.attributes, "spec": json.dumps(self.spec.as_submitted(), ensure_ascii=False)}
 
 
 class Sweep(Stored[SweepSpec]):

@@ -152,12 +152,15 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         invalid = page.locator("[aria-invalid=true]")
         invalid.wait_for()
         assert invalid.get_attribute("data-field") == "gamma.start"
-        assert "must not be above stop" in page.locator(".error").inner_text()
+        assert "must not be above “to”" in page.locator(".error").inner_text()
         assert page.get_by_role("button", name="Compute").is_disabled()
         assert "see the marked fields" in page.locator(".cost").inner_text()
         screenshot(page, "form-refused")
         page.get_by_label("restitution").fill("two")
         page.locator("[data-field='model.restitution'][aria-invalid=true]").wait_for()
+        assert "must be a number: “two” is not" in page.locator(".error").last.inner_text()
+        page.get_by_label("restitution").fill("0,1")
+        page.locator(".error", has_text="write a decimal point, not a comma: 0.1").wait_for()
         page.get_by_label("from", exact=True).first.fill("1")
         page.get_by_label("restitution").fill("0.1")
         page.locator(".cost").filter(has_text="cells in").wait_for()
@@ -657,7 +660,7 @@ def test_a_view_can_be_downloaded(browser: Any, address: str, loop: str, tab: st
         assert _downloaded(page, "PNG").startswith(b"\x89PNG\r\n\x1a\n")
         assert ElementTree.fromstring(_downloaded(page, "SVG")).tag.endswith("svg")
         header, *rows = _downloaded(page, "CSV").decode().splitlines()
-        assert header.startswith(("direction,gamma,omega,xi", "gamma,omega,xi", "omega,xi"))
+        assert header.startswith(("direction,gamma,omega,xi", "omega,gamma,outcome", "omega,xi"))
         assert len(rows) > 5
         assert _downloaded(page, "NetCDF").startswith(b"\x89HDF")
 
@@ -763,32 +766,49 @@ def record(**figures: Any) -> None:
 
 CELL = "xi=0.05&omega=0.6&cell=0.65,0.6,0.05,down"
 TABS = ("diagram", "modes", "thresholds", "details")
-VIEWS = ("", "#/new?figure=9", *(f"#/job/JOB/{tab}?{CELL}" for tab in TABS))
+VIEWS = (
+    "", "#/new?figure=9", *(f"#/job/JOB/{tab}?{CELL}" for tab in TABS),
+    "#/compare?jobs=JOB,OTHER", "#/explore", "docs",
+)  # fmt: skip
+SIZES = ((1280, 800), (820, 1180), (375, 740))
+
+
+@pytest.fixture(scope="module")
+def other(address: str) -> str:
+    """Another sweep, to compare with."""
+    return done(address, submitted(address, {**LOOP, "name": "Other", "xi": 0.2, "settle": 20}))
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, scheme: str):
+def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other: str, scheme: str):
+    """At three sizes."""
     axe = (ROOT / "tests" / "vendor" / "axe.min.js").read_text()
     with opened(browser, "about:blank", color_scheme=scheme, reduced_motion="reduce") as page:
         page.add_init_script(axe)
         for path in VIEWS:
-            page.goto(f"{address}/{path.replace('JOB', loop)}")
+            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
-            violations = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
-            serious = [
-                (rule["id"], rule["nodes"][0]["html"])
-                for rule in violations
-                if rule["impact"] in ("serious", "critical")
-            ]
-            assert serious == [], path
+            for width, height in SIZES:
+                page.set_viewport_size({"width": width, "height": height})
+                assert _serious(page) == [], (path, width)
+
+
+def _serious(page: Any) -> list[tuple[str, str]]:
+    """The serious violations of the document."""
+    violations = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    return [
+        (rule["id"], rule["nodes"][0]["html"])
+        for rule in violations
+        if rule["impact"] in ("serious", "critical")
+    ]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, scheme: str):
+def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: str, scheme: str):
     phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "color_scheme": scheme}
     with opened(browser, address, reduced_motion="reduce", **phone) as page:
         for number, path in enumerate(VIEWS):
-            page.goto(f"{address}/{path.replace('JOB', loop)}")
+            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
             screenshot(page, f"phone-{scheme}-{number}")
@@ -799,8 +819,15 @@ def _wait_complete(page: Any, path: str) -> None:
     if "/new" in path:
         page.locator(".cost", has_text="cells in").wait_for()
         return
+    if path == "docs":
+        return
+    if "/compare" in path:
+        page.locator(".panel .plot[data-shown]").wait_for()
+        return
     page.locator(".player[data-phase]").wait_for()
-    if "/job/" not in path:
+    if "/explore" in path:
+        page.get_by_text("successive flights").wait_for()
+    elif "/job/" not in path:
         page.locator(".jobs li").first.wait_for()
     elif "/details" not in path:
         page.locator(".panel .plot[data-shown]").wait_for()
@@ -839,8 +866,11 @@ def test_the_page_asks_for_an_access_token(browser: Any, tmp_path: Path):
     token = "a-token-of-the-tests"
     with serving(tmp_path, 0, token=token) as address, opened(browser, address, expected=("401",)) as page:
         dialog = page.get_by_role("dialog", name="Access token")
-        dialog.get_by_label("Access token").fill(token)
+        dialog.get_by_label("Access token").fill("a-token-of-the-tests-mistyped")
+        dialog.get_by_role("button").click()
+        dialog.get_by_text("does not accept this access token").wait_for()
         screenshot(page, "token")
+        dialog.get_by_label("Access token").fill(token)
         dialog.get_by_role("button").click()
         page.get_by_text("No sweeps yet").wait_for()
 

@@ -358,7 +358,7 @@ def test_figure_does_not_replace_a_data_folder_that_was_named(tmp_path: Path):
         (["submit", "missing.json"], 2, "does not exist"),
         (["figure", "99"], 1, "unknown figure 99; choose one of: 1, 2, 3"),
         (["figure", "two"], 1, "unknown figure two; choose one of: 1, 2, 3"),
-        (["figure", "2", "-o", "figure.pdf"], 2, ".png, .svg"),
+        (["figure", "2", "-o", "figure.gif"], 2, ".png, .svg"),
         (["figure", "2", "-o", "/nowhere/figure.png"], 2, "no folder"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
         (["diagram", "0" * 32, "--format", "png", "-o", "/nowhere/diagram"], 2, "no folder /nowhere"),

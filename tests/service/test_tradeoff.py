@@ -131,7 +131,7 @@ def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_p
 
 
 def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
-    done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.pdf"])
+    done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.gif"])
     assert done.exit_code == 2
     assert "does not end in .png, .svg" in done.stderr
 

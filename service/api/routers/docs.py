@@ -1,48 +1,162 @@
-"""The HTTP API as one page of plain HTML; the usual viewers load their scripts from other hosts."""
+"""The HTTP API as one page of plain HTML, without scripts; the usual viewers load theirs from other hosts."""
 
+import json
+import re
 from collections.abc import Iterator, Mapping
 from html import escape
-from typing import Any
+from typing import Any, Final
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 router = APIRouter(include_in_schema=False)
 
-_PAGE = """<!doctype html>
+_PAGE: Final = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}: HTTP API</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<style>
-:root {{ color-scheme: light dark }}
-body {{ font: 1rem/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }}
-h2 {{ font: 600 1.05rem ui-monospace, monospace; margin-top: 2rem }}
-td, th {{ text-align: left; vertical-align: top; padding: .1rem 1rem .1rem 0 }}
-</style></head><body>
-<h1>{title}</h1><p>{summary} Machine-readable: <a href="/openapi.json">/openapi.json</a>.</p>
+<meta name="color-scheme" content="light dark">
+<link rel="icon" href="/static/icon.svg" type="image/svg+xml">
+<link rel="stylesheet" href="/static/style.css"><link rel="stylesheet" href="/static/docs.css">
+</head><body>
+<a class="skip" href="#content">Skip to the content</a>
+<header><a class="name" href="/"><img src="/static/icon.svg" alt="" width="26" height="26">Bouncing spring</a>
+<nav aria-label="Main"><a href="/#/">Sweeps</a><a href="/#/new">New sweep</a><a href="/#/explore">Explore</a>
+<a href="/docs" aria-current="page">API</a></nav></header>
+<main id="content" tabindex="-1">
+<h1>HTTP API</h1><p>{summary} Machine-readable: <a href="/openapi.json">/openapi.json</a>.</p>
+<nav aria-label="Calls"><ul class="calls">{contents}</ul></nav>
+<h2 id="specification">The specification of a sweep</h2>
+<p>{about} Submit it with <a href="#{submit}">POST /v1/jobs</a>; the same sweep is always the same job.</p>
+<pre tabindex="0" aria-label="Example">{example}</pre>
+{specification}
 {operations}
-</body></html>
+</main></body></html>
 """
+
+#: The page's own policy: it has no scripts, and its styles are those of the page at /.
+_POLICY: Final = (
+    "default-src 'none'; style-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'none'"
+)
+
+_SPECIFICATION: Final = {
+    "name": "two frequencies",
+    "gamma": {"start": 0.4, "stop": 3.0, "num": 53},
+    "omega": [0.5, 0.6],
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+}
+_EXAMPLE: Final = """\
+curl {address}v1/jobs -H "Content-Type: application/json" -d '{specification}'
+curl {address}v1/jobs/ID
+curl "{address}v1/jobs/ID/diagram?omega=0.5&amp;format=png" -o diagram.png"""
 
 
 @router.get("/docs")
 def docs(request: Request) -> HTMLResponse:
-    """Every operation with its parameters and responses, from the API document."""
+    """The sweep's specification with an example, and every operation, from the API document."""
     document = request.app.openapi()
-    operations = "\n".join(
-        _operation(method, path, operation)
+    operations = [
+        (method, path, operation)
         for path, methods in document["paths"].items()
         for method, operation in methods.items()
+    ]
+    sweep = document["components"]["schemas"]["SweepSpec"]
+    content = _PAGE.format(
+        title=escape(document["info"]["title"]),
+        summary=escape(document["info"]["summary"]),
+        contents="".join(
+            f'<li><a href="#{_anchor(method, path)}">{method.upper()} {escape(path)}</a></li>'
+            for method, path, _ in operations
+        ),
+        submit=_anchor("post", "/v1/jobs"),
+        about=escape(sweep["description"].split("\n")[0]),
+        example=_EXAMPLE.format(
+            address=escape(str(request.base_url)),
+            specification=escape(json.dumps(_SPECIFICATION, indent=1), quote=False),
+        ),
+        specification=_fields(sweep, document["components"]["schemas"]),
+        operations="\n".join(_operation(*operation) for operation in operations),
     )
-    info = document["info"]
-    title, summary = escape(info["title"]), escape(info["summary"])
-    return HTMLResponse(_PAGE.format(title=title, summary=summary, operations=operations))
+    return HTMLResponse(content, headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"})
+
+
+def _anchor(method: str, path: str) -> str:
+    return re.sub("[^a-z0-9]+", "-", f"{method} {path}".lower()).strip("-")
+
+
+def _fields(sweep: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
+    """A table of the fields of the specification, then one of each object that it contains."""
+    named = {"SweepSpec": sweep}
+    waiting = [sweep]
+    while waiting:
+        for name in re.findall(r"#/components/schemas/(\w+)", json.dumps(waiting.pop(0))):
+            if name not in named:
+                named[name] = schemas[name]
+                waiting.append(schemas[name])
+    tables = []
+    for name, schema in named.items():
+        required = schema.get("required", [])
+        rows = "".join(
+            f"<tr><th scope=row>{escape(field)}</th><td>{_value(of)}</td>"
+            f"<td>{_default(of, field in required)}</td></tr>"
+            for field, of in schema.get("properties", {}).items()
+        )
+        if not rows:
+            continue
+        about = escape(schema.get("description", "").split("\n\n")[0])
+        head = "" if name == "SweepSpec" else f'<h3 id="{name}">{name}</h3><p>{about}</p>'
+        tables.append(f"{head}{_table(f'Fields of {name}', rows, ('field', 'value', 'default'))}")
+    return "".join(tables)
+
+
+def _value(schema: Mapping[str, Any]) -> str:
+    """What a field may hold, with links to objects."""
+    options = schema.get("anyOf", schema.get("oneOf", [schema]))
+    return " or ".join(dict.fromkeys(_option(option) for option in options))
+
+
+_LIMITS: Final = {
+    "minimum": "at least",
+    "exclusiveMinimum": "above",
+    "maximum": "at most",
+    "exclusiveMaximum": "below",
+}
+
+
+def _option(schema: Mapping[str, Any]) -> str:
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f'<a href="#{name}">{name}</a>'
+    if "const" in schema:
+        return escape(json.dumps(schema["const"]))
+    if "enum" in schema:
+        return " or ".join(escape(json.dumps(value)) for value in schema["enum"])
+    if schema.get("type") == "array":
+        return f"list of {_value(schema.get('items', {}))}"
+    bounds = ", ".join(f"{words} {schema[key]:g}" for key, words in _LIMITS.items() if key in schema)
+    return " ".join(filter(None, [escape(str(schema.get("type", "any"))), bounds]))
+
+
+def _default(schema: Mapping[str, Any], required: bool) -> str:
+    return "required" if required else escape(json.dumps(schema.get("default")))
+
+
+def _table(label: str, rows: str, columns: tuple[str, ...] = ()) -> str:
+    head = "".join(f"<th scope=col>{column}</th>" for column in columns)
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}"><table>'
+        f"{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{rows}</tbody></table></div>"
+    )
 
 
 def _operation(method: str, path: str, operation: Mapping[str, Any]) -> str:
     rows = "".join(_rows(operation))
+    name = f"{method.upper()} {path}"
     return (
-        f"<h2>{method.upper()} {escape(path)}</h2><p><strong>{escape(operation['summary'])}.</strong> "
-        f"{escape(operation.get('description', ''))}</p><table>{rows}</table>"
+        f'<h2 id="{_anchor(method, path)}">{escape(name)}</h2>'
+        f"<p><strong>{escape(operation['summary'])}.</strong> {escape(operation.get('description', ''))}</p>"
+        f"{_table(name, rows)}"
     )
 
 
@@ -59,7 +173,7 @@ def _rows(operation: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _row(name: str, text: str) -> str:
-    return f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>"
+    return f"<tr><th scope=row>{escape(name)}</th><td>{escape(text)}</td></tr>"
 
 
 def _type(schema: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Endpoints for operators: liveness, readiness, metrics."""
+"""Endpoints for operators: liveness, readiness, metrics, versions."""
 
 from typing import Any
 
@@ -6,7 +6,8 @@ from fastapi import APIRouter, Response
 
 from service.api.dependencies import ServiceDep
 from service.api.problems import ProblemResponse
-from service.api.schemas import Health, ReadinessView, problem_responses
+from service.api.schemas import Health, ReadinessView, SoftwareView, problem_responses
+from service.software import software
 
 router = APIRouter(tags=["service"])
 
@@ -32,6 +33,12 @@ def get_readiness(service: ServiceDep) -> Any:
         if fault is None
         else ProblemResponse(503, fault)
     )
+
+
+@router.get("/v1/software", summary="Versions of what the service runs on")
+def versions() -> SoftwareView:
+    """Release, kernel version, Python and libraries of this process; workers have the same."""
+    return SoftwareView.model_validate(software())
 
 
 @router.get(

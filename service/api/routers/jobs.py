@@ -13,7 +13,7 @@ from service.api.dependencies import JobDep, JsonBody, OwnerDep, ServiceDep, fin
 from service.api.schemas import JobView, job_view, problem_responses
 from service.jobs import cost as estimates
 from service.jobs.manager import Submission
-from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
+from service.jobs.model import UNFINISHED, Failure, JobRecord
 from worker.cost import Cost
 from worker.spec.window import Window
 from worker.studies import from_json
@@ -90,16 +90,15 @@ def _cost(service: ServiceDep, spec: Any) -> Response:
 
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
 def list_jobs(service: ServiceDep, query: Annotated[parameters.JobsQuery, Query()]) -> schemas.JobList:
-    """Newest first; `next` is the cursor of the next page."""
-    states = tuple(JobState) if query.state is None else (query.state,)
-    before = None if query.cursor is None else int(query.cursor)
+    """Those that all parameters allow, in the `order` asked for; `next` is the cursor of the next page."""
+    search, after = query.jobs, query.after()
     with service.ledger.reading() as ledger:
-        records = ledger.newest(query.state, query.limit + 1, before)
-        total = ledger.count(states)
+        records = ledger.search(search, query.limit + 1, after)
+        total = ledger.count_found(search)
     page, more = records[: query.limit], len(records) > query.limit
     now = time.time()
     views = [job_view(job, now, longest_spec=schemas.LONG_SPEC) for job in page]
-    return schemas.JobList(jobs=views, total=total, next=str(page[-1].seq) if more else None)
+    return schemas.JobList(jobs=views, total=total, next=search.cursor(page[-1]) if more else None)
 
 
 @router.get(
@@ -157,6 +156,22 @@ def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     headers = {"Location": f"/v1/jobs/{record.id}"}
     notice = None if record.id == job.id else f"starts anew what job {job.id} is: {job.notice}"
     return _job_response(record, 202 if accepted else 200, headers, notice=notice)
+
+
+@router.post(
+    "/jobs/{job_id}/pin", summary="Pin a job", response_model=JobView, responses=problem_responses(404)
+)
+def pin(service: ServiceDep, job: JobDep) -> Response:
+    """Marks the job, so that lists can show it apart; repeating the request changes nothing."""
+    return _job_response(service.manager.pin(job.id, True), 200)
+
+
+@router.post(
+    "/jobs/{job_id}/unpin", summary="Unpin a job", response_model=JobView, responses=problem_responses(404)
+)
+def unpin(service: ServiceDep, job: JobDep) -> Response:
+    """Takes the mark away; repeating the request changes nothing."""
+    return _job_response(service.manager.pin(job.id, False), 200)
 
 
 @router.post(

@@ -31,7 +31,7 @@ _WORDS_MEMORY: Final = 16 * 2**20
 
 
 #: Bytes of memory per flight of a diagram, and per cell of a map, with its numbers as text or as dots.
-_PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80}
+_PER_FLIGHT: Final[Mapping[str, int]] = {"json": 100, "csv": 300, "png": 80, "svg": 80, "pdf": 80}
 _PER_CELL: Final = 64
 #: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
 _CHUNK_COPIES: Final = 12
@@ -79,7 +79,9 @@ def get_diagram(
         )
     sweep, max_points = dependencies.sweep(service, job), service.settings.max_points
     line = dependencies.line(query)
-    answer = service.background.run(answers.diagram, sweep, line, query.format, max_points, query.every)
+    answer = service.background.run(
+        answers.diagram, sweep, line, query.format, max_points, query.every, query.caption
+    )
     headers = _complete(answer.complete)
     return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)
 

@@ -5,12 +5,14 @@ import { takeToken } from "./lib/api.js";
 import { currentAddress, discardPending } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
+import { Compare } from "./explore/compare.js";
+import { Explore } from "./explore/spring.js";
 import { JobView } from "./views/job.js";
-import { Sweeps } from "./views/sweeps.js";
+import { Sweeps } from "./start/sweeps.js";
 
 // A view is built with its root element and the address. It has handles(address): whether it shows this one too;
 // show(): called when the address changes to one it handles; refresh(redraw): load again; close().
-const VIEWS = { new: SweepForm, job: JobView };
+const VIEWS = { new: SweepForm, job: JobView, compare: Compare, explore: Explore };
 const root = document.getElementById("view");
 let view = null;
 

@@ -51,6 +51,12 @@ function firstClause(description) {
   return clause.charAt(0).toLowerCase() + clause.slice(1);
 }
 
+/** What a sweep of a figure is: the figure's title, or how the sweep differs: "figure 7, hardly settled" → "hardly settled". */
+function variant({ name }, title) {
+  const [, ...words] = name.split(", ");
+  return words.join(", ") || title;
+}
+
 const MODE_MAP = {
   number: "map", label: "Mode map", title: "Γ–Ω plane at ξ = 0.05",
   sweeps: [{
@@ -60,12 +66,13 @@ const MODE_MAP = {
 };
 
 /**
- * The sweeps of the paper's figures and one more: [{label, title, sweeps: [{key, spec}, …]}, …]. `key` is the value
+ * The sweeps of the paper's figures and one more: [{label, title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value
  * of `figure` in an address: "7", or "7.2" for the second sweep of a figure.
  */
 export async function loadPresets() {
   const figures = (await loadFigures()).map((figure) => ({ ...figure, label: `Fig. ${figure.number}` }));
   return [...figures, MODE_MAP].map(({ number, label, title, sweeps }) => ({
-    label, title, sweeps: sweeps.map((spec, i) => ({ spec, key: i ? `${number}.${i + 1}` : String(number) })),
+    label, title,
+    sweeps: sweeps.map((spec, i) => ({ spec, key: i ? `${number}.${i + 1}` : String(number), text: `${label}: ${variant(spec, title)}` })),
   }));
 }

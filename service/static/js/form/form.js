@@ -4,6 +4,7 @@ import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.
 import { isHandledElsewhere, requestJson } from "../lib/api.js";
 import { announce, debounced, h } from "../lib/dom.js";
 import { bytes, count, duration, plural } from "../lib/format.js";
+import { Snippets } from "../lib/snippets.js";
 import { loadPresets, loadSchema } from "./catalogue.js";
 import { axisField, nameField, numberField, protocolField, refineField } from "./fields.js";
 import { modelField } from "./model-field.js";
@@ -67,7 +68,7 @@ export class SweepForm {
     this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } });
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button" }, "Compute");
-    this.json = h("pre", { tabindex: "0", "aria-label": "The specification as JSON" });
+    this.snippets = new Snippets();
     const { name, gamma, omega, xi, protocol, refine, model, ...recording } = this.fields;
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) },
       name.element, gamma.element, omega.element, xi.element, protocol.element, refine.element, model.element,
@@ -77,13 +78,13 @@ export class SweepForm {
     this.container.replaceChildren(
       h("p", { className: "preset" }, h("label", { for: "preset" }, "Start from "), this.preset),
       this.form,
-      h("details", {}, h("summary", {}, "Specification as JSON, for the command line and Python"), this.json));
+      h("details", {}, h("summary", {}, "Copy as Python, TOML, curl or JSON"), this.snippets.element));
     this.#fill({});
   }
 
   /** Fill the form with the figure or the sweep that the address names; edited fields keep their values. */
   async #load() {
-    const { figure, from } = currentQuery();
+    const { figure, from, omega, xi } = currentQuery();
     const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       const schema = await loadSchema();
@@ -93,8 +94,8 @@ export class SweepForm {
       const job = from && (await requestJson(`/v1/jobs/${from}`));
       if (isOutdated()) return;
       this.preset.replaceChildren(h("option", { value: "" }, "default values"), ...presets.map(({ label, title, sweeps }) =>
-        h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, spec }) => h("option", { value: key, selected: key === figure }, spec.name)))));
-      this.#fill((job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? {});
+        h("optgroup", { label: `${label}: ${title}` }, sweeps.map(({ key, text }) => h("option", { value: key, selected: key === figure }, text)))));
+      this.#fill((job || presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure))?.spec ?? springOf(omega, xi));
       this.isLoaded = true;
     } catch (error) {
       this.#showError(error);
@@ -120,7 +121,7 @@ export class SweepForm {
   }
 
   #onChange() {
-    this.json.textContent = JSON.stringify(this.#read(), null, 2);
+    this.snippets.show(this.#read());
     this.estimate();
   }
 
@@ -167,4 +168,10 @@ export class SweepForm {
       if (this.form.querySelector("[aria-invalid=true]") === null) this.button.disabled = false;
     }
   }
+}
+
+/** The part of a specification that an address gives as numbers: a spring on an ideal plate. */
+function springOf(omega, xi) {
+  const given = Object.entries({ omega, xi }).map(([axis, text]) => [axis, Number(text || NaN)]).filter(([, value]) => Number.isFinite(value));
+  return given.length ? { ...Object.fromEntries(given), model: { kind: "rigid" } } : {};
 }

@@ -9,7 +9,7 @@ export function showProblems(form, general, problem) {
   const errors = problem?.errors?.length ? problem.errors : problem ? [{ field: "", rule: problem.message }] : [];
   for (const { field, rule } of errors) {
     const input = inputOf(form, field);
-    if (input) mark(input, rule);
+    if (input) mark(input, inWords(rule, input));
     else other.push(field ? `${field}: ${rule}` : rule);
   }
   general.textContent = other.join("; ");
@@ -34,6 +34,19 @@ function inputOf(form, field) {
     name = name.includes(".") ? name.slice(0, name.lastIndexOf(".")) : "";
   }
   return null;
+}
+
+const NAMES = { start: "“from”", stop: "“to”", num: "the number of values" }; // of a range, as the form calls its fields
+
+/** A rule of the specification in words of the form. */
+function inWords(rule, input) {
+  const text = input.value?.trim() ?? "";
+  if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
+  const [, whole, wrong] = /^must be a (whole )?number, not (.+)$/.exec(rule) ?? [];
+  if (wrong === "null") return "is empty: type a number";
+  if (wrong) return `must be a ${whole ?? ""}number: ${wrong.replace(/^(?:text )?'(.*)'$/, "“$1”")} is not`;
+  if (rule === "is required") return "is empty";
+  return rule.replace(/\b(start|stop|num)\b/g, (name) => NAMES[name]);
 }
 
 function mark(input, rule) {

@@ -14,7 +14,7 @@ export class Unreachable extends Error {
   name = "Unreachable";
 }
 
-/** Dispatches "unreachable" when a request gets no answer, and "unauthorized" when the service requires a token. */
+/** Dispatches "unreachable" when a request gets no answer, and "unauthorized" when the service requires a token, whose `detail.refused` tells that it refused the one it got. */
 export const connection = new EventTarget();
 
 const TIMEOUT_MS = 30_000;
@@ -52,7 +52,7 @@ export async function request(path, { method = "GET", body, signal, timeout = TI
     throw unreachable();
   }
   if (response.ok) return response;
-  if (response.status === 401) connection.dispatchEvent(new Event("unauthorized"));
+  if (response.status === 401) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null && token === sessionStorage.getItem(TOKEN_KEY) } }));
   throw new Problem(response.status, await problemOf(response));
 }
 

@@ -24,7 +24,12 @@ export function watchConnection(onRestored) {
     });
   });
 
-  connection.addEventListener("unauthorized", () => {
+  const refusal = dialog.querySelector(".problem");
+  connection.addEventListener("unauthorized", ({ detail: { refused } }) => {
+    if (refused) {
+      refusal.hidden = false;
+      refusal.textContent = "The service does not accept this access token. Check it for a typing error, or ask the operator for another one.";
+    }
     if (!dialog.open) dialog.showModal();
   });
   dialog.querySelector("form").addEventListener("submit", (event) => {
@@ -32,6 +37,7 @@ export function watchConnection(onRestored) {
     const input = dialog.querySelector("input");
     setToken(input.value.trim());
     input.value = "";
+    refusal.hidden = true;
     dialog.close();
     onRestored();
   });

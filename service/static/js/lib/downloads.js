@@ -1,6 +1,6 @@
 // Download buttons, CSV tables and file names.
 
-import { requestBlob } from "./api.js";
+import { requestBlob, requestJson } from "./api.js";
 import { h } from "./dom.js";
 
 /** A row of download buttons: `files` is [[label, () => file name, () => Blob or promise of one], …]. */
@@ -31,6 +31,15 @@ export function csv(names, rows) {
   const cell = (value) => (value === null || Number.isNaN(value) ? "" : String(value));
   const lines = [names, ...rows].map((row) => row.map(cell).join(","));
   return new Blob([lines.join("\n"), "\n"], { type: "text/csv" });
+}
+
+/** A real number as Python writes it: 1 as "1.0". */
+export const decimal = (value) => (Number.isInteger(value) && Math.abs(value) < 1e16 ? value.toFixed(1) : String(value));
+
+/** What the metadata of a file made here hold: job, specification, versions. */
+export async function originOf(job) {
+  const { release } = await requestJson("/v1/software");
+  return { job: job.id, kernel_version: job.kernel_version, release, spec: job.spec };
 }
 
 export const netcdf = (job) => () => requestBlob(`/v1/jobs/${job.id}/export?format=nc`);

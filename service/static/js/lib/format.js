@@ -44,3 +44,6 @@ export function ago(time) {
   if (seconds < 129600) return `${Math.round(seconds / 3600)} h ago`;
   return new Date(time).toLocaleDateString("en", { day: "numeric", month: "short", year: "numeric" });
 }
+
+/** A time of the service in the reader's time zone, to the second. */
+export const time = (text) => new Date(text).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "medium" });

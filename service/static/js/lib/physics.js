@@ -22,8 +22,14 @@ export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unres
 /** Codes of kernel.labels beyond those of outcomes: aperiodic cells told apart by their Lyapunov exponents. */
 export const LABEL = { quasiPeriodic: 7, chaotic: 8 };
 
+/** The names of these codes in files, as kernel.labels.LABELS has them. */
+export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic"];
+
 /** Codes of service.results.hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
+
+/** Their names in files. */
+export const HYSTERESIS_NAMES = ["none", "other_mode", "other_flights"];
 
 /** Threshold of lift-off from rest, Eq. 25: the Γ above which a spring resting on the plate begins to bounce. */
 export function threshold(omega, xi) {

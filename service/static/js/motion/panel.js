@@ -3,13 +3,14 @@
 import { query } from "../lib/api.js";
 import { cycleText } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
-import { csv, downloads, fileName } from "../lib/downloads.js";
+import { csv, downloads, fileName, originOf } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { SYMBOL } from "../lib/physics.js";
 import { startOf } from "../lib/starts.js";
 import { pngOf, svgOf } from "../plot/export.js";
+import { Portraits } from "./portraits.js";
 import { Player } from "./player.js";
-import { ComputingNote, PERIODS, SAMPLES, START_PERIODS, describe, requestTrajectory } from "./trajectory.js";
+import { ComputingNote, MAP_PERIODS, MAP_SAMPLES, PERIODS, SAMPLES, START_PERIODS, describe, requestTrajectory } from "./trajectory.js";
 
 const COLUMNS = ["plate", "z1", "z2", "force"];
 
@@ -38,6 +39,8 @@ export class TrajectoryPanel {
     try {
       const trajectory = await this.#request(job, cell, signal);
       this.#play(job, { ...cell, ...trajectory });
+      if (startOf(cell.direction)) this.portraits.show({ flights: trajectory.flights.flight_time });
+      else this.#showReturnMap(job, cell, signal);
     } catch (error) {
       if (error.name === "AbortError") return;
       this.#stop();
@@ -65,6 +68,18 @@ export class TrajectoryPanel {
     return requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
   }
 
+  /** The motion of a cell for so long that its flights make a return map; the panel is complete without it. */
+  async #showReturnMap(job, cell, signal) {
+    const { portraits } = this;
+    try {
+      const parameters = query({ ...cell, periods: MAP_PERIODS, samples: MAP_SAMPLES });
+      const { flights } = await requestTrajectory(`/v1/jobs/${job.id}/trajectory?${parameters}`, { signal });
+      portraits.show({ flights: flights.flight_time });
+    } catch (error) {
+      if (error.name !== "AbortError") portraits.fail(error);
+    }
+  }
+
   hide() {
     this.request?.abort();
     this.shown = null;
@@ -76,6 +91,7 @@ export class TrajectoryPanel {
 
   #stop() {
     this.player?.close();
+    this.portraits?.close();
     this.player = null;
   }
 
@@ -85,11 +101,13 @@ export class TrajectoryPanel {
       this.readout = h("p", { className: "readout" });
       this.root.replaceChildren(this.#header(trajectory), this.computing.element, container, this.readout, this.#downloads(job));
       this.player = new Player(container);
+      this.portraits = new Portraits(this.root);
     }
     this.trajectory = trajectory;
     this.#describeCell(trajectory);
     this.readout.textContent = trajectory.cycle ? `On the ${cycleText(trajectory.cycle)}. ${describe(trajectory)}` : describe(trajectory);
     this.player.show(trajectory);
+    this.portraits.show({ trajectory, flights: null });
   }
 
   #header(cell) {
@@ -111,8 +129,8 @@ export class TrajectoryPanel {
     const name = (extension) => () => fileName(job, `trajectory-${number(this.trajectory.gamma)}-${number(this.trajectory.omega)}`, extension);
     const rows = () => this.trajectory.phase.map((phase, i) => [phase, ...COLUMNS.map((column) => this.trajectory[column][i])]);
     return downloads([
-      ["PNG", name("png"), () => pngOf(this.player.plot)],
-      ["SVG", name("svg"), () => svgOf(this.player.plot)],
+      ["PNG", name("png"), async () => pngOf(this.player.plot, { origin: await originOf(job) })],
+      ["SVG", name("svg"), async () => svgOf(this.player.plot, { origin: await originOf(job) })],
       ["CSV", name("csv"), () => csv(["phase_rad", ...COLUMNS], rows())],
     ]);
   }

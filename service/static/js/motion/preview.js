@@ -1,5 +1,6 @@
 // The preview on the start page, which needs no sweep: the spring of the paper's Fig. 2 at a Γ of the reader's choice.
 
+import { link } from "../lib/address.js";
 import { isHandledElsewhere } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
@@ -24,7 +25,8 @@ export class Preview {
       h("div", { className: "controls" },
         h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, "Γ"), " ="), this.output, this.slider),
         h("div", { className: "insets", role: "group", "aria-label": "Γ of the paper's Fig. 2" }, h("span", { className: "note" }, "Fig. 2 "), this.#insets())),
-      this.computing.element, this.problem, this.readout);
+      this.computing.element, this.problem, this.readout,
+      h("p", {}, h("a", { href: link(["explore"]) }, "Explore Γ, Ω and ξ, with thresholds and cycles in closed form")));
     // Not aborted for a newer request: the service would compute the trajectory nevertheless.
     this.load = latest(() => this.#load());
   }

@@ -8,6 +8,8 @@ import { TWO_PI } from "../lib/physics.js";
 export const PERIODS = 4; // plate periods shown
 export const START_PERIODS = 16; // of a drop, which takes longer to show where it leads
 export const SAMPLES = 240; // per plate period
+export const MAP_PERIODS = 120; // of a return map, which needs many flights
+export const MAP_SAMPLES = 2; // per plate period: of such a motion only its flights are shown
 
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
 const RETRY_MS = 700;

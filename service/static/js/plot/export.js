@@ -1,28 +1,37 @@
-// A plot as a PNG or SVG file: dark on white, whatever the colour scheme of the screen.
+// A plot as a PNG or SVG file: dark on white, whatever the colour scheme of the screen. Files tell where they come from.
 
 import { theme } from "./colours.js";
 import { FONT_SIZE } from "./frame.js";
+import { withText } from "./png-text.js";
 
 const WIDTH = 1000;
 const RATIO = 2; // pixels per unit of bitmaps
 const LEGEND_ROW = 24;
 const LEGEND_COLUMNS = 7;
 
-export async function pngOf(plot) {
+/** `origin`: what the metadata hold, as an object; `caption`: with the title above the plot. */
+export async function pngOf(original, { origin, caption = true } = {}) {
+  const plot = caption ? original : uncaptioned(original);
   const { height, legend } = sizeOf(plot);
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [RATIO * WIDTH, RATIO * (height + legend)];
   const ctx = canvas.getContext("2d");
   ctx.scale(RATIO, RATIO);
   paint(plot, ctx, height, legend);
-  return new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
+  const png = await new Promise((resolve) => canvas.toBlob(resolve, "image/png"));
+  return origin ? withText(png, "Description", JSON.stringify(origin)) : png;
 }
 
-export function svgOf(plot) {
+/** The plot without the title above it. */
+const uncaptioned = (plot) => Object.create(plot, { content: { value: () => plot.content() && { ...plot.content(), title: "" } } });
+
+/** As pngOf; text stays text. */
+export function svgOf(original, { origin, caption = true } = {}) {
+  const plot = caption ? original : uncaptioned(original);
   const { height, legend } = sizeOf(plot);
   const ctx = new SvgContext(WIDTH, height + legend);
   paint(plot, ctx, height, legend);
-  return ctx.blob();
+  return ctx.blob(origin);
 }
 
 /** The heights of the plot and of the legend of its colours below it. */
@@ -149,8 +158,8 @@ class SvgContext {
       `<image x="${rounded(x)}" y="${rounded(y)}" width="${rounded(w)}" height="${rounded(h)}" preserveAspectRatio="none" style="image-rendering:pixelated" href="${canvas.toDataURL("image/png")}"/>`,
     );
   }
-  blob() {
-    const head = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 ${this.width} ${this.height}" width="${this.width}" height="${this.height}">`;
+  blob(origin) {
+    const head = `<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 ${this.width} ${this.height}" width="${this.width}" height="${this.height}">${origin ? `<metadata>${escaped(JSON.stringify(origin))}</metadata>` : ""}`;
     return new Blob([head, ...this.#elements, "</svg>\n"], { type: "image/svg+xml" });
   }
 

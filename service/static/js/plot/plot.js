@@ -6,6 +6,7 @@ import { clipped, pixelRatio, resizedContext } from "./drawing.js";
 import { boxOf, drawFrame, drawHeadings, drawMessage, drawPeriods } from "./frame.js";
 
 const MAX_VIEWPORT_SHARE = 0.66; // of the viewport's height
+const BELOW = 10; // px under a plot that ends within the viewport
 
 /**
  * `content()` returns what to draw, null before anything is loaded:
@@ -46,11 +47,19 @@ export class Plot {
   draw() {
     const width = this.element.clientWidth;
     if (!width) return;
-    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, innerHeight * MAX_VIEWPORT_SHARE)));
+    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, this.#room())));
     const ctx = resizedContext(this.canvas, width, height);
     this.box = this.paint(ctx, width, height, theme(), pixelRatio());
     this.drawCursor();
     this.element.dispatchEvent(new Event("drawn"));
+  }
+
+  /** The height that a plot may take: up to the bottom of the viewport where it begins high enough for that. */
+  #room() {
+    const share = innerHeight * MAX_VIEWPORT_SHARE;
+    const above = this.element.getBoundingClientRect().top + scrollY;
+    const left = innerHeight - above - BELOW;
+    return left >= this.minHeight ? Math.min(share, left) : share;
   }
 
   drawCursor() {

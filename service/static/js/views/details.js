@@ -1,24 +1,43 @@
-// The specification of a sweep, the chunks that failed, the model that `auto` selected, and access from elsewhere.
+// Where a sweep comes from (times, versions, cost), its specification, the chunks that failed, the model that `auto`
+// selected, and access from elsewhere.
 
 import { link } from "../lib/address.js";
-import { requestBlob } from "../lib/api.js";
+import { requestBlob, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { downloads, fileName, netcdf } from "../lib/downloads.js";
-import { number, plural } from "../lib/format.js";
+import { count, duration, number, plural, time } from "../lib/format.js";
 import { axisValues, isSweep } from "../lib/physics.js";
+import { Snippets } from "../lib/snippets.js";
 
 export class Details {
   constructor(root, { job }) {
     this.root = root;
+    this.snippets = new Snippets("JSON");
     this.update(job);
+    this.#load();
+  }
+
+  /** What the service runs on; the details are shown without it until it answers. */
+  async #load() {
+    try {
+      this.software = await requestJson("/v1/software");
+      this.update(this.job);
+    } catch {
+      // Another view reports that the service does not answer; the rest of the details does not need this.
+    }
   }
 
   close() {}
 
   update(job) {
+    this.job = job;
+    this.snippets.show(job.spec);
     this.root.replaceChildren(h("div", {},
+      h("h2", {}, "Origin"),
+      h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": "Origin of the sweep" },
+        h("table", {}, h("tbody", {}, origin(job, this.software).map(([title, text]) => h("tr", {}, h("th", { scope: "row" }, title), h("td", {}, text)))))),
       h("h2", {}, "Specification"),
-      h("pre", { tabindex: "0" }, JSON.stringify(job.spec, null, 2)),
+      this.snippets.element,
       isSweep(job.spec) && h("p", {}, h("a", { href: link(["new"], { from: job.id }) }, "New sweep from this specification")),
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
@@ -28,6 +47,26 @@ export class Details {
       ...(isSweep(job.spec) ? files(job) : []),
     ));
   }
+}
+
+/** Rows of a table: [title, text]. */
+function origin(job, software) {
+  const { progress } = job;
+  const seconds = job.started && job.finished ? (new Date(job.finished) - new Date(job.started)) / 1000 : null;
+  const cells = progress.cells_computed === null ? plural(progress.cells_done, "cell") : `${count(progress.cells_computed)} of ${plural(progress.cells_done, "cell")}`;
+  const each = job.core_seconds && progress.cells_done ? `, ${number((1000 * job.core_seconds) / (progress.cells_computed ?? progress.cells_done), 3)} ms per cell` : "";
+  return [
+    ["Job", h("code", {}, job.id)],
+    job.owner && ["Submitted by", job.owner],
+    ["Submitted", time(job.created)],
+    job.started && ["Started", time(job.started)],
+    job.finished && ["Finished", `${time(job.finished)}${seconds === null ? "" : `, after ${duration(seconds)}`}`],
+    ["Computed", `${cells} in ${count(progress.chunks_done)} of ${plural(progress.chunks_total, "chunk")}`],
+    ["Core-seconds", job.core_seconds ? `${number(job.core_seconds, 4)}${each}` : "not known"],
+    ["Kernel version", job.kernel_version],
+    software && ["This service", `bouncing-spring ${software.release}, kernel version ${software.kernel_version}`],
+    software && ["Software", [`Python ${software.python}`, ...Object.entries(software.libraries).map(([name, version]) => `${name} ${version}`)].join(", ")],
+  ].filter(Boolean);
 }
 
 function files(job) {

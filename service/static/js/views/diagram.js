@@ -3,7 +3,7 @@
 import { addressValue, setQuery } from "../lib/address.js";
 import { query, requestBlob } from "../lib/api.js";
 import { cycleName, hasCycles } from "../lib/cycles.js";
-import { debounced, h } from "../lib/dom.js";
+import { debounced, gestures, h } from "../lib/dom.js";
 import { AXES, TWO_PI, axisLabel, clampIndex, initialValue, isClose, isLog, nearestIndex } from "../lib/physics.js";
 import { directionColour } from "../plot/colours.js";
 import { pixelRatio } from "../plot/drawing.js";
@@ -232,8 +232,14 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.branch) return `${describeCycle(cell)} · click to see it move`;
+    if (cell.branch) return gestures(`${describeCycle(cell)} · click to see it move`);
     return describeCell(cell, this.along, this.lines.length > 1);
+  }
+
+  /** The service's picture of the line, which shows all of it. */
+  pdf(caption) {
+    const [direction] = this.shownDirections.length === 1 ? this.shownDirections : [null];
+    return requestBlob(`/v1/jobs/${this.job.id}/diagram?${query({ ...this.#parameters(), direction, caption, format: "pdf" })}`);
   }
 
   /** The flights in view; of a density, all flights from the service. */

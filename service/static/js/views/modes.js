@@ -3,9 +3,9 @@
 import { addressValue, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { csv } from "../lib/downloads.js";
+import { csv, decimal } from "../lib/downloads.js";
 import { number, ordinal, plural } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
+import { HYSTERESIS, HYSTERESIS_NAMES, LABEL_NAMES, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { drawCells, drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
@@ -222,11 +222,14 @@ export class Modes extends PlotView {
     return parts.join(" · ");
   }
 
+  /** As `bounce modes` writes it. */
   table() {
-    const { gamma, omega, outcome, label, bounces, periods, computed, hysteresis } = this.plane.arrays;
-    const extra = (array, i) => (array ? [array[i]] : []);
-    const row = (_, i) => [gamma[i % gamma.length], omega[Math.floor(i / gamma.length)], this.plane.xi, outcome[i], ...extra(label, i), bounces[i], periods[i], ...extra(computed, i), ...extra(hysteresis, i)];
-    return csv(["gamma", "omega", "xi", "outcome", ...(label ? ["label"] : []), "bounces", "periods", ...(computed ? ["computed"] : []), ...(hysteresis ? ["hysteresis"] : [])], Array.from(outcome, row));
+    const { gamma, omega, outcome, label, bounces, periods, hysteresis } = this.plane.arrays;
+    const row = (_, i) => [
+      decimal(omega[Math.floor(i / gamma.length)]), decimal(gamma[i % gamma.length]), LABEL_NAMES[outcome[i]], bounces[i], periods[i],
+      ...(label ? [LABEL_NAMES[label[i]]] : []), ...(hysteresis ? [HYSTERESIS_NAMES[hysteresis[i]]] : []),
+    ];
+    return csv(["omega", "gamma", "outcome", "bounces", "periods", ...(label ? ["label"] : []), ...(hysteresis ? ["hysteresis"] : [])], Array.from(outcome, row));
   }
 }
 

@@ -2,8 +2,8 @@
 
 import { currentQuery, setWindow, windowIn } from "../lib/address.js";
 import { isHandledElsewhere } from "../lib/api.js";
-import { announce, h, latest } from "../lib/dom.js";
-import { downloads, fileName, netcdf } from "../lib/downloads.js";
+import { announce, gestures, h, latest } from "../lib/dom.js";
+import { downloads, fileName, netcdf, originOf } from "../lib/downloads.js";
 import { isSweep } from "../lib/physics.js";
 import { pngOf, svgOf } from "../plot/export.js";
 import { listenToInput, magnified } from "../plot/input.js";
@@ -23,6 +23,7 @@ const KEYS = "Arrow keys step through cells, Enter shows the trajectory, plus an
  *   describe(cell)   a cell in words
  *   cellOf(cell)     its {gamma, omega, xi, direction}
  *   table()          a Blob of CSV, or a promise of one
+ *   pdf(caption)     a promise of a Blob of PDF; optional
  */
 export class PlotView {
   window = null; // zoomed to; null for everything
@@ -36,11 +37,12 @@ export class PlotView {
 
   /** Build the view and start loading; `below` is placed between plot and readout. */
   build(root, { controls, label, hint, ratio, below = null }) {
-    this.hint = hint;
-    this.readout = h("p", { className: "readout" }, hint);
+    this.hint = gestures(hint);
+    this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
     const figure = h("figure", {});
-    root.replaceChildren(controls, this.problem, figure, ...(below ? [below] : []), this.readout, this.#downloads());
+    this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => this.zoom(null) }, "Show everything");
+    root.replaceChildren(controls, this.problem, figure, ...(below ? [below] : []), this.readout, this.unzoom, this.#downloads());
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => this.content(), ratio });
     listenToInput(this.plot, {
       hover: (x, y) => this.#setCurrent(this.nearest(x, y)),
@@ -103,6 +105,7 @@ export class PlotView {
 
   zoom(window) {
     this.window = window;
+    this.unzoom.hidden = !window;
     setWindow(window);
     this.plot.redraw();
   }
@@ -133,11 +136,16 @@ export class PlotView {
       if (!this.content()) throw new Error("There is nothing to download in this view.");
       return make();
     };
-    return downloads([
-      ["PNG", name("png"), ifLoaded(() => pngOf(this.plot))],
-      ["SVG", name("svg"), ifLoaded(() => svgOf(this.plot))],
+    const caption = h("input", { type: "checkbox", checked: true });
+    const options = async () => ({ caption: caption.checked, origin: await originOf(this.job) });
+    const element = downloads([
+      ["PNG", name("png"), ifLoaded(async () => pngOf(this.plot, await options()))],
+      ["SVG", name("svg"), ifLoaded(async () => svgOf(this.plot, await options()))],
+      ...(this.pdf ? [["PDF", name("pdf"), ifLoaded(() => this.pdf(caption.checked))]] : []),
       ["CSV", name("csv"), ifLoaded(() => this.table())],
       ...(isSweep(this.job.spec) ? [["NetCDF", () => fileName(this.job, "sweep", "nc"), netcdf(this.job)]] : []),
     ]);
+    element.append(h("label", { className: "option" }, caption, " with a caption"));
+    return element;
   }
 }

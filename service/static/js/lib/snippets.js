@@ -1,0 +1,82 @@
+// A specification as text to copy: a program in Python, a TOML file for the shell, a request with curl, JSON.
+
+import { announce, h } from "./dom.js";
+
+const COPIED_MS = 2000;
+
+/** `spec` as a Python expression, with its own words for true, false and null. */
+function python(value, indent = "    ") {
+  if (value === null) return "None";
+  if (typeof value === "boolean") return value ? "True" : "False";
+  if (typeof value === "string") return JSON.stringify(value);
+  if (typeof value !== "object") return String(value);
+  if (Array.isArray(value)) return `[${value.map((item) => python(item)).join(", ")}]`;
+  const entries = Object.entries(value).map(([name, item]) => `${JSON.stringify(name)}: ${python(item, "")}`);
+  return indent ? `{\n${entries.map((entry) => `${indent}${entry},\n`).join("")}}` : `{${entries.join(", ")}}`;
+}
+
+/** A value in TOML; objects inline. TOML has no null: fields without a value are left out. */
+function toml(value) {
+  if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
+  if (value === null || typeof value !== "object") return typeof value === "string" ? JSON.stringify(value) : String(value);
+  return `{ ${Object.entries(value).filter(([, item]) => item !== null).map(([name, item]) => `${name} = ${toml(item)}`).join(", ")} }`;
+}
+
+/** The address for the shell and Python, unless it is the default one. */
+const address = () => location.origin;
+
+const LANGUAGES = {
+  Python: (spec) => `from service.client import Client
+
+spec = ${python(spec)}
+with Client("${address()}") as client:
+    job = client.submit(spec).wait()
+    job.plot()
+`,
+  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${address()}
+${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`).join("\n")}
+`,
+  curl: (spec) => `curl ${address()}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
+`,
+  JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
+};
+
+/** The texts by language. */
+export const snippetsOf = (spec) => Object.fromEntries(Object.entries(LANGUAGES).map(([name, write]) => [name, write(spec)]));
+
+/** The specification in a language of choice, with a button that copies it; `show(spec)` changes it. */
+export class Snippets {
+  constructor(language = "Python") {
+    this.select = h("select", { "aria-label": "Language", onchange: () => this.#update() }, Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name)));
+    this.button = h("button", { type: "button", className: "quiet", onclick: () => this.#copy() }, "Copy");
+    this.text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
+    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), this.button), this.text);
+  }
+
+  show(spec) {
+    this.spec = spec;
+    this.#update();
+  }
+
+  #update() {
+    this.text.textContent = LANGUAGES[this.select.value](this.spec);
+  }
+
+  /** Copies the text; where the browser does not allow that (a service without https), selects it. */
+  async #copy() {
+    try {
+      await navigator.clipboard.writeText(this.text.textContent);
+      this.#say("Copied");
+    } catch {
+      getSelection().selectAllChildren(this.text);
+      this.#say("Selected: copy it with the keyboard");
+    }
+  }
+
+  #say(text) {
+    announce(text);
+    this.button.textContent = text;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => { this.button.textContent = "Copy"; }, COPIED_MS);
+  }
+}

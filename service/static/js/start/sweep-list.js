@@ -1,0 +1,275 @@
+// The list of sweeps: found by name, state, model and date, in pages; several of them pinned, compared or deleted.
+
+import { currentQuery, link, setQuery } from "../lib/address.js";
+import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
+import { announce, confirmed, debounced, h } from "../lib/dom.js";
+import { ago, count, plural } from "../lib/format.js";
+import { ProgressBar, UNFINISHED, notice, showActions, summary, titleOf } from "../views/progress.js";
+
+const PAGE_SIZE = 25;
+const MAX_PINNED = 100; // shown above the first page
+const POLL_MS = 700; // while a sweep is being computed
+const IDLE_POLL_MS = 5000;
+const ERROR_MS = 8000; // how long an error is shown
+const TYPING_MS = 250;
+const MAX_NAMED = 5; // sweeps named in a confirmation
+
+const STATES = [["", "any state"], ["queued", "queued"], ["running", "running"], ["done", "done"], ["failed", "failed"], ["cancelled", "cancelled"]];
+const MODELS = [["", "any contact"], ["rigid", "rigid"], ["soft", "soft"], ["stepped", "stepped"], ["ball", "ball"], ["auto", "auto"]];
+const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "last finished first"], ["name", "by name"], ["largest", "largest first"]];
+const FILTERS = ["search", "state", "model", "from", "to"]; // query parameters of the address; beside them `order`
+
+export class SweepList {
+  rows = new Map(); // job id → row
+  selected = new Map(); // job id → job
+  cursors = [null]; // of the pages up to the shown one
+
+  constructor() {
+    const { search, state, model, from, to, order } = currentQuery();
+    const typed = debounced(TYPING_MS, () => this.#find());
+    const choice = (name, title, options, value) => h("label", { className: "option" }, `${title} `,
+      h("select", { name, onchange: () => this.#find() }, options.map(([key, text]) => h("option", { value: key, selected: key === (value ?? "") }, text))));
+    const day = (name, title, value) => h("label", { className: "option" }, `${title} `, h("input", { type: "date", name, value: value ?? "", onchange: () => this.#find() }));
+    this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); this.#find(); } },
+      h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", value: search ?? "", oninput: typed })),
+      choice("state", "State", STATES, state), choice("model", "Contact", MODELS, model),
+      day("from", "From", from), day("to", "to", to), choice("order", "Order", ORDERS, order));
+    this.all = h("input", { type: "checkbox", onchange: () => this.#selectAll(this.all.checked) });
+    this.chosen = h("span", { className: "note", role: "status" });
+    this.bulk = h("div", { className: "actions" },
+      this.#bulkButton("Compare", () => { location.hash = link(["compare"], { jobs: [...this.selected.keys()].join() }); }),
+      this.#bulkButton("Pin", () => this.#each("pin")),
+      this.#bulkButton("Unpin", () => this.#each("unpin")),
+      this.#bulkButton("Delete", () => this.#delete()));
+    this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
+    this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
+    this.empty = h("p", { className: "note", hidden: true });
+    this.problem = h("p", { className: "problem", role: "alert", hidden: true });
+    this.range = h("span", { className: "note", role: "status" });
+    this.previous = h("button", { type: "button", className: "quiet", onclick: () => this.#turn(-1) }, "Previous page");
+    this.next = h("button", { type: "button", className: "quiet", onclick: () => this.#turn(1) }, "Next page");
+    this.pages = h("div", { className: "controls pages" }, this.previous, this.next, this.range);
+    this.element = h("section", { "aria-labelledby": "sweeps" },
+      h("h2", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.filters, this.problem, this.selection, this.empty, this.list, this.pages);
+    this.#showSelection();
+  }
+
+  close() {
+    this.closed = true;
+    clearTimeout(this.timer);
+  }
+
+  async refresh() {
+    clearTimeout(this.timer);
+    const wanted = this.#wanted();
+    const asked = JSON.stringify([wanted, this.cursors]);
+    try {
+      const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`);
+      const [pinned, others] = await Promise.all([
+        page({ pinned: true, limit: MAX_PINNED }),
+        page({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
+      ]);
+      if (this.closed || asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
+      const isFirst = this.cursors.length === 1;
+      this.#showJobs([...(isFirst ? pinned.jobs : []), ...others.jobs]);
+      this.#showRange(pinned, others);
+      this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
+    } catch (error) {
+      if (this.closed) return;
+      this.showError(error);
+      if (error.status >= 500) this.#refreshAfter(IDLE_POLL_MS); // it may be temporary
+    }
+  }
+
+  showError(error) {
+    if (isHandledElsewhere(error)) return;
+    this.problem.hidden = false;
+    this.problem.textContent = error.message;
+    clearTimeout(this.errorTimer);
+    this.errorTimer = setTimeout(() => { this.problem.hidden = true; }, ERROR_MS);
+  }
+
+  #refreshAfter(milliseconds) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.refresh(), milliseconds);
+  }
+
+  /** The parameters of a request for jobs, except which page. Days are those of the reader's clock. */
+  #wanted() {
+    const { search, state, model, from, to, order } = Object.fromEntries(new FormData(this.filters));
+    return { search: search.trim(), state, model, created_from: dayStart(from, 0), created_before: dayStart(to, 1), order };
+  }
+
+  #find() {
+    const values = Object.fromEntries(new FormData(this.filters));
+    setQuery(Object.fromEntries([...FILTERS, "order"].map((name) => [name, values[name] || null])));
+    this.cursors = [null];
+    this.refresh();
+  }
+
+  #turn(step) {
+    this.cursors = step > 0 ? [...this.cursors, this.following] : this.cursors.slice(0, -1);
+    this.refresh();
+    document.getElementById("sweeps")?.focus();
+  }
+
+  #isFiltered() {
+    const values = Object.fromEntries(new FormData(this.filters));
+    return FILTERS.some((name) => values[name]);
+  }
+
+  #showRange(pinned, others) {
+    this.following = others.next;
+    const before = (this.cursors.length - 1) * PAGE_SIZE;
+    const total = pinned.total + others.total;
+    const isFiltered = this.#isFiltered();
+    this.previous.disabled = this.cursors.length === 1;
+    this.next.disabled = others.next === null;
+    this.previous.hidden = this.next.hidden = this.previous.disabled && this.next.disabled;
+    const shown = others.jobs.length ? `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}` : "";
+    const text = this.previous.hidden ? (isFiltered ? `${plural(total, "sweep")} found` : "") : `${shown}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
+    if (this.range.textContent !== text) this.range.textContent = text; // announced when it changes
+    this.empty.hidden = total > 0;
+    this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet. Start with a preset.";
+    this.filters.hidden = !total && !isFiltered;
+    this.selection.hidden = !total;
+  }
+
+  /** Rows are updated in place, which keeps the keyboard focus. */
+  #showJobs(jobs) {
+    this.jobs = jobs;
+    const ids = new Set(jobs.map((job) => job.id));
+    for (const [id, row] of this.rows) {
+      if (ids.has(id)) continue;
+      row.element.remove();
+      this.rows.delete(id);
+      this.selected.delete(id);
+    }
+    jobs.forEach((job, index) => {
+      if (!this.rows.has(job.id)) this.rows.set(job.id, this.#row());
+      const row = this.rows.get(job.id);
+      row.update(job);
+      if (this.list.children[index] !== row.element) this.list.insertBefore(row.element, this.list.children[index] ?? null);
+    });
+    this.#showSelection();
+  }
+
+  #row() {
+    let job;
+    const box = h("input", { type: "checkbox", onchange: () => this.#select(job, box.checked) });
+    const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#change(job, job.pinned ? "unpin" : "pin") });
+    const name = h("a", {});
+    const about = h("p", { className: "summary" });
+    const time = h("span", { className: "note" });
+    const bar = new ProgressBar();
+    const buttons = h("div", { className: "actions" });
+    const other = h("p", { className: "notice", hidden: true });
+    const error = h("p", { className: "problem", hidden: true });
+    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h3", {}, name), about), bar.element, time, buttons, other, error);
+    const update = (current) => {
+      job = current;
+      if (this.selected.has(job.id)) this.selected.set(job.id, job);
+      box.setAttribute("aria-label", `Select ${titleOf(job)}`);
+      box.checked = this.selected.has(job.id);
+      pin.textContent = job.pinned ? "★" : "☆";
+      pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
+      pin.setAttribute("aria-pressed", String(job.pinned));
+      pin.title = job.pinned ? "Unpin" : "Pin: show it above the others";
+      name.textContent = titleOf(job);
+      name.href = link(["job", job.id]);
+      if (!about.hasChildNodes() || job.choice) about.replaceChildren(...summary(job));
+      time.textContent = ago(job.finished ?? job.created);
+      bar.show(job);
+      other.hidden = !job.notice;
+      other.replaceChildren(...notice(job));
+      error.hidden = !job.error;
+      error.textContent = job.error ?? "";
+      showActions(buttons, job, { onChange: () => this.refresh(), onDelete: () => this.#onDelete(), onError: (failure) => this.showError(failure) });
+    };
+    return { element, update };
+  }
+
+  #onDelete() {
+    this.refresh();
+    document.getElementById("sweeps")?.focus(); // the pressed button disappears
+  }
+
+  #bulkButton(title, work) {
+    return h("button", { type: "button", className: "quiet", onclick: work }, title);
+  }
+
+  #select(job, on) {
+    if (on) this.selected.set(job.id, job);
+    else this.selected.delete(job.id);
+    this.#showSelection();
+  }
+
+  #selectAll(on) {
+    for (const job of this.jobs ?? []) {
+      if (on) this.selected.set(job.id, job);
+      else this.selected.delete(job.id);
+    }
+    this.#showJobs(this.jobs ?? []);
+  }
+
+  #showSelection() {
+    const selected = [...this.selected.values()];
+    const [compare, pin, unpin, remove] = this.bulk.children;
+    const shown = this.jobs?.length ?? 0;
+    this.all.checked = shown > 0 && selected.length === shown;
+    this.all.indeterminate = selected.length > 0 && selected.length < shown;
+    const text = selected.length ? `${count(selected.length)} selected` : "";
+    if (this.chosen.textContent !== text) this.chosen.textContent = text;
+    this.bulk.hidden = !selected.length;
+    compare.disabled = selected.length < 2;
+    pin.disabled = selected.every((job) => job.pinned);
+    unpin.disabled = selected.every((job) => !job.pinned);
+    remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
+  }
+
+  async #change(job, action) {
+    try {
+      await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" });
+      announce(`${titleOf(job)} is ${action}ned.`);
+    } catch (error) {
+      this.showError(error);
+    }
+    this.refresh();
+  }
+
+  async #each(action) {
+    for (const job of [...this.selected.values()]) {
+      if (job.pinned !== (action === "pin")) await this.#change(job, action);
+    }
+  }
+
+  /** Delete the selected sweeps that are finished, after a confirmation that names them. */
+  async #delete() {
+    const finished = [...this.selected.values()].filter((job) => !UNFINISHED.has(job.state));
+    const running = this.selected.size - finished.length;
+    const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
+    const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
+    const rest = running ? ` ${plural(running, "sweep")} still computed ${running === 1 ? "is" : "are"} kept.` : "";
+    if (!(await confirmed(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${rest}`, "Delete"))) return;
+    const failed = [];
+    for (const job of finished) {
+      try {
+        await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
+        this.selected.delete(job.id);
+      } catch (error) {
+        if (error.status !== 404) failed.push(`${titleOf(job)}: ${error.message}`);
+      }
+    }
+    if (failed.length) this.showError(new Error(failed.join("; ")));
+    announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);
+    this.#onDelete();
+  }
+}
+
+/** The beginning of a day "2026-11-21" of the reader's clock, `later` days on, as a time; "" without a day. */
+function dayStart(day, later) {
+  if (!day) return "";
+  const [year, month, date] = day.split("-").map(Number);
+  const start = new Date(year, month - 1, date + later);
+  return Number.isNaN(start.getTime()) ? "" : start.toISOString();
+}

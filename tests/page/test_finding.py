@@ -1,0 +1,243 @@
+"""The list of sweeps, found, pinned and deleted; comparison; one spring explored; what is taken away."""
+
+import io
+import json
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+from browser import needs_chromium, opened, screenshot, wait_shown
+from click.testing import CliRunner
+from PIL import Image
+from scripted import DEADLINE, Held
+
+from kernel.params import KERNEL_VERSION
+from service.cli.main import main
+from service.client import Client
+from service.jobs.ledger import Ledger
+from service.jobs.model import JobRecord, JobState, NewJob
+from service.jobs.transactions import WriteTransaction
+from service.server import embedded
+from service.settings import Settings
+from worker.studies import from_json
+
+pytestmark = needs_chromium
+
+SMALL: dict[str, Any] = {
+    "gamma": {"start": 0.5, "stop": 3.0, "num": 26},
+    "omega": [0.5, 0.6],
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 40,
+    "observe": 12,
+    "keep": 8,
+}
+
+
+@pytest.fixture(scope="module")
+def jobs(address: str) -> list[str]:
+    """Three sweeps of other dampings, done."""
+    with Client(address) as client:
+        submitted = [client.submit({**SMALL, "name": f"sweep {xi}", "xi": xi}) for xi in (0.05, 0.1, 0.2)]
+        return [job.wait(progress=False).id for job in submitted]
+
+
+def _names(page: Any) -> list[str]:
+    return [str(name) for name in page.locator(".jobs li h3").all_text_contents()]
+
+
+def _wait_names(page: Any, *names: str) -> None:
+    page.wait_for_function(
+        """names => names.join() ===
+            [...document.querySelectorAll(".jobs li h3")].map((h3) => h3.textContent).join()""",
+        arg=names,
+    )
+
+
+@pytest.fixture
+def many(tmp_path: Path) -> Iterator[str]:
+    """A service with thirty cancelled sweeps, half of each contact."""
+    settings = Settings(data=tmp_path, port=0)
+    with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.writing() as writing:
+        for number in range(30):
+            kind = "soft" if number % 2 else "rigid"
+            raw = {**SMALL, "name": f"number {number:02}", "xi": 0.1 + number / 100, "model": {"kind": kind}}
+            spec = from_json(json.dumps(raw))
+            text = json.dumps(spec.as_submitted())
+            job = NewJob(spec.job_id(KERNEL_VERSION), spec.name, text, KERNEL_VERSION, (1, 2, 26), 1, 52)
+            writing.insert(job, time.time())
+            writing.finish(_found(writing, job.id), JobState.CANCELLED, time.time())
+    with embedded.running(settings, Held()) as address:
+        yield address
+
+
+def _found(writing: WriteTransaction, job_id: str) -> JobRecord:
+    record = writing.find(job_id)
+    assert record is not None
+    return record
+
+
+def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
+    with opened(browser, many) as page:
+        page.get_by_text("1 to 25 of 30").wait_for()
+        page.get_by_role("button", name="Next page").click()
+        page.get_by_text("26 to 30 of 30").wait_for()
+        _wait_names(page, *(f"number {n:02}" for n in (4, 3, 2, 1, 0)))
+        page.get_by_label("Order").select_option("by name")
+        page.get_by_text("1 to 25 of 30").wait_for()
+        assert _names(page)[0] == "number 00"
+        page.get_by_label("Find", exact=True).fill("NUMBER 1")
+        page.get_by_label("Contact").select_option("soft")
+        page.get_by_text("5 sweeps found").wait_for()
+        found = [f"number {n}" for n in (11, 13, 15, 17, 19)]
+        _wait_names(page, *found)
+        page.wait_for_function("() => location.hash.includes('search=NUMBER+1')")
+        page.get_by_role("button", name="Pin number 15").click()
+        _wait_names(page, found[2], *found[:2], *found[3:])
+        page.reload()  # the address holds what is looked for
+        _wait_names(page, found[2], *found[:2], *found[3:])
+        screenshot(page, "found")
+        page.get_by_label("Select number 11").check()
+        page.get_by_label("Select number 15").check()
+        page.get_by_text("2 selected").wait_for()
+        page.get_by_role("button", name="Unpin").click()
+        _wait_names(page, *found)
+        page.locator(".selection").get_by_role("button", name="Delete").click()
+        dialog = page.get_by_role("dialog")
+        assert "Delete 2 sweeps and their results: “number 15”, “number 11”" in dialog.inner_text() or (
+            "“number 11”, “number 15”" in dialog.inner_text()
+        )
+        dialog.get_by_role("button", name="Delete").click()
+        _wait_names(page, found[1], *found[3:])
+        page.get_by_label("State").select_option("running")
+        page.get_by_text("No sweep is like that.").wait_for()
+
+
+def test_details_tell_where_a_sweep_comes_from(browser: Any, address: str, jobs: list[str]):
+    with opened(browser, f"{address}/#/job/{jobs[0]}/details") as page:
+        origin = page.get_by_role("region", name="Origin of the sweep")
+        origin.get_by_text("Kernel version", exact=True).wait_for()
+        text = origin.inner_text()
+        assert jobs[0] in text
+        assert re.search(r"Core-seconds\s+[\d.]+", text)
+        origin.get_by_text(re.compile(r"numpy \d")).wait_for()
+        language = page.get_by_label("Language")
+        for name, expected in {
+            "Python": "client.submit(spec)", "TOML": 'model = { kind = "rigid"', "curl": "curl http",
+        }.items():  # fmt: skip
+            language.select_option(name)
+            assert expected in page.locator(".snippets pre").inner_text()
+        screenshot(page, "details")
+
+
+def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: list[str], tmp_path: Path):
+    """Python, TOML and JSON, read back, are the same sweep: the same job."""
+    with opened(browser, f"{address}/#/job/{jobs[0]}/details") as page, Client(address) as client:
+        page.locator(".snippets pre").wait_for()
+        for name, read in {"TOML": _as_toml, "Python": _as_python, "JSON": json.loads}.items():
+            page.get_by_label("Language").select_option(name)
+            assert client.submit(read(page.locator(".snippets pre").inner_text())).id == jobs[0], name
+
+
+def _as_toml(text: str) -> Any:
+    import tomllib
+
+    return tomllib.loads(text)
+
+
+def _as_python(text: str) -> Any:
+    import ast
+
+    (spec,) = (node.value for node in ast.parse(text).body if isinstance(node, ast.Assign))
+    return ast.literal_eval(spec)
+
+
+def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: list[str]):
+    with opened(browser, address) as page:
+        page.get_by_label("Find", exact=True).fill("sweep 0")
+        for xi in (0.05, 0.1, 0.2):
+            page.get_by_label(f"Select sweep {xi}").check()
+        page.get_by_role("button", name="Compare").click()
+        wait_shown(page, along="gamma", layout="overlay")
+        plots = page.locator(".panel .plot")
+        assert plots.count() == 1
+        plots.first.hover()
+        page.locator(".readout li", has_text="sweep 0.2: Γ").wait_for()
+        screenshot(page, "compare-overlay")
+        page.get_by_label("Layout").select_option("side by side")
+        assert plots.count() == 3
+        page.locator("figure").nth(1).locator(".plot").focus()
+        page.keyboard.press("+")
+        page.wait_for_function("() => location.hash.includes('x0=')")
+        page.keyboard.press("ArrowRight")
+        assert page.locator(".readout li").count() == 3
+        screenshot(page, "compare-side")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download CSV of 2").click()
+        rows = Path(download.value.path()).read_text().splitlines()
+        assert rows[0].startswith("direction,gamma,omega,xi,flight_time_rad")
+        assert {row.split(",")[3] for row in rows[1:]} == {"0.1"}
+        page.goto(f"{address}/#/compare?jobs={jobs[0]}")
+        page.get_by_text("Select two sweeps or more").wait_for()
+
+
+def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
+    with opened(browser, f"{address}/#/explore") as page:
+        page.locator(".plot[data-shown]").first.wait_for()
+        page.get_by_text("On the way down, bouncing ends").wait_for()
+        page.locator(".player[data-phase]").wait_for()
+        page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
+        page.get_by_label("Ω =").evaluate(
+            "slider => { slider.value = 0.9; slider.dispatchEvent(new Event('input', { bubbles: true })); }"
+        )
+        page.wait_for_function("() => document.querySelector('.plot').dataset.shown.includes('0.9')")
+        page.wait_for_function("() => location.hash.includes('omega=0.9')")
+        from kernel.threshold import threshold
+
+        shown = float(re.findall(r"Rest ends at Γ = ([\d.]+)", page.locator(".closed").inner_text())[0])
+        assert shown == pytest.approx(float(threshold(0.9, 0.26)), rel=1e-3)
+        screenshot(page, "explore")
+        page.get_by_role("link", name="New sweep around this spring").click()
+        page.locator(".cost", has_text="cells in").wait_for()
+        assert page.locator("[data-field=omega]").first.input_value() == "0.9"
+
+
+def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[str], tmp_path: Path):
+    job = jobs[0]
+    with opened(browser, f"{address}/#/job/{job}/diagram?omega=0.5") as page:
+        wait_shown(page, along="gamma")
+
+        def saved(label: str) -> bytes:
+            with page.expect_download() as download:
+                page.get_by_role("button", name=f"Download {label}", exact=True).click()
+            return Path(download.value.path()).read_bytes()
+
+        with Image.open(io.BytesIO(saved("PNG"))) as image:
+            image.load()
+            origin = json.loads(image.info["Description"])
+        assert (origin["job"], origin["spec"]["xi"]) == (job, 0.05)
+        svg = saved("SVG").decode()
+        assert job in svg
+        assert ">ξ = 0.05" in svg or "ξ = 0.05" in svg  # text as text
+        assert saved("PDF").startswith(b"%PDF")
+        page.get_by_label("with a caption").uncheck()
+        assert "Ω = 0.5" not in saved("SVG").decode()
+        page.goto(f"{address}/#/job/{job}/modes")
+        wait_shown(page, direction="rest")
+        ours = saved("CSV")
+    theirs = tmp_path / "modes.csv"
+    done = CliRunner().invoke(main, ["modes", job, "-o", str(theirs), "--url", address])
+    assert done.exit_code == 0, done.output
+    assert ours.decode().split() == theirs.read_text().split()
+    for format, mark in {"png": b"Description", "svg": b"<dc:description>", "pdf": b"/Subject"}.items():
+        wanted = {"omega": 0.5, "format": format}
+        answers = [
+            httpx2.get(f"{address}/v1/jobs/{job}/diagram", params={**wanted, **more}, timeout=DEADLINE)
+            for more in ({}, {"caption": False})
+        ]
+        assert all(mark in answer.content for answer in answers), format
+        assert answers[0].content != answers[1].content

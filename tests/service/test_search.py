@@ -1,0 +1,190 @@
+"""Jobs found in the ledger and over HTTP: every condition, every order, page by page."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scripted import Held, sweep
+from served import service
+
+from kernel.params import KERNEL_VERSION
+from service.jobs.ledger import Ledger
+from service.jobs.model import JobRecord, JobState, NewJob
+from service.jobs.search import InvalidCursor, JobOrder, JobSearch
+from worker.tasks import ChunkReport
+
+SWEEP: dict[str, Any] = sweep().as_submitted()
+
+NAMES = ("Figure 2", "figure 10", "100 %", "a_b", "axb", "", "Ω-sweep", "back\\slash")
+MODELS = ("rigid", "soft")
+PROTOCOLS = ("rest", "ramp")
+STATES = (JobState.QUEUED, JobState.RUNNING, JobState.DONE, JobState.FAILED)
+
+
+@pytest.fixture(scope="module")
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ledger]:
+    """Forty jobs of all names, models, protocols and states, a day apart."""
+    with Ledger(tmp_path_factory.mktemp("data") / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            for number in range(40):
+                _accept(writing, number)
+        yield ledger
+
+
+def _accept(writing: Any, number: int) -> None:
+    model, protocol = MODELS[number % 2], PROTOCOLS[number // 2 % 2]
+    spec = f'{{"model": {{"kind": "{model}"}}, "protocol": {{"kind": "{protocol}"}}}}'
+    job_id = f"{number * 0x1F35:032x}"[::-1]
+    new = NewJob(job_id, NAMES[number % 8], spec, "3", (1, 1, 1), 1, 100 * (number % 7))
+    writing.insert(new, 86_400.0 * number)
+    state = STATES[number // 4 % 4]
+    if state is not JobState.QUEUED:
+        writing.run(writing.find(job_id), 86_400.0 * number + 1)
+    if state in (JobState.DONE, JobState.FAILED):
+        writing.finish(writing.find(job_id), state, 86_400.0 * number + 2 + number % 3 * 1e6)
+    if number % 5 == 0:
+        writing.pin(writing.find(job_id), True)
+
+
+def _all(ledger: Ledger) -> list[JobRecord]:
+    with ledger.reading() as reading:
+        return reading.newest(None, 1000)
+
+
+def _allows(search: JobSearch, job: JobRecord) -> bool:
+    """The slow twin of the SQL."""
+    text = (search.text or "").lower()
+    return all(
+        [
+            text in job.name.lower() or job.id.startswith(text),
+            search.state in (None, job.state),
+            search.model is None or f'"{search.model}"' in job.spec,
+            search.protocol is None or f'"{search.protocol}"' in job.spec,
+            search.pinned in (None, job.pinned),
+            search.created_from is None or job.created >= search.created_from,
+            search.created_before is None or job.created < search.created_before,
+        ]
+    )
+
+
+def _sorted(jobs: list[JobRecord], order: JobOrder) -> list[JobRecord]:
+    keys: dict[JobOrder, Any] = {
+        JobOrder.NEWEST: lambda job: -job.seq,
+        JobOrder.OLDEST: lambda job: job.seq,
+        JobOrder.FINISHED: lambda job: (-(job.finished or 0), -job.seq),
+        JobOrder.NAME: lambda job: ("".join(c.lower() if c.isascii() else c for c in job.name), job.seq),
+        JobOrder.LARGEST: lambda job: (-job.cells_total, -job.seq),
+    }
+    return sorted(jobs, key=keys[order])
+
+
+def _maybe(*values: Any) -> st.SearchStrategy[Any]:
+    return st.sampled_from([None, None, *values])
+
+
+SEARCHES = st.builds(
+    JobSearch,
+    text=_maybe("FIG", "0 %", "a_b", "_", "%", "\\", "Ω", "0"),
+    state=_maybe(*STATES),
+    model=_maybe(*MODELS, "ball"),
+    protocol=_maybe(*PROTOCOLS),
+    pinned=_maybe(True, False),
+    created_from=_maybe(0.0, 86_400.0 * 7),
+    created_before=_maybe(86_400.0 * 30),
+    order=st.sampled_from(list(JobOrder)),
+)
+
+
+@given(search=SEARCHES, size=st.integers(1, 50))
+@settings(max_examples=150, deadline=None)
+def test_pages_hold_what_the_search_allows_in_its_order(ledger: Ledger, search: JobSearch, size: int):
+    expected = _sorted([job for job in _all(ledger) if _allows(search, job)], search.order)
+    found: list[JobRecord] = []
+    after = None
+    with ledger.reading() as reading:
+        assert reading.count_found(search) == len(expected)
+        while page := reading.search(search, size, after):
+            found += page
+            after = search.read_cursor(search.cursor(page[-1]))
+    assert [job.seq for job in found] == [job.seq for job in expected]
+
+
+@pytest.mark.parametrize("cursor", ["", "x", "9" * 19, "٣", "W10", "WyJuYW1lIiwgMSwgMV0", "W1tb" * 400])
+@pytest.mark.parametrize("order", list(JobOrder))
+def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
+    with pytest.raises(InvalidCursor):
+        JobSearch(order=order).read_cursor(cursor)
+
+
+def _report(index: int, seconds: float) -> ChunkReport:
+    return ChunkReport(index, 1, seconds, seconds, "sum", (0, 1))
+
+
+def test_core_seconds_are_those_of_all_chunks_that_came_back(tmp_path: Path):
+    with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.writing() as writing:
+        writing.insert(NewJob("a" * 32, "", "{}", "3", (1, 1, 1), 2, 2), 1.0)
+        job = writing.find("a" * 32)
+        writing.mark_done(job, [_report(0, 0.25), _report(1, 0.5)])
+        writing.unmark(writing.find("a" * 32), [1])
+        writing.mark_done(job, [_report(1, 1.0)])
+        assert writing.find("a" * 32).core_seconds == 1.75
+
+
+def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        small, other = (
+            client.post("/v1/jobs", json={**SWEEP, "name": name, "xi": xi}).json()
+            for name, xi in (("Small", 0.1), ("other", 0.2))
+        )
+
+        def found(**query: Any) -> list[str]:
+            answer = client.get("/v1/jobs", params=query).raise_for_status().json()
+            assert answer["total"] == len(answer["jobs"])
+            return [job["name"] for job in answer["jobs"]]
+
+        etag = client.get(small["links"]["self"]).headers["ETag"]
+        for _ in range(2):  # pinning twice is harmless
+            assert client.post(small["links"]["pin"]).json()["pinned"] is True
+        assert client.get(small["links"]["self"]).headers["ETag"] != etag
+        assert found(pinned=True) == ["Small"]
+        assert found(pinned=False, order="oldest") == ["other"]
+        assert found(search="SMALL") == found(search=small["id"][:9]) == ["Small"]
+        assert found(model="rigid") == found(protocol="ramp") == []
+        assert found(order="name", model="soft") == ["other", "Small"]
+        day = small["created"][:10]
+        assert found(created_from=day) == ["other", "Small"]
+        assert found(created_before=day) == found(created_from="2999-01-01") == []
+        page = client.get("/v1/jobs", params={"order": "name", "limit": 1}).json()
+        assert (page["total"], page["jobs"][0]["id"]) == (2, other["id"])
+        rest = client.get("/v1/jobs", params={"order": "name", "limit": 1, "cursor": page["next"]}).json()
+        assert (rest["next"], rest["jobs"][0]["id"]) == (None, small["id"])
+        assert client.post(small["links"]["unpin"]).json()["pinned"] is False
+        assert found(pinned=True) == []
+
+
+WRONG = {
+    "a cursor of another order": ({"order": "name", "cursor": "5"}, "cursor: should be `next` of the page"),
+    "no such model": ({"model": "steel"}, "model: should be one of soft, stepped, rigid, ball, auto"),
+    "no such protocol": ({"protocol": "fall"}, "protocol: should be one of rest, ramp, orbits, basin"),
+    "no such order": ({"order": "best"}, "order: should be 'newest'"),
+    "no such day": ({"created_from": "2026-02-30"}, "created_from: should be a valid datetime"),
+    "text without end": ({"search": "x" * 201}, "search: should have at most 200 characters"),
+}
+
+
+def test_wrong_searches_say_what_is_wrong(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        for case, (query, rule) in WRONG.items():
+            answer = client.get("/v1/jobs", params=query)
+            assert answer.status_code == 422, case
+            assert rule in answer.json()["detail"], case
+
+
+def test_the_service_names_its_software(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        software = client.get("/v1/software").json()
+    assert software["kernel_version"] == KERNEL_VERSION
+    assert {"numpy", "numba", "zarr"} <= set(software["libraries"])
