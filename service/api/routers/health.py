@@ -36,7 +36,7 @@ def get_readiness(service: ServiceDep) -> Any:
 
 
 @router.get("/v1/software", summary="Versions of what the service runs on")
-def versions() -> SoftwareView:
+def get_versions() -> SoftwareView:
     """Release, kernel version, Python and libraries of this process; workers have the same."""
     return SoftwareView.model_validate(software())
 

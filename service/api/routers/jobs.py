@@ -161,7 +161,7 @@ def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
 @router.post(
     "/jobs/{job_id}/pin", summary="Pin a job", response_model=JobView, responses=problem_responses(404)
 )
-def pin(service: ServiceDep, job: JobDep) -> Response:
+def pin_job(service: ServiceDep, job: JobDep) -> Response:
     """Marks the job, so that lists can show it apart; repeating the request changes nothing."""
     return _job_response(service.manager.pin(job.id, True), 200)
 
@@ -169,7 +169,7 @@ def pin(service: ServiceDep, job: JobDep) -> Response:
 @router.post(
     "/jobs/{job_id}/unpin", summary="Unpin a job", response_model=JobView, responses=problem_responses(404)
 )
-def unpin(service: ServiceDep, job: JobDep) -> Response:
+def unpin_job(service: ServiceDep, job: JobDep) -> Response:
     """Takes the mark away; repeating the request changes nothing."""
     return _job_response(service.manager.pin(job.id, False), 200)
 
