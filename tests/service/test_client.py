@@ -383,8 +383,9 @@ def test_pictures_are_the_bytes_of_files(job: Job):
     assert job.picture(omega=0.5).startswith(b"\x89PNG")
     assert b"<svg" in job.picture(omega=0.5, format="svg")
     assert job.picture(omega=0.5, format="csv").startswith(b"direction,gamma")
+    assert job.picture(omega=0.5, format="pdf").startswith(b"%PDF")
     with pytest.raises(BadRequest, match="format"):
-        job.picture(omega=0.5, format="pdf")
+        job.picture(omega=0.5, format="bmp")
 
 
 def test_results_come_before_the_job_is_done(tmp_path: Path):
