@@ -188,6 +188,7 @@ def sweep(name: str = "", **changes: Any) -> SweepSpec:
         "omega": 0.5,
         "xi": 0.26,
         "model": {"kind": "soft"},
+        "exponents": 1,  # so cells are computed one by one, and not a vector of them at once
         "settle": 1500,
         "observe": 10,
         "keep": 4,
