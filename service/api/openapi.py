@@ -137,8 +137,12 @@ def _schemas_in(part: Any) -> Iterator[dict[str, Any]]:
 
 
 def _tell_object_default(schema: dict[str, Any]) -> None:
-    """Say a default that is an object in the description: generators of clients reject the field."""
+    """Say a default that is an object in the description: generators of clients reject the field.
+
+    It is kept as `x-default`, an extension that they ignore, for the page's form.
+    """
     if isinstance(schema.get("default"), dict) and ("oneOf" in schema or "$ref" in schema):
-        fields = {name: value for name, value in schema.pop("default").items() if value is not None}
+        default = schema["x-default"] = schema.pop("default")
+        fields = {name: value for name, value in default.items() if value is not None}
         said = schema.get("description", "")
         schema["description"] = f"{said} Default: {json.dumps(fields)}.".strip()

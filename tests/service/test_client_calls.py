@@ -130,7 +130,7 @@ def test_the_first_digits_of_an_id_select_its_job(running: Running, idle: Runnin
 def test_digits_that_several_ids_begin_with_select_none(running: Running, monkeypatch: pytest.MonkeyPatch):
     other = running.job.id[:8] + ("1" if running.job.id[8] == "0" else "0") * 24
     same = Job.from_view(running.client._transport, {**running.job.view, "id": other})
-    monkeypatch.setattr(Client, "jobs", lambda self: iter([running.job, same]))
+    monkeypatch.setattr(Client, "jobs", lambda self, search: iter([running.job, same]))
     with pytest.raises(NotFound, match=f"2 jobs have ids that begin with {running.job.id[:8]}, as "):
         running.client.job(running.job.id[:8])
     assert running.client.job(running.job.id[:9]).id == running.job.id

@@ -139,7 +139,7 @@ def _option(schema: Mapping[str, Any]) -> str:
 
 
 def _default(schema: Mapping[str, Any], required: bool) -> str:
-    return "required" if required else escape(json.dumps(schema.get("default")))
+    return "required" if required else escape(json.dumps(schema.get("default", schema.get("x-default"))))
 
 
 def _table(label: str, rows: str, columns: tuple[str, ...] = ()) -> str:

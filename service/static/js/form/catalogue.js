@@ -28,7 +28,7 @@ export async function loadSchema() {
   const { schemas } = (await loadOpenApi()).components;
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
   const { properties } = schemas.SweepSpec;
-  const defaults = Object.fromEntries(Object.entries(properties).map(([name, schema]) => [name, schema.default]));
+  const defaults = Object.fromEntries(Object.entries(properties).map(([name, schema]) => [name, schema.default ?? schema["x-default"]]));
   const models = (properties.model.oneOf ?? properties.model.anyOf).map(resolve);
   return { defaults, models: models.map((model) => modelOf(model, resolve)) };
 }
