@@ -223,6 +223,8 @@ def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any
         assert page.get_by_label("bounciness").get_attribute("placeholder") == "0.25"
         page.get_by_label("bounciness").fill("0.5")
         page.locator(".error", has_text="toy").wait_for()
+        page.locator("details summary").first.click()
+        page.get_by_label("Language").select_option("JSON")
         specification = json.loads(page.locator("details pre").text_content())
         expected = {"kind": "toy", "bounciness": 0.5, "mood": "bad", "sticky": True}
         assert specification["model"] == expected
