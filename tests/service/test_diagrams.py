@@ -13,12 +13,19 @@ from matplotlib.image import imread
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
-from service.render.bifurcation import draw
+from service.formats import PictureFormat
+from service.render import bifurcation
 from service.render.text import COLUMNS, diagram_json, diagrams_csv
 from service.results.diagram import Diagram
 from worker.spec import SweepSpec
 
 NAN = float("nan")
+#: What the metadata of every picture say.
+ORIGIN = {"release": "0.2.0", "job": 32 * "a"}
+
+
+def draw(diagrams: list[Diagram], spec: SweepSpec, format: PictureFormat) -> bytes:
+    return bifurcation.draw(diagrams, spec, format, ORIGIN)
 
 
 def made(**changes: Any) -> Diagram:
@@ -67,7 +74,7 @@ def dark(picture: bytes) -> int:
 
 
 def words(svg: bytes) -> str:
-    """The picture's texts: matplotlib notes each beside the outlines it draws."""
+    """The picture's texts: text is text, and the source of mathematical text is a comment beside it."""
     return svg.decode()
 
 
@@ -194,8 +201,8 @@ def test_a_dense_picture_of_two_directions_names_both():
     up, down = (long(3200, 64, direction=direction) for direction in ("up", "down"))
     ramp = spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
     picture = words(draw([up, down], ramp, "svg"))
-    assert "<!-- up -->" in picture
-    assert "<!-- down -->" in picture
+    assert ">up</text>" in picture
+    assert ">down</text>" in picture
 
 
 def test_a_picture_of_every_nth_cell_says_so():
@@ -217,8 +224,8 @@ def test_a_picture_says_how_it_was_made():
     for text in (
         "rigid contact, ramped along",
         "flights above 0.5 rad",
-        "<!-- up -->",
-        "<!-- down -->",
+        ">up</text>",
+        ">down</text>",
     ):
         assert text in picture
 
