@@ -805,7 +805,7 @@ def _serious(page: Any) -> list[tuple[str, str]]:
     ]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.long)])
 def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: str, scheme: str):
     phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "color_scheme": scheme}
     with opened(browser, address, reduced_motion="reduce", **phone) as page:

@@ -230,7 +230,8 @@ def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> sub
     [
         pytest.param(signal.SIGINT, LONG, id="sweep, Ctrl-C"),
         *(
-            pytest.param(signal.SIGKILL, spec, id=name)
+            # That of basins takes half a minute; tests/faults/test_studies.py kills one, too.
+            pytest.param(signal.SIGKILL, spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
             for name, spec in ({"sweep": LONG, "orbits": ORBITS} | STUDIES).items()
         ),
     ],

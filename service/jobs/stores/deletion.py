@@ -111,8 +111,8 @@ class Deleter:
         created = store.created_at(url) if deletion in self._inherited else None
         if created is not None and created > deletion.created:
             log.error("%s was created after its job was deleted: it stays, the ledger is an older copy", url)
+            self.kept.append(url)  # first: it is told from the moment that no deletion waits
             self._advance(deletion, DeletionStep.COMPLETE)
-            self.kept.append(url)
             return False
         # A worker that lost its connection may still be computing: the cancel flag stops it, and without
         # its metadata the store accepts no chunk.
