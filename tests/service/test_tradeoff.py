@@ -139,7 +139,7 @@ def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
 def test_another_format_is_refused(tmp_path: Path):
     executor = Inline()
     with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
-        refused = client.get("/v1/tradeoff", params={"format": "pdf"})
+        refused = client.get("/v1/tradeoff", params={"format": "bmp"})
     executor.close()
     assert refused.status_code == 422
     assert refused.json()["errors"][0]["field"] == "format"
