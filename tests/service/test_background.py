@@ -100,11 +100,13 @@ def _sleep_and_tell() -> int:
     return os.getpid()
 
 
-def test_they_end_when_closed_also_while_computing():
+def test_they_end_when_closed_also_while_computing(tmp_path: Path):
+    begun = tmp_path / "begun"
+    computation = f"import pathlib, signal; pathlib.Path({str(begun)!r}).touch(); signal.pause()"
     with closing(Processes(1)) as processes, ThreadPoolExecutor(1) as pool:
         child = psutil.Process(processes.run(os.getpid))
-        waiting = pool.submit(processes.run, signal.pause)
-        wait_for(lambda: child.status() == psutil.STATUS_SLEEPING)
+        waiting = pool.submit(processes.run, exec, computation)
+        wait_for(begun.exists)
         processes.close()
         with pytest.raises(NotComputed):
             waiting.result(DEADLINE)
