@@ -1,7 +1,6 @@
 """Processes that compute answers: what they return and raise, their priority, and their end."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
