@@ -68,7 +68,7 @@ def test_branches_are_solid_where_they_are_stable(job: Job, client: Client, ax: 
 def test_a_map_has_the_colour_of_each_cell(job: Job, ax: Axes):
     job.plot(ax=ax, direction="down")
     modes = job.modes(direction="down")
-    (mesh,) = ax.collections
+    mesh, *_ = ax.collections  # the others are hatches
     values = np.asarray(mesh.get_array()).reshape(3, 21)
     colours = [to_hex(colour) for colour in mesh.cmap(mesh.norm(values)).reshape(-1, 4)]
     for outcome, periods, colour in zip(
