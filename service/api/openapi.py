@@ -122,7 +122,7 @@ def _mend_responses(responses: dict[str, Any]) -> None:
     for response in responses.values():
         for content in response.get("content", {}).values():
             if content.pop("itemSchema", None) is not None:
-                content["schema"] = {"type": "string", "description": "server-sent events"}
+                content["schema"] = {"description": "server-sent events"}
 
 
 def _schemas_in(part: Any) -> Iterator[dict[str, Any]]:
