@@ -42,7 +42,13 @@ def contents(service: Running, job: JobRecord) -> dict[str, bytes]:
 
 
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("spec", STUDIES.values(), ids=STUDIES.keys())
+@pytest.mark.parametrize(
+    "spec",
+    [  # that of basins takes more than a minute; tests/faults/test_damage.py computes one on workers, too
+        pytest.param(spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
+        for name, spec in STUDIES.items()
+    ],
+)
 def test_a_killed_worker_a_cancel_and_another_number_of_workers_change_no_byte(
     tmp_path: Path, workers: Dask, spec: dict[str, Any]
 ):

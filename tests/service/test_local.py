@@ -230,7 +230,7 @@ def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> sub
     [
         pytest.param(signal.SIGINT, LONG, id="sweep, Ctrl-C"),
         *(
-            # That of basins takes half a minute; tests/faults/test_studies.py kills one, too.
+            # That of basins takes half a minute.
             pytest.param(signal.SIGKILL, spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
             for name, spec in ({"sweep": LONG, "orbits": ORBITS} | STUDIES).items()
         ),

@@ -260,7 +260,15 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
             pauses += 1
 
 
-@pytest.mark.parametrize("changes", PAUSING.values(), ids=PAUSING)
+@pytest.mark.parametrize(
+    "changes",
+    [  # settling and soft ramps pause thousands of times: about a minute each
+        pytest.param(
+            changes, id=name, marks=[pytest.mark.long] if name in ("settling", "soft ramp in lanes") else []
+        )
+        for name, changes in PAUSING.items()
+    ],
+)
 def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes):
     monkeypatch.setattr(tasks, "FIRST_STEPS", 37)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
