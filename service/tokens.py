@@ -4,15 +4,17 @@ A service with `token=auto` keeps its token in a file of the data folder, where 
 it. Imports the standard library only, because clients do.
 """
 
+import errno
 import json
 import os
 import re
 import secrets
 import stat
 import tempfile
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import IO, Final, NamedTuple
 
 #: In place of a token: the service makes one, its clients look for it.
 AUTO: Final = "auto"
@@ -102,13 +104,13 @@ def own_token(folder: Path, port: int | None) -> str:
     return token
 
 
-def find_token(port: int) -> str | None:
+def find_token(port: int, folder: Path | None = None) -> str | None:
     """The token of this user's own service on `port` of this machine; None if there is no such service.
 
-    Looks in the data folder BOUNCE_DATA, by default ./bounce-data. A token is sent to no other service, and a
-    file of another user does not count.
+    Looks in the data folder, by default BOUNCE_DATA or ./bounce-data. A token is sent to no other service,
+    and a file of another user does not count.
     """
-    found = _read_own(data_folder())
+    found = _read_own(folder or data_folder())
     return found.token if found is not None and found.port == port else None
 
 
@@ -117,28 +119,40 @@ def data_folder() -> Path:
     return Path(os.environ.get("BOUNCE_DATA") or "bounce-data")
 
 
-def write_private(path: Path, text: str) -> None:
-    """Write a file for this user alone, whole or not at all. Raises OSError."""
+def write_private(
+    path: Path, text: str, before_replace: Callable[[Path], object] = lambda file: None
+) -> None:
+    """Write a file for this user alone, whole or not at all. Raises OSError.
+
+    `before_replace` gets the new file before it is at `path`.
+    """
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")  # mode 0600
     try:
         with open(descriptor, "w", encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
             file.write(text)
+        before_replace(Path(name))
         Path(name).replace(path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
 
 
+@contextmanager
+def opened_private(path: Path) -> Iterator[IO[str]]:
+    """A file that `write_private` wrote, to read it. Raises OSError, also if others could have written it."""
+    # Not blocked by a pipe that somebody has put in its place.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+    with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid() or status.st_mode & _OTHERS:
+            raise PermissionError(errno.EPERM, "is not this user's alone", str(path))
+        yield file
+
+
 def _read_own(folder: Path) -> OwnToken | None:
     """What the file of the folder holds; None if there is none that a service of this user wrote."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        # Not blocked by a pipe that somebody has put in its place.
-        descriptor = os.open(folder / FILE_NAME, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-        with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
-            status = os.fstat(descriptor)
-            if status.st_uid != os.geteuid() or status.st_mode & _OTHERS:
-                return None
-            content = json.loads(file.read(_MAX_BYTES))
+    with suppress(OSError, ValueError, KeyError, TypeError), opened_private(folder / FILE_NAME) as file:
+        content = json.loads(file.read(_MAX_BYTES))
         token, port = content["token"], content["port"]
         if is_valid(token) and (port is None or isinstance(port, int)):
             return OwnToken(token, port)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.cli.options import DEFAULT_URL, data_option
+from service.cli.options import data_option, default_url, url_option, was_default_or_variable
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -91,8 +91,7 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
 
 @click.command()
 @data_option
-@click.option("--url", default=DEFAULT_URL, show_default=True, envvar="BOUNCE_URL", show_envvar=True,
-              help="Address of the service, if one should be running.")  # fmt: skip
+@url_option
 def doctor(data: str | None, url: str) -> None:
     """Check what the service needs; change nothing.
 
@@ -100,7 +99,10 @@ def doctor(data: str | None, url: str) -> None:
     """
     from service.cli.doctor import examine
 
-    findings = examine(_settings(data), url)
+    settings = _settings(data)
+    if data is not None and was_default_or_variable("url"):
+        url = default_url(settings.data)
+    findings = examine(settings, url)
     for finding in findings:
         click.echo(f"{'ok' if finding.ok else '!!':<4}{finding.subject:<18}{finding.text}")
     if not all(finding.ok for finding in findings):

@@ -1,6 +1,6 @@
 """The command `bounce figure`: a figure from submission to picture."""
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +10,7 @@ from service.cli.options import (
     data_option,
     optional_service_options,
     output_format,
+    was_default_or_variable,
     workers_option,
     write_file,
 )
@@ -44,12 +45,14 @@ def figure(
 
     Starts a local service with two worker processes, submits the sweeps of the figures, draws the results and
     prints how they compare with the paper. A second run finds the finished jobs in the data folder and only
-    draws. If another service uses ./bounce-data, that service is used.
+    draws. If a service runs on the data folder, that service is used.
     """
-    from service.cli.local_service import persistent_service
+    from service.cli.local_service import Address, persistent_service
     from service.client import Client
     from service.figures import catalogue
 
+    if data is not None and not was_default_or_variable("url"):
+        raise click.UsageError("--data names the folder of a local service, --url another service: give one")
     figures = catalogue.figures(number)
     if number == "all":
         folder = Path(output or "figures")
@@ -58,7 +61,10 @@ def figure(
     else:
         targets = [output or f"figure-{number}.{format}"]
         format = output_format(targets[0], PICTURES)
-    service = persistent_service(workers, data, token) if url is None else nullcontext((url, token))
+    if url is None or data is not None:
+        service: AbstractContextManager[Address] = persistent_service(workers, data, token)
+    else:
+        service = nullcontext(Address(url, token))
     with service as address, Client(*address, timeout=COMPILE_SECONDS) as client:
         for target, picture in zip(targets, catalogue.make(figures, client, format), strict=True):
             write_file(target, picture.content)

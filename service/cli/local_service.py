@@ -3,7 +3,6 @@
 It requires a token that only this process knows: other users of the machine reach its port as well.
 """
 
-import os
 import secrets
 import signal
 import sys
@@ -11,13 +10,16 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Final, NamedTuple
+from urllib.parse import urlsplit
 
 import click
 
-from service.cli.options import DEFAULT_URL
+from service import address
 from service.local import claim_kernels
+from service.tokens import AUTO, data_folder, find_token
 
 
 class Address(NamedTuple):
@@ -44,29 +46,40 @@ def temporary_service(workers: int | None) -> Iterator[Address]:
 
 @contextmanager
 def persistent_service(workers: int | None, data: str | None, token: str | None) -> Iterator[Address]:
-    """A service that keeps its results in the folder `data`, by default ./bounce-data.
+    """A service that keeps its results in the folder `data`, by default BOUNCE_DATA or ./bounce-data.
 
-    A folder has one service at a time. If another one uses the default folder, as beside `bounce serve`, that
-    service is used if it answers at BOUNCE_URL or the default address, and a temporary one otherwise. A
-    folder that was named is not replaced: raises DataFolderBusy.
+    A folder has one service at a time. If `bounce serve` runs on it, that service is used. If another command
+    uses the default folder, a temporary service is started. A folder that was named is not replaced: raises
+    DataFolderBusy.
     """
     from service.errors import DataFolderBusy
 
+    folder = Path(data) if data else data_folder()
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
+        if running := _running_on(folder, token):
+            click.echo(f"using the service at {running.url}, which runs on {folder}", err=True)
+            yield running
+            return
         try:
-            address = stack.enter_context(_local_service(workers=workers, data=data))
+            service = stack.enter_context(_local_service(workers=workers, data=data))
         except DataFolderBusy:
             if data is not None:
                 raise
-            running = os.environ.get("BOUNCE_URL") or DEFAULT_URL
-            if _answers(running, token):
-                click.echo(f"another service uses the data folder: using the service at {running}", err=True)
-                address = Address(running, token)
-            else:
-                click.echo("another service uses the data folder: using a temporary one", err=True)
-                address = stack.enter_context(temporary_service(workers))
-        yield address
+            click.echo("another service uses the data folder: using a temporary one", err=True)
+            service = stack.enter_context(temporary_service(workers))
+        yield service
+
+
+def _running_on(folder: Path, token: str | None) -> Address | None:
+    """The service that runs on a data folder, if it accepts `token`, or else the one that it has made."""
+    url = address.find(folder)
+    if url is None:
+        return None
+    if token in (None, "", AUTO):
+        token = find_token(urlsplit(url).port or 80, folder)
+    service = Address(url, token)
+    return service if _answers(service) else None
 
 
 @contextmanager
@@ -104,12 +117,12 @@ def _end(number: int, frame: FrameType | None) -> None:
     sys.exit(128 + number)
 
 
-def _answers(url: str, token: str | None) -> bool:
-    """Whether a service answers at `url` and accepts the token."""
+def _answers(service: Address) -> bool:
+    """Whether it answers, and accepts the token."""
     from service.client import BounceError, Client
 
     try:
-        with Client(url, token, timeout=5.0) as client:
+        with Client(*service, timeout=5.0) as client:
             client.metrics()
     except BounceError:
         return False

@@ -8,13 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
+
+from service import address
+from service.tokens import data_folder
 
 if TYPE_CHECKING:
     from service.client import Client
 
 AXES: Final = ("gamma", "omega", "xi")
 DEFAULT_URL: Final = "http://127.0.0.1:8000"  # the client's, which takes long to import
+_SHOWN_DEFAULT: Final = f"the service on ./bounce-data or BOUNCE_DATA; {DEFAULT_URL}"
 
 #: Seconds that the completion of an id waits for the service.
 COMPLETION_SECONDS: Final = 2.0
@@ -47,7 +52,7 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     from service.client import BounceError, Client
 
     given = ctx.params
-    url = given.get("url") or os.environ.get("BOUNCE_URL") or DEFAULT_URL
+    url = given.get("url") or os.environ.get("BOUNCE_URL") or default_url()
     token = given.get("token") or os.environ.get("BOUNCE_TOKEN")
     try:
         with Client(url, token, timeout=COMPLETION_SECONDS) as client:
@@ -76,12 +81,32 @@ data_option = click.option(
 )
 
 
+def default_url(folder: Path | None = None) -> str:
+    """The address of the service on a data folder, by default that of clients, else the usual one."""
+    return address.find(folder or data_folder()) or DEFAULT_URL
+
+
+url_option = click.option(
+    "--url",
+    help="Address of the service.",
+    default=default_url,
+    show_default=_SHOWN_DEFAULT,
+    envvar="BOUNCE_URL",
+    show_envvar=True,
+)
+
+
+def was_default_or_variable(option: str) -> bool:
+    """Whether an option of the running command was not given on the command line."""
+    source = click.get_current_context().get_parameter_source(option)
+    return source is not ParameterSource.COMMANDLINE
+
+
 def service_options(command: Command) -> Command:
     """The options that select the service."""
     return _with(
         command,
-        click.option("--url", help="Address of the service.", default=DEFAULT_URL,
-                     show_default=True, envvar="BOUNCE_URL", show_envvar=True),
+        url_option,
         click.option("--token", help="Access token, if the service requires one.", envvar="BOUNCE_TOKEN",
                      show_envvar=True),
     )  # fmt: skip
@@ -91,9 +116,11 @@ def optional_service_options(command: Command) -> Command:
     """The options that select a running service instead of a local one."""
     return _with(
         command,
-        click.option("--url", help="Use the running service at this address instead of a local one."),
-        click.option("--token", envvar="BOUNCE_TOKEN", help="Access token, if that service requires one."),
-    )
+        click.option("--url", help="Use the running service at this address instead of a local one.",
+                     envvar="BOUNCE_URL", show_envvar=True),
+        click.option("--token", help="Access token, if that service requires one.", envvar="BOUNCE_TOKEN",
+                     show_envvar=True),
+    )  # fmt: skip
 
 
 def line_options(command: Command) -> Command:

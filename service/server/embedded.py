@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from pydantic import SecretStr, ValidationError
 
-from service import tokens
+from service import address, tokens
 from service.api.app import create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotStarted
@@ -90,6 +90,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """Run a service until SIGINT or SIGTERM; `announce` gets one line once it listens. Raises NotStarted."""
 
     def announce_url(url: str) -> None:
+        record(url)
         announce(f"bounce listens on {url} ({_summary(settings)})")
 
     raise_file_limit()
@@ -102,6 +103,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         _with_own_token(settings, listener) as complete,
         _computing(settings, None) as executor,
         closing(Processes(settings.max_reads + settings.max_exports)) as background,
+        address.recorder(settings.data) as record,
     ):
         threading.Thread(target=background.run, args=[answers.warm], name="warm-answers", daemon=True).start()
         with _startup_errors():

@@ -18,6 +18,7 @@ import xarray
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
+from service import address
 from service.cli import options
 from service.cli.main import main
 from service.cli.output import threshold_table
@@ -315,30 +316,65 @@ def test_the_commands_use_the_clients_default_address():
     assert options.DEFAULT_URL == DEFAULT_URL
 
 
-def test_figure_uses_the_service_that_has_the_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def figure_1(*words: object, **environment: str | None) -> Result:
+    """Figure 1, which needs no sweep."""
+    environment = {"BOUNCE_URL": None, **environment}
+    result = CliRunner(env=environment).invoke(main, ["figure", "1", *map(str, words)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exc_info
+    return result
+
+
+def is_picture(file: Path) -> bool:
+    return file.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("how", ["variable", "option", "data folder", "named folder"])
+def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str):
     monkeypatch.chdir(tmp_path)
-    settings = Settings(port=0, heartbeat_seconds=0.2)
-    with closing(Inline()) as executor, embedded.running(settings, executor) as url:
-        result = bounce("figure", "1", url=url)
+    settings = Settings(data=tmp_path / "data", port=0, heartbeat_seconds=0.2, token="auto")
+    target = tmp_path / "picture.png"
+    with (
+        closing(Inline()) as executor,
+        embedded.running(settings, executor) as url,
+        address.recorder(settings.data) as record,
+    ):
+        record(url)
+        token = json.loads((settings.data / "token.json").read_text())["token"]
+        if how == "variable":
+            result = figure_1("-o", target, BOUNCE_URL=url, BOUNCE_TOKEN=token)
+        elif how == "option":
+            result = figure_1("-o", target, "--url", url, "--token", token)
+        elif how == "data folder":
+            result = figure_1("-o", target, BOUNCE_DATA=str(settings.data))
+        else:
+            result = figure_1("-o", target, "--data", settings.data, BOUNCE_URL="http://127.0.0.1:9")
     assert result.exit_code == 0, result.stderr
-    assert f"another service uses the data folder: using the service at {url}\n" in result.stderr
-    assert Path("figure-1.png").read_bytes().startswith(b"\x89PNG")
+    assert is_picture(target)
+    if "folder" in how:
+        assert result.stderr.startswith(f"using the service at {url}, which runs on ")
+    assert "starting a local service" not in result.stderr
 
 
-def test_figure_computes_in_a_temporary_folder_if_that_service_does_not_answer(
+def test_figure_computes_in_a_temporary_folder_if_another_command_has_the_data_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.chdir(tmp_path)
     with Ledger(tmp_path / "bounce-data" / "ledger.sqlite"):
-        result = bounce("figure", "1", "--workers", "1", url="http://127.0.0.1:9")
+        result = figure_1("--workers", "1")
     assert result.exit_code == 0, result.stderr
     assert "another service uses the data folder: using a temporary one\n" in result.stderr
-    assert Path("figure-1.png").read_bytes().startswith(b"\x89PNG")
+    assert is_picture(Path("figure-1.png"))
+
+
+def test_figure_takes_a_folder_or_a_service(tmp_path: Path, url: str):
+    result = figure_1("--data", tmp_path, "--url", url)
+    assert result.exit_code == 2
+    assert "give one" in result.stderr
 
 
 def test_figure_does_not_replace_a_data_folder_that_was_named(tmp_path: Path):
     with Ledger(tmp_path / "ledger.sqlite"):
-        result = bounce("figure", "1", "--data", tmp_path, "-o", tmp_path / "figure-1.png")
+        result = figure_1("--data", tmp_path, "-o", tmp_path / "figure-1.png")
     assert result.exit_code == 1
     assert "another service uses the data folder" in result.stderr
     assert not (tmp_path / "figure-1.png").exists()
@@ -491,6 +527,8 @@ def test_serve_computes_locks_its_data_and_stops_on_a_signal(serve: Serve, spec:
     assert json.loads(run("list", "--json", BOUNCE_URL=url).stdout)[0]["id"] == submitted.stdout.strip()
 
     data = line.split("data in ")[1].split(",")[0]
+    assert address.find(Path(data)) == url
+    assert json.loads(run("list", "--json", BOUNCE_DATA=data).stdout)[0]["id"] == submitted.stdout.strip()
     second = run("serve", "--port", "0", "--data", data, "--workers", "1")
     assert second.returncode == 1
     assert "another service uses the data folder" in second.stderr
@@ -502,6 +540,7 @@ def test_serve_computes_locks_its_data_and_stops_on_a_signal(serve: Serve, spec:
     assert f"cannot listen on 127.0.0.1 port {port}: Address already in use" in third.stderr
 
     assert serve.end(signal.SIGTERM) == 0
+    assert not (Path(data) / "service.json").exists()
 
 
 def test_serve_stops_while_it_is_still_starting(serve: Serve):
