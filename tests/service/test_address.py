@@ -24,9 +24,13 @@ def test_it_is_found_while_the_service_runs(tmp_path: Path):
 
 
 def test_it_is_forgotten_when_the_service_is_ended(tmp_path: Path):
-    with pytest.raises(KeyboardInterrupt), address.recorder(tmp_path) as record:
-        record(URL)
-        raise KeyboardInterrupt
+    def serve() -> None:
+        with address.recorder(tmp_path) as record:
+            record(URL)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        serve()
     assert list(tmp_path.iterdir()) == []
 
 
