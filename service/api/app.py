@@ -24,6 +24,7 @@ from service.jobs.on_demand import MAX_PENDING, OnDemandCache
 from service.jobs.stores.adoption import open_ledger
 from service.render import export
 from service.settings import Settings
+from service.software import software
 from worker.executors.base import Executor
 
 #: Chunks of stores read at a time.
@@ -45,7 +46,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     app = FastAPI(
         title="bouncing-spring",
         summary=SUMMARY,
-        version="0.1.0",
+        version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
         generate_unique_id_function=openapi.operation_id,

@@ -47,8 +47,6 @@ _TOKEN: Final = {
     "description": "Required by a service that has tokens (`bounce serve --token`).",
 }
 
-_MOTION: Final = {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2}
-
 #: Examples of bodies, each a valid one.
 EXAMPLES: Final[dict[str, dict[str, Any]]] = {
     "SweepSpec": {
@@ -75,7 +73,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
         "model": {"kind": "rigid"},
     },
     "Window": {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
-    "TrajectorySpec": _MOTION,
+    "TrajectorySpec": {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
 }
 
 
