@@ -37,8 +37,8 @@ LINES_TO_FILL: Final = 4 * LANES
 MAX_CHUNK_BYTES: Final = 16 * 2**20
 
 #: An adaptive map is cut into tiles of about so many rows and columns, each one chunk, which is refined by
-#: itself (with a margin, together with the blocks just beyond its border). Large enough that lanes are full in most
-#: rounds, small enough that a map of 513 rows and columns has some for every worker.
+#: itself (with a margin, together with the blocks just beyond its border). Large enough that lanes are full
+#: in most rounds, small enough that a map of 513 rows and columns has some for every worker.
 TILE_SIDE: Final = 128
 MAX_TILE_BYTES: Final = 20 * 2**20
 

@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from io import UnsupportedOperation
 from typing import Any, Final
@@ -60,12 +61,39 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
 
     sweep = spec.sweep() if isinstance(spec, GridSpec) else spec
     if isinstance(sweep, SweepSpec):
-        compile_for(sweep)  # not on the chunk's time
+        try:
+            _compile(sweep, store_url)  # not on the chunk's time
+        except ChunkCancelled as cancelled:
+            return cancelled
     with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):
         try:
             return run_task(spec, chunk, store_url)
         except (ChunkCancelled, ChunkPaused) as stopped:
             return stopped
+
+
+def _compile(sweep: SweepSpec, store_url: str) -> None:
+    """Compile what computes the sweep, or load it. Raises ChunkCancelled if its job is cancelled meanwhile.
+
+    Compilation can take a minute and cannot be interrupted. It goes on in its thread after a cancel, for the
+    chunks that follow.
+    """
+    compiled: Future[None] = Future()
+
+    def compile_in_thread() -> None:
+        try:
+            compile_for(sweep)
+        except BaseException as error:  # noqa: BLE001 - raised again by the thread that waits
+            compiled.set_exception(error)
+        else:
+            compiled.set_result(None)
+
+    threading.Thread(target=compile_in_thread, name="compile", daemon=True).start()
+    while not wait([compiled], FLAG_SECONDS).done:
+        with contextlib.suppress(OSError):  # a bucket out of reach is no reason to stop
+            if store.is_cancelled(store_url):
+                raise ChunkCancelled(f"cancelled: {store_url}")
+    compiled.result()
 
 
 class Watchdog:

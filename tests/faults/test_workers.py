@@ -153,6 +153,28 @@ def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, f
         wait_until_ready(fragile)
 
 
+@pytest.mark.long
+def test_cancelling_does_not_wait_for_compilation(tmp_path: Path):
+    """The kernel of exponents is not compiled at the start of a worker, and takes many seconds."""
+    executor = Dask(workers=1, kernel_cache=tmp_path / "cache", memory=2 << 30)
+    try:
+        wait_for(executor.ready, seconds=PATIENCE)
+        worker = pids(executor)
+        with running(tmp_path, executor) as service:
+            sweep = costing(exponents=3, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+            job = service.submit(sweep)
+            service.until(job, JobState.RUNNING)
+            time.sleep(1.0)
+            began = time.monotonic()
+            service.manager.cancel(job.id)
+            ended = service.until(job, JobState.CANCELLED)
+            assert time.monotonic() - began < 5
+            assert ended.chunks_done == 0
+        assert pids(executor) == worker  # which goes on compiling
+    finally:
+        executor.close()
+
+
 @pytest.mark.skipif(not STRICT, reason="long: BOUNCE_TEST_RUNS=10")
 def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
     wait_until_ready(fragile)
