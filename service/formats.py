@@ -19,6 +19,8 @@ MultistabilityFormat = Literal[TableFormat, PictureFormat]
 TradeoffFormat = Literal["json", PictureFormat]
 #: A whole sweep in one file.
 ExportFormat = Literal["nc", "parquet"]
+#: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.
+ExportLayout = Literal["cells", "flights"]
 
 #: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, all, or all with words
 #: of the sweep's cells where the closed form is unresolved.

@@ -123,13 +123,14 @@ def run_to_file(
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
+    from service.jobs.provenance import attributes_of
     from service.render import answers, export
     from service.results.selection import Stored, Sweep, fixed_axes, resolve_direction
 
     where = _line(line or {})
     # Before computing for hours.
     if format in EXPORTS:
-        export.check_numbers(parsed, study_of(parsed).plan(parsed))
+        export.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)
@@ -140,8 +141,9 @@ def run_to_file(
         limits = _settings(partial_of(target))
         with complete_file(target) as file:
             if format in EXPORTS:
-                kind, folder = cast(ExportFormat, format), limits.exports_path
-                made = export.make(InThisProcess(), study, job.plan, kind, folder)
+                attributes = attributes_of(record, job)
+                whole = export.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
+                made = export.make(InThisProcess(), whole, limits.exports_path)
                 file.writelines(export.pieces(made))
             else:
                 table = cast(DiagramFormat, format)

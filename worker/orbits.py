@@ -21,7 +21,7 @@ from worker import store
 from worker.cost import Cost
 from worker.grid_plan import Block, GridPlan
 from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
-from worker.schema import COORDINATES, OUTCOME, Array, Layout
+from worker.schema import COORDINATES, OUTCOME, Array, Layout, common_attributes
 from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
@@ -249,13 +249,7 @@ def layout(spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:
         extra_sizes=_sizes(spec),
         arrays=ARRAYS,
         coordinate_attrs={**attrs, "branch": {"long_name": "mode of the branch: bounces-periods"}},
-        attributes={
-            "Conventions": "CF-1.11",
-            "title": spec.name or "bouncing spring: cycles in closed form",
-            "kernel_version": KERNEL_VERSION,
-            "model": "rigid, restitution 0",
-            "spec": spec.as_submitted(),
-        },
+        attributes=common_attributes(spec, "bouncing spring: cycles in closed form", "rigid, restitution 0"),
         identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
     )
 

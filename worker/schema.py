@@ -4,10 +4,12 @@ A `Layout` is the store's description of a study: dimensions, coordinates, chunk
 Another kind of study declares its own variables in its package.
 """
 
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +23,13 @@ from worker.spec.time_steps import corners, stated
 #: The dimensions that identify a cell of a sweep, slowest first.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
 
+#: Whose model it is.
+REFERENCE: Final = (
+    "Hubert, Ludewig, Dorbolo and Vandewalle, Bouncing dynamics of a spring, Physica D 272 (2014)"
+)
+
+#: Attributes of a store that are JSON text, because attributes of files are texts and numbers.
+_STRUCTURED: Final = ("spec", "choice", "time_steps", "chunk_shape")
 
 _METADATA_KEY: Final = "zarr.json"
 _CHUNK_KEY: Final = re.compile("c(?:/(?:0|[1-9][0-9]{0,8})){1,8}")
@@ -48,6 +57,14 @@ class Coordinate(NamedTuple):
     attrs: dict[str, Any]
 
 
+class Code(NamedTuple):
+    """The names along a dimension as numbers, with CF flags: not every reader of zarr knows text."""
+
+    dim: str
+    values: NDArray[np.uint8]  # (n,)
+    attrs: dict[str, Any]
+
+
 @dataclass(frozen=True)
 class Layout:
     """Dimensions, coordinates, chunks, arrays and attributes of a store.
@@ -69,6 +86,20 @@ class Layout:
         """Refuse an array with a dimension's name, which readers take for its coordinate: ValueError."""
         if clash := sorted({*self.chunk_sizes, *self.extra_sizes} & set(self.names)):
             raise ValueError(f"arrays named like dimensions: {', '.join(clash)}; rename either")
+
+    @cached_property
+    def codes(self) -> Mapping[str, Code]:
+        """The coordinates that are text, once more as numbers."""
+        return {
+            f"{name}_code": _code(name, values, self.coordinate_attrs.get(name, {}))
+            for name, values in self.coordinates.items()
+            if values.dtype.kind == "T"
+        }
+
+    def array_attrs(self, array: Array) -> dict[str, Any]:
+        """Attributes of an array, with the codes of its dimensions as auxiliary coordinates."""
+        codes = [name for name, code in self.codes.items() if code.dim in array.dims]
+        return {**array.attrs, "coordinates": " ".join(codes)} if codes else array.attrs
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -106,12 +137,47 @@ class Layout:
     def has_key(self, key: str) -> bool:
         """Whether `key` can be a file of a store with this layout: metadata, or a chunk of an array."""
         name, _, rest = key.partition("/")
-        if name not in self.coordinates and name not in self.names:
+        if name not in self.coordinates and name not in self.codes and name not in self.names:
             return key == _METADATA_KEY
         return rest == _METADATA_KEY or _CHUNK_KEY.fullmatch(rest) is not None
 
     def _length(self, dim: str) -> int:
         return len(self.coordinates[dim]) if dim in self.coordinates else self.extra_sizes[dim]
+
+
+def _code(name: str, values: NDArray[Any], attrs: Mapping[str, Any]) -> Code:
+    flags = np.arange(len(values), dtype=np.uint8)
+    meaning = {"flag_values": flags.tolist(), "flag_meanings": " ".join(values.tolist())}
+    return Code(name, flags, {"long_name": f"{attrs.get('long_name', name)}, as a number", **meaning})
+
+
+def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
+    """Attributes as every format has them: texts and numbers; values with parts as JSON text."""
+    return {
+        name: value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)
+        for name, value in attrs.items()
+    }
+
+
+def structured_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """The attributes of a store with their parts; stores of earlier releases hold them as parts already."""
+    return {
+        name: json.loads(value) if name in _STRUCTURED and isinstance(value, str) else value
+        for name, value in attrs.items()
+    }
+
+
+def common_attributes(spec: Any, title: str, model: str) -> dict[str, Any]:
+    """The attributes of any study's store; they depend on its specification alone."""
+    return {
+        "Conventions": "CF-1.11",
+        "title": spec.name or title,
+        "source": f"bouncing-spring, kernel version {KERNEL_VERSION}: numerical solution of the model",
+        "references": REFERENCE,
+        "kernel_version": KERNEL_VERSION,
+        "model": model,
+        "spec": spec.as_submitted(),
+    }
 
 
 def _ends(values: NDArray[Any]) -> str:
@@ -228,13 +294,7 @@ def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
 
 
 def _attributes(spec: SweepSpec) -> dict[str, Any]:
-    attributes: dict[str, Any] = {
-        "Conventions": "CF-1.11",
-        "title": spec.name or "bouncing spring",
-        "kernel_version": KERNEL_VERSION,
-        "model": spec.model.kind,
-        "spec": spec.as_submitted(),
-    }
+    attributes = common_attributes(spec, "bouncing spring", spec.model.kind)
     if isinstance(spec.model, Stepped):
         axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
         attributes["time_steps"] = stated(spec.model, corners(*axes))

@@ -12,6 +12,7 @@ from service.formats import (
     BasinFormat,
     DiagramFormat,
     ExportFormat,
+    ExportLayout,
     MultistabilityFormat,
     Predict,
     TradeoffFormat,
@@ -245,9 +246,14 @@ class MultistabilityQuery(Query):
 
 
 class ExportQuery(Query):
-    """Format of the file."""
+    """Format of the file, and what its rows are."""
 
     format: ExportFormat
+    layout: ExportLayout = Field(
+        "cells",
+        description="of parquet: a row for every cell, of basins and multistability for every attractor of a "
+        "cell; or for each of their flights",
+    )
 
 
 class TradeoffQuery(Query):

@@ -19,7 +19,15 @@ from service.cli.options import (
     service_options,
     write_file,
 )
-from service.formats import EXPORTS, PICTURES, TABLES, BasinFormat, MultistabilityFormat, Predict
+from service.formats import (
+    EXPORTS,
+    PICTURES,
+    TABLES,
+    BasinFormat,
+    ExportLayout,
+    MultistabilityFormat,
+    Predict,
+)
 
 if TYPE_CHECKING:
     import xarray
@@ -152,16 +160,21 @@ def modes(
 @job_argument
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True,
               help="File to write, .nc or .parquet.")  # fmt: skip
+@click.option(
+    "--layout", type=click.Choice(get_args(ExportLayout)), default="cells", show_default=True,
+    help="What a row of Parquet is: a cell with lists of its flights, or each flight.",
+)  # fmt: skip
 @service_options
-def export(job_id: str, output: str, url: str, token: str | None) -> None:
+def export(job_id: str, output: str, layout: ExportLayout, url: str, token: str | None) -> None:
     """Write all results of a job to one file, NetCDF or Parquet.
 
-    NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell.
+    NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
+    flights one row per flight.
     """
     output_format(output, EXPORTS)
     with open_client(url, token) as client:
         job = client.job(job_id)
-        job.export(Path(output))
+        job.export(Path(output), layout=layout)
     _warn(job, "cells are missing")
 
 

@@ -8,7 +8,7 @@ from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS, BasinFormat, MultistabilityFormat, Predict
+from service.formats import EXPORTS, BasinFormat, ExportLayout, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
     import httpx2
@@ -261,17 +261,20 @@ class Results(JobStatus):
         }  # fmt: skip
         return trajectory_dataset(json_object(self._transport.get(self._path("trajectory"), query)))
 
-    def export(self, path: str | PathLike[str]) -> Path:
+    def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
         """Write the whole sweep to a file, NetCDF (.nc) or Parquet (.parquet), and return its path.
 
-        The file is written completely or not at all. Raises TooLarge, Busy, BounceError for another suffix.
+        `layout`: what a row of Parquet is, a cell with lists of its flights, or with "flights" each flight.
+        The file is written completely or not at all. Raises TooLarge, Busy, BadRequest for another layout,
+        BounceError for another suffix.
         """
         target = Path(path)
         format = target.suffix.removeprefix(".")
         if format not in EXPORTS:
             endings = " or ".join(f".{ending}" for ending in EXPORTS)
             raise BounceError(f"{target}: the name of an export ends in {endings}")
-        self._transport.download(self._path("export"), {"format": format}, target)
+        query = {"format": format, "layout": None if layout == "cells" else layout}
+        self._transport.download(self._path("export"), query, target)
         return target
 
     def open(self) -> "xarray.Dataset":

@@ -31,7 +31,7 @@ def open_store(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
         dataset: xarray.Dataset = xarray.open_zarr(HTTPStore(transport, path), consolidated=True, chunks=None)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
-    # As in exports: NetCDF has no attributes but texts and numbers.
+    # Of stores of earlier releases, so that `to_netcdf` can write them too.
     nested = {name: value for name, value in dataset.attrs.items() if isinstance(value, dict | list)}
     return dataset.assign_attrs({name: json.dumps(value) for name, value in nested.items()})
 

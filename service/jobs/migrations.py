@@ -99,4 +99,7 @@ MIGRATIONS: Final = (
     CREATE INDEX jobs_by_creation ON jobs (created);
     CREATE INDEX jobs_pinned ON jobs (seq) WHERE pinned;
     """,
+    """
+    ALTER TABLE jobs ADD COLUMN runs TEXT NOT NULL DEFAULT '[]';
+    """,
 )

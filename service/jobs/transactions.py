@@ -20,6 +20,7 @@ from service.jobs.model import (
     check_transition,
     summary_of,
 )
+from service.jobs.provenance import with_this_run
 from service.jobs.search import JobSearch, Position
 from worker.tasks import ChunkReport
 
@@ -246,6 +247,7 @@ class WriteTransaction(ReadTransaction):
             started=job.started or now,
             run_started=now,
             run_cells=job.cells_done,
+            runs=with_this_run(job.runs, now),
         )
 
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:

@@ -20,9 +20,14 @@ def exported(study: Stored[Any], layout: Layout) -> tuple[schema.Array, ...]:
 
 
 def of_sweep(spec: SweepSpec) -> tuple[schema.Array, ...]:
-    """All arrays but the states that a ramp carries on from, and labels where there are any."""
-    stored = tuple(array for array in schema.arrays(spec) if array is not schema.END_STATE)
+    """All arrays of the store, and labels where there are any."""
+    stored = tuple(schema.arrays(spec))
     return (*stored, LABEL) if spec.exponents else stored
+
+
+def is_of_flights(array: schema.Array) -> bool:
+    """Whether an array has a value for each flight of a cell, or of an attractor of a cell."""
+    return array.dims[-1] == "flight"
 
 
 class Block(NamedTuple):

@@ -7,7 +7,8 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -15,9 +16,9 @@ import numpy as np
 
 from service.background import Background
 from service.errors import ExportFailed, InvalidRequest, NoSpace, TooLarge
-from service.formats import ExportFormat
+from service.formats import ExportFormat, ExportLayout
 from service.render import netcdf, parquet
-from service.render.blocks import Block, blocks
+from service.render.blocks import Block, blocks, is_of_flights
 from service.results.selection import Stored
 from worker.schema import Layout
 from worker.studies import Plan, study_of
@@ -30,18 +31,35 @@ SPARE: Final = 16 * 2**20
 #: A disk with fewer bytes free counts as full when a file could not be written.
 FULL: Final = 2**20
 
-_WRITERS: Final[Mapping[ExportFormat, Callable[[Stored[Any], Layout, Iterable[Block], Path], None]]] = {
-    "nc": netcdf.write,
-    "parquet": parquet.write,
-}
+
+@dataclass(frozen=True)
+class Export:
+    """A study to be written as one file."""
+
+    study: Stored[Any]
+    plan: Plan
+    format: ExportFormat
+    layout: ExportLayout = "cells"  # what a row of a table is
+    #: What the file says of the job, as `service.jobs.provenance.attributes_of` gives it.
+    attributes: Mapping[str, str | int | float] = field(default_factory=dict)
+
+    @property
+    def stored(self) -> Layout:
+        """What is stored of the study."""
+        return study_of(self.study.spec).variables(self.study.spec, self.plan.chunk_shape)
 
 
-def check_numbers(spec: Any, plan: Plan) -> None:
-    """Raise InvalidRequest for a study whose arrays such files cannot hold: complex numbers."""
-    for array in study_of(spec).variables(spec, plan.chunk_shape).arrays:
+def check(spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells") -> None:
+    """Raise InvalidRequest for complex arrays, which no such file holds, and for rows that there are not."""
+    arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
+    for array in arrays:
         if np.dtype(array.dtype).kind == "c":
             rule = f"{array.name} of this study is complex, and no such file holds that: open its store"
             raise InvalidRequest.of("format", rule)
+    if layout == "flights" and format != "parquet":
+        raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
+    if layout == "flights" and not any(is_of_flights(array) for array in arrays):
+        raise InvalidRequest.of("layout", "this study stores no flights")
 
 
 def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
@@ -54,29 +72,31 @@ def check_size(study: Stored[Any], plan: Plan, max_bytes: int) -> None:
         )
 
 
-def make(
-    background: Background, study: Stored[Any], plan: Plan, format: ExportFormat, folder: Path
-) -> IO[bytes]:
+def make(background: Background, export: Export, folder: Path) -> IO[bytes]:
     """The study's file, written in the background; open for reading and already unlinked.
 
     Raises NoSpace, another OSError, ExportFailed, NotComputed, a `store.StoreError`.
     """
     folder.mkdir(0o700, parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(suffix=f".{format}", dir=folder)
+    handle, name = tempfile.mkstemp(suffix=f".{export.format}", dir=folder)
     os.close(handle)
     try:
-        background.run(write, study, plan, format, Path(name))
+        background.run(write, export, Path(name))
         return Path(name).open("rb")
     finally:
         Path(name).unlink()
 
 
-def write(study: Stored[Any], plan: Plan, format: ExportFormat, path: Path) -> None:
+def write(export: Export, path: Path) -> None:
     """Write the study's file. Raises NoSpace, another OSError, ExportFailed, a `store.StoreError`."""
-    folder = path.parent
-    layout = study_of(study.spec).variables(study.spec, plan.chunk_shape)
+    folder, study, layout = path.parent, export.study, export.stored
+    attributes = {**export.attributes, **study.attributes}
     try:
-        _WRITERS[format](study, layout, _while_there_is_room(blocks(study, plan, layout), folder), path)
+        parts = _while_there_is_room(blocks(study, export.plan, layout), folder)
+        if export.format == "nc":
+            netcdf.write(study, layout, attributes, parts, path)
+        else:
+            parquet.write(study, layout, attributes, parts, path, by_flight=export.layout == "flights")
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise NoSpace(f"no space left for the export file: {error.strerror}") from error

@@ -8,7 +8,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 from service.errors import ExportFailed
 from service.render import netcdf_writer
 from service.render.blocks import Block, exported
-from service.render.netcdf_writer import Head, Part, Variable
+from service.render.netcdf_writer import Along, Head, Part, Variable
 from service.results.selection import Stored
 from worker.schema import Array, Layout
 
@@ -27,7 +27,13 @@ from worker.schema import Array, Layout
 _WRITER: Final = (sys.executable, "-P", "-m", netcdf_writer.__name__)
 
 
-def write(study: Stored[Any], layout: Layout, blocks: Iterable[Block], path: Path) -> None:
+def write(
+    study: Stored[Any],
+    layout: Layout,
+    attributes: Mapping[str, str | int | float],
+    blocks: Iterable[Block],
+    path: Path,
+) -> None:
     """Write the study's file. Raises OSError, ExportFailed, and what `blocks` raises."""
     with subprocess.Popen(
         [*_WRITER, str(path)],
@@ -42,7 +48,10 @@ def write(study: Stored[Any], layout: Layout, blocks: Iterable[Block], path: Pat
         assert process.stdin
         assert process.stdout
         try:
-            _send(chain([_head(study, layout)], _parts(study, layout, blocks), [None]), process.stdin)
+            _send(
+                chain([_head(study, layout, attributes)], _parts(study, layout, blocks), [None]),
+                process.stdin,
+            )
         except BaseException:
             process.kill()
             raise
@@ -84,33 +93,34 @@ def _check(answer: bytes, returncode: int) -> None:
     raise ExportFailed(report["text"])
 
 
-def _head(study: Stored[Any], layout: Layout) -> Head:
-    arrays, attributes = exported(study, layout), {**layout.attributes, **study.attributes}
+def _head(study: Stored[Any], layout: Layout, attributes: Mapping[str, str | int | float]) -> Head:
+    arrays, attrs = exported(study, layout), layout.coordinate_attrs
     return Head(
         sizes={
             dim: size for array in arrays for dim, size in zip(array.dims, layout.shape(array), strict=True)
         },
         coordinates={
-            name: (values.tolist() if values.dtype.kind == "T" else values, layout.coordinate_attrs[name])
+            name: Along(name, values.tolist() if values.dtype.kind == "T" else values, attrs[name])
             for name, values in layout.coordinates.items()
+        }
+        | {
+            name: Along(code.dim, code.values, _with_flags(code.attrs, "|u1"))
+            for name, code in layout.codes.items()
         },
         variables={array.name: _variable(array, layout) for array in arrays},
-        attrs={name: _text(value) for name, value in attributes.items()},
+        attrs=dict(attributes),
     )
 
 
 def _variable(array: Array, layout: Layout) -> Variable:
     # Counts have no fill value: CF readers would turn them into floating point.
     fill = array.fill if np.dtype(array.dtype).kind == "f" else None
-    attrs = {name: _flags(value, array.dtype) for name, value in array.attrs.items()}
+    attrs = _with_flags(layout.array_attrs(array), array.dtype)
     return Variable(array.dims, array.dtype, layout.chunk_shape(array), fill, attrs)
 
 
-def _flags(value: object, dtype: str) -> object:
-    """An attribute as CF wants it: flag values have the type of their variable."""
-    return np.array(value, dtype) if isinstance(value, list) else value
-
-
-def _text(value: Any) -> str:
-    """An attribute of the file: NetCDF has no nested values, so they are JSON."""
-    return value if isinstance(value, str) else json.dumps(value)
+def _with_flags(attrs: Mapping[str, Any], dtype: str) -> dict[str, Any]:
+    """Attributes as CF wants them: flag values have the type of their variable."""
+    return {
+        name: np.array(value, dtype) if isinstance(value, list) else value for name, value in attrs.items()
+    }

@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import IO, Any, NoReturn
+from typing import IO, Any, NamedTuple, NoReturn
 
 import h5netcdf
 import h5py
@@ -31,14 +31,20 @@ class Variable:
     attrs: Mapping[str, Any]
 
 
+class Along(NamedTuple):
+    """Values along one dimension; lists of text of any length."""
+
+    dim: str
+    values: list[str] | NDArray[Any]
+    attrs: Mapping[str, Any]
+
+
 @dataclass(frozen=True)
 class Head:
     """What the file is, before its numbers."""
 
     sizes: Mapping[str, int]  # by dimension
-    coordinates: Mapping[
-        str, tuple[list[str] | NDArray[Any], Mapping[str, Any]]
-    ]  # values and attributes, by name
+    coordinates: Mapping[str, Along]  # by name
     variables: Mapping[str, Variable]  # by name
     attrs: Mapping[str, Any]
 
@@ -54,11 +60,11 @@ class Part:
 def write(file: Any, head: Head, parts: Iterator[Part]) -> None:
     """Write into a new h5netcdf file. Raises what h5py raises."""
     file.dimensions = dict(head.sizes)
-    for name, (values, attrs) in head.coordinates.items():
+    for name, (dim, values, attrs) in head.coordinates.items():
         if isinstance(values, list):  # text of any length, which HDF5 has as a type of its own
-            file.create_variable(name, (name,), h5py.string_dtype())[...] = np.array(values, object)
+            file.create_variable(name, (dim,), h5py.string_dtype())[...] = np.array(values, object)
         else:
-            file.create_variable(name, (name,), data=values)
+            file.create_variable(name, (dim,), data=values)
         file.variables[name].attrs.update(attrs)
     for name, variable in head.variables.items():
         created = file.create_variable(

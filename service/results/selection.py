@@ -51,7 +51,7 @@ class Stored(Generic[_Spec_co]):
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Attributes of a file with these results: job and versions, a comment if the kernel is not ours."""
+        """Attributes of a picture of these results: job and versions, a comment if the kernel is not ours."""
         job = {} if self.job is None else {"job": self.job}
         attributes = {**job, "kernel_version": self.kernel_version, "release": software().release}
         if self.kernel_version != KERNEL_VERSION:

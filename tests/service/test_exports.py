@@ -10,6 +10,7 @@ from typing import Any
 
 import httpx2
 import numpy as np
+import pyarrow as pa
 import pytest
 import xarray
 from fastapi.testclient import TestClient
@@ -18,14 +19,16 @@ from scripted import DEADLINE, Held
 from served import RAMP, computing, finished, get, occupied, service, taken
 
 from kernel.labels import LABELS
-from kernel.params import Outcome
+from kernel.params import KERNEL_VERSION, Outcome
 from service import formats
 from service.api import schemas
+from service.render import parquet as parquet_file
 from service.results.counting import MODE_ARRAYS
 from service.results.mode_map import modes
 from service.results.selection import Sweep
 from service.server import embedded
 from service.settings import Settings
+from service.software import processor, software
 from worker import schema, store
 from worker.executors.inline import Inline
 from worker.plan import make_plan
@@ -57,16 +60,59 @@ def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
     assert answer.headers["Bounce-Complete"] == "true"
     (tmp_path / "sweep.nc").write_bytes(answer.content)
     with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
-        for name, array in done.store.drop_vars("end_state").variables.items():
+        for name, array in done.store.variables.items():
             np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
             assert dataset[name].dims == array.dims
         assert dataset["flight_time"].attrs["units"] == "rad"
         assert dataset["outcome"].dtype == np.uint8
         assert SweepSpec.from_json(dataset.attrs["spec"]) == SweepSpec(**RAMP)
-        attributes = {name: value for name, value in done.store.attrs.items() if name in dataset.attrs}
-        assert attributes.pop("spec") == json.loads(dataset.attrs["spec"])
-        assert {name: dataset.attrs[name] for name in attributes} == attributes
-        assert {"Conventions", "title", "kernel_version", "model"} <= set(attributes)
+        assert dataset.direction_code.attrs["flag_meanings"] == "up down"
+        np.testing.assert_array_equal(
+            dataset.direction_code.attrs["flag_values"], dataset.direction_code.values
+        )
+        assert dataset.direction_code.attrs["flag_values"].dtype == np.uint8
+        assert {name: dataset.attrs[name] for name in done.store.attrs} == done.store.attrs
+
+
+def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_path: Path):
+    """Texts and numbers only; what the store says, and the run."""
+    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
+        attributes = dict(dataset.attrs)
+    for rows in ("cells", "flights"):
+        content = done.client.get(f"{done.here}/export?format=parquet&layout={rows}").content
+        metadata = parquet.read_schema(io.BytesIO(content)).metadata
+        assert {name.decode(): value.decode() for name, value in metadata.items()} == {
+            name: str(value) for name, value in attributes.items()
+        }
+    job = get(done.client, done.here)
+    assert all(isinstance(value, str | int | float) for value in attributes.values())
+    assert attributes["job"] == job["id"]
+    assert attributes["core_seconds"] == job["core_seconds"] > 0
+    assert attributes["software"] == f"bouncing-spring {software().release}, kernel version {KERNEL_VERSION}"
+    assert json.loads(attributes["libraries"]) == {"python": software().python, **software().libraries}
+    assert attributes["processor"] == processor()
+    accepted, computing, ended = attributes["history"].splitlines()
+    assert accepted == f"{job['created'][:19]}Z accepted"
+    assert computing.endswith(f"Z computing with {attributes['software']}")
+    assert ended == f"{job['finished'][:19]}Z done"
+
+
+def test_a_row_for_every_flight_that_is_kept(done: Done):
+    cells, flights = (
+        parquet.read_table(
+            io.BytesIO(done.client.get(f"{done.here}/export?format=parquet&layout={layout}").content)
+        ).to_pylist()
+        for layout in ("cells", "flights")
+    )
+    lists = ("flight_time", "takeoff_phase", "end_state")
+    assert flights == [
+        {name: value for name, value in cell.items() if name not in lists}
+        | {"flight": number, "flight_time": time, "takeoff_phase": phase}
+        for cell in cells
+        for number, (time, phase) in enumerate(zip(cell["flight_time"], cell["takeoff_phase"], strict=True))
+    ]
+    assert len(flights) > len(cells)
 
 
 def test_parquet_holds_a_row_for_every_cell(done: Done):
@@ -86,14 +132,15 @@ def test_parquet_holds_a_row_for_every_cell(done: Done):
 
 def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
     """A variable added to `worker.schema` needs no change in the modules that render it."""
-    stored = {array.name for array in (*schema.RECORD, schema.OUTCOME)}
+    stored = {array.name for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)}
     axes = {coordinate.name for coordinate in schema.COORDINATES}
     netcdf = tmp_path / "sweep.nc"
     netcdf.write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
     with xarray.open_dataset(netcdf, engine="h5netcdf") as dataset:
-        assert set(dataset.variables) == stored | axes
+        assert set(dataset.variables) == stored | axes | {"direction_code"}
     content = done.client.get(f"{done.here}/export?format=parquet").content
     assert set(parquet.read_schema(io.BytesIO(content)).names) == stored | axes
+    stored.remove(schema.END_STATE.name)  # for a ramp to go on, not for people to look at
     line = {"omega": 0.5, "xi": 0.26}
     diagram = get(done.client, f"{done.here}/diagram", **line)
     assert stored <= set(diagram)
@@ -101,6 +148,23 @@ def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
     columns = {column.removesuffix("_rad") for column in header.split(",")}
     assert columns == (stored - {"flights"}) | axes | {"flight"}  # a row is a flight: nothing to count
     assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
+
+
+def test_small_chunks_are_gathered_in_row_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Many chunks make few groups; a group ends with the batch that fills it."""
+    table = pa.schema([("number", pa.int64())])
+    batches = [pa.record_batch([np.arange(40)], schema=table) for _ in range(10)]
+    assert [len(group) for group in parquet_file._groups(batches)] == [10]
+    monkeypatch.setattr(parquet_file, "GROUP_ROWS", 100)
+    assert [len(group) for group in parquet_file._groups(batches)] == [3, 3, 3, 1]
+    monkeypatch.setattr(parquet_file, "GROUP_BYTES", 640)
+    assert [len(group) for group in parquet_file._groups(batches)] == [2] * 5
+
+
+def test_a_sweep_of_many_chunks_has_one_row_group(done: Done):
+    assert get(done.client, done.here)["progress"]["chunks_total"] > 1
+    content = done.client.get(f"{done.here}/export?format=parquet").content
+    assert parquet.read_metadata(io.BytesIO(content)).num_row_groups == 1
 
 
 def test_every_format_has_a_media_type():
@@ -146,8 +210,10 @@ def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
     assert done.client.get(f"{done.here}/export?format=nc").status_code == 200
 
 
-@pytest.mark.parametrize("query", ["", "?format=xls", "?format=nc&keep=1"])
-def test_an_export_needs_a_format(done: Done, query: str):
+@pytest.mark.parametrize(
+    "query", ["", "?format=xls", "?format=nc&keep=1", "?format=nc&layout=flights", "?format=parquet&layout=x"]
+)
+def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
     assert done.client.get(f"{done.here}/export{query}").status_code == 422
 
 
@@ -351,6 +417,16 @@ def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
         if "starts" in row:
             assert row["starts"] == np.flatnonzero(cell.attractor.values == row["id"]).tolist()
             np.testing.assert_array_equal(row["lyapunov"], cell.lyapunov.values)
+
+
+def test_parquet_holds_a_row_for_every_flight_of_an_attractor(attractors: Done):
+    content = attractors.client.get(f"{attractors.here}/export?format=parquet&layout=flights").content
+    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
+    times = attractors.store.flight_time
+    assert len(rows) == int(np.isfinite(times).sum())
+    for row in rows:
+        place = {axis: row[axis] for axis in ("gamma", "omega", "xi", "id")}
+        assert row["flight_time"] == times.sel(place).values[row["flight"]]
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet"])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker.basins.spec import GridSpec
 from worker.grid_plan import Block
-from worker.schema import COORDINATES, OUTCOME, OUTCOME_FLAGS, Array, Layout
+from worker.schema import COORDINATES, OUTCOME, OUTCOME_FLAGS, Array, Layout, common_attributes
 from worker.spec import AXES
 
 
@@ -87,12 +87,6 @@ def grid_layout(
         extra_sizes=sizes,
         arrays=arrays,
         coordinate_attrs=attrs | {name: about for name, (_, about) in coordinates.items()},
-        attributes={
-            "Conventions": "CF-1.11",
-            "title": spec.name or title,
-            "kernel_version": KERNEL_VERSION,
-            "model": spec.model.kind,
-            "spec": spec.as_submitted(),
-        },
+        attributes=common_attributes(spec, title, spec.model.kind),
         identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
     )

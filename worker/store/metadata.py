@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import zarr
+from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 from zarr.core.buffer import Buffer, default_buffer_prototype
 from zarr.storage import MemoryStore
 
-from worker.schema import Array, Layout
+from worker.schema import Array, Layout, flat_attributes
 from worker.store.backend import ROOT
 
 _CODEC: Final = ZstdCodec(level=3, checksum=True)
@@ -20,11 +21,13 @@ def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
     content: dict[str, Buffer] = {}
     store = MemoryStore(content)
     group = zarr.open_group(store, mode="w", zarr_format=3)
-    for dim in layout.coordinates:
-        _create_coordinate(group, dim, layout)
+    for dim, values in layout.coordinates.items():
+        _create_along(group, dim, dim, values, layout.coordinate_attrs.get(dim, {}))
+    for name, code in layout.codes.items():
+        _create_along(group, name, code.dim, code.values, code.attrs)
     for array in layout.arrays:
         _create_array(group, array, layout)
-    group.attrs.put({**layout.attributes, **attrs, **layout.identity})
+    group.attrs.put({**flat_attributes({**layout.attributes, **attrs, **layout.identity})})
     content[ROOT] = _consolidated(content)
     return content
 
@@ -45,11 +48,12 @@ def _consolidated(content: Mapping[str, Buffer]) -> Buffer:
     return default_buffer_prototype().buffer.from_bytes(text.encode())
 
 
-def _create_coordinate(group: zarr.Group, dim: str, layout: Layout) -> None:
-    values = layout.coordinates[dim]
+def _create_along(
+    group: zarr.Group, name: str, dim: str, values: NDArray[Any], attrs: Mapping[str, Any]
+) -> None:
     array = group.create_array(
-        dim, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
-        dimension_names=(dim,), attributes=dict(layout.coordinate_attrs.get(dim, {})),
+        name, shape=values.shape, chunks=values.shape, dtype=values.dtype, compressors=_CODEC,
+        dimension_names=(dim,), attributes=dict(attrs),
     )  # fmt: skip
     array[:] = values
 
@@ -57,5 +61,6 @@ def _create_coordinate(group: zarr.Group, dim: str, layout: Layout) -> None:
 def _create_array(group: zarr.Group, array: Array, layout: Layout) -> None:
     group.create_array(
         array.name, shape=layout.shape(array), chunks=layout.chunk_shape(array), dtype=array.dtype,
-        fill_value=array.fill, compressors=_CODEC, dimension_names=array.dims, attributes=array.attrs,
+        fill_value=array.fill, compressors=_CODEC, dimension_names=array.dims,
+        attributes=layout.array_attrs(array),
     )  # fmt: skip

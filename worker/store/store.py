@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from zarr.core.sync import sync
 from zarr.errors import GroupNotFoundError
 
-from worker.schema import Layout
+from worker.schema import Layout, structured_attributes
 from worker.store import chunks
 from worker.store.backend import ROOT, open_store, read_key
 from worker.store.chunks import HasSlices, Index, fsync_files, key
@@ -109,8 +109,8 @@ def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
 
 
 def read_attrs(url: str) -> dict[str, Any]:
-    """The store's attributes: the layout's and those given to `create`."""
-    return dict(_open(url, "r").attrs)
+    """The store's attributes with their parts: the layout's and those given to `create`."""
+    return structured_attributes(_open(url, "r").attrs)
 
 
 def chunk_shape(url: str) -> tuple[int, ...]:

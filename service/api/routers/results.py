@@ -14,9 +14,11 @@ from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import NotInStore
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord, JobState
+from service.jobs.provenance import attributes_of
 from service.render import answers
 from service.render import export as export_files
 from service.render import orbits as orbits_text
+from service.render.parquet import GROUP_BYTES
 from service.results import orbits, thresholds
 from service.results.mode_map import comparison_memory, plane_size
 from service.results.multistability import plane_memory
@@ -169,7 +171,8 @@ def get_modes(
 
 
 def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> int:
-    return BASE_MEMORY + _CHUNK_COPIES * service.manager.preparer.prepare(job).layout.chunk_bytes
+    group = GROUP_BYTES if query.format == "parquet" else 0
+    return BASE_MEMORY + group + _CHUNK_COPIES * service.manager.preparer.prepare(job).layout.chunk_bytes
 
 
 @router.get(
@@ -183,12 +186,16 @@ def export_job(
 ) -> Response:
     """The whole study as one file: NetCDF holds the store's arrays, Parquet a row for every cell.
 
-    Of a job of basins or multistability Parquet has a row for every attractor of a cell.
+    Of a job of basins or multistability Parquet has a row for every attractor of a cell. With
+    `layout=flights` it has a row for every flight instead. The file's attributes tell job, specification,
+    software, libraries, processor, times and core-seconds.
     """
-    study, plan = dependencies.stored(service, job), service.manager.preparer.prepare(job).plan
-    export_files.check_numbers(study.spec, plan)
-    export_files.check_size(study, plan, service.settings.max_export_bytes)
-    file = export_files.make(service.background, study, plan, query.format, service.settings.exports_path)
+    study, prepared = dependencies.stored(service, job), service.manager.preparer.prepare(job)
+    export_files.check(study.spec, prepared.plan, query.format, query.layout)
+    export_files.check_size(study, prepared.plan, service.settings.max_export_bytes)
+    attributes = attributes_of(job, prepared)
+    export = export_files.Export(study, prepared.plan, query.format, query.layout, attributes)
+    file = export_files.make(service.background, export, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),
         "Content-Disposition": f'attachment; filename="{job.id}.{query.format}"',
