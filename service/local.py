@@ -123,8 +123,8 @@ def run_to_file(
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     from service.background import InThisProcess
     from service.client.output_file import complete_file
-    from service.jobs.provenance import attributes_of
     from service.render import answers, export
+    from service.results.provenance import attributes_of
     from service.results.selection import Stored, Sweep, fixed_axes, resolve_direction
 
     where = _line(line or {})

@@ -1,14 +1,18 @@
 """Versions of this release, its kernel, Python, and the libraries that results may depend on."""
 
+import json
 import platform
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 
 LIBRARIES: Final = ("numpy", "numba", "dask", "distributed", "zarr", "fastapi", "uvicorn")
+
+#: Runs of a job on different software that are kept, the first ones.
+MAX_RUNS: Final = 100
 
 
 class Software(NamedTuple):
@@ -36,3 +40,16 @@ def processor() -> str:
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return ", ".join(filter(None, (platform.machine(), next(names, ""))))
+
+
+def with_this_run(runs: str, now: float) -> str:
+    """A job's runs, as JSON, with that of this process, unless the last one was on the same software."""
+    known: list[dict[str, Any]] = json.loads(runs)
+    here = {
+        "release": software().release,
+        "python": software().python,
+        "libraries": software().libraries,
+        "processor": processor(),
+    }
+    same = known and {**known[-1], "began": None} == {**here, "began": None}
+    return runs if same or len(known) >= MAX_RUNS else json.dumps([*known, {**here, "began": now}])

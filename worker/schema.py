@@ -162,9 +162,17 @@ def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
 def structured_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """The attributes of a store with their parts; stores of earlier releases hold them as parts already."""
     return {
-        name: json.loads(value) if name in _STRUCTURED and isinstance(value, str) else value
+        name: _parts(value) if name in _STRUCTURED and isinstance(value, str) else value
         for name, value in attrs.items()
     }
+
+
+def _parts(text: str) -> Any:
+    """The value of JSON text; other text as it is."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
 
 
 def common_attributes(spec: Any, title: str, model: str) -> dict[str, Any]:

@@ -118,7 +118,7 @@ class JobRecord(NewJob):
     core_seconds: float = (
         0.0  # that its chunks took, those computed again included; of adopted ones not known
     )
-    runs: str = "[]"  # JSON: what computed it, see service.jobs.provenance
+    runs: str = "[]"  # JSON: what computed it, see service.software.with_this_run
 
     @property
     def outdated(self) -> bool:

@@ -20,8 +20,8 @@ from service.jobs.model import (
     check_transition,
     summary_of,
 )
-from service.jobs.provenance import with_this_run
 from service.jobs.search import JobSearch, Position
+from service.software import with_this_run
 from worker.tasks import ChunkReport
 
 Column = str | float | bool | None

@@ -40,7 +40,7 @@ class Export:
     plan: Plan
     format: ExportFormat
     layout: ExportLayout = "cells"  # what a row of a table is
-    #: What the file says of the job, as `service.jobs.provenance.attributes_of` gives it.
+    #: What the file says of the job, as `service.results.provenance.attributes_of` gives it.
     attributes: Mapping[str, str | int | float] = field(default_factory=dict)
 
     @property

@@ -2,6 +2,8 @@
 
 import io
 import json
+import shutil
+import subprocess
 import time
 from collections.abc import Iterator, Mapping
 from http.client import HTTPConnection
@@ -34,6 +36,9 @@ from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
+
+#: A checker of the CF conventions: `pip install compliance-checker`.
+CHECKER = shutil.which("compliance-checker")
 
 
 class Done:
@@ -438,3 +443,13 @@ def test_basins_not_begun_export_no_attractor(tmp_path: Path, format: str):
         assert answer.headers["Bounce-Complete"] == "false"
         if format == "parquet":
             assert parquet.read_table(io.BytesIO(answer.content)).num_rows == 0
+
+
+@pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")
+def test_netcdf_follows_the_cf_conventions(done: Done, tmp_path: Path):
+    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    command = [str(CHECKER), "--test=cf:1.11", "--criteria=strict", "sweep.nc"]
+    report = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+    assert "All tests passed!" in report.stdout, report.stdout

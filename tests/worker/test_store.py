@@ -116,6 +116,41 @@ def test_attributes_say_what_it_is(url, spec):
     assert attrs["Conventions"].startswith("CF-")
 
 
+def test_attributes_are_texts_and_numbers(url):
+    attrs = dict(zarr.open_group(url, mode="r").attrs)
+    assert all(isinstance(value, str | int | float) for value in attrs.values())
+    assert json.loads(attrs["spec"]) == store.read_attrs(url)["spec"]
+    assert json.loads(attrs["chunk_shape"]) == list(store.chunk_shape(url))
+
+
+def test_attributes_with_parts_as_earlier_releases_wrote_them_are_read(url, spec, plan):
+    root = Path(url) / "zarr.json"
+    now, document = root.read_text(), json.loads(root.read_text())
+    document["attributes"] = store.read_attrs(url)
+    assert isinstance(document["attributes"]["spec"], dict)
+    root.write_text(json.dumps(document, indent=2))
+    assert SweepSpec.parse(store.read_attrs(url)["spec"]) == spec
+    assert store.chunk_shape(url) == plan.chunk_shape
+    store.create(url, layout(spec, plan.chunk_shape))  # it is the same job's: nothing to do
+    assert json.loads(root.read_text()) == document
+    assert store.repair_metadata(url, layout(spec, plan.chunk_shape)) == ["zarr.json"]
+    assert root.read_text() == now
+
+
+def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
+    with xr.open_zarr(url) as dataset:
+        code = dataset["direction_code"]
+        assert (code.dims, code.dtype) == (("direction",), np.uint8)
+        meanings = dict(
+            zip(np.atleast_1d(code.attrs["flag_values"]), code.attrs["flag_meanings"].split(), strict=True)
+        )
+        assert [meanings[value] for value in code.values] == dataset.direction.values.tolist()
+        assert "direction_code" in dataset.outcome.coords
+    others = (name for name in zarr.open_group(url, mode="r") if name != "direction")
+    types = {json.loads((Path(url) / name / "zarr.json").read_text())["data_type"] for name in others}
+    assert types <= {"float64", "int32", "uint8"}  # of the specification's own
+
+
 @pytest.mark.parametrize("scheme", ["verlet", "euler"])
 def test_a_store_of_time_steps_states_their_limit(tmp_path, scheme):
     """The longest step of any cell, and the shortest that is unstable in one: the last is refused."""

@@ -72,12 +72,15 @@ def _sizes(spec: BasinSpec) -> dict[str, int]:
 
 
 _ROW: Final = {
-    "drop": {"long_name": "height of the lower mass above the plate", "units": "plate amplitudes"},
-    "contact": {"long_name": "elongation beyond the static one", "units": "plate amplitudes"},
+    "drop": {"long_name": "height of the lower mass above the plate, in plate amplitudes", "units": "1"},
+    "contact": {"long_name": "elongation beyond the static one, in plate amplitudes", "units": "1"},
 }
 _COLUMN: Final = {
     "drop": {"long_name": "plate phase at which the spring is let go", "units": "rad"},
-    "contact": {"long_name": "velocity of the elongation times omega", "units": "plate amplitudes"},
+    "contact": {
+        "long_name": "velocity of the elongation times omega, in plate amplitudes",
+        "units": "1",
+    },
 }
 
 

@@ -14,7 +14,6 @@ from service.api.schemas import PENDING_RESPONSE, content, problem_responses
 from service.errors import NotInStore
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord, JobState
-from service.jobs.provenance import attributes_of
 from service.render import answers
 from service.render import export as export_files
 from service.render import orbits as orbits_text
@@ -22,6 +21,7 @@ from service.render.parquet import GROUP_BYTES
 from service.results import orbits, thresholds
 from service.results.mode_map import comparison_memory, plane_size
 from service.results.multistability import plane_memory
+from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store

@@ -8,20 +8,14 @@ they have the same.
 import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
 from service.jobs.model import JobRecord
-from service.software import processor, software
+from service.jobs.prepare import PreparedJob
 from worker.schema import flat_attributes
 
-if TYPE_CHECKING:
-    from service.jobs.prepare import PreparedJob
 
-#: Runs of a job on different software that are kept, the first ones.
-MAX_RUNS: Final = 100
-
-
-def attributes_of(job: JobRecord, prepared: "PreparedJob") -> dict[str, str | int | float]:
+def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int | float]:
     """The attributes of a file with all results of a job: texts and numbers, values with parts as JSON."""
     layout = prepared.layout
     attributes = {**layout.attributes, **prepared.attributes, **layout.identity}
@@ -37,19 +31,6 @@ def attributes_of(job: JobRecord, prepared: "PreparedJob") -> dict[str, str | in
     if job.core_seconds:  # of adopted results it is not known
         attributes["core_seconds"] = round(job.core_seconds, 3)
     return flat_attributes(attributes)
-
-
-def with_this_run(runs: str, now: float) -> str:
-    """A job's runs, as JSON, with that of this process, unless the last one was on the same software."""
-    known: list[dict[str, Any]] = json.loads(runs)
-    here = {
-        "release": software().release,
-        "python": software().python,
-        "libraries": software().libraries,
-        "processor": processor(),
-    }
-    same = known and {**known[-1], "began": None} == {**here, "began": None}
-    return runs if same or len(known) >= MAX_RUNS else json.dumps([*known, {**here, "began": now}])
 
 
 def _history(job: JobRecord) -> str:
