@@ -12,6 +12,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
@@ -149,7 +150,13 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_compute, args=(theirs,), name="bounce-answers", daemon=True)
-        self._process.start()
+        # Ctrl-C is for the service; a process inherits what the thread blocks that starts it.
+        resource_tracker.ensure_running()  # which at its start would unblock it again
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         theirs.close()  # so that either side notices when the other dies
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any, int]:
@@ -169,7 +176,6 @@ class _Process:
 
 def _compute(connection: Connection) -> None:
     """Compute what comes until the service ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the service
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: they do not interrupt a worker that runs

@@ -14,22 +14,21 @@ import errno
 import json
 import os
 import shutil
-import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from service.client.display import display_job
+from service.client.display import display_elapsed, display_job
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import InvalidRequest, NotStarted, RunFailed
 from service.formats import EXPORTS, DiagramFormat, ExportFormat
 from worker.kernel_cache import CacheRefused, claim_cache
+from worker.temporary import temporary_folder
 
 if TYPE_CHECKING:
     import xarray
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 #: Seconds between two looks at the job's progress.
 LOOK_SECONDS: Final = 0.05
 #: Seconds that an interrupted run waits for its chunks to see that it was cancelled.
-CANCEL_SECONDS: Final = 2.0
+CANCEL_SECONDS: Final = 0.8
 
 #: Seconds of compiling after which it is told, and how.
 MESSAGE_SECONDS: Final = 1.0
@@ -83,8 +82,8 @@ def run(
 
     if store is None:
         with (
-            tempfile.TemporaryDirectory(prefix="bounce-") as folder,
-            computed(spec, Path(folder), workers=workers, progress=progress) as (_, job),
+            temporary_folder("bounce-") as folder,
+            computed(spec, folder, workers=workers, progress=progress) as (_, job),
         ):
             return opened(job.store_url).load()
     target = Path(store)
@@ -231,19 +230,28 @@ def claim_kernels() -> None:
 
 
 def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
-    """Compile in this thread, which Ctrl-C interrupts, rather than in all workers at once."""
+    """Compile in one thread, rather than in all workers at once; this one can be interrupted meanwhile."""
     from worker.spec import SweepSpec
     from worker.tasks import compile_for
 
     if not isinstance(spec, SweepSpec) or spec.model.kind == "auto":
         return
-    message = threading.Timer(MESSAGE_SECONDS, print, [_COMPILING], {"file": sys.stderr, "flush": True})
-    if progress is True:
-        message.start()
-    try:
-        compile_for(spec)
-    finally:
-        message.cancel()
+    failures: list[BaseException] = []
+
+    def compile_it() -> None:
+        try:
+            compile_for(spec)
+        except BaseException as error:  # noqa: BLE001 - raised again below
+            failures.append(error)
+
+    # In a thread: the compiler does not return to Python for seconds, and an exception may be lost in it.
+    thread = threading.Thread(target=compile_it, name="compile", daemon=True)
+    shown = display_elapsed(_COMPILING, after=MESSAGE_SECONDS) if progress is True else nullcontext()
+    with shown:
+        thread.start()
+        thread.join()
+    if failures:
+        raise failures[0]
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

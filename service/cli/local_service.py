@@ -6,7 +6,6 @@ It requires a token that only this process knows: other users of the machine rea
 import secrets
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,8 +17,10 @@ from urllib.parse import urlsplit
 import click
 
 from service import address
+from service.client.display import display_elapsed
 from service.local import claim_kernels
 from service.tokens import AUTO, data_folder, find_token
+from worker.temporary import temporary_folder
 
 
 class Address(NamedTuple):
@@ -28,6 +29,8 @@ class Address(NamedTuple):
     url: str
     token: str | None
 
+
+_STARTING: Final = "starting a local service (compiling for the first time takes a minute)"
 
 #: Signals that end a command, which then removes its temporary folder and ends its worker processes.
 _SIGNALS: Final = (signal.SIGTERM, signal.SIGHUP)
@@ -38,8 +41,8 @@ def temporary_service(workers: int | None) -> Iterator[Address]:
     """A service whose data is removed at the end of the block."""
     with (
         ended_by_signals(),
-        tempfile.TemporaryDirectory(prefix="bounce-") as folder,
-        _local_service(workers=workers, data=folder) as address,
+        temporary_folder("bounce-") as folder,
+        _local_service(workers=workers, data=str(folder)) as address,
     ):
         yield address
 
@@ -89,8 +92,9 @@ def _local_service(**options: str | int | None) -> Iterator[Address]:
 
     token = secrets.token_urlsafe()
     settings = embedded.settings(**options, host="127.0.0.1", port=0, token=token)
-    click.echo("starting a local service (compiling for the first time takes a minute)", err=True)
-    with embedded.running(settings) as url:
+    with ExitStack() as stack:
+        with display_elapsed(_STARTING):
+            url = stack.enter_context(embedded.running(settings))
         yield Address(url, token)
 
 

@@ -3,6 +3,7 @@
 Modules that take long to import are imported by the commands that need them.
 """
 
+import sys
 from typing import Final
 
 import click
@@ -15,6 +16,8 @@ from service.tokens import AUTO, data_folder, write_private
 
 #: Shells that can complete.
 SHELLS: Final = ("bash", "zsh", "fish")
+
+_STARTING: Final = "starting workers (compiling for the first time takes a minute)"
 
 
 @click.group(
@@ -47,12 +50,24 @@ def serve(**options: str | int | None) -> None:
     --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
     of 16 characters or more, or give a file of tokens.
     """
+    from contextlib import ExitStack
+
+    from service.client.display import display_elapsed
     from service.local import claim_kernels
 
     claim_kernels()
     from service.server import embedded
 
-    embedded.serve(embedded.settings(**options), announce=click.echo)
+    settings = embedded.settings(**options)
+    with ExitStack() as starting:
+        if sys.stderr.isatty():
+            starting.enter_context(display_elapsed(_STARTING, after=1.0))
+
+        def announce(line: str) -> None:
+            starting.close()
+            click.echo(line)
+
+        embedded.serve(settings, announce)
 
 
 @main.command()

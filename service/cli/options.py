@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -32,6 +32,13 @@ class CommandGroup(click.Group):
 
     SIGINT ends a command with exit code 130.
     """
+
+    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
+        """Read the command line; click itself would answer SIGINT by "Aborted!" and exit code 1."""
+        try:
+            return super().make_context(*arguments, **options)
+        except KeyboardInterrupt:
+            raise click.exceptions.Exit(130) from None
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the command; exceptions raised on purpose and those of the file system become messages."""

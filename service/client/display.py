@@ -4,6 +4,7 @@ Progress is written to standard error, so that standard output can be piped.
 """
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,6 +37,38 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
             yield show
     else:
         yield JobLines(sys.stderr)
+
+
+@contextmanager
+def display_elapsed(text: str, after: float = 0.0) -> Iterator[None]:
+    """Write what takes long, from `after` seconds on, with the seconds that it has taken.
+
+    On a terminal the seconds are counted in place; elsewhere a second line tells how many they were.
+    """
+    began, ended, lock = time.monotonic(), threading.Event(), threading.Lock()
+    out, shown = sys.stderr, False
+
+    def show() -> None:
+        nonlocal shown
+        pause = after
+        while not ended.wait(pause):
+            with lock:
+                if _is_terminal(out):
+                    print(f"\r{text} ({duration(time.monotonic() - began)})", end="", file=out, flush=True)
+                elif not shown:
+                    print(text, file=out, flush=True)
+                shown, pause = True, 1.0
+
+    ticker = threading.Thread(target=show, name="elapsed", daemon=True)
+    ticker.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        with lock:
+            if shown:
+                took = duration(time.monotonic() - began)
+                print("" if _is_terminal(out) else f"took {took}", file=out, flush=True)
 
 
 def display_parts(

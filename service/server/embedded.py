@@ -21,11 +21,11 @@ from pydantic import SecretStr, ValidationError
 from service import address, tokens
 from service.api.app import create_app
 from service.background import Processes
-from service.errors import LedgerUnavailable, NotStarted
+from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.adoption import open_ledger
 from service.render import answers
 from service.server.cluster import connected_cluster
-from service.server.logging import log_to_stderr
+from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from worker.executors.base import Executor
@@ -87,7 +87,10 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
 
 
 def serve(settings: Settings, announce: Callable[[str], None]) -> None:
-    """Run a service until SIGINT or SIGTERM; `announce` gets one line once it listens. Raises NotStarted."""
+    """Run a service until SIGINT or SIGTERM; `announce` gets one line once it listens.
+
+    Raises NotStarted, and KeyboardInterrupt after SIGINT, once everything has ended.
+    """
 
     def announce_url(url: str) -> None:
         record(url)
@@ -96,18 +99,19 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     raise_file_limit()
     sys.setswitchinterval(_SWITCH_SECONDS)
     with (
+        _stopped_by_signals(),
         log_to_stderr(settings.log_level),
         _umask(settings),
-        _stopped_by_signals(),
         _listening(settings) as listener,
         _with_own_token(settings, listener) as complete,
         _computing(settings, None) as executor,
         closing(Processes(settings.max_reads + settings.max_exports)) as background,
         address.recorder(settings.data) as record,
     ):
-        threading.Thread(target=background.run, args=[answers.warm], name="warm-answers", daemon=True).start()
+        threading.Thread(target=_warm_answers, args=[background], name="warm-answers", daemon=True).start()
         with _startup_errors():
-            server = WebServer(create_app(complete, executor, background), settings, listener, announce_url)
+            app = create_app(complete, executor, background)
+            server = WebServer(app, settings, listener, announce_url, quiet_libraries)
         server.serve_until_stopped()
         with _startup_errors():
             server.wait_until_started()
@@ -133,22 +137,30 @@ def _umask(settings: Settings) -> Iterator[None]:
 class _Stopped(BaseException):
     """SIGINT or SIGTERM came. Like KeyboardInterrupt, no handler of Exception catches it."""
 
+    def __init__(self, number: int) -> None:
+        self.number = number
+
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the block, also during startup; while it serves, uvicorn handles them."""
+    """SIGINT and SIGTERM end the block, also during startup; while it serves, uvicorn handles them.
+
+    After SIGINT, raises KeyboardInterrupt.
+    """
     previous = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
-    except _Stopped:
-        pass
+    except _Stopped as stopped:
+        if stopped.number == signal.SIGINT:
+            raise KeyboardInterrupt from None
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    raise _Stopped
+    quiet_libraries()
+    raise _Stopped(number)
 
 
 @contextmanager
@@ -236,6 +248,12 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
             except ClusterLost as error:
                 raise NotStarted(str(error)) from error
         yield cluster
+
+
+def _warm_answers(background: Processes) -> None:
+    """Start the first process that computes answers, before the first request."""
+    with suppress(NotComputed):  # the service was stopped meanwhile
+        background.run(answers.warm)
 
 
 def _warm_in_background() -> None:

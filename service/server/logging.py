@@ -66,6 +66,13 @@ class OncePerSecond(logging.Filter):
         return True
 
 
+def quiet_libraries() -> None:
+    """Drop from now on what libraries say of connections that end, because the process does."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.split(".")[0] in _LIBRARIES:
+            logging.getLogger(name).disabled = True
+
+
 @contextmanager
 def log_to_stderr(level: str) -> Iterator[None]:
     """Write the log to standard error during the block; `level` is that of the project's loggers."""

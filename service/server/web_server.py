@@ -44,8 +44,10 @@ class WebServer(uvicorn.Server):
         settings: Settings,
         listener: socket.socket,
         on_start: Callable[[str], None] = lambda url: None,
+        on_stop: Callable[[], None] = lambda: None,
     ) -> None:
-        self._app, self._listener, self._on_start = _Application(app), listener, on_start
+        self._app, self._listener = _Application(app), listener
+        self._on_start, self._on_stop = on_start, on_stop
         self._started_or_failed = threading.Event()
         super().__init__(
             uvicorn.Config(
@@ -92,6 +94,7 @@ class WebServer(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Called by uvicorn; ends event streams first, which would otherwise last as long as their jobs."""
+        self._on_stop()
         self._app.close_streams()
         await super().shutdown(sockets)
 

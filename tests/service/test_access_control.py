@@ -19,7 +19,7 @@ from service.cli.main import main
 from service.client import Client
 from service.errors import NotStarted
 from service.server import embedded
-from service.server.logging import log_to_stderr
+from service.server.logging import log_to_stderr, quiet_libraries
 from service.settings import Settings
 
 TOKEN = "a-token-of-thirty-two-characters"
@@ -439,6 +439,34 @@ def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     assert (line["event"], line["method"], line["route"]) == ("request", "GET", "/v1/jobs/{job_id}")
     assert (line["status"], line["job"]) == (200, job["id"])
     assert line["ms"] >= 0
+
+
+def test_a_terminal_shows_only_requests_that_failed(local: TestClient, monkeypatch: pytest.MonkeyPatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with log_to_stderr("info"):
+        local.get("/v1/jobs")
+        local.get("/v1/jobs/nowhere")
+    (line,) = [line for line in lines(terminal) if line["event"] == "request"]
+    assert line["status"] == 404
+
+
+def test_libraries_are_silent_once_the_service_stops(monkeypatch: pytest.MonkeyPatch):
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    logger = logging.getLogger("distributed.of_a_test")
+    try:
+        with log_to_stderr("info"):
+            quiet_libraries()
+            logger.warning("a connection is lost")
+            logging.getLogger("service.of_a_test").info("stopped")
+        (line,) = lines(log)
+        assert line["event"] == "stopped"
+    finally:
+        for each in logging.root.manager.loggerDict.values():
+            if isinstance(each, logging.Logger):
+                each.disabled = False
 
 
 def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO):

@@ -5,6 +5,7 @@ import json
 import os
 import pickle
 import socket
+import sys
 import threading
 import time
 import traceback
@@ -17,7 +18,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from scripted import DEADLINE
+from scripted import DEADLINE, wait_for
 
 from service.client import (
     BounceError,
@@ -421,6 +422,28 @@ def test_plain_lines_are_few():
         for second in range(100)
     ]
     assert len(shown(*creep)) == 10
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("out", "text"),
+    [(io.StringIO(), "compiling\ntook 0 s\n"), (Terminal(), "\rcompiling (0 s)\n")],
+    ids=["no terminal", "terminal"],
+)
+def test_what_takes_long_tells_how_long(monkeypatch: pytest.MonkeyPatch, out: io.StringIO, text: str):
+    from service.client.display import display_elapsed
+
+    monkeypatch.setattr(sys, "stderr", out)
+    with display_elapsed("compiling"):
+        wait_for(lambda: "compiling" in out.getvalue())
+    assert out.getvalue() == text
+    with display_elapsed("compiling", after=60.0):
+        pass
+    assert out.getvalue() == text
 
 
 def test_a_plain_line_shows_percent_cells_and_time_left():

@@ -87,15 +87,16 @@ class Dask:
         self._count_time = -math.inf  # when the workers were last counted
         self._state = ClusterState(connected=False, workers=0)
         self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
-        if address is None and scheduler_file is None:
-            self._workers = LocalWorkers(workers, memory)
-            address = self._workers.cluster
+        self._target: Target = Fixed(None)
         self._roster, self._quarantine = Roster(), Quarantine()
-        own_machine = self._workers is not None or stores is None
-        probe = None if own_machine else _probe(str(stores))
-        plugin = PreparedWorker(Requirements(facts(), probe), str(kernel_cache) if kernel_cache else None)
-        self._target = _target(address, scheduler_file, timeout)
         try:
+            if address is None and scheduler_file is None:
+                self._workers = LocalWorkers(workers, memory)
+                address = self._workers.cluster
+            own_machine = self._workers is not None or stores is None
+            probe = None if own_machine else _probe(str(stores))
+            plugin = PreparedWorker(Requirements(facts(), probe), str(kernel_cache) if kernel_cache else None)
+            self._target = _target(address, scheduler_file, timeout)
             self._connection = SchedulerConnection(
                 self._target,
                 plugin,
@@ -105,7 +106,7 @@ class Dask:
                 timeout=timeout,
             )
         except BaseException:
-            self._close_workers()
+            self._close_workers(at_once=True)
             raise
 
     def submit(
@@ -154,10 +155,10 @@ class Dask:
         self._connection.close()
         self._close_workers()
 
-    def _close_workers(self) -> None:
+    def _close_workers(self, *, at_once: bool = False) -> None:
         self._target.close()
         if self._workers is not None:
-            self._workers.close()
+            self._workers.close(at_once=at_once)
 
     def _submit(
         self, function: Callable[..., Any], *arguments: Any, priority: float, identity: Hashable = None

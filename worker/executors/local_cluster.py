@@ -15,18 +15,22 @@ import signal
 import tempfile
 import threading
 import time
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import IO, Any, Final
 
 import dask
 from distributed import LocalCluster, Security, Status, system
 
+from worker import temporary
 from worker.executors.connection import SCHEDULER_SETTINGS
 
 log = logging.getLogger(__name__)
 
 #: Workers that have not ended by themselves after so long are killed.
-CLOSE_SECONDS: Final = 2.0
+CLOSE_SECONDS: Final = 1.5
+#: Seconds after which they are killed again, where others replaced them meanwhile.
+KILL_SECONDS: Final = 0.1
 #: The interval at which lost workers are replaced.
 REPLACE_SECONDS: Final = 1.0
 LOOPBACK: Final = "127.0.0.1"
@@ -57,11 +61,12 @@ class LocalWorkers:
     def __init__(self, workers: int, memory: int | None) -> None:
         dask.config.set(SCHEDULER_SETTINGS | _LOST_WORKER_SETTINGS)
         self._scratch = _Scratch()
+        self.cluster: Any = None
         try:
             # For the scheduler, which would make a folder of its own: see `_Scratch`.
             with dask.config.set(_NO_HTTP | {"temporary-directory": str(self._scratch.folder)}):
-                self.cluster: Any = LocalCluster(  # type: ignore[no-untyped-call]
-                    n_workers=workers,
+                self.cluster = LocalCluster(  # type: ignore[no-untyped-call]
+                    n_workers=0,
                     threads_per_worker=1,
                     processes=True,
                     host=LOOPBACK,
@@ -74,20 +79,43 @@ class LocalWorkers:
                     local_directory=str(self._scratch.folder),
                     config=_NO_HTTP,
                 )
+                self._number = workers
+                self.cluster.sync(self._start_workers)
         except BaseException:
-            self._scratch.remove()
+            self.close(at_once=True)
             raise
-        self._number = workers
-        loop: Any = self.cluster.loop
-        loop.add_callback(self._replace_lost)
+        self.cluster.loop.add_callback(self._replace_lost)
 
-    def close(self) -> None:
-        """End all processes. Kills those that are still starting: they may compile for a minute first."""
-        kill = threading.Timer(CLOSE_SECONDS, _kill, [list(self.cluster.workers.values())])
-        kill.start()
-        self.cluster.close()
-        kill.cancel()
+    async def _start_workers(self) -> None:
+        """Start all workers, in the cluster's event loop, and wait until they have joined.
+
+        Ctrl-C of a terminal goes to all processes of a command. It is for this one: threads and processes
+        inherit what the event loop's thread blocks.
+        """
+        resource_tracker.ensure_running()  # which at its start would unblock it again
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        self.cluster.scale(self._number)
+        await self.cluster._correct_state()
+
+    def close(self, *, at_once: bool = False) -> None:
+        """End all processes; kills those that need long, or, with `at_once`, do not compute yet."""
+        if self.cluster is not None:
+            ended = threading.Event()
+            kill = threading.Thread(target=self._kill, args=(ended, 0.0 if at_once else CLOSE_SECONDS))
+            kill.start()
+            self.cluster.close()
+            ended.set()
+            kill.join()
         self._scratch.remove()
+
+    def _kill(self, ended: threading.Event, seconds: float) -> None:
+        """Kill the processes after so long, and those that replace them, until the cluster has ended."""
+        while not ended.wait(seconds):
+            for nanny in list(self.cluster.workers.values()):
+                if nanny.pid:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(nanny.pid, signal.SIGKILL)
+            seconds = KILL_SECONDS
 
     async def _replace_lost(self) -> None:
         """Runs in the cluster's event loop for as long as the cluster does."""
@@ -112,13 +140,13 @@ class _Scratch:
 
     def __init__(self) -> None:
         _remove_abandoned(Path(tempfile.gettempdir()))
-        self.folder = Path(tempfile.mkdtemp(prefix=_SCRATCH))
+        self.folder = temporary.make(_SCRATCH)
         self._lock = (self.folder / _LOCK).open("w")
         fcntl.flock(self._lock, fcntl.LOCK_EX)
 
     def remove(self) -> None:
         """Remove it with all that is in it."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        temporary.remove(self.folder)
         self._lock.close()
 
 
@@ -142,10 +170,3 @@ def _locked(path: Path) -> IO[str]:
         file.close()
         raise
     return file
-
-
-def _kill(nannies: list[Any]) -> None:
-    for nanny in nannies:
-        if nanny.pid:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(nanny.pid, signal.SIGKILL)

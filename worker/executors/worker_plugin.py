@@ -5,6 +5,7 @@ kernel cache. For the same reason `worker/executors/__init__.py` is empty.
 """
 
 import asyncio
+import logging
 import os
 import signal
 import socket
@@ -43,6 +44,7 @@ class PreparedWorker(WorkerPlugin):
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process. Compiles in a thread, beside the event loop."""
         self._refused = ""
+        _quiet_when_closing(worker)
         claim_cache(self._root)
         await self._judge(worker)
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
@@ -91,6 +93,16 @@ class PreparedWorker(WorkerPlugin):
     async def _end(self, worker: Any) -> None:
         await _pause_chunks(worker)
         os._exit(128 + signal.SIGTERM)
+
+
+def _quiet_when_closing(worker: Any) -> None:
+    """Drop what a worker that is told to close logs of the tasks and connections that end with it."""
+
+    def is_open(record: logging.LogRecord) -> bool:
+        return worker.status not in (Status.closing, Status.closing_gracefully, Status.closed)
+
+    for handler in logging.getLogger("distributed").handlers:
+        handler.addFilter(is_open)
 
 
 def set_available(worker: Any, *, available: bool) -> None:

@@ -1,6 +1,7 @@
 """Access log: one line and one metrics sample per request, and the 500 response to a defect."""
 
 import logging
+import sys
 import time
 import uuid
 from typing import Final
@@ -57,5 +58,6 @@ class AccessLog:
             "ms": round(1000 * seconds, 1),
         }
         job = scope.get("path_params", {}).get("job_id")
-        level = logging.DEBUG if route in _POLLED_ROUTES and status < 400 else logging.INFO
+        is_routine = route in _POLLED_ROUTES or sys.stderr.isatty()  # whoever sits there sees the answers
+        level = logging.DEBUG if is_routine and status < 400 else logging.INFO
         log.log(level, "request", extra={"fields": fields | ({"job": job[:64]} if job else {})})

@@ -1,0 +1,150 @@
+"""A command on a terminal of its own, ended by Ctrl-C: how it ended, how soon, and what it left behind."""
+
+import fcntl
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+#: Not from `paths`: benchmarks import this module without the tests' import path.
+ROOT = Path(__file__).parents[2]
+#: Seconds until whatever is left is killed.
+LIMIT = 20.0
+CTRL_C = b"\x03"
+#: What nobody wants to read after Ctrl-C.
+NOISE = re.compile(r"Traceback|Exception ignored|distributed|Nanny|tornado|leaked|Aborted!", re.IGNORECASE)
+
+
+class Ended(NamedTuple):
+    """How a command ended."""
+
+    code: int | None
+    seconds: float  # from Ctrl-C until it and all that it started had ended
+    output: str
+    left: tuple[str, ...]  # processes, temporary files, held locks
+
+    @property
+    def faults(self) -> list[str]:
+        """What is wrong: code, time, lines of the output, things left behind."""
+        # Before Python has started, the signal itself ends it; a shell says 130 of that, too.
+        faults = [f"exit code {self.code}"] if self.code not in (130, -signal.SIGINT) else []
+        faults += [f"{self.seconds:.1f} s"] if self.seconds > 2.0 else []
+        faults += sorted({line.strip()[:160] for line in self.output.splitlines() if NOISE.search(line)})
+        return faults + [f"left: {name}" for name in self.left]
+
+
+class Command:
+    """`bounce WORDS` in `folder`, with a terminal, temporary files in `folder`/tmp and kernels in `cache`."""
+
+    def __init__(
+        self, words: Sequence[str], folder: Path, cache: Path, environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._folder, self._temporary = folder, folder / "tmp"
+        self._temporary.mkdir(parents=True, exist_ok=True)
+        self._ours, theirs = pty.openpty()
+        variables = {"TMPDIR": str(self._temporary), "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "service.cli.entry", *words],
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            cwd=folder,
+            env=os.environ | variables | (environment or {}),
+            start_new_session=True,
+            # Makes Ctrl-C of the terminal a signal for all processes of the command.
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509
+        )
+        os.close(theirs)
+        self._output = bytearray()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def output(self) -> str:
+        """What it has written so far."""
+        return self._output.decode(errors="replace")
+
+    def wait_for(self, condition: Callable[["Command"], bool], seconds: float = 240.0) -> None:
+        """Wait until something is so. Raises AssertionError if the command ends before."""
+        deadline = time.monotonic() + seconds
+        while not condition(self):
+            assert self._process.poll() is None, self.output
+            assert time.monotonic() < deadline, self.output
+            time.sleep(0.02)
+
+    def sleep(self, seconds: float) -> None:
+        """Let it run for so long, or until it ends."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(seconds)
+
+    def processes(self) -> list[int]:
+        """The processes of the command's session that have not ended, itself among them."""
+        found = []
+        for folder in Path("/proc").glob("[0-9]*"):
+            try:
+                fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            except OSError:
+                continue
+            if fields[0] != "Z" and int(fields[3]) == self._process.pid:
+                found.append(int(folder.name))
+        return found
+
+    def interrupt(self) -> Ended | None:
+        """Press Ctrl-C and wait for the end; None if it had ended already."""
+        if self._process.poll() is not None:
+            self._close()
+            return None
+        os.write(self._ours, CTRL_C)
+        began = time.monotonic()
+        while (alive := self.processes()) and time.monotonic() - began < LIMIT:
+            self._process.poll()
+            time.sleep(0.01)
+        seconds = time.monotonic() - began
+        left = [f"process {_command_of(process)}" for process in alive]
+        for process in alive:
+            os.kill(process, 9)
+        code = self._process.wait()
+        self._close()
+        left += [f"temporary {path.name}" for path in sorted(self._temporary.iterdir())]
+        left += _locks(self._folder)
+        left += [f"file {path.name}" for path in self._folder.rglob(".*.*") if path.parent.name != "stores"]
+        return Ended(None if alive else code, seconds, self.output, tuple(left))
+
+    def _read(self) -> None:
+        try:
+            while part := os.read(self._ours, 65536):
+                self._output += part
+        except OSError:  # the other side has closed
+            pass
+
+    def _close(self) -> None:
+        self._reader.join(5.0)
+        os.close(self._ours)
+
+
+def _command_of(process: int) -> str:
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes().replace(b"\0", b" ").decode()[:120]
+    except OSError:
+        return str(process)
+
+
+def _locks(folder: Path) -> list[str]:
+    """Locks below a folder that are still held, and addresses of services."""
+    held = [f"address {path}" for path in folder.rglob("service.json")]
+    for path in folder.rglob("ledger.lock"):
+        with path.open() as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                held.append(f"lock {path.name}")
+    return held
