@@ -383,6 +383,9 @@ def doubled(word: Word) -> Word:
     along = np.concatenate([along, along[STATE:]])
     # two branches pass here: of the two directions without change, the one that is not the same twice
     direction = np.linalg.svd(np.vstack([slope, along]))[2][-1]
+    flight_ = next(part.place for part in pieces(letters) if part.flies)
+    if direction[flight_] < 0.0:  # its sign depends on the processor: the first flight is to be the longer
+        direction = -direction
     return Word(word.omega, word.xi, letters, periods, u, direction)
 
 

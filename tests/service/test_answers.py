@@ -141,8 +141,7 @@ class Answers:
         kind, number = case.split(maxsplit=1)[0], int(case.split()[1])
         if kind == "model":
             path, query = MODEL[number]
-            wait_for(lambda: self._service.get(f"/v1/{path}", params=query).status_code != 202)
-            return _document(self._service.get(f"/v1/{path}", params=query))
+            return self._document(f"/v1/{path}", query)
         if kind == "motion":
             return _document(self._service.post("/v1/trajectories", json=_RIGID | MOTIONS[number]))
         if kind == "cost":
@@ -150,10 +149,14 @@ class Answers:
             return _document(self._service.post("/v1/jobs?validate_only=true", json=spec))
         if kind == "query":
             name, document, query = QUERIES[number]
-            return _document(self._service.get(f"{self._job(name)}/{document}", params=query))
+            return self._document(f"{self._job(name)}/{document}", query)
         name, method, arguments = READ[number]
         job = self._client.job(self._job(name).rsplit("/", 1)[1])
         return _dataset(_read(job, method, arguments))
+
+    def _document(self, path: str, query: Mapping[str, Any]) -> Any:
+        wait_for(lambda: self._service.get(path, params=query).status_code != 202)
+        return _document(self._service.get(path, params=query))
 
     def _job(self, name: str) -> str:
         if name not in self._jobs:

@@ -123,7 +123,7 @@ def test_a_branch_that_stands_still_in_gamma_has_the_cycles_of_its_points():
 
 def test_an_event_found_twice_is_told_once():
     kinds = [Kind.FLIP, Kind.FOLD, Kind.FLIP, Kind.FLIP, Kind.FOLD]
-    gamma = np.array([2.0, 2.0, 3.0, 2.0 + 5e-10, 2.0 + 5e-9])
+    gamma = np.array([2.0, 2.0, 3.0, 2.0 - 5e-10, 2.0 + 5e-9])
     rows = np.arange(5)
     events = Events(
         kind=np.array([str(kind) for kind in kinds]), omega=rows / 10, xi=rows / 10, bounces=rows,

@@ -203,11 +203,16 @@ def _up_to_shorter(branch: WordBranch, cycle: _Cycle) -> WordBranch:
 
 
 def _once(events: Events) -> Events:
-    """The events without those found again with the flights in another order."""
-    order = np.lexsort((np.arange(len(events.gamma)), events.gamma, events.kind))
+    """The events, of those found again with the flights in another order the first along the branch.
+
+    Their Gammas differ in the last digits, by which nothing is decided: these depend on the processor.
+    """
+    if not len(events.gamma):
+        return events
+    order = np.lexsort((events.gamma, events.kind))
     kind, gamma = events.kind[order], events.gamma[order]
-    again = (kind[1:] == kind[:-1]) & (np.diff(gamma) < _SAME)
-    kept = np.sort(np.delete(order, np.flatnonzero(again) + 1))
+    other = (kind[1:] != kind[:-1]) | (np.diff(gamma) >= _SAME)
+    kept = np.sort(np.minimum.reduceat(order, np.flatnonzero(np.concatenate([[True], other]))))
     rows: dict[str, Any] = {name: values[kept] for name, values in events._asdict().items()}
     return Events(**rows)
 
