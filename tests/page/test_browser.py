@@ -496,7 +496,7 @@ def test_the_picture_of_the_readme(browser: Any, address: str):
         page.get_by_label("Plate periods since").fill("1.2")
         page.locator(".trajectory .readout", has_text="3.722, 6.285").wait_for()
         page.evaluate("document.activeElement.blur()")  # no focus ring in the picture
-        screenshot(page, "figure-2")
+        screenshot(page, "figure-2", whole=False)
 
 
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
@@ -783,7 +783,7 @@ def other(address: str) -> str:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other: str, scheme: str):
-    """At three sizes."""
+    """At three sizes; with BOUNCE_TEST_SCREENSHOTS set, each view at each size is kept as a picture."""
     axe = (ROOT / "tests" / "vendor" / "axe.min.js").read_text()
     with opened(browser, "about:blank", color_scheme=scheme, reduced_motion="reduce") as page:
         page.add_init_script(axe)
@@ -792,6 +792,8 @@ def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other:
             _wait_complete(page, path)
             for width, height in SIZES:
                 page.set_viewport_size({"width": width, "height": height})
+                if "BOUNCE_TEST_SCREENSHOTS" in os.environ:
+                    screenshot(page, f"{scheme}-{width}-{VIEWS.index(path)}")
                 assert _serious(page) == [], (path, width)
 
 
@@ -807,13 +809,31 @@ def _serious(page: Any) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.long)])
 def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: str, scheme: str):
-    phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "color_scheme": scheme}
-    with opened(browser, address, reduced_motion="reduce", **phone) as page:
+    """And says tap, not click."""
+    phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "is_mobile": True}
+    with opened(browser, address, reduced_motion="reduce", color_scheme=scheme, **phone) as page:
         for number, path in enumerate(VIEWS):
             page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
+            assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
             screenshot(page, f"phone-{scheme}-{number}")
+
+
+@pytest.mark.parametrize("width", [1280, 1440])
+def test_the_axis_of_every_plot_is_above_the_fold(
+    browser: Any, address: str, loop: str, other: str, width: int
+):
+    with opened(browser, address, viewport={"width": width, "height": 800}) as page:
+        for path in (path for path in VIEWS if path.startswith(("#/job", "#/compare", "#/explore"))):
+            if "details" in path:
+                continue
+            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
+            _wait_complete(page, path)
+            bottom = page.locator(".plot[data-shown]").first.evaluate(
+                "plot => plot.getBoundingClientRect().bottom + scrollY"
+            )
+            assert bottom <= 800, path
 
 
 def _wait_complete(page: Any, path: str) -> None:

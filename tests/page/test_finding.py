@@ -185,6 +185,60 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         page.get_by_text("Select two sweeps or more").wait_for()
 
 
+#: A map of two directions and one from rest, over different ranges.
+MAPS: tuple[dict[str, Any], ...] = (
+    {
+        "name": "both ways",
+        "gamma": {"start": 0.6, "stop": 1.6, "num": 12},
+        "omega": {"start": 0.5, "stop": 0.8, "num": 5},
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    },
+    {"name": "from rest", "gamma": {"start": 1.0, "stop": 3.0, "num": 21}, "omega": [0.5, 0.7, 0.9]},
+)
+
+
+def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
+    shared = {"xi": [0.05, 0.1], "model": {"kind": "rigid"}, "settle": 30, "observe": 10, "keep": 8}
+    line = {"name": "a line", "gamma": [1.0, 2.0], "omega": 0.5}
+    with Client(address) as client:
+        *maps, line_id = (client.submit(shared | spec).wait(progress=False).id for spec in (*MAPS, line))
+    with opened(browser, f"{address}/#/compare?jobs={','.join(maps)}") as page:
+        wait_shown(page, along="gamma", layout="overlay")
+        page.get_by_label("Layout").select_option("mode maps")
+        wait_shown(page, layout="maps")
+        plots = page.locator(".panel .plot")
+        assert [plot.get_attribute("aria-label").split(".")[0] for plot in plots.all()] == [
+            "Mode map of both ways, ramp up",
+            "Mode map of both ways, ramp down",
+            "Mode map of from rest",
+        ]
+        assert page.locator(".legend li", has_text="at rest").count() == 1
+        plots.nth(2).focus()
+        page.keyboard.press("ArrowRight")
+        items = page.locator(".readout li")
+        assert items.count() == 3
+        assert "ξ = 0.1, ramp down: Γ = 1.2364 · Ω = 0.65" in items.nth(1).inner_text()
+        screenshot(page, "compare-maps")
+        page.keyboard.press("+")
+        page.wait_for_function("() => location.hash.includes('x0=')")
+        page.get_by_label("ξ =").fill("0")
+        wait_shown(page, layout="maps", xi=0.05)
+        assert "ξ = 0.05" in items.nth(0).inner_text()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download CSV of 2").click()
+        rows = Path(download.value.path()).read_text().splitlines()
+        assert rows[0].startswith("omega,gamma,outcome")
+        assert len(rows) == 1 + 3 * 21
+        page.get_by_label("Layout").select_option("overlaid")
+        wait_shown(page, layout="overlay", along="gamma")
+        assert "x0=" not in page.url
+        # Sweeps of one Ω have no map.
+        page.goto(f"{address}/#/compare?jobs={maps[0]},{line_id}&layout=maps")
+        page.reload()
+        wait_shown(page, layout="overlay")
+        assert "mode maps" not in page.get_by_label("Layout").inner_text()
+
+
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore") as page:
         page.locator(".plot[data-shown]").first.wait_for()

@@ -130,7 +130,7 @@ def longest_task(page: Any) -> float:
     return float(page.evaluate("window.longestTask"))
 
 
-def screenshot(page: Any, name: str) -> None:
-    """Keep a full-page screenshot in test-artefacts/page."""
+def screenshot(page: Any, name: str, *, whole: bool = True) -> None:
+    """Keep a screenshot of the whole page, or of what the window shows, in test-artefacts/page."""
     SCREENSHOTS.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=True)
+    page.screenshot(path=SCREENSHOTS / f"{name}.png", full_page=whole)

@@ -1,45 +1,49 @@
-// Two or more sweeps in one diagram, or side by side: the same axes, one window, one cursor.
+// Two or more sweeps in one diagram, or side by side as diagrams or mode maps: the same axes, one window, one cursor.
 
 import { addressValue, currentQuery, link, setQuery, setWindow, windowIn } from "../lib/address.js";
-import { isHandledElsewhere, query, requestBlob, requestJson } from "../lib/api.js";
+import { isHandledElsewhere, query, requestArrays, requestBlob, requestJson } from "../lib/api.js";
 import { announce, gestures, h, latest } from "../lib/dom.js";
 import { downloads, fileName, originOf } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { AXES, SYMBOL, TWO_PI, axisLabel, axisValues, clampIndex, directionsOf, initialValue, isLog, isSweep, nearestIndex } from "../lib/physics.js";
-import { branchColour, theme } from "../plot/colours.js";
+import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc } from "../plot/drawing.js";
 import { pngOf, svgOf } from "../plot/export.js";
 import { drawFlights } from "../plot/flights.js";
 import { listenToInput, magnified } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 import { extent } from "../plot/scale.js";
-import { legendEntry } from "../views/cells.js";
+import { drawRing, legendEntry, nearestCell, nextCell, windowOf } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
 import { describeCell, drawCurrent, emptyMessage, flightTable } from "../views/diagram-content.js";
 import { requestLine } from "../views/line-data.js";
+import { describeMode, drawModes, drawThresholdCurve, thresholdLegend } from "../views/mode-map.js";
 import { summary, titleOf } from "../views/progress.js";
 
 const MAX_SWEEPS = 6; // more cannot be told apart by colour
 const MAX_POINTS = 100_000; // flights of a sweep's line that are sent as points; longer ones are sent as density
+const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps" };
 const HINT = "Point at the diagram to read all sweeps there, drag to zoom, double-click to reset the zoom.";
 const KEYS = "Arrow keys step through the cells of the first sweep, plus and minus zoom, 0 resets the zoom.";
 
 export class Compare {
   lines = null; // of each sweep, one per direction
-  x = null; // where the pointer is
+  planes = null; // of the mode maps, one per sweep and direction: {sweep, plane, classes}
+  point = null; // where the pointer is: {x, y}
   plots = [];
 
   constructor(root, { query: parameters }) {
     document.title = "Comparison · Bouncing spring";
     this.ids = [...new Set((parameters.jobs ?? "").split(",").filter(Boolean))];
-    this.layout = parameters.layout === "side" ? "side" : "overlay";
+    this.layout = parameters.layout in LAYOUTS ? parameters.layout : "overlay";
     this.window = windowIn(parameters);
     this.controls = h("div", { className: "controls" });
     this.problem = h("p", { className: "problem", role: "alert", hidden: true });
     this.figures = h("div", { className: "figures" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
+    this.modes = h("ul", { className: "legend", "aria-label": "Modes: (bounces, plate periods)", hidden: true });
     this.readout = h("ul", { className: "readout", "aria-label": "Cells at the pointer" }, h("li", {}, gestures(HINT)));
-    this.panel = h("section", { className: "panel" }, this.controls, this.problem, this.figures, this.legend, this.readout);
+    this.panel = h("section", { className: "panel" }, this.controls, this.problem, this.figures, this.modes, this.legend, this.readout);
     root.replaceChildren(h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")), h("h1", { tabindex: "-1" }, "Comparison"), this.panel);
     this.load = latest((signal) => this.#load(signal));
     this.refresh();
@@ -83,6 +87,8 @@ export class Compare {
     }));
     this.axes = AXES.filter((axis) => this.sweeps.some(({ grid }) => grid[axis].length > 1));
     if (!this.axes.length) this.axes = ["gamma"];
+    this.mapped = this.sweeps.filter(({ grid }) => grid.gamma.length > 1 && grid.omega.length > 1);
+    if (this.mapped.length < 2 && this.layout === "maps") this.layout = "overlay";
     this.along = this.axes.includes(initial.along) ? initial.along : this.axes[0];
     // The values that any of the sweeps has; each is shown at its own nearest one.
     this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sweeps.map(({ grid }) => grid[axis]))]));
@@ -100,24 +106,36 @@ export class Compare {
   #buildControls() {
     const option = (value, text, chosen) => h("option", { value, selected: value === chosen }, text);
     this.controls.replaceChildren(
-      h("label", { className: "option" }, "Layout ", h("select", { onchange: (event) => this.#setLayout(event.target.value) }, option("overlay", "overlaid", this.layout), option("side", "side by side", this.layout))),
-      ...(this.axes.length > 1 ? [h("label", { className: "option" }, "Diagram ", h("select", { "aria-label": "Axis of the diagram", onchange: (event) => this.#setAxis(event.target.value) }, this.axes.map((axis) => option(axis, `${SYMBOL[axis]}–φ`, this.along))))] : []),
-      sliders(this.axes.filter((axis) => axis !== this.along), this.grid, this.fixed, (axis, value) => {
+      h("label", { className: "option" }, "Layout ", h("select", { onchange: (event) => this.#setLayout(event.target.value) },
+        Object.entries(LAYOUTS).filter(([layout]) => layout !== "maps" || this.mapped.length > 1).map(([layout, text]) => option(layout, text, this.layout)))),
+      ...(this.axes.length > 1 && !this.#isMap ? [h("label", { className: "option" }, "Diagram ", h("select", { "aria-label": "Axis of the diagram", onchange: (event) => this.#setAxis(event.target.value) }, this.axes.map((axis) => option(axis, `${SYMBOL[axis]}–φ`, this.along))))] : []),
+      sliders(this.#isMap ? ["xi"] : this.axes.filter((axis) => axis !== this.along), this.grid, this.fixed, (axis, value) => {
         this.fixed[axis] = value;
         setQuery({ [axis]: addressValue(value) });
         this.load();
       }) || "");
   }
 
+  get #isMap() {
+    return this.layout === "maps";
+  }
+
   #setLayout(layout) {
+    const wasMap = this.#isMap;
     this.layout = layout;
-    setQuery({ layout: layout === "side" ? layout : null });
+    setQuery({ layout: layout === "overlay" ? null : layout });
+    if (wasMap !== this.#isMap) {
+      Object.assign(this, { lines: null, planes: null, point: null, window: null });
+      setWindow(null);
+      this.#buildControls();
+    }
     this.#buildPlots();
-    this.#draw();
+    if (wasMap === this.#isMap) this.#draw();
+    else this.load();
   }
 
   #setAxis(along) {
-    Object.assign(this, { along, lines: null, x: null });
+    Object.assign(this, { along, lines: null, point: null });
     setQuery({ along });
     this.#buildControls();
     this.#zoom(null);
@@ -126,38 +144,50 @@ export class Compare {
 
   #buildPlots() {
     this.plots.forEach((plot) => plot.close());
-    const groups = this.layout === "side" ? this.sweeps.map((sweep) => [sweep]) : [this.sweeps];
-    this.figures.className = `figures ${this.layout}`;
-    const figures = groups.map(() => h("figure", {}));
+    this.figures.className = `figures ${this.layout === "overlay" ? "overlay" : "side"}`;
+    this.legend.classList.toggle("uncoloured", this.#isMap);
+    this.modes.hidden = !this.#isMap;
+    const shown = this.#isMap ? this.#mapContents() : this.#diagramContents();
+    const figures = shown.map(() => h("figure", {}));
     this.figures.replaceChildren(...figures);
-    this.plots = groups.map((sweeps, i) => {
-      const names = sweeps.map(({ job }) => titleOf(job)).join(", ");
-      const plot = new Plot(figures[i], { label: `Bifurcation diagrams of ${names}. ${KEYS}`, content: () => this.#content(sweeps), minHeight: 260 });
+    this.plots = shown.map(({ label, content }, i) => {
+      const plot = new Plot(figures[i], { label: `${label}. ${KEYS}`, content, minHeight: 260 });
       listenToInput(plot, {
-        hover: (x) => this.#point(x),
+        hover: (x, y) => this.#point({ x, y }),
         leave: () => this.#point(null),
-        select: (x) => this.#point(x),
+        select: (x, y) => this.#point({ x, y }),
         selectCurrent: () => {},
-        step: (right) => this.#step(right),
+        step: (right, up) => this.#step(right, up),
         zoom: (window) => this.#zoom(window),
-        magnify: (factor) => this.#zoom(magnified(this.#visible(), this.#whole(), factor, this.x ?? undefined)),
+        magnify: (factor) => this.#zoom(magnified(this.#visible(), this.#whole(), factor, this.point?.x)),
       });
       return plot;
     });
   }
 
+  #diagramContents() {
+    const groups = this.layout === "side" ? this.sweeps.map((sweep) => [sweep]) : [this.sweeps];
+    return groups.map((sweeps) => ({
+      label: `Bifurcation diagrams of ${sweeps.map(({ job }) => titleOf(job)).join(", ")}`, content: () => this.#content(sweeps),
+    }));
+  }
+
+  /** A map of each sweep that has one, of each direction. */
+  #mapContents() {
+    return this.mapped.flatMap((sweep) => sweep.directions.map((direction) => ({
+      label: `Mode map of ${titleOf(sweep.job)}${sweep.directions.length > 1 ? `, ramp ${direction}` : ""}`,
+      content: () => this.#mapContent(this.planes?.find((map) => map.sweep === sweep && map.direction === direction)),
+    })));
+  }
+
   async #load(signal) {
     if (!this.sweeps) return;
-    const { along } = this;
+    const { along, layout } = this;
     this.plots.forEach((plot) => plot.element.setAttribute("aria-busy", "true"));
     try {
-      const lines = await Promise.all(this.sweeps.map((sweep) => this.#requestLines(sweep, along, signal)));
-      if (this.closed || along !== this.along) return;
-      this.lines = lines;
-      this.sweeps.forEach((sweep, i) => {
-        sweep.lines = lines[i];
-        sweep.note.textContent = Object.entries(lines[i][0].fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(", ");
-      });
+      const shown = this.#isMap ? await this.#loadPlanes(signal) : await this.#loadLines(signal);
+      if (this.closed || along !== this.along || layout !== this.layout) return;
+      shown();
       this.#draw();
       this.plots.forEach((plot) => { plot.element.dataset.shown = JSON.stringify({ along, ...this.fixed, layout: this.layout }); });
     } catch (error) {
@@ -165,6 +195,36 @@ export class Compare {
     } finally {
       this.plots.forEach((plot) => plot.element.removeAttribute("aria-busy"));
     }
+  }
+
+  async #loadLines(signal) {
+    const lines = await Promise.all(this.sweeps.map((sweep) => this.#requestLines(sweep, this.along, signal)));
+    return () => {
+      this.lines = lines;
+      this.sweeps.forEach((sweep, i) => {
+        sweep.lines = lines[i];
+        sweep.note.textContent = Object.entries(lines[i][0].fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(", ");
+      });
+    };
+  }
+
+  /** The maps at the ξ nearest to the slider's. */
+  async #loadPlanes(signal) {
+    const planes = await Promise.all(this.mapped.flatMap((sweep) => sweep.directions.map(async (direction) => {
+      const { job, grid } = sweep;
+      const parameters = { xi: grid.xi[nearestIndex(grid.xi, this.fixed.xi)], direction, min_flight: job.spec.micro_flight };
+      const plane = await requestArrays(`/v1/jobs/${job.id}/plane?${query(parameters)}`, { signal });
+      return { sweep, direction, plane, classes: modeClasses(plane.arrays) };
+    })));
+    return () => {
+      this.planes = planes;
+      const present = new Map(planes.flatMap(({ classes }) => classes.present.map(({ id, name }) => [id, name])));
+      this.modes.replaceChildren(...[...present].map(([id, name]) => legendEntry(modeColour(id, theme().dark), name)));
+      for (const sweep of this.sweeps) {
+        const map = planes.find((other) => other.sweep === sweep);
+        sweep.note.textContent = map ? `${SYMBOL.xi} = ${number(map.plane.xi)}` : "no map: one value of Γ or Ω";
+      }
+    };
   }
 
   /** The lines of a sweep through its grid values nearest to the fixed ones. */
@@ -193,13 +253,39 @@ export class Compare {
       message: emptyMessage(lines),
       layers: [(ctx, box) => drawFlights(ctx, box, lines, (line) => colour(line, box.theme))],
       cursor: (ctx, box) => {
-        if (this.x === null) return;
-        for (const line of lines) drawCurrent(ctx, box, { line, cell: nearestIndex(line.arrays.values, this.x) });
+        if (!this.point) return;
+        for (const line of lines) drawCurrent(ctx, box, { line, cell: nearestIndex(line.arrays.values, this.point.x) });
+      },
+    };
+  }
+
+  #mapContent(map) {
+    if (!map) return null;
+    const { sweep, plane, classes } = map;
+    const { x0, x1, y0, y1 } = this.#visible();
+    const isLogarithmic = (axis) => this.mapped.every(({ job }) => isLog(job.spec[axis]));
+    return {
+      title: titleOfMap(map),
+      legend: [thresholdLegend],
+      colours: classes.present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
+      x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLogarithmic("gamma") },
+      y: { label: axisLabel("omega"), low: y0, high: y1, log: isLogarithmic("omega") },
+      layers: [(ctx, box) => drawModes(ctx, box, plane, classes), (ctx, box) => drawThresholdCurve(ctx, box, plane.xi)],
+      cursor: (ctx, box) => {
+        if (!this.point || !covers(sweep.grid, this.point)) return;
+        const { column, row } = nearestCell(plane.arrays.gamma, plane.arrays.omega, this.point.x, this.point.y);
+        drawRing(ctx, box, plane.arrays.gamma[column], plane.arrays.omega[row], 6);
       },
     };
   }
 
   #whole() {
+    if (this.#isMap) {
+      const windows = this.mapped.map(({ grid }) => windowOf(grid.gamma, grid.omega, true));
+      const least = (name) => Math.min(...windows.map((window) => window[name]));
+      const greatest = (name) => Math.max(...windows.map((window) => window[name]));
+      return { x0: least("x0"), x1: greatest("x1"), y0: least("y0"), y1: greatest("y1") };
+    }
     const lines = this.lines.flat();
     const [x0, x1] = extent(Math.min(...lines.map(({ arrays }) => arrays.values[0])), Math.max(...lines.map(({ arrays }) => arrays.values.at(-1))));
     return { x0, x1, y0: 0, y1: 1.06 * (Math.max(...lines.map(({ highest }) => highest), 0) || TWO_PI) };
@@ -215,30 +301,56 @@ export class Compare {
     this.plots.forEach((plot) => plot.redraw());
   }
 
-  #point(x) {
-    this.x = x;
+  #point(point) {
+    this.point = point;
     this.plots.forEach((plot) => plot.drawCursor());
     this.#describe();
   }
 
-  #step(right) {
-    if (!this.lines) return;
-    const { values } = this.lines[0][0].arrays;
-    const index = this.x === null ? values.length >> 1 : clampIndex(nearestIndex(values, this.x) + right, values.length);
-    this.#point(values[index]);
+  #step(right, up) {
+    if (this.#isMap ? !this.planes : !this.lines) return;
+    this.#point(this.#isMap ? this.#nextCell(right, up) : this.#nextValue(right));
     announce([...this.readout.children].map((child) => child.textContent).join(". "));
+  }
+
+  #nextValue(right) {
+    const { values } = this.lines[0][0].arrays;
+    const index = this.point ? clampIndex(nearestIndex(values, this.point.x) + right, values.length) : values.length >> 1;
+    return { x: values[index], y: 0 };
+  }
+
+  #nextCell(right, up) {
+    const { gamma, omega } = this.planes[0].plane.arrays;
+    const current = this.point && nearestCell(gamma, omega, this.point.x, this.point.y);
+    const { column, row } = nextCell(gamma, omega, current, right, up);
+    return { x: gamma[column], y: omega[row] };
   }
 
   /** What every sweep has at the pointer. */
   #describe() {
-    const items = this.x === null || !this.lines ? [h("li", {}, gestures(HINT))] : this.sweeps.flatMap(({ job, number: id, lines }) => lines.map((line) =>
-      legendEntry(branchColour(id, theme().dark), `${titleOf(job)}: `, describeCell({ line, cell: nearestIndex(line.arrays.values, this.x) }, this.along, lines.length > 1))));
-    this.readout.replaceChildren(...items);
+    const items = this.point && (this.#isMap ? this.#describeMaps() : this.#describeLines());
+    this.readout.replaceChildren(...(items || [h("li", {}, gestures(HINT))]));
+  }
+
+  #describeLines() {
+    return this.lines && this.sweeps.flatMap(({ job, number: id, lines }) => lines.map((line) =>
+      legendEntry(branchColour(id, theme().dark), `${titleOf(job)}: `, describeCell({ line, cell: nearestIndex(line.arrays.values, this.point.x) }, this.along, lines.length > 1))));
+  }
+
+  #describeMaps() {
+    return this.planes?.map((map) => {
+      const { sweep, plane, classes } = map;
+      if (!covers(sweep.grid, this.point)) return h("li", {}, `${titleOfMap(map)}: outside its grid`);
+      const { gamma, omega } = plane.arrays;
+      const cell = nearestCell(gamma, omega, this.point.x, this.point.y);
+      return legendEntry(modeColour(classes.ofCell[cell.row * gamma.length + cell.column], theme().dark), `${titleOfMap(map)}: `, describeMode(plane, cell).join(" · "));
+    });
   }
 
   #downloads() {
     const [first] = this.sweeps;
-    const overlaid = () => Object.create(this.plots[0], { content: { value: () => this.#content(this.sweeps) } }); // in either layout
+    // All diagrams in one picture, in either layout; of mode maps the first one.
+    const overlaid = () => (this.#isMap ? this.plots[0] : Object.create(this.plots[0], { content: { value: () => this.#content(this.sweeps) } }));
     const files = [["PNG", "png", pngOf], ["SVG", "svg", svgOf]].map(([label, extension, make]) =>
       [label, () => fileName(first.job, "comparison", extension), async () => make(overlaid(), { origin: { sweeps: await Promise.all(this.sweeps.map(({ job }) => originOf(job))) } })]);
     const tables = this.sweeps.map(({ job, number: id }) => [`CSV of ${id}`, () => fileName(job, `${this.along}-phi`, "csv"), () => this.#table(this.sweeps[id - 1])]);
@@ -246,7 +358,10 @@ export class Compare {
   }
 
   /** The flights of a sweep in view; of a density, all flights of its first direction from the service. */
-  #table({ job, lines }) {
+  #table({ job, lines, grid, directions }) {
+    if (this.#isMap) {
+      return requestBlob(`/v1/jobs/${job.id}/modes?${query({ xi: grid.xi[nearestIndex(grid.xi, this.fixed.xi)], direction: directions[0], format: "csv" })}`);
+    }
     const [{ arrays, fixed, direction }] = lines;
     if (!arrays.density) return flightTable(lines, this.along, this.#visible());
     return requestBlob(`/v1/jobs/${job.id}/diagram?${query({ along: this.along, ...fixed, direction, format: "csv" })}`);
@@ -265,3 +380,12 @@ function merged(lists) {
 }
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);
+
+/** The title of a mode map: the sweep, its ξ, its ramp. */
+const titleOfMap = ({ sweep, direction, plane }) => `${shortened(titleOf(sweep.job))}, ${SYMBOL.xi} = ${number(plane.xi)}${sweep.directions.length > 1 ? `, ramp ${direction}` : ""}`;
+
+/** Whether a point lies on the map of a grid. */
+function covers({ gamma, omega }, { x, y }) {
+  const { x0, x1, y0, y1 } = windowOf(gamma, omega, true);
+  return x >= x0 && x <= x1 && y >= y0 && y <= y1;
+}

@@ -29,12 +29,16 @@ export class Plot {
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.element);
+    // What appears above a plot moves it down, and out of the viewport.
+    this.moves = new ResizeObserver(() => this.above !== undefined && Math.abs(this.#above() - this.above) > 1 && this.redraw());
+    this.moves.observe(document.body);
     onThemeChange(() => this.redraw(), this.closing.signal);
   }
 
   close() {
     this.closing.abort();
     this.observer.disconnect();
+    this.moves.disconnect();
     cancelAnimationFrame(this.frame);
   }
 
@@ -57,9 +61,14 @@ export class Plot {
   /** The height that a plot may take: up to the bottom of the viewport where it begins high enough for that. */
   #room() {
     const share = innerHeight * MAX_VIEWPORT_SHARE;
-    const above = this.element.getBoundingClientRect().top + scrollY;
-    const left = innerHeight - above - BELOW;
+    this.above = this.#above();
+    const left = innerHeight - this.above - BELOW;
     return left >= this.minHeight ? Math.min(share, left) : share;
+  }
+
+  /** The height of all that is above the plot on the page. */
+  #above() {
+    return this.element.getBoundingClientRect().top + scrollY;
   }
 
   drawCursor() {

@@ -4,17 +4,14 @@ import { addressValue, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv, decimal } from "../lib/downloads.js";
-import { number, ordinal, plural } from "../lib/format.js";
-import { HYSTERESIS, HYSTERESIS_NAMES, LABEL_NAMES, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog, labelsOf, outcomeText, threshold } from "../lib/physics.js";
+import { number, ordinal } from "../lib/format.js";
+import { HYSTERESIS, HYSTERESIS_NAMES, LABEL_NAMES, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
-import { polyline, rgba32 } from "../plot/drawing.js";
-import { drawCells, drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
+import { drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
+import { describeMode, drawModes, drawThresholdCurve, thresholdLegend } from "./mode-map.js";
 import { PlotView } from "./plot-view.js";
 
-const DASH = [7, 4];
-const HATCH = 9; // px between the lines over cells whose directions differ; each is two lines, of text and of surface
-const HATCH_LINE = 1.6; // px, of either
 const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
 
 /** Cells are {column, row}: indices into the Γ and Ω that were loaded. */
@@ -153,40 +150,16 @@ export class Modes extends PlotView {
       title: `ξ = ${number(this.plane.xi)}${this.directions.length > 1 ? `, ramp ${this.plane.direction}` : ""}`,
       legend: [
         ...(this.plane.arrays.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
-        ["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)],
+        thresholdLegend,
       ],
       colours: present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
-      layers: [(ctx, box) => this.#drawCells(ctx, box), (ctx, box) => this.#drawThreshold(ctx, box)],
+      layers: [
+        (ctx, box) => drawModes(ctx, box, this.plane, this.classes, { marksComputed: this.isAdaptive && this.showsComputed.checked }),
+        (ctx, box) => drawThresholdCurve(ctx, box, this.plane.xi),
+      ],
       cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
-  }
-
-  #drawCells(ctx, box) {
-    const { gamma, omega } = this.axes;
-    const colours = new Uint32Array(256);
-    for (const { id } of this.classes.present) colours[id] = rgba32(modeColour(id, box.theme.dark));
-    const { computed, hysteresis } = this.plane.arrays;
-    const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
-    const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    drawCells(ctx, box, gamma, omega, (row, column, x, y) => {
-      const cell = row * gamma.length + column;
-      if (hysteresis?.[cell]) {
-        const line = lineAt(hysteresis[cell], x / box.ratio, y / box.ratio);
-        if (line >= 0) return hatch[line];
-      }
-      return mark !== null && computed[cell] ? mark : colours[this.classes.ofCell[cell]];
-    });
-  }
-
-  #drawThreshold(ctx, box) {
-    const n = Math.max(2, Math.round(box.height / 2));
-    const points = Array.from({ length: n }, (_, i) => {
-      const y = box.top + (i * box.height) / (n - 1);
-      return [box.x.pixel(threshold(box.y.value(y), this.plane.xi)), y];
-    });
-    polyline(ctx, box.theme.surface, 4, points);
-    polyline(ctx, box.theme.text, 1.8, points, DASH);
   }
 
   #drawCursor(ctx, box) {
@@ -212,10 +185,9 @@ export class Modes extends PlotView {
   }
 
   describe({ column, row }) {
-    const { gamma, omega, outcome, bounces, periods } = this.plane.arrays;
+    const { gamma, outcome } = this.plane.arrays;
     const cell = row * gamma.length + column;
-    const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(labelsOf(this.plane.arrays)[cell], bounces[cell], periods[cell])];
-    if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
+    const parts = describeMode(this.plane, { column, row });
     const differs = this.plane.arrays.hysteresis?.[cell];
     if (differs) parts.push(`ramped ${this.directions.find((direction) => direction !== this.plane.direction)}, ${differs === HYSTERESIS.mode ? "another mode" : "other flights"}`);
     if (this.isAdaptive && outcome[cell] !== OUTCOME.missing) parts.push(this.plane.arrays.computed[cell] ? "computed" : "taken from its block");
@@ -231,13 +203,6 @@ export class Modes extends PlotView {
     ];
     return csv(["omega", "gamma", "outcome", "bounces", "periods", ...(label ? ["label"] : []), ...(hysteresis ? ["hysteresis"] : [])], Array.from(outcome, row));
   }
-}
-
-/** Which line of the hatching is at (x, y): 0 of text, 1 of surface beside it, -1 none. They rise where modes differ. */
-function lineAt(hysteresis, x, y) {
-  const along = hysteresis === HYSTERESIS.mode ? x + y : x - y + 1e6 * HATCH;
-  const line = Math.floor((along % HATCH) / HATCH_LINE);
-  return line < 2 ? line : -1;
 }
 
 const percentage = (cells, total) => `${cells / total < 0.001 ? "<0.1" : number((100 * cells) / total, 2)} %`;
