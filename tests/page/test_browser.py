@@ -820,11 +820,8 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
             screenshot(page, f"phone-{scheme}-{number}")
 
 
-@pytest.mark.parametrize("width", [1280, 1440])
-def test_the_axis_of_every_plot_is_above_the_fold(
-    browser: Any, address: str, loop: str, other: str, width: int
-):
-    with opened(browser, address, viewport={"width": width, "height": 800}) as page:
+def test_the_axis_of_every_plot_is_above_the_fold(browser: Any, address: str, loop: str, other: str):
+    with opened(browser, address, viewport={"width": 1280, "height": 800}) as page:
         for path in (path for path in VIEWS if path.startswith(("#/job", "#/compare", "#/explore"))):
             if "details" in path:
                 continue
@@ -834,6 +831,21 @@ def test_the_axis_of_every_plot_is_above_the_fold(
                 "plot => plot.getBoundingClientRect().bottom + scrollY"
             )
             assert bottom <= 800, path
+
+
+def test_a_cycle_of_one_flight_is_a_point_of_the_return_map(browser: Any, address: str, loop: str):
+    with opened(browser, f"{address}/#/job/{loop}/diagram?{CELL}") as page:
+        page.get_by_text("1 point of").wait_for()
+        coloured = page.eval_on_selector(
+            ".portraits .plot canvas",
+            """canvas => {
+                const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+                let count = 0;
+                for (let i = 0; i < data.length; i += 4) count += Math.abs(data[i] - data[i + 2]) > 60;
+                return count;
+            }""",
+        )
+        assert 4 < coloured < 200  # all else is grey
 
 
 def _wait_complete(page: Any, path: str) -> None:

@@ -231,7 +231,7 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
         assert len(rows) == 1 + 3 * 21
         page.get_by_label("Layout").select_option("overlaid")
         wait_shown(page, layout="overlay", along="gamma")
-        assert "x0=" not in page.url
+        page.wait_for_function("() => !location.hash.includes('x0=')")
         # Sweeps of one Ω have no map.
         page.goto(f"{address}/#/compare?jobs={maps[0]},{line_id}&layout=maps")
         page.reload()

@@ -7,7 +7,7 @@ import { downloads, fileName, originOf } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
 import { AXES, SYMBOL, TWO_PI, axisLabel, axisValues, clampIndex, directionsOf, initialValue, isLog, isSweep, nearestIndex } from "../lib/physics.js";
 import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
-import { disc } from "../plot/drawing.js";
+import { clipped, disc } from "../plot/drawing.js";
 import { pngOf, svgOf } from "../plot/export.js";
 import { drawFlights } from "../plot/flights.js";
 import { listenToInput, magnified } from "../plot/input.js";
@@ -17,7 +17,7 @@ import { drawRing, legendEntry, nearestCell, nextCell, windowOf } from "../views
 import { sliders } from "../views/controls.js";
 import { describeCell, drawCurrent, emptyMessage, flightTable } from "../views/diagram-content.js";
 import { requestLine } from "../views/line-data.js";
-import { describeMode, drawModes, drawThresholdCurve, thresholdLegend } from "../views/mode-map.js";
+import { describeMode, drawModes, drawThresholdCurve, modeTable, thresholdLegend } from "../views/mode-map.js";
 import { summary, titleOf } from "../views/progress.js";
 
 const MAX_SWEEPS = 6; // more cannot be told apart by colour
@@ -270,7 +270,7 @@ export class Compare {
       colours: classes.present.map(({ id, name }) => [name, (theme) => modeColour(id, theme.dark)]),
       x: { label: axisLabel("gamma"), low: x0, high: x1, log: isLogarithmic("gamma") },
       y: { label: axisLabel("omega"), low: y0, high: y1, log: isLogarithmic("omega") },
-      layers: [(ctx, box) => drawModes(ctx, box, plane, classes), (ctx, box) => drawThresholdCurve(ctx, box, plane.xi)],
+      layers: [(ctx, box) => clipped(ctx, within(box, sweep.grid), () => drawModes(ctx, box, plane, classes)), (ctx, box) => drawThresholdCurve(ctx, box, plane.xi)],
       cursor: (ctx, box) => {
         if (!this.point || !covers(sweep.grid, this.point)) return;
         const { column, row } = nearestCell(plane.arrays.gamma, plane.arrays.omega, this.point.x, this.point.y);
@@ -358,13 +358,19 @@ export class Compare {
   }
 
   /** The flights of a sweep in view; of a density, all flights of its first direction from the service. */
-  #table({ job, lines, grid, directions }) {
-    if (this.#isMap) {
-      return requestBlob(`/v1/jobs/${job.id}/modes?${query({ xi: grid.xi[nearestIndex(grid.xi, this.fixed.xi)], direction: directions[0], format: "csv" })}`);
-    }
+  #table(sweep) {
+    if (this.#isMap) return modeTable(this.#mapOf(sweep).plane);
+    const { job, lines } = sweep;
     const [{ arrays, fixed, direction }] = lines;
     if (!arrays.density) return flightTable(lines, this.along, this.#visible());
     return requestBlob(`/v1/jobs/${job.id}/diagram?${query({ along: this.along, ...fixed, direction, format: "csv" })}`);
+  }
+
+  /** The first map of a sweep. */
+  #mapOf(sweep) {
+    const map = this.planes?.find((other) => other.sweep === sweep);
+    if (!map) throw new Error(`There is no map of ${titleOf(sweep.job)}.`);
+    return map;
   }
 
   #showError(error) {
@@ -383,6 +389,14 @@ const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name
 
 /** The title of a mode map: the sweep, its ξ, its ramp. */
 const titleOfMap = ({ sweep, direction, plane }) => `${shortened(titleOf(sweep.job))}, ${SYMBOL.xi} = ${number(plane.xi)}${sweep.directions.length > 1 ? `, ramp ${direction}` : ""}`;
+
+/** The part of a plot's box that the map of a grid covers. */
+function within(box, { gamma, omega }) {
+  const { x0, x1, y0, y1 } = windowOf(gamma, omega, true);
+  const [left, right] = [box.x.pixel(x0), box.x.pixel(x1)].map((x) => Math.min(Math.max(x, box.left), box.left + box.width));
+  const [bottom, top] = [box.y.pixel(y0), box.y.pixel(y1)].map((y) => Math.min(Math.max(y, box.top), box.top + box.height));
+  return { left, top, width: right - left, height: bottom - top };
+}
 
 /** Whether a point lies on the map of a grid. */
 function covers({ gamma, omega }, { x, y }) {

@@ -9,6 +9,7 @@ import { extent } from "../plot/scale.js";
 
 const MIN_FLIGHT = 1e-3; // rad: shorter flights are left out of the map
 const MARGIN = 0.06; // of the range, on each side
+const MIN_RANGE = 0.2; // rad, of the return map: a cycle of one flight is one point in its middle
 const SAME = 2e-3; // rad: points of the map this near to each other are one
 
 /** A return map and a phase portrait side by side. */
@@ -58,7 +59,9 @@ function mapText(flights) {
 
 function returnMap(flights) {
   const pairs = pairsOf(flights);
-  const [low, high] = widened(Math.min(...flights), Math.max(...flights));
+  const [least, greatest] = [Math.min(...flights), Math.max(...flights)];
+  const missing = Math.max(0, MIN_RANGE - (greatest - least)) / 2;
+  const [low, high] = widened(least - missing, greatest + missing);
   const axis = (label) => ({ label, low: flights.length ? low : 0, high: flights.length ? high : TWO_PI });
   return {
     x: axis("flight time φₙ (rad)"), y: axis("next flight time φₙ₊₁ (rad)"),

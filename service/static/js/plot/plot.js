@@ -6,6 +6,7 @@ import { clipped, pixelRatio, resizedContext } from "./drawing.js";
 import { boxOf, drawFrame, drawHeadings, drawMessage, drawPeriods } from "./frame.js";
 
 const MAX_VIEWPORT_SHARE = 0.66; // of the viewport's height
+const SMALLEST = 200; // px, of a plot that would else end below the viewport
 const BELOW = 10; // px under a plot that ends within the viewport
 
 /**
@@ -51,7 +52,8 @@ export class Plot {
   draw() {
     const width = this.element.clientWidth;
     if (!width) return;
-    const height = Math.round(Math.max(this.minHeight, Math.min(width * this.ratio, this.#room())));
+    const room = this.#room();
+    const height = Math.round(Math.max(Math.min(this.minHeight, room), Math.min(width * this.ratio, room)));
     const ctx = resizedContext(this.canvas, width, height);
     this.box = this.paint(ctx, width, height, theme(), pixelRatio());
     this.drawCursor();
@@ -63,7 +65,7 @@ export class Plot {
     const share = innerHeight * MAX_VIEWPORT_SHARE;
     this.above = this.#above();
     const left = innerHeight - this.above - BELOW;
-    return left >= this.minHeight ? Math.min(share, left) : share;
+    return left >= SMALLEST ? Math.min(share, left) : Math.max(share, this.minHeight);
   }
 
   /** The height of all that is above the plot on the page. */

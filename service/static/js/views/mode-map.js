@@ -1,7 +1,8 @@
-// What a mode map shows: the modes of its cells, the threshold of Eq. 25, a cell in words.
+// What a mode map shows: the modes of its cells, the threshold of Eq. 25, a cell in words, a table.
 
+import { csv, decimal } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, labelsOf, outcomeText, threshold } from "../lib/physics.js";
+import { HYSTERESIS, HYSTERESIS_NAMES, LABEL_NAMES, OUTCOME, labelsOf, outcomeText, threshold } from "../lib/physics.js";
 import { modeColour } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { drawCells } from "./cells.js";
@@ -48,6 +49,16 @@ export function describeMode({ arrays }, { column, row }) {
   const parts = [`Γ = ${number(gamma[column])}`, `Ω = ${number(omega[row])}`, outcomeText(labelsOf(arrays)[cell], bounces[cell], periods[cell])];
   if (outcome[cell] === OUTCOME.periodic) parts.push(`${plural(bounces[cell], "bounce")} in ${plural(periods[cell], "plate period")}`);
   return parts;
+}
+
+/** The cells of a plane as CSV, as `bounce modes` writes it. */
+export function modeTable({ arrays }) {
+  const { gamma, omega, outcome, label, bounces, periods, hysteresis } = arrays;
+  const row = (_, i) => [
+    decimal(omega[Math.floor(i / gamma.length)]), decimal(gamma[i % gamma.length]), LABEL_NAMES[outcome[i]], bounces[i], periods[i],
+    ...(label ? [LABEL_NAMES[label[i]]] : []), ...(hysteresis ? [HYSTERESIS_NAMES[hysteresis[i]]] : []),
+  ];
+  return csv(["omega", "gamma", "outcome", "bounces", "periods", ...(label ? ["label"] : []), ...(hysteresis ? ["hysteresis"] : [])], Array.from(outcome, row));
 }
 
 /** Which line of the hatching is at (x, y): 0 of text, 1 of surface beside it, -1 none. They rise where modes differ. */

@@ -3,13 +3,12 @@
 import { addressValue, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, query, requestArrays, requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { csv, decimal } from "../lib/downloads.js";
 import { number, ordinal } from "../lib/format.js";
-import { HYSTERESIS, HYSTERESIS_NAMES, LABEL_NAMES, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog } from "../lib/physics.js";
+import { HYSTERESIS, OUTCOME, SYMBOL, axisLabel, initialValue, isClose, isLog } from "../lib/physics.js";
 import { modeClasses, modeColour, onThemeChange, theme } from "../plot/colours.js";
 import { drawRing, hatchSymbol, legendEntry, nearestCell, nextCell, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
-import { describeMode, drawModes, drawThresholdCurve, thresholdLegend } from "./mode-map.js";
+import { describeMode, drawModes, drawThresholdCurve, modeTable, thresholdLegend } from "./mode-map.js";
 import { PlotView } from "./plot-view.js";
 
 const HINT = "Point at a cell to read it, click to show its trajectory, drag to zoom. Modes are (bounces, plate periods).";
@@ -196,12 +195,7 @@ export class Modes extends PlotView {
 
   /** As `bounce modes` writes it. */
   table() {
-    const { gamma, omega, outcome, label, bounces, periods, hysteresis } = this.plane.arrays;
-    const row = (_, i) => [
-      decimal(omega[Math.floor(i / gamma.length)]), decimal(gamma[i % gamma.length]), LABEL_NAMES[outcome[i]], bounces[i], periods[i],
-      ...(label ? [LABEL_NAMES[label[i]]] : []), ...(hysteresis ? [HYSTERESIS_NAMES[hysteresis[i]]] : []),
-    ];
-    return csv(["omega", "gamma", "outcome", "bounces", "periods", ...(label ? ["label"] : []), ...(hysteresis ? ["hysteresis"] : [])], Array.from(outcome, row));
+    return modeTable(this.plane);
   }
 }
 
