@@ -60,8 +60,7 @@ class Command:
             cwd=folder,
             env=os.environ | variables | (environment or {}),
             start_new_session=True,
-            # Makes Ctrl-C of the terminal a signal for all processes of the command.
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509
+            preexec_fn=_on_its_terminal,  # noqa: PLW1509
         )
         os.close(theirs)
         self._output = bytearray()
@@ -129,6 +128,12 @@ class Command:
     def _close(self) -> None:
         self._reader.join(5.0)
         os.close(self._ours)
+
+
+def _on_its_terminal() -> None:
+    """As a shell starts a command: Ctrl-C of its terminal is a signal for all its processes, not ignored."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a background job of a script ignores it
 
 
 def _command_of(process: int) -> str:
