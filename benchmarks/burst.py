@@ -187,7 +187,7 @@ class Jobs:
 
 def costly(large_job: str, wide_job: str, every: int) -> list[str]:
     """One request of each kind; tables have a million flights."""
-    chunks = "zarr/flight_time/c/0/0/0/0/0"
+    chunks = "zarr/flight_time/c.0.0.0.0.0"
     return [
         f"{large_job}/diagram?format=png",
         f"{large_job}/diagram?every={every}",

@@ -61,10 +61,12 @@ class Tiling:
                 self._records[shape] = store.read_chunk(store_url, chunk, names)
             return report
         began, record = time.perf_counter(), self._records[shape]
-        checksum = store.write_chunk(store_url, chunk, record)
+        stored = store.write_chunk(store_url, chunk, record)
         outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
         took = time.perf_counter() - began
-        return ChunkReport(chunk.index, chunk.cells, took, 0.0, checksum, tuple(outcomes.tolist()))
+        return ChunkReport(
+            chunk.index, chunk.cells, took, 0.0, stored.checksum, tuple(outcomes.tolist()), bytes=stored.bytes
+        )
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
         """Call a function in a thread."""

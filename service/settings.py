@@ -63,6 +63,9 @@ class Settings(BaseSettings):
         None, description="Folder, or s3://BUCKET/PREFIX, of the stores; `data`/stores if not given."
     )
 
+    verify_days: Positive = Field(
+        30.0, description="Days after which the stored results of a job that is done are verified again."
+    )
     private: bool = Field(
         True, description="Whether ledger and stores are closed to other users of this machine."
     )

@@ -271,10 +271,12 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
             next_check = time.perf_counter() + CANCEL_SECONDS
         _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
     seconds = time.perf_counter() - began
-    checksum = store.write_chunk(store_url, chunk, record)
+    stored = store.write_chunk(store_url, chunk, record)
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took = time.perf_counter() - began
-    return ChunkReport(chunk.index, chunk.cells, took, seconds, checksum, tuple(outcomes.tolist()))
+    return ChunkReport(
+        chunk.index, chunk.cells, took, seconds, stored.checksum, tuple(outcomes.tolist()), bytes=stored.bytes
+    )
 
 
 def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:

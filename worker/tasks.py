@@ -92,6 +92,7 @@ class ChunkReport:
     checksum: str  # of the stored bytes, see store.find_corrupt
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
     computed: int | None = None  # of an adaptive map: its cells that were not taken from their block
+    bytes: int | None = None  # stored, of all arrays; None if it is not known
 
 
 #: Position of a line among the lines of its chunk.
@@ -114,13 +115,15 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
         _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
     else:
         record = _refine_tile(spec, spec.refine, chunk, record, work)
-    checksum = store.write_chunk(store_url, chunk, record)
+    stored = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took, kernel_seconds = work.seconds
     computed = None if spec.refine is None else int(record[schema.COMPUTED.name].sum())
     counts = tuple(outcomes.tolist())
-    return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, counts, computed)
+    return ChunkReport(
+        chunk.index, chunk.cells, took, kernel_seconds, stored.checksum, counts, computed, stored.bytes
+    )
 
 
 def _compute_lines(

@@ -29,7 +29,7 @@ from service.jobs.ledger_files import (
     size_of,
     wal_of,
 )
-from service.jobs.migrations import MIGRATIONS
+from service.jobs.migrations import MIGRATIONS, packed
 from service.jobs.model import JobRecord
 from service.jobs.transactions import ReadTransaction, WriteTransaction
 
@@ -245,6 +245,22 @@ class Ledger:
                     self._writer.execute("ROLLBACK")
                 self._files.note_written()
 
+    def shrink(self, pages: int) -> bool:
+        """Give so many free pages at most back to the file system, not those of the reserve.
+
+        Whether there are more. Raises LedgerUnavailable.
+        """
+        with self._exclusive(), self._available():
+            self._check_files()
+            try:
+                free, size = (self._number(f"PRAGMA {name}") for name in ("freelist_count", "page_size"))
+                surplus = free - 2 * RESERVE // size
+                if surplus > 0:
+                    self._writer.execute(f"PRAGMA incremental_vacuum({min(surplus, pages)})").fetchall()
+            finally:
+                self._files.note_written()
+        return surplus > pages
+
     def _number(self, query: str) -> int:
         return int(self._writer.execute(query).fetchone()[0])
 
@@ -286,6 +302,9 @@ NOT_LOCAL: Final = (
     "it must not be used from two machines; keep the ledger on a local disk (BOUNCE_DATA), "
     "stores may be there (BOUNCE_STORES)"
 )
+
+#: SQLite's number of `PRAGMA auto_vacuum = INCREMENTAL`.
+_INCREMENTAL: Final = 2
 
 #: SQLite's codes of a file whose contents are not what SQLite wrote.
 _DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
@@ -339,9 +358,14 @@ _CONTRADICTION: Final = """
 
 def _migrate(connection: sqlite3.Connection) -> None:
     """Bring the file to this version, each step whole or not at all."""
+    connection.create_function("packed", 1, packed, deterministic=True)
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     for number, script in enumerate(MIGRATIONS[version:], version + 1):
         connection.executescript(f"BEGIN IMMEDIATE; {script}; PRAGMA user_version = {number}; COMMIT;")
+    if connection.execute("PRAGMA auto_vacuum").fetchone()[0] != _INCREMENTAL:
+        # Once: from then on the file gets smaller when jobs are deleted.
+        connection.execute(f"PRAGMA auto_vacuum = {_INCREMENTAL}")
+        connection.execute("VACUUM")
 
 
 @contextmanager

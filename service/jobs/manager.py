@@ -46,11 +46,9 @@ class JobManager:
         self._ledger, self._settings = ledger, settings
         self.preparer = JobPreparer(settings)
         self._deleter = Deleter(ledger, settings, self._wake)
-        self._supervisor = Supervisor(
-            ledger, executor, settings, self.preparer, self._is_verified, self._deleter.repeat
-        )
+        self._supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
         self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate, self._deleter.repeat)
-        self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self._supervisor.wake)
+        self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self.is_computing)
 
     def is_computing(self) -> bool:
         """Whether chunks of jobs are in flight."""

@@ -102,4 +102,47 @@ MIGRATIONS: Final = (
     """
     ALTER TABLE jobs ADD COLUMN runs TEXT NOT NULL DEFAULT '[]';
     """,
+    # Chunks no longer refer to jobs, so that those of a deleted job can be removed a few at a time.
+    """
+    ALTER TABLE jobs ADD COLUMN store_format INTEGER NOT NULL DEFAULT 1;
+    ALTER TABLE jobs ADD COLUMN verified REAL;
+    ALTER TABLE jobs ADD COLUMN cells_timed INTEGER NOT NULL DEFAULT 0;
+    UPDATE jobs SET cells_timed =
+        (SELECT coalesce(sum(cells), 0) FROM chunks WHERE job = seq AND chunks.seconds > 0);
+    CREATE TABLE compact_chunks (
+        job INTEGER NOT NULL,
+        chunk INTEGER NOT NULL,
+        cells INTEGER NOT NULL,
+        seconds REAL NOT NULL,
+        checksum BLOB NOT NULL,
+        outcomes TEXT NOT NULL,
+        computed INTEGER,
+        bytes INTEGER,
+        PRIMARY KEY (job, chunk)
+    ) WITHOUT ROWID;
+    INSERT INTO compact_chunks
+        SELECT job, chunk, cells, seconds, packed(checksum), replace(outcomes, ' ', ''), computed, NULL
+        FROM chunks ORDER BY job, chunk;
+    DROP TABLE chunks;
+    ALTER TABLE compact_chunks RENAME TO chunks;
+    CREATE TABLE verified (
+        job INTEGER NOT NULL,
+        page INTEGER NOT NULL,
+        chunks BLOB NOT NULL,
+        PRIMARY KEY (job, page)
+    ) WITHOUT ROWID;
+    """,
 )
+
+
+def packed(checksum: str) -> bytes | str:
+    """A checksum as the ledger keeps it: hex digits as bytes, half as long."""
+    try:
+        return bytes.fromhex(checksum)
+    except ValueError:
+        return checksum
+
+
+def unpacked(checksum: bytes | str) -> str:
+    """The checksum that `packed` was given."""
+    return checksum if isinstance(checksum, str) else checksum.hex()

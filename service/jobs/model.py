@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
+from worker.schema import STORE_FORMAT
 
 
 class JobState(StrEnum):
@@ -93,6 +94,8 @@ class NewJob:
     first_cells: int = field(default=0, kw_only=True)
     #: Name of the access token with which it was submitted, or last resumed; None if that has no name.
     owner: str | None = field(default=None, kw_only=True)
+    #: How its store is laid out, see `worker.schema.Layout.format`.
+    store_format: int = field(default=STORE_FORMAT, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,8 @@ class JobRecord(NewJob):
         0.0  # that its chunks took, those computed again included; of adopted ones not known
     )
     runs: str = "[]"  # JSON: what computed it, see service.software.with_this_run
+    cells_timed: int = 0  # the cells of these
+    verified: float | None = None  # when all its stored chunks had been verified
 
     @property
     def outdated(self) -> bool:

@@ -9,7 +9,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from service.settings import Settings
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.cost import Cost
 from worker.refinement import first_round
-from worker.schema import Layout
+from worker.schema import STORE_FORMAT, Layout
 from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
 #: Prepared jobs kept, those used last; and characters of their specifications, which may hold long axes.
@@ -44,6 +44,7 @@ class PreparedJob:
     plan: Plan
     store_url: str
     attributes: Mapping[str, Any]  # of the store: the chosen model, the same for the same sweep
+    store_format: int = STORE_FORMAT
 
     @property
     def study(self) -> Study:
@@ -53,7 +54,7 @@ class PreparedJob:
     @cached_property
     def layout(self) -> Layout:
         """What is stored, and how it is cut."""
-        return self.study.variables(self.submitted, self.plan.chunk_shape)
+        return layout_of(self.study, self.submitted, self.plan.chunk_shape, self.store_format)
 
     @property
     def core_seconds(self) -> float:
@@ -77,6 +78,11 @@ class PreparedJob:
     def describe(self, chunk: Chunk) -> str:
         """A chunk's number and cells: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""
         return f"chunk {chunk.index} ({self.layout.describe(chunk.slices)})"
+
+
+def layout_of(study: Study, submitted: Any, chunk_shape: tuple[int, ...], store_format: int) -> Layout:
+    """The layout of a study's store in one of the formats."""
+    return replace(study.variables(submitted, chunk_shape), format=store_format)
 
 
 def first_cells(spec: Any, plan: Plan) -> int:
@@ -123,6 +129,7 @@ class JobPreparer:
             plan=_plan(job, submitted) if plan is None else plan,
             store_url=self._settings.store_of(job.id),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
+            store_format=job.store_format,
         )
         _, replaced = self._jobs.pop(_key(job), (None, 0))
         self._jobs[_key(job)] = (prepared, len(job.spec))

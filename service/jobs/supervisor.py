@@ -89,9 +89,8 @@ class Supervisor:
     wait at the executor behind a smaller job's chunks, so that a small job overtakes huge ones at once; but
     not for ever, since such a chunk is not passed any more after PASSED_SECONDS.
     At most `active_jobs` jobs are in memory. One that has nothing in flight gives its place to another.
-    A job accepted before this start of the service runs once `is_verified` confirms that its stored chunks
-    are what the ledger has marked; one whose address still has results of a deleted job waits for it to be
-    free. `after_writing` removes the store of a job that was deleted while the store was created.
+    A job whose address still has results of a deleted job waits for it to be free. `after_writing` removes
+    the store of a job that was deleted while the store was created.
 
     `start`, `in_flight`, `tally`, `cluster`, `wake`, `invalidate` and `stop` may be used from any thread; all
     else runs in its own.
@@ -103,11 +102,10 @@ class Supervisor:
         executor: Executor,
         settings: Settings,
         preparer: JobPreparer,
-        is_verified: Callable[[str], bool] = lambda job_id: True,
         after_writing: Callable[[JobRecord], None] = lambda job: None,
     ) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
-        self._preparer, self._is_verified = preparer, is_verified
+        self._preparer = preparer
         self._after_writing = after_writing
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
         self.tally = Tally()
@@ -272,6 +270,8 @@ class Supervisor:
         The run keeps it until the transaction has succeeded, so that a later step can write it.
         """
         if run.has_unsaved:
+            if run.unsaved_reports:
+                store.sync_folders(run.prepared.store_url, run.prepared.layout)
             with self._ledger.writing() as ledger:
                 ledger.mark_done(run.job, run.unsaved_reports)
                 ledger.note_failures(run.job, run.unsaved_failures)
@@ -311,7 +311,7 @@ class Supervisor:
                 run = self._runs.get(job.id)
                 if run is not None:
                     self._apply_cancel(run, job.cancel_requested)
-                elif job.cancel_requested and self._is_verified(job.id):
+                elif job.cancel_requested:
                     self._start_job(job.id)  # it ends at once
         except store.UNREACHABLE as error:
             # The others' stores are in the same bucket: each would wait as long. The next sync tries again.
@@ -341,7 +341,7 @@ class Supervisor:
         self._core_seconds = {job.id: known.get(job.id) or self._estimate(job.id) for job in unfinished}
         waiting = []
         for job in unfinished:
-            if job.id not in self._runs and self._is_verified(job.id):
+            if job.id not in self._runs:
                 chunk_seconds = self._core_seconds[job.id] / job.chunks_total
                 remaining_seconds = (job.chunks_total - job.chunks_done) * chunk_seconds
                 waiting.append(Waiting(remaining_seconds, job.seq, job.id, chunk_seconds))
@@ -393,6 +393,7 @@ class Supervisor:
         prepared = self._preparer.prepare(job)
         store.create(prepared.store_url, prepared.layout, prepared.attributes)
         store.clear_cancelled(prepared.store_url)
+        store.sweep_leftovers(prepared.store_url)
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy)
 
     def _mark_running(self, job: JobRecord) -> bool:

@@ -10,7 +10,11 @@ from dataclasses import fields
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kernel.params import KERNEL_VERSION, Outcome
+from service.jobs.migrations import packed, unpacked
 from service.jobs.model import (
     UNFINISHED,
     Failure,
@@ -23,6 +27,9 @@ from service.jobs.model import (
 from service.jobs.search import JobSearch, Position
 from service.software import with_this_run
 from worker.tasks import ChunkReport
+
+#: Chunks whose verification is recorded together.
+VERIFIED_PAGE: Final = 512
 
 Column = str | float | bool | None
 
@@ -60,6 +67,14 @@ class Key(NamedTuple):
 
     body: str  # the body's fingerprint
     job_id: str
+
+
+class StoredChunk(NamedTuple):
+    """What the ledger knows of a done chunk's stored bytes."""
+
+    number: int
+    checksum: str
+    size: int | None  # of all arrays, in bytes; None of those marked by releases before 0.2.0
 
 
 class Pace(NamedTuple):
@@ -161,13 +176,13 @@ class ReadTransaction:
         not known.
         """
         rows = self._sql.execute(
-            "SELECT recent.*, sum(seconds) AS seconds, sum(cells) AS cells FROM chunks JOIN ("
             "SELECT * FROM jobs WHERE chunks_done > 0 AND length(spec) <= ? AND kernel_version = ?"
-            " ORDER BY seq DESC LIMIT ?"
-            ") AS recent ON job = recent.seq WHERE chunks.seconds > 0 GROUP BY job",
+            " ORDER BY seq DESC LIMIT ?",
             (max_spec_chars, KERNEL_VERSION, jobs),
         )
-        return [Pace(_record(row), row["seconds"], row["cells"]) for row in rows]
+        return [
+            Pace(_record(row), row["core_seconds"], row["cells_timed"]) for row in rows if row["cells_timed"]
+        ]
 
     def ids(self) -> set[str]:
         """The ids of all jobs."""
@@ -182,6 +197,17 @@ class ReadTransaction:
             (DeletionStep.COMPLETE,),
         )
         return [Deletion(row["job"], row["seq"], row["created"], DeletionStep(row["step"])) for row in rows]
+
+    def orphans(self) -> list[int]:
+        """Numbers of jobs that the ledger does not know, and chunks of which it has."""
+        numbers: list[int] = []
+        last = -1
+        while True:
+            last = self._sql.execute("SELECT min(job) FROM chunks WHERE job > ?", (last,)).fetchone()[0]
+            if last is None:
+                return numbers
+            if self._sql.execute("SELECT 1 FROM jobs WHERE seq = ?", (last,)).fetchone() is None:
+                numbers.append(last)
 
     def is_occupied(self, job_id: str) -> bool:
         """Whether results of a deleted job are still to be removed from this job's address."""
@@ -199,13 +225,23 @@ class ReadTransaction:
         )
         return [row[0] for row in rows]
 
-    def checksums(self, job: JobRecord, after: int, limit: int) -> list[tuple[int, str]]:
-        """Done chunks with index > after, in order, each with the checksum of its stored bytes."""
+    def stored_chunks(self, job: JobRecord, first: int, last: int) -> list[StoredChunk]:
+        """Done chunks with first <= index < last, in order, and what is stored of each."""
         rows = self._sql.execute(
-            "SELECT chunk, checksum FROM chunks WHERE job = ? AND chunk > ? ORDER BY chunk LIMIT ?",
-            (job.seq, after, limit),
+            "SELECT chunk, checksum, bytes FROM chunks WHERE job = ? AND chunk >= ? AND chunk < ?"
+            " ORDER BY chunk",
+            (job.seq, first, last),
         )
-        return [(row[0], row[1]) for row in rows]
+        return [StoredChunk(row[0], unpacked(row[1]), row[2]) for row in rows]
+
+    def verified_chunks(self, job: JobRecord, page: int) -> NDArray[np.bool_]:
+        """(VERIFIED_PAGE,) which chunks of a page of the job were verified since they were marked."""
+        row = self._sql.execute(
+            "SELECT chunks FROM verified WHERE job = ? AND page = ?", (job.seq, page)
+        ).fetchone()
+        if row is None:
+            return np.zeros(VERIFIED_PAGE, np.bool_)
+        return np.unpackbits(np.frombuffer(row[0], np.uint8)).astype(np.bool_)
 
     def failures(self, job: JobRecord) -> list[Failure]:
         """Chunks that were given up since the job was last accepted or resumed."""
@@ -225,10 +261,11 @@ class WriteTransaction(ReadTransaction):
         """Accept a job."""
         self._sql.execute(
             "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
-            " cells_total, first_cells, owner) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            " cells_total, first_cells, owner, store_format) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
                 JobState.QUEUED, now, job.chunks_total, job.cells_total, job.first_cells, job.owner,
+                job.store_format,
             ),
         )  # fmt: skip
 
@@ -288,7 +325,10 @@ class WriteTransaction(ReadTransaction):
             self.mark_done(record, reports)
 
     def delete(self, job: JobRecord, now: float) -> None:
-        """Forget a job, its chunks, its keys, and that it replaces others; record that its store is to go."""
+        """Forget a job, its keys, and that it replaces others; record that its store is to go.
+
+        Its chunks are forgotten later, see `forget_chunks`: there may be a million.
+        """
         self._sql.execute("DELETE FROM jobs WHERE seq = ?", (job.seq,))
         self._sql.execute(
             "INSERT OR REPLACE INTO deletions VALUES (?, ?, ?, ?)",
@@ -314,6 +354,16 @@ class WriteTransaction(ReadTransaction):
         """Forget the deletions that have come as far as `step`, by default all; returns their number."""
         return self._sql.execute("DELETE FROM deletions WHERE step >= ?", (step,)).rowcount
 
+    def forget_chunks(self, seq: int, limit: int) -> int:
+        """Forget so many chunks at most of a deleted job; returns their number, 0 if none was left."""
+        forgotten = self._sql.execute(
+            "DELETE FROM chunks WHERE job = ? AND chunk IN (SELECT chunk FROM chunks WHERE job = ? LIMIT ?)",
+            (seq, seq, limit),
+        ).rowcount
+        if not forgotten:
+            self._sql.execute("DELETE FROM verified WHERE job = ?", (seq,))
+        return forgotten
+
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Remember what an idempotency key was used for."""
         self._sql.execute("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
@@ -338,13 +388,14 @@ class WriteTransaction(ReadTransaction):
         self._sql.execute(
             "UPDATE jobs SET chunks_done = chunks_done + ?, cells_done = cells_done + ?,"
             " cells_settling = cells_settling + ?, cells_computed = cells_computed + ?,"
-            " core_seconds = core_seconds + ? WHERE seq = ?",
+            " core_seconds = core_seconds + ?, cells_timed = cells_timed + ? WHERE seq = ?",
             (
                 len(marked),
                 sum(report.cells for report in marked),
                 sum(_settling(report.outcomes) for report in marked),
                 sum(report.computed or 0 for report in marked),
                 sum(report.seconds for report in marked),
+                sum(report.cells for report in marked if report.seconds > 0),
                 job.seq,
             ),
         )
@@ -368,6 +419,22 @@ class WriteTransaction(ReadTransaction):
                 self._move(job, JobState.FAILED, error=summary_of(self.failures(job)))
         return lost
 
+    def note_verified(self, job: JobRecord, page: int, verified: NDArray[np.bool_]) -> None:
+        """Record which chunks of a page were verified. `verified`: as `verified_chunks` gives it."""
+        self._sql.execute(
+            "INSERT OR REPLACE INTO verified VALUES (?, ?, ?)",
+            (job.seq, page, np.packbits(verified).tobytes()),
+        )
+
+    def finish_verification(self, job: JobRecord, now: float) -> None:
+        """All chunks of a job have been verified."""
+        self._update(job, verified=now)
+
+    def forget_verification(self, job: JobRecord) -> None:
+        """Have all chunks of a job verified again."""
+        self._sql.execute("DELETE FROM verified WHERE job = ?", (job.seq,))
+        self._update(job, verified=None)
+
     def note_failures(self, job: JobRecord, failures: Iterable[Failure]) -> None:
         """Record chunks that were given up."""
         for failure in failures:
@@ -377,11 +444,14 @@ class WriteTransaction(ReadTransaction):
 
     def _insert_chunk(self, job: JobRecord, report: ChunkReport) -> bool:
         """Whether the chunk was not marked before."""
-        outcomes = json.dumps(list(report.outcomes))
+        outcomes = json.dumps(list(report.outcomes), separators=(",", ":"))
         inserted = self._sql.execute(
-            "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (job.seq, report.index, report.cells, report.seconds, report.checksum, outcomes, report.computed),
-        )
+            "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                job.seq, report.index, report.cells, report.seconds, packed(report.checksum), outcomes,
+                report.computed, report.bytes,
+            ),
+        )  # fmt: skip
         return inserted.rowcount == 1
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
@@ -401,7 +471,10 @@ class WriteTransaction(ReadTransaction):
         return [row["chunk"] for row in unmarked]
 
     def _delete_chunk(self, job: JobRecord, chunk: int) -> list[sqlite3.Row]:
-        """The chunk, with its cells and their outcomes, if it was marked."""
+        """The chunk, with its cells and their outcomes, if it was marked; it counts as not verified."""
+        self._sql.execute(
+            "DELETE FROM verified WHERE job = ? AND page = ?", (job.seq, chunk // VERIFIED_PAGE)
+        )
         return self._sql.execute(
             "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes, computed",
             (job.seq, chunk),

@@ -6,6 +6,7 @@ The folder holds a job that is done and one that was stopped after 3 of its 12 c
 import json
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ def spec_of(folder: Path, name: str) -> SweepSpec:
 
 def recorded_checksums(folder: Path, name: str) -> list[str]:
     """The ledger's, chunk by chunk."""
-    query = "SELECT checksum FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
+    query = "SELECT lower(hex(checksum)) FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
     with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger:
         return [row[0] for row in ledger.execute(query, (EXPECTED[name]["id"],))]
 
@@ -62,7 +63,7 @@ def stored_checksums(folder: Path, name: str) -> list[str]:
     spec, cut = spec_of(folder, name), store.chunk_shape(url)
     plan = make_plan(spec, chunk_shape=cut)
     there = [chunk for chunk in plan if store.read_chunk(url, chunk, ["outcome"])["outcome"].all()]
-    return [checksum(url, layout(spec, cut), chunk) for chunk in there]
+    return [checksum(url, replace(layout(spec, cut), format=1), chunk) for chunk in there]
 
 
 def change_ledger(folder: Path, statement: str, *values: Any) -> None:

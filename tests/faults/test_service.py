@@ -234,7 +234,7 @@ def check(data: Path, sweep: dict[str, Any]) -> None:
     spec = SweepSpec(**sweep)
     with closing(sqlite3.connect(data / "ledger.sqlite")) as ledger:
         [[shape]] = ledger.execute("SELECT chunk_shape FROM jobs").fetchall()
-        marked = ledger.execute("SELECT chunk, checksum FROM chunks").fetchall()
+        marked = ledger.execute("SELECT chunk, lower(hex(checksum)) FROM chunks").fetchall()
     plan = make_plan(spec, chunk_shape=tuple(json.loads(shape)))
     [url] = [path for path in (data / "stores").iterdir() if re.fullmatch(r"[0-9a-f]{32}\.zarr", path.name)]
     chunks = ((plan[chunk], checksum) for chunk, checksum in marked)

@@ -273,7 +273,7 @@ def test_the_store_is_read_over_http_and_only_where_it_is_used(running: Running)
     store = running.job.open()
     assert not store.flight_time.variable._in_memory
     here = f"{running.address}/v1/jobs/{running.job.id}/zarr"
-    answer = httpx2.get(f"{here}/outcome/c/0/0/0/0", headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60)
+    answer = httpx2.get(f"{here}/outcome/c.0.0.0.0", headers={"Authorization": f"Bearer {TOKEN}"}, timeout=60)
     assert answer.status_code == 200
     line = store.isel(direction=0, xi=0, omega=0).flight_time.load()
     np.testing.assert_array_equal(

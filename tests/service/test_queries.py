@@ -185,11 +185,11 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_only_the_chunks_that_a_line_touches_are_read(sweep: Sweep, reads: list[str]):
     diagram(sweep, omega=0.7, xi=0.26)
     chunks = {key for key in reads if key.startswith("flight_time/c/")}
-    assert chunks == {f"flight_time/c/0/1/0/{gamma}/0" for gamma in (0, 1)}
+    assert chunks == {f"flight_time/c.0.1.0.{gamma}.0" for gamma in (0, 1)}
     reads.clear()
     diagram(sweep, "omega", gamma=0.5, xi=0.05)
     chunks = {key for key in reads if key.startswith("flight_time/c/")}
-    assert chunks == {f"flight_time/c/0/0/{omega}/0/0" for omega in (0, 1)}
+    assert chunks == {f"flight_time/c.0.0.{omega}.0.0" for omega in (0, 1)}
 
 
 def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[str]):
@@ -235,8 +235,8 @@ def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
 
 def test_thinned_reads_skip_chunks_without_a_cell_of_them(sweep: Sweep, reads: list[str]):
     diagrams.diagram(sweep, "gamma", {"omega": 0.7, "xi": 0.26}, None, 0.0, 1000, 10)
-    assert "flight_time/c/0/1/0/0/0" in reads
-    assert "flight_time/c/0/1/0/1/0" not in reads
+    assert "flight_time/c.0.1.0.0.0" in reads
+    assert "flight_time/c.0.1.0.1.0" not in reads
 
 
 def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):

@@ -31,7 +31,6 @@ from worker import tasks  # noqa: E402
 from worker.executors import inline  # noqa: E402
 from worker.spec import SweepSpec  # noqa: E402
 from worker.store import chunks as stored  # noqa: E402
-from worker.store import store as zarr_store  # noqa: E402
 
 
 def die() -> None:
@@ -53,8 +52,8 @@ STEPS: dict[str, Callable[[Callable[[], None]], None]] = {
     "store laid out": lambda act: after(supervisor.store, "create", act),
     "chunk given out": lambda act: before(inline, "run_task", act),
     "chunk computed": lambda act: before(tasks.store, "write_chunk", act),
-    "chunk half written": lambda act: before(zarr_store, "fsync_files", act),
-    "chunk synced": lambda act: before(stored, "checksum", act),
+    "chunk half written": lambda act: before(stored, "place", act),
+    "chunk synced": lambda act: before(stored, "digest", act),
     "chunk reported": lambda act: after(inline, "run_task", act),
     "in the transaction": lambda act: after(WriteTransaction, "mark_done", act),
     "chunk marked": lambda act: after(supervisor.JobRun, "mark_saved", act),

@@ -7,7 +7,7 @@ from worker.store.chunks import HasSlices
 
 
 def checksum(url: str, layout: Layout, chunk: HasSlices) -> str:
-    return chunks.checksum(url, chunks.names_of(layout), layout.coords(chunk.slices))
+    return chunks.checksum(url, layout, layout.coords(chunk.slices))
 
 
 def is_sound(url: str, layout: Layout, chunk: HasSlices, expected: str) -> bool:

@@ -125,9 +125,17 @@ class ToyStudy:
             "divisor": np.array([[*found, 0][:2] for found in divisors], np.int32),
             "outcome": np.full(chunk.cells, Outcome.PERIODIC, np.uint8),
         }
-        checksum = store.write_chunk(store_url, chunk, record)
+        stored = store.write_chunk(store_url, chunk, record)
         took = time.perf_counter() - began
-        return ChunkReport(chunk.index, chunk.cells, took, took, checksum, (0, chunk.cells, 0, 0, 0, 0))
+        return ChunkReport(
+            chunk.index,
+            chunk.cells,
+            took,
+            took,
+            stored.checksum,
+            (0, chunk.cells, 0, 0, 0, 0),
+            bytes=stored.bytes,
+        )
 
 
 TOY = ToyStudy()

@@ -87,8 +87,8 @@ def keys(spec: SweepSpec, shape: tuple[int, int, int]) -> Iterator[str]:
     yield from ("zarr.json", "outcome/zarr.json", "gamma/c/0")
     for d in range(len(spec.directions)):
         for xi, omega, gamma in np.ndindex(plan.counts):
-            yield f"outcome/c/{d}/{xi}/{omega}/{gamma}"
-            yield f"flight_time/c/{d}/{xi}/{omega}/{gamma}/0"
+            yield f"outcome/c.{d}.{xi}.{omega}.{gamma}"
+            yield f"flight_time/c.{d}.{xi}.{omega}.{gamma}.0"
 
 
 def test_every_byte_is_the_same(both: dict[str, tuple[TestClient, str]]):
@@ -110,7 +110,7 @@ def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClie
     cut, chunk = layout(spec, job.chunk_shape), make_plan(spec, chunk_shape=job.chunk_shape)[0]
     sound = checksum(url, cut, chunk)
     assert is_sound(url, cut, chunk, sound)
-    key = "flights/c/0/0/0/0"
+    key = "flights/c.0.0.0.0"
     before = backend.read_key(url, key)
     assert before is not None
     backend.delete(url, key)
@@ -190,7 +190,7 @@ def test_workers_of_a_cluster_write_to_the_bucket(
         with service(tmp_path, cluster, stores=f"{BUCKET_URL}/cluster") as client:
             here = finished(client, RAMP)
             _, inline = both["bucket"]
-            for key in ("outcome/c/0/0/0/0", "flight_time/c/1/0/0/0/0", "end_state/c/0/0/0/0/0"):
+            for key in ("outcome/c.0.0.0.0", "flight_time/c.1.0.0.0.0", "end_state/c.0.0.0.0.0"):
                 stored = client.get(f"{here}/zarr/{key}")
                 assert stored.status_code == 200
                 assert stored.content == both["bucket"][0].get(f"{inline}/zarr/{key}").content

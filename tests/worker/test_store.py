@@ -1,12 +1,16 @@
 """The store: opens with plain xarray, reads back what was written, never returns damaged bytes as data."""
 
 import json
+import os
 import shutil
 import threading
 import warnings
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import count as count_from
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +27,9 @@ from worker.plan import Chunk, Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
+from worker.store import backend, reader
+from worker.store import chunks as stored
+from worker.store import store as zarr_store
 
 
 @pytest.fixture
@@ -310,7 +317,7 @@ def test_reads_outside_the_grid_are_refused(url, index):
 def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
     """Its writer is not done: outcomes come last."""
     store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-    (Path(url) / "outcome" / "c" / "0" / "0" / "0" / "0").unlink()
+    (Path(url) / "outcome" / "c.0.0.0.0").unlink()
     cells = store.read_chunk(url, plan[0], ["outcome", "flights", "flight_time"])
     assert not cells["outcome"].any()
     assert not cells["flights"].any()
@@ -327,11 +334,8 @@ def test_same_record_gives_the_same_bytes(url, spec, plan):
     record = record_of(spec, plan[1])
     first = store.write_chunk(url, plan[1], record)
     before = files(url)
-    assert (
-        store.write_chunk(url, plan[1], record)
-        == first
-        == checksum(url, layout(spec, plan.chunk_shape), plan[1])
-    )
+    assert store.write_chunk(url, plan[1], record) == first
+    assert first.checksum == checksum(url, layout(spec, plan.chunk_shape), plan[1])
     assert files(url) == before
     assert store.write_chunk(url, plan[1], record_of(spec, plan[1], seed=1)) != first
 
@@ -366,8 +370,8 @@ def test_concurrent_writers_of_different_chunks_lose_nothing(url, spec, plan):
 
 
 def stored_files(url: str, chunk: Chunk) -> list[Path]:
-    coords = f"{chunk.direction}/{chunk.xi[0]}/{chunk.omega[0] // 2}/{chunk.gamma[0] // 4}"
-    paths = [*Path(url).glob(f"*/c/{coords}"), *Path(url).glob(f"*/c/{coords}/0")]
+    coords = f"{chunk.direction}.{chunk.xi[0]}.{chunk.omega[0] // 2}.{chunk.gamma[0] // 4}"
+    paths = [*Path(url).glob(f"*/c.{coords}"), *Path(url).glob(f"*/c.{coords}.0")]
     return sorted(path for path in paths if path.is_file())
 
 
@@ -395,9 +399,9 @@ def test_any_damage_to_a_chunk_is_noticed(url, spec, plan, damage):
     for number, path in enumerate(names * 6):
         kept = path.read_bytes()
         damage(path, 7 * number + 1)
-        assert not is_sound(url, cut_as, chunk, good)
+        assert not is_sound(url, cut_as, chunk, good.checksum)
         path.write_bytes(kept)
-    assert is_sound(url, cut_as, chunk, good)
+    assert is_sound(url, cut_as, chunk, good.checksum)
 
 
 @pytest.mark.parametrize("damage", [flip, cut])
@@ -442,10 +446,11 @@ def test_only_folders_and_buckets_can_hold_a_store(spec, plan):
 def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
     store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     before = files(url)
-    (stored_files(url, plan[0])[0].parent / "0.0123456789abcdef.partial").write_bytes(b"half")
-    (Path(url) / "zarr.0123456789abcdef.partial").write_bytes(b"half")
-    assert store.sweep_leftovers(url) == 2
-    assert store.sweep_leftovers(url) == 0
+    for folder, name in ((".partial", "0"), ("outcome", "0.0"), (".", "zarr.0")):
+        (Path(url) / folder / f"{name}.partial").write_bytes(b"half")
+    assert store.sweep_leftovers(url) == 1
+    assert store.sweep_leftovers(url, everywhere=True) == 2
+    assert store.sweep_leftovers(url, everywhere=True) == 0
     assert files(url) == before
 
 
@@ -469,3 +474,160 @@ def test_cancel_flag_before_there_is_a_store(tmp_path, spec, plan):
     store.set_cancelled(url)
     store.create(url, layout(spec, plan.chunk_shape))
     assert store.is_cancelled(url)
+
+
+# How chunks are stored
+
+
+def test_bytes_are_those_that_zarr_writes(url, spec, plan):
+    """The last chunk along every axis is not whole."""
+    for chunk in plan:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    before = files(url)
+    group = zarr.open_group(url, mode="r+")
+    for chunk in plan:
+        for name, values in record_of(spec, chunk).items():
+            array = group[name].with_config({"write_empty_chunks": True})
+            array[chunk.slices] = values[None]
+    assert files(url) == before
+
+
+def test_a_chunk_takes_few_operations(url, spec, plan, monkeypatch):
+    """One sync and one renaming per array; no folder is made, and nothing is half-written in its place."""
+    calls: list[str] = []
+    for name in ("fsync", "mkdir", "replace", "rename"):
+        real = getattr(os, name)
+        monkeypatch.setattr(
+            os,
+            name,
+            lambda *given, _real=real, _name=name, **more: (calls.append(_name), _real(*given, **more))[1],
+        )
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    assert Counter(calls) == {"fsync": 7, "replace": 7}
+    assert not list((Path(url) / ".partial").iterdir())
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError(5, "Input/output error")])
+def test_a_chunk_that_cannot_be_written_leaves_nothing(url, spec, plan, monkeypatch, error):
+    before, real, count = files(url), os.fsync, count_from(0)
+
+    def fsync(descriptor: int) -> None:
+        if next(count) == 3:
+            raise error
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(OSError, match=error.strerror):
+        store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    assert files(url) == before
+
+
+def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, monkeypatch):
+    real = stored.write_keys
+
+    def removed(*given: Any, **more: Any) -> None:
+        shutil.rmtree(url)
+        real(*given, **more)
+
+    monkeypatch.setattr(zarr_store, "write_keys", removed)
+    with pytest.raises(store.StoreMissing):
+        store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    assert not Path(url).exists()
+
+
+def test_sizes_tell_of_missing_and_cut_chunks(url, spec, plan):
+    cut_as = layout(spec, plan.chunk_shape)
+    written = {chunk: store.write_chunk(url, chunk, record_of(spec, chunk)) for chunk in plan[:4]}
+    stored_files(url, plan[1])[2].unlink()
+    cut(stored_files(url, plan[2])[3], 5)
+    sizes = store.stored_sizes(url, cut_as)
+    assert sizes is not None
+    found = {chunk.index: int(sizes[cut_as.coords(chunk.slices)]) for chunk in plan}
+    expected = {chunk.index: size.bytes for chunk, size in written.items()}
+    assert (found[0], found[3]) == (expected[0], expected[3])
+    assert found[1] == -1
+    assert 0 < found[2] < expected[2]
+    assert all(found[chunk.index] == -1 for chunk in plan[4:])
+
+
+@pytest.fixture
+def first_format(tmp_path, spec, plan) -> tuple[str, schema.Layout]:
+    """A store as releases until 0.1.0 made it: a folder for each coordinate of a chunk."""
+    cut_as = replace(layout(spec, plan.chunk_shape), format=1)
+    store.create(str(tmp_path / "first.zarr"), cut_as)
+    return str(tmp_path / "first.zarr"), cut_as
+
+
+def test_stores_of_the_first_format_are_written_read_and_verified(first_format, url, spec, plan):
+    first, cut_as = first_format
+    for chunk in plan:
+        before = store.write_chunk(url, chunk, record_of(spec, chunk))
+        assert store.write_chunk(first, chunk, record_of(spec, chunk)) == before
+        assert list(store.find_corrupt(first, cut_as, [(chunk, before.checksum)])) == []
+    assert (Path(first) / "outcome/c/0/1/1/2").is_file()
+    assert {key.replace(".", "/") for key in files(url)} == {key.replace(".", "/") for key in files(first)}
+    assert (store.format_of(first), store.format_of(url)) == (1, 2)
+    xr.testing.assert_identical(xr.open_zarr(first).load(), xr.open_zarr(url).load())
+    store.discard(first, cut_as, plan[0])
+    assert not store.read_chunk(first, plan[0], ["outcome"])["outcome"].any()
+
+
+def test_a_store_of_another_format_is_not_continued_unnoticed(first_format, spec, plan):
+    with pytest.raises(store.StoreConflict, match="is of format 1, not 2"):
+        store.create(first_format[0], layout(spec, plan.chunk_shape))
+
+
+@pytest.fixture
+def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
+    """A store whose chunks are shards of 2 × 2 × 2 inner chunks at least."""
+    monkeypatch.setattr(schema, "INNER_BYTES", 2000)
+    plan, url = make_plan(spec, chunk_shape=(2, 2, 8)), str(tmp_path / "sharded.zarr")
+    store.create(url, layout(spec, plan.chunk_shape))
+    for chunk in plan:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    return url, plan
+
+
+def test_shards_hold_the_same_values_in_as_many_files_as_chunks(sharded, spec):
+    url, plan = sharded
+    [codec] = json.loads((Path(url) / "flights" / "zarr.json").read_text())["codecs"]
+    assert codec["name"] == "sharding_indexed"
+    assert len(list(Path(url).glob("*/c.*"))) == 7 * len(plan)
+    with xr.open_zarr(url, chunks=None) as dataset:
+        for chunk in plan:
+            for name, values in record_of(spec, chunk).items():
+                np.testing.assert_array_equal(dataset[name].values[chunk.slices][0], values)
+                np.testing.assert_array_equal(store.read_chunk(url, chunk, [name])[name], values)
+
+
+def test_any_part_of_a_shard_reads_as_zarr_reads_it(sharded):
+    url, _ = sharded
+    random = np.random.default_rng(1)
+    with xr.open_zarr(url, chunks=None) as dataset:
+        for _ in range(20):
+            where = {"direction": int(random.integers(2)), "gamma": slice(*sorted(random.integers(0, 11, 2)))}
+            where |= {"omega": int(random.integers(3)), "xi": slice(None, None, int(random.integers(1, 3)))}
+            for name, values in store.read_slice(url, ["outcome", "flight_time", "flights"], **where).items():
+                np.testing.assert_array_equal(values, dataset[name].isel(where).values)
+
+
+def test_of_a_shard_only_the_parts_that_are_needed_are_read(sharded, monkeypatch):
+    url, _ = sharded
+    taken = []
+    real = backend.read_parts
+    monkeypatch.setattr(reader, "read_parts", lambda *given: taken.append(real(*given)) or taken[-1])
+    store.read_slice(url, ["flight_time"], direction=0, xi=0, omega=0, gamma=0)
+    whole = (Path(url) / "flight_time" / "c.0.0.0.0.0").stat().st_size
+    assert 0 < sum(len(part) for parts in taken for part in parts or []) < whole / 2
+
+
+@pytest.mark.parametrize("damage", [flip, cut, delete])
+def test_damage_to_a_shard_is_noticed(sharded, spec, damage):
+    url, plan = sharded
+    for number, path in enumerate(sorted(Path(url).glob("*/c.0.0.0.0*")) * 3):
+        kept = path.read_bytes()
+        damage(path, len(kept) - 1 - 5 * number)
+        with pytest.raises(store.StoreDamaged) as caught:
+            store.read_chunk(url, plan[0], [array.name for array in schema.arrays(spec)], complete=True)
+        assert caught.value.chunks == ((0, 0, 0, 0),)
+        path.write_bytes(kept)

@@ -352,11 +352,19 @@ def run_chunk(
     record["outcome"][...] = np.where(
         record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
     ).astype(np.uint8)
-    checksum = store.write_chunk(store_url, chunk, record)
+    stored = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took, kernel_seconds = work.seconds
-    return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
+    return ChunkReport(
+        chunk.index,
+        chunk.cells,
+        took,
+        kernel_seconds,
+        stored.checksum,
+        tuple(outcomes.tolist()),
+        bytes=stored.bytes,
+    )
 
 
 class MultistabilityStudy:

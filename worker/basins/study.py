@@ -143,11 +143,19 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
         )
         _fill_in_numbers(spec, found, record, index)
         work.finish_step()
-    checksum = store.write_chunk(store_url, chunk, record)
+    stored = store.write_chunk(store_url, chunk, record)
     work.remove_checkpoint()
     outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
     took, kernel_seconds = work.seconds
-    return ChunkReport(chunk.index, chunk.cells, took, kernel_seconds, checksum, tuple(outcomes.tolist()))
+    return ChunkReport(
+        chunk.index,
+        chunk.cells,
+        took,
+        kernel_seconds,
+        stored.checksum,
+        tuple(outcomes.tolist()),
+        bytes=stored.bytes,
+    )
 
 
 def rules_of(spec: BasinSpec) -> Rules:

@@ -15,7 +15,7 @@ from worker.store.backend import (
 )
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
 from worker.store.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
-from worker.store.chunks import checksum_of, discard, find_corrupt
+from worker.store.chunks import Stored, checksum_of, discard, find_corrupt, stored_sizes, sync_folders
 from worker.store.errors import (
     ChunkCoords,
     PlaceUnusable,
@@ -29,6 +29,7 @@ from worker.store.store import (
     check_chunk,
     chunk_shape,
     create,
+    format_of,
     read_attrs,
     read_chunk,
     read_coordinates,
@@ -45,6 +46,7 @@ __all__ = [
     "StoreDamaged",
     "StoreError",
     "StoreMissing",
+    "Stored",
     "check_address",
     "check_chunk",
     "checksum_of",
@@ -54,6 +56,7 @@ __all__ = [
     "created_at",
     "discard",
     "find_corrupt",
+    "format_of",
     "in_bucket",
     "is_cancelled",
     "names_in",
@@ -69,7 +72,9 @@ __all__ = [
     "rename_for_deletion",
     "repair_metadata",
     "set_cancelled",
+    "stored_sizes",
     "sweep_leftovers",
+    "sync_folders",
     "write_checkpoint",
     "write_chunk",
     "write_probe",

@@ -5,7 +5,9 @@ environment's AWS_* variables, which must be the same for the service and its wo
 distinguishes the two kinds of address.
 """
 
+import os
 import shutil
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime, timedelta
 from functools import lru_cache
@@ -32,6 +34,8 @@ with suppress(ImportError):  # obstore comes with the extra `s3`
 _BUCKET: Final = "s3://"
 #: Key of a store's root metadata, written last when the store is created.
 ROOT: Final = "zarr.json"
+#: The folder, in a store, of files that are being written.
+PARTIAL: Final = ".partial"
 
 #: Requests to a bucket that does not respond are retried for so long before they fail.
 _RETRY_TIMEOUT: Final = timedelta(seconds=15)
@@ -77,6 +81,35 @@ def read_key(url: str, key: str) -> bytes | None:
         return None
 
 
+def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
+    """Parts of the bytes under a key, each from an offset, of a length; None if there is nothing.
+
+    A negative offset counts from the end. Parts beyond the end are shorter.
+    """
+    if not in_bucket(url):
+        return _read_parts(url, key, spans)
+    bucket = _bucket(url)
+    try:
+        if spans[0][0] < 0:
+            return [bytes(bucket.get(key, options={"range": {"suffix": -spans[0][0]}}).bytes())]
+        starts, lengths = zip(*spans, strict=True)
+        return [bytes(part) for part in bucket.get_ranges(key, starts=starts, lengths=lengths)]
+    except FileNotFoundError:
+        return None
+
+
+def _read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
+    path = Path(url, key)
+    try:
+        if any(part.is_symlink() for part in (path, *path.parents[: key.count("/")])):
+            return None  # as in `read_key`
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            return [os.pread(file.fileno(), n, at if at >= 0 else max(size + at, 0)) for at, n in spans]
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return None
+
+
 def put(url: str, key: str, content: bytes) -> None:
     """Write a key of a store, whole or not at all; its folder must exist."""
     if in_bucket(url):
@@ -90,6 +123,66 @@ def put(url: str, key: str, content: bytes) -> None:
     except OSError:
         partial.unlink(missing_ok=True)
         raise
+
+
+def make_partial_folder(url: str) -> None:
+    """Make a store's folder of partial files, and the store's; a bucket needs none."""
+    if not in_bucket(url):
+        Path(url, PARTIAL).mkdir(parents=True, exist_ok=True)
+
+
+def write_partial(url: str, content: bytes) -> Path:
+    """Write and sync a file in a store's folder of partial files, for `place`. Raises FileNotFoundError.
+
+    A file that cannot be written whole is removed.
+    """
+    path = Path(url, PARTIAL, f"{uuid4().hex}.partial")
+    try:
+        descriptor = _created(path)
+    except FileNotFoundError:
+        path.parent.mkdir(exist_ok=True)  # not the store itself, which is being removed if it is missing
+        descriptor = _created(path)
+    try:
+        with os.fdopen(descriptor, "wb", buffering=0) as file:
+            left = memoryview(content)
+            while left:
+                left = left[file.write(left) :]
+            os.fsync(descriptor)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
+    return path
+
+
+def _created(path: Path) -> int:
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+
+
+def place(url: str, partial: Path, key: str) -> None:
+    """Give a partial file its key, which may be taken; makes folders that are missing below the store's."""
+    path = Path(url, key)
+    try:
+        partial.replace(path)
+    except FileNotFoundError:
+        for folder in reversed(path.parents[: key.count("/")]):
+            folder.mkdir(exist_ok=True)
+        partial.replace(path)
+
+
+def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
+    """Names and bytes of the files directly in a folder of a store; none if it is missing."""
+    if in_bucket(url):
+        for entries in _bucket(url).list(prefix=folder):
+            for entry in entries:
+                above, name = entry["path"].rsplit("/", 1)
+                if above.rsplit("/", 1)[-1] == folder:
+                    yield name, entry["size"]
+        return
+    with suppress(FileNotFoundError), os.scandir(Path(url, folder)) as files:
+        for file in files:
+            with suppress(FileNotFoundError):
+                if file.is_file(follow_symlinks=False):
+                    yield file.name, file.stat(follow_symlinks=False).st_size
 
 
 def make_place(url: str) -> None:

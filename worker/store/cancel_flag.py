@@ -23,12 +23,19 @@ def is_cancelled(url: str) -> bool:
     return backend.has_flag(f"{url}{_SUFFIX}")
 
 
-def sweep_leftovers(url: str) -> int:
-    """Remove partial files of killed writers and return their number; no task may be writing.
+def sweep_leftovers(url: str, *, everywhere: bool = False) -> int:
+    """Remove partial files of killed writers and return their number.
+
+    A task of an earlier start that still writes fails: its result is taken by nobody.
+    everywhere: in every folder, where releases before 0.2.0 left them; takes long where there are many.
 
     Buckets have no partial objects: writing one is atomic.
     """
-    leftovers = [] if backend.in_bucket(url) else list(Path(url).rglob("*.partial"))
-    for path in leftovers:
+    if backend.in_bucket(url):
+        return 0
+    leftovers = list(Path(url, backend.PARTIAL).glob("*.partial"))
+    if everywhere:
+        leftovers += [path for path in Path(url).rglob("*.partial") if path.name != backend.PARTIAL]
+    for path in set(leftovers):
         path.unlink(missing_ok=True)
-    return len(leftovers)
+    return len(set(leftovers))

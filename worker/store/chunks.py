@@ -1,4 +1,4 @@
-"""Stored bytes of chunks: keys, checksums, removal, durability.
+"""Stored bytes of chunks: keys, checksums, sizes, removal, durability.
 
 Every array has one file (or object) per chunk. Its key follows from the chunk's coordinates, so a whole job
 can be verified without opening its store.
@@ -6,22 +6,24 @@ can be verified without opening its store.
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from worker.schema import Layout
-from worker.store.backend import delete, in_bucket, read_key
+from worker.store.backend import delete, in_bucket, place, put, read_key, sizes_in, write_partial
 from worker.store.errors import ChunkCoords
 
 #: Concurrent syncs and requests: they wait for the disk or the network, not for the processor.
 _THREADS: Final = 8
 
 Index = int | slice
-#: Names of arrays and their numbers of dimensions, in the order they are written.
-Names = Sequence[tuple[str, int]]
 
 
 class HasSlices(Protocol):
@@ -39,44 +41,93 @@ class HasSlices(Protocol):
 Chunk = TypeVar("Chunk", bound=HasSlices)
 
 
-def names_of(layout: Layout) -> Names:
-    """Names and numbers of dimensions of a layout's arrays."""
-    return [(array.name, len(array.dims)) for array in layout.arrays]
+class Stored(NamedTuple):
+    """What is stored of a chunk."""
+
+    checksum: str  # 64 hex digits, as `find_corrupt` expects it
+    bytes: int  # of all arrays, compressed
 
 
-def key(name: str, dims: int, coords: ChunkCoords) -> str:
+def key(name: str, dims: int, coords: ChunkCoords, separator: str) -> str:
     """Key of one array's chunk in its store; `dims` is the array's number of dimensions."""
-    extra = "/0" * (dims - len(coords))
-    return f"{name}/c/{'/'.join(map(str, coords))}{extra}"
+    numbers = [*coords, *[0] * (dims - len(coords))]
+    return f"{name}/c{separator}{separator.join(map(str, numbers))}"
 
 
-def checksum(url: str, names: Names, coords: ChunkCoords) -> str:
-    """SHA-256 of a chunk's stored bytes in these arrays, 64 hex digits; also covers which are absent."""
-    digest = hashlib.sha256()
-    for name, dims in names:
-        content = read_key(url, key(name, dims, coords))
-        digest.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
-        digest.update(content or b"")
-    return digest.hexdigest()
+def keys_of(layout: Layout, coords: ChunkCoords) -> dict[str, str]:
+    """The keys of a chunk by array, in the order they are written."""
+    return {array.name: key(array.name, len(array.dims), coords, layout.separator) for array in layout.arrays}
+
+
+def digest(contents: Iterable[tuple[str, bytes | None]]) -> str:
+    """SHA-256 of a chunk's stored bytes by array, 64 hex digits; also covers which are absent."""
+    result = hashlib.sha256()
+    for name, content in contents:
+        result.update(f"{name} {'absent' if content is None else len(content)}\n".encode())
+        result.update(content or b"")
+    return result.hexdigest()
+
+
+def checksum(url: str, layout: Layout, coords: ChunkCoords) -> str:
+    """The digest of what is stored of a chunk."""
+    return digest((name, read_key(url, key)) for name, key in keys_of(layout, coords).items())
 
 
 def checksum_of(url: str, layout: Layout, chunk: HasSlices) -> str:
     """The checksum of a chunk's stored bytes, as `find_corrupt` expects it."""
-    return checksum(url, names_of(layout), layout.coords(chunk.slices))
+    return checksum(url, layout, layout.coords(chunk.slices))
 
 
 def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) -> Iterator[Chunk]:
-    """The chunks whose stored bytes differ from their expected checksums."""
-    names = names_of(layout)
-    for chunk, expected in chunks:
-        if checksum(url, names, layout.coords(chunk.slices)) != expected:
+    """The chunks whose stored bytes differ from their expected checksums; reads several at once."""
+
+    def is_corrupt(expected: tuple[Chunk, str]) -> bool:
+        return checksum_of(url, layout, expected[0]) != expected[1]
+
+    marked = list(chunks)
+    for (chunk, _), corrupt in zip(marked, threads().map(is_corrupt, marked), strict=True):
+        if corrupt:
             yield chunk
+
+
+def stored_sizes(url: str, layout: Layout) -> NDArray[np.int64] | None:
+    """Bytes of every chunk, over all arrays, by its coordinates; -1 where one of its files is missing.
+
+    Lists folders and reads no file. None for a store of the first format, which has a folder for each chunk.
+    """
+    if layout.format == 1:
+        return None
+    counts = tuple(-(-len(layout.coordinates[dim]) // size) for dim, size in layout.chunk_sizes.items())
+    total, missing = np.zeros(counts, np.int64), np.zeros(counts, np.bool_)
+    for array in layout.arrays:
+        sizes = np.full(counts, -1, np.int64)
+        for name, size in sizes_in(url, array.name):
+            first, *numbers = name.split(layout.separator)
+            with suppress(ValueError, IndexError):  # zarr.json
+                if first == "c":
+                    sizes[tuple(int(number) for number in numbers[: len(counts)])] = size
+        missing |= sizes < 0
+        total += sizes
+    total[missing] = -1
+    return total
 
 
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
     """Remove a chunk's stored bytes; `outcome` first, so that its cells read as missing at any time."""
-    for name, dims in reversed(names_of(layout)):
-        delete(url, key(name, dims, layout.coords(chunk.slices)))
+    for key in reversed(keys_of(layout, layout.coords(chunk.slices)).values()):
+        delete(url, key)
+
+
+def sync_folders(url: str, layout: Layout) -> None:
+    """Sync the names of chunks to disk that have been written; their contents are synced as they are written.
+
+    Once for many chunks: the folders are the arrays'. Those of a store of the first format are synced with
+    each chunk, and a bucket's acknowledged objects are durable.
+    """
+    if layout.format == 1 or in_bucket(url):
+        return
+    with suppress(FileNotFoundError):  # the store is being removed, or was
+        list(threads().map(fsync, [Path(url, array.name) for array in layout.arrays]))
 
 
 def fsync_files(url: str, keys: Sequence[str]) -> None:
@@ -90,15 +141,40 @@ def fsync_files(url: str, keys: Sequence[str]) -> None:
     files = [root / key for key in keys]
     folders = {above for file in files for above in file.parents if above.is_relative_to(root)}
     for group in (files, [*folders, root.parent]):
-        list(threads().map(_fsync, group))
+        list(threads().map(fsync, group))
 
 
-def _fsync(path: Path) -> None:
+def fsync(path: Path) -> None:
+    """Sync a file or a folder to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_keys(url: str, contents: Mapping[str, bytes], *, nested: bool = False) -> None:
+    """Write keys of a store, each whole or not at all, and the last one once all others are there.
+
+    nested: the keys are in folders of their own, as in stores of the first format.
+    """
+    keys = list(contents)
+    if in_bucket(url):
+        list(threads().map(lambda key: put(url, key, contents[key]), keys[:-1]))
+        put(url, keys[-1], contents[keys[-1]])
+        return
+    writing = [threads().submit(write_partial, url, contents[key]) for key in keys]
+    wait(writing)
+    try:
+        for key, partial in zip(keys, [future.result() for future in writing], strict=True):
+            place(url, partial, key)
+    except OSError:
+        for future in writing:
+            if future.exception() is None:
+                future.result().unlink(missing_ok=True)
+        raise
+    if nested:
+        fsync_files(url, keys)
 
 
 @cache

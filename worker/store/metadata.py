@@ -12,8 +12,9 @@ from zarr.storage import MemoryStore
 
 from worker.schema import Array, Layout, flat_attributes
 from worker.store.backend import ROOT
+from worker.store.encoding import LEVEL
 
-_CODEC: Final = ZstdCodec(level=3, checksum=True)
+_CODEC: Final = ZstdCodec(level=LEVEL, checksum=True)
 
 
 def empty_store(layout: Layout, attrs: Mapping[str, Any]) -> dict[str, Buffer]:
@@ -59,8 +60,10 @@ def _create_along(
 
 
 def _create_array(group: zarr.Group, array: Array, layout: Layout) -> None:
+    chunk, inner = layout.chunk_shape(array), layout.inner_shape(array)
     group.create_array(
-        array.name, shape=layout.shape(array), chunks=layout.chunk_shape(array), dtype=array.dtype,
-        fill_value=array.fill, compressors=_CODEC, dimension_names=array.dims,
-        attributes=layout.array_attrs(array),
+        array.name, shape=layout.shape(array), dtype=array.dtype, fill_value=array.fill, compressors=_CODEC,
+        chunks=inner or chunk, shards=chunk if inner else None,
+        chunk_key_encoding={"name": "default", "separator": layout.separator},
+        dimension_names=array.dims, attributes=layout.array_attrs(array),
     )  # fmt: skip

@@ -1,7 +1,7 @@
-"""Reading cells of a store: reads and decompresses chunk files directly.
+"""Reading cells of a store: reads and decompresses chunk files directly, of shards the parts it needs.
 
 For small chunks zarr's overhead is many times the cost of decompression. This module reads only the format
-that `metadata.empty_store` defines: whole chunks, little-endian numbers, zstd with a checksum.
+that `metadata.empty_store` defines.
 """
 
 import json
@@ -12,31 +12,22 @@ from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numcodecs.zstd import decompress
 from numpy.typing import NDArray
 
-from worker.store.backend import ROOT, in_bucket, read_key
+from worker.store.backend import ROOT, in_bucket, read_key, read_parts
 from worker.store.chunks import Index, key, threads
+from worker.store.encoding import ArrayForm, decode, form_of, spans_of
 from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
 
 OUTCOME: Final = "outcome"
 
 
-class _Stored(NamedTuple):
-    """One stored array, from the store's metadata."""
-
-    dtype: np.dtype[Any]
-    fill: Any
-    dims: tuple[str, ...]
-    shape: tuple[int, ...]
-    chunks: tuple[int, ...]
-
-
 class _Part(NamedTuple):
-    """The requested cells that lie in one chunk."""
+    """The requested cells that lie in one inner chunk, which is a whole chunk unless that is a shard."""
 
-    coords: ChunkCoords
-    in_chunk: tuple[slice, ...]  # their positions in the chunk
+    coords: ChunkCoords  # of the chunk
+    inner: tuple[int, ...]  # position in the shard
+    in_chunk: tuple[slice, ...]  # their positions in the inner chunk
     in_result: tuple[slice, ...]  # their positions in the result
 
 
@@ -47,7 +38,7 @@ def read_cells(
 
     where: indices along some cell dimensions by name, or slices along all of them in order.
     """
-    arrays = _described(_root(url))
+    arrays = forms_of(root_of(url))
     index = where if isinstance(where, tuple) else _in_order(arrays[OUTCOME].dims, where)
     names = list(dict.fromkeys(names))
     parts = list(_parts(arrays[OUTCOME], index))
@@ -72,22 +63,50 @@ def _in_order(dims: tuple[str, ...], where: Mapping[str, Index]) -> tuple[Index,
 class _Reading:
     """Collects the requested cells, and the chunks that are damaged."""
 
-    def __init__(self, url: str, arrays: Mapping[str, _Stored], where: tuple[Index, ...]) -> None:
+    def __init__(self, url: str, arrays: Mapping[str, ArrayForm], where: tuple[Index, ...]) -> None:
         self._url, self._arrays, self._where = url, arrays, where
         self._cells: dict[str, NDArray[Any]] = {}
         self.damaged: dict[ChunkCoords, str] = {}
 
     def take(self, parts: list[tuple[str, _Part]], lenient: bool) -> list[tuple[str, _Part]]:
         """Read parts of arrays and return those that exist. Missing ones are damage, unless `lenient`."""
+        files: dict[str, list[tuple[str, _Part]]] = {}
+        for name, part in parts:
+            form = self._arrays[name]
+            files.setdefault(key(name, len(form.dims), part.coords, form.separator), []).append((name, part))
         present = []
-        keys = [key(name, len(self._arrays[name].dims), part.coords) for name, part in parts]
-        for (name, part), chunk_key, content in zip(parts, keys, _contents(self._url, keys), strict=True):
-            if content is not None:
-                present.append((name, part))
-                self._put(name, part, chunk_key, content)
+        for (chunk_key, wanted), contents in zip(files.items(), self._contents(files), strict=True):
+            coords = wanted[0][1].coords
+            if isinstance(contents, ValueError):
+                self.damaged.setdefault(coords, f"{chunk_key}: cannot be decoded: {contents}")
+            elif contents is not None:
+                present += wanted
+                for (name, part), content in zip(wanted, contents, strict=True):
+                    self._put(name, part, chunk_key, content)
             elif not lenient:
-                self.damaged.setdefault(part.coords, f"{chunk_key}: is missing")
+                self.damaged.setdefault(coords, f"{chunk_key}: is missing")
         return present
+
+    def _contents(
+        self, files: Mapping[str, list[tuple[str, _Part]]]
+    ) -> Iterator[list[bytes] | ValueError | None]:
+        """The bytes of the parts that are wanted of each file; requests to a bucket run concurrently."""
+        run = threads().map if in_bucket(self._url) else map
+        return iter(run(self._content, files, files.values()))
+
+    def _content(self, chunk_key: str, wanted: list[tuple[str, _Part]]) -> list[bytes] | ValueError | None:
+        form = self._arrays[wanted[0][0]]
+        if not form.sharded:
+            content = read_key(self._url, chunk_key)
+            return None if content is None else [content] * len(wanted)
+        index = read_parts(self._url, chunk_key, [(-form.index_bytes, form.index_bytes)])
+        if index is None:
+            return None
+        inner = [part.inner + (0,) * (len(form.dims) - len(part.inner)) for _, part in wanted]
+        try:
+            return read_parts(self._url, chunk_key, spans_of(form, index[0], inner))
+        except ValueError as error:
+            return error
 
     def result(self, name: str) -> NDArray[Any]:
         """The requested cells of an array, without the dimensions indexed by an integer."""
@@ -95,10 +114,8 @@ class _Reading:
         return self._all(name)[drop]
 
     def _put(self, name: str, part: _Part, chunk_key: str, content: bytes) -> None:
-        array = self._arrays[name]
-        values = np.empty(array.chunks, array.dtype)  # a damaged header may declare a far larger size
         try:
-            decompress(content, values)
+            values = decode(self._arrays[name], content)
         except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
             self.damaged.setdefault(part.coords, f"{chunk_key}: cannot be decoded: {error}")
         else:
@@ -113,14 +130,7 @@ class _Reading:
         return self._cells[name]
 
 
-def _contents(url: str, keys: list[str]) -> Iterator[bytes | None]:
-    """The bytes under each key; requests to a bucket run concurrently."""
-    if in_bucket(url):
-        return threads().map(lambda key: read_key(url, key), keys)
-    return (read_key(url, key) for key in keys)
-
-
-def _root(url: str) -> bytes:
+def root_of(url: str) -> bytes:
     content = read_key(url, ROOT)
     if content is None:
         raise StoreMissing(f"{url}: no store here")
@@ -128,14 +138,14 @@ def _root(url: str) -> bytes:
 
 
 @lru_cache(maxsize=32)  # few: `root` holds the specification, which can be long
-def _described(root: bytes) -> dict[str, _Stored]:
+def forms_of(root: bytes) -> dict[str, ArrayForm]:
     """The arrays of cells by name, from the root's consolidated metadata."""
     try:
         consolidated = json.loads(root).get("consolidated_metadata")
         if not consolidated:
             raise StoreMissing("the store's creation was interrupted; create it again")
         arrays = {
-            name: _stored(metadata)
+            name: form_of(metadata)
             for name, metadata in consolidated["metadata"].items()
             if name not in metadata["dimension_names"]  # a coordinate
         }
@@ -146,27 +156,17 @@ def _described(root: bytes) -> dict[str, _Stored]:
     return arrays
 
 
-def _stored(metadata: Mapping[str, Any]) -> _Stored:
-    dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
-    fill = metadata["fill_value"]
-    return _Stored(
-        dtype,
-        np.nan if fill == "NaN" else fill,
-        tuple(metadata["dimension_names"]),
-        tuple(metadata["shape"]),
-        tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"]),
-    )
-
-
-def _parts(array: _Stored, where: tuple[Index, ...]) -> Iterator[_Part]:
-    """The chunks that contain the cells at these indices."""
+def _parts(array: ArrayForm, where: tuple[Index, ...]) -> Iterator[_Part]:
+    """The inner chunks that contain the cells at these indices."""
     axes = [
         list(_spans(_range(n, index), size))
-        for n, size, index in zip(array.shape, array.chunks, where, strict=True)
+        for n, size, index in zip(array.shape, array.inner, where, strict=True)
     ]
+    counts = array.inner_counts
     for spans in product(*axes):
-        coords, in_chunk, in_result = zip(*spans, strict=True)
-        yield _Part(coords, in_chunk, in_result)
+        numbers, in_chunk, in_result = zip(*spans, strict=True)
+        coords, inner = zip(*map(divmod, numbers, counts), strict=True)
+        yield _Part(coords, inner, in_chunk, in_result)
 
 
 def _range(length: int, index: Index) -> range:

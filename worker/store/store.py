@@ -1,12 +1,14 @@
 """Results of a study as a zarr v3 store, which `xarray.open_zarr(url)` opens.
 
 One task owns one chunk of every array and writes it whole, so no two tasks write the same file. Files appear
-by renaming, never partially written, and checksums cover every byte. A cell is computed if its `outcome` is
-not `missing`.
+by renaming, once they are whole and on the disk, and checksums cover every byte. A cell is computed if its
+`outcome` is not `missing`.
 """
 
+import math
+import time
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from typing import Any, Final
 
 import numpy as np
 import zarr
@@ -16,11 +18,18 @@ from zarr.errors import GroupNotFoundError
 
 from worker.schema import Layout, structured_attributes
 from worker.store import chunks
-from worker.store.backend import ROOT, open_store, read_key
-from worker.store.chunks import HasSlices, Index, fsync_files, key
+from worker.store.backend import ROOT, in_bucket, make_partial_folder, open_store, read_key
+from worker.store.chunks import HasSlices, Index, Stored, fsync_files, key, write_keys
+from worker.store.encoding import ArrayForm, encode
 from worker.store.errors import ChunkCoords, StoreConflict, StoreDamaged, StoreMissing
 from worker.store.metadata import empty_store
-from worker.store.reader import OUTCOME, read_cells
+from worker.store.reader import OUTCOME, forms_of, read_cells, root_of
+
+#: How long a bucket's store, once seen by a process, is taken to be there, and for how many stores. One that
+#: is removed meanwhile may get chunks for so long; the same study stored there again has the same bytes.
+REMEMBERED_SECONDS: Final = 5.0
+MOST_REMEMBERED: Final = 256
+_recent: dict[str, tuple[float, Mapping[str, ArrayForm]]] = {}
 
 
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
@@ -30,7 +39,7 @@ def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> 
     `StoreConflict` if the store holds another job or has other chunks. `attrs` must not contain a time of
     day: the same layout must give the same bytes.
     """
-    if not _exists(url, layout.identity):
+    if not _exists(url, layout):
         repair_metadata(url, layout, attrs)
 
 
@@ -41,6 +50,7 @@ def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = 
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
     store = open_store(url, read_only=False)
+    make_partial_folder(url)
     for name in wrong:
         sync(store.set(name, expected[name]))
     fsync_files(url, wrong)
@@ -49,26 +59,45 @@ def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = 
 
 def check_chunk(url: str, chunk: HasSlices) -> None:
     """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape."""
-    _owned_coords(_open(url, "r"), url, chunk)
+    _owned_coords(_forms(url), url, chunk)
 
 
-def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> str:
-    """Store one chunk of every array and return the checksum of the stored bytes.
+def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> Stored:
+    """Store one chunk of every array.
 
     record: every array of the store by name, in the order of its layout (`outcome` last), each of shape
-    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes. Raises
-    `StoreMissing`, `StoreDamaged`, or `StoreConflict` if the chunk is not one of the store's.
+    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes. Each file is whole
+    and synced before it has its name; `sync_folders` syncs the names. Raises `StoreMissing`, `StoreDamaged`,
+    or `StoreConflict` if the chunk is not one of the store's.
     """
-    group = _open(url, "r+")
-    coords = _owned_coords(group, url, chunk)
-    names = [(name, len(_array(group, name).shape)) for name in record]
+    forms = _forms(url)
+    coords = _owned_coords(forms, url, chunk)
+    lengths = [span.stop - span.start for span in chunk.slices]
+    contents = {}
     for name, array in record.items():
-        # Otherwise zarr writes no file for a chunk of fill values, and there is nothing to checksum.
-        stored = _array(group, name).with_config({"write_empty_chunks": True})
-        lengths = [span.stop - span.start for span in chunk.slices]
-        stored[chunk.slices] = array.reshape(*lengths, *stored.shape[len(lengths) :])
-    fsync_files(url, [key(name, dims, coords) for name, dims in names])
-    return chunks.checksum(url, names, coords)
+        form = forms[name]
+        contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]))
+    separator = forms[OUTCOME].separator
+    keys = {name: key(name, len(forms[name].dims), coords, separator) for name in record}
+    try:
+        files = {keys[name]: content for name, content in contents.items()}
+        write_keys(url, files, nested=separator == "/")
+    except FileNotFoundError:
+        raise StoreMissing(f"{url}: no store here") from None
+    return Stored(chunks.digest(contents.items()), sum(map(len, contents.values())))
+
+
+def _forms(url: str) -> Mapping[str, ArrayForm]:
+    """How a store's arrays are stored. Of a bucket it is remembered for a moment, to save a request."""
+    if not in_bucket(url):
+        return forms_of(root_of(url))
+    seen, forms = _recent.get(url, (-math.inf, {}))
+    if time.monotonic() - seen > REMEMBERED_SECONDS:
+        forms = forms_of(root_of(url))
+        _recent[url] = time.monotonic(), forms
+        if len(_recent) > MOST_REMEMBERED:
+            del _recent[next(iter(_recent))]
+    return forms
 
 
 def read_slice(
@@ -104,13 +133,13 @@ def read_chunk(
 
 def read_coordinates(url: str) -> dict[str, NDArray[Any]]:
     """The coordinates of every cell dimension, each (n,): float64, or text for `direction`."""
-    group = _open(url, "r")
+    group = _open(url)
     return {dim: _read(_array(group, dim)) for dim in _cell_dims(group)}
 
 
 def read_attrs(url: str) -> dict[str, Any]:
     """The store's attributes with their parts: the layout's and those given to `create`."""
-    return structured_attributes(_open(url, "r").attrs)
+    return structured_attributes(_open(url).attrs)
 
 
 def chunk_shape(url: str) -> tuple[int, ...]:
@@ -118,10 +147,15 @@ def chunk_shape(url: str) -> tuple[int, ...]:
     return tuple(read_attrs(url)["chunk_shape"])
 
 
-def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
+def format_of(url: str) -> int:
+    """How the store is laid out, as `Layout.format`. Raises StoreMissing, StoreDamaged."""
+    return 1 if forms_of(root_of(url))[OUTCOME].separator == "/" else 2
+
+
+def _open(url: str) -> zarr.Group:
     group, failure = None, ""
     try:
-        group = zarr.open_group(open_store(url, read_only=mode == "r"), mode=mode, zarr_format=3)
+        group = zarr.open_group(open_store(url, read_only=True), mode="r", zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
         pass
     except (ValueError, KeyError, TypeError) as error:
@@ -137,10 +171,11 @@ def _open(url: str, mode: Literal["r", "r+"]) -> zarr.Group:
     return group
 
 
-def _exists(url: str, identity: Mapping[str, Any]) -> bool:
-    """Whether the store exists; raises StoreConflict if its identity is another."""
+def _exists(url: str, layout: Layout) -> bool:
+    """Whether the store exists; raises StoreConflict if its identity or its format is another."""
+    identity = layout.identity
     try:
-        attrs = read_attrs(url)
+        attrs, found = read_attrs(url), format_of(url)
     except (StoreMissing, StoreDamaged):
         return False
     if attrs.get("job") != identity["job"]:
@@ -148,6 +183,8 @@ def _exists(url: str, identity: Mapping[str, Any]) -> bool:
     if attrs.get("chunk_shape") != identity["chunk_shape"]:
         rule = f"is cut into chunks of {attrs.get('chunk_shape')}, not {identity['chunk_shape']}"
         raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
+    if found != layout.format:
+        raise StoreConflict(f"{url}: is of format {found}, not {layout.format}")
     return True
 
 
@@ -171,15 +208,14 @@ def _read(array: zarr.Array[Any]) -> NDArray[Any]:
     raise StoreDamaged(f"{array.path}: cannot be decoded: {failure}")
 
 
-def _owned_coords(group: zarr.Group, url: str, chunk: HasSlices) -> ChunkCoords:
+def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) -> ChunkCoords:
     """Coordinates of a task's chunk in the grid of chunks.
 
     Raises StoreConflict unless it is exactly one chunk of the store: two tasks that write to the same
     stored chunk would overwrite each other's cells.
     """
-    outcome = _array(group, OUTCOME)
-    dims = zip(_cell_dims(group), chunk.slices, outcome.chunks, outcome.shape, strict=True)
-    for dim, span, size, n in dims:
+    outcome = forms[OUTCOME]
+    for dim, span, size, n in zip(outcome.dims, chunk.slices, outcome.chunks, outcome.shape, strict=True):
         if span.start % size or span.stop != min(span.start + size, n):
             rule = f"a chunk spans {dim} {span.start} to {span.stop}, but chunks here are {size} long"
             raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")

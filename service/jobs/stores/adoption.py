@@ -16,7 +16,7 @@ from kernel.params import Outcome
 from service.errors import NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, NewJob
-from service.jobs.prepare import first_cells, parse_stored
+from service.jobs.prepare import first_cells, layout_of, parse_stored
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice
@@ -110,8 +110,10 @@ def _contents(url: str, job_id: str) -> _Contents:
         chunks_total=len(plan),
         cells_total=plan.cells,
         first_cells=first_cells(spec, plan),
+        store_format=store.format_of(url),
     )
-    return _Contents(job, plan, study.variables(spec, plan.chunk_shape), _choice(attrs.get("choice")))
+    layout = layout_of(study, spec, plan.chunk_shape, job.store_format)
+    return _Contents(job, plan, layout, _choice(attrs.get("choice")))
 
 
 def _choice(stored: Any) -> str | None:

@@ -19,6 +19,13 @@ from worker import store
 
 log = logging.getLogger(__name__)
 
+#: Chunks of a deleted job that one transaction forgets, and pages of the ledger's file that are given back at
+#: once; other writers wait for a few milliseconds at most, and come between two.
+CHUNKS_FORGOTTEN: Final = 2_000
+PAGES_FREED: Final = 200
+#: Seconds between two of these, for other writers.
+YIELD_SECONDS: Final = 0.005
+
 #: Seconds until a deletion that failed is tried again at first, and at most; doubled each time.
 RETRY_SECONDS: Final = 1.0
 MAX_RETRY_SECONDS: Final = 60.0
@@ -70,6 +77,13 @@ class Deleter:
 
     def _work(self) -> None:
         pause: float | None = None  # until the next try of those that failed
+        try:
+            with self._ledger.reading() as ledger:
+                orphans = ledger.orphans()
+            for seq in orphans:  # of a restored copy, which has no deletions
+                self._forget_chunks(seq)
+        except LedgerUnavailable as error:
+            log.warning("chunks of deleted jobs stay in the ledger until the next start: %s", error)
         while True:
             self._recorded.wait(pause)
             if self._stopping.is_set():
@@ -99,12 +113,24 @@ class Deleter:
             if deletion.step is DeletionStep.RECORDED and not self._free(deletion, url):
                 return True
             store.remove(_renamed(url, deletion))
+            self._forget_chunks(deletion.seq)
             self._advance(deletion, DeletionStep.COMPLETE)
         except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that cannot be changed
             log.warning("%s cannot be removed now, it is tried again: %s", url, error)
             return False
         log.info("%s is removed, in %.1f s", url, time.monotonic() - began)
         return True
+
+    def _forget_chunks(self, seq: int) -> None:
+        """Forget a deleted job's chunks, and give their pages back. Raises LedgerUnavailable."""
+        forgotten = CHUNKS_FORGOTTEN
+        while forgotten == CHUNKS_FORGOTTEN and not self._stopping.wait(YIELD_SECONDS):
+            with self._ledger.writing() as ledger:
+                forgotten = ledger.forget_chunks(seq, CHUNKS_FORGOTTEN)
+        while self._ledger.shrink(PAGES_FREED) and not self._stopping.wait(YIELD_SECONDS):
+            pass
+        if self._stopping.is_set():
+            raise LedgerUnavailable("the service ends")
 
     def _free(self, deletion: Deletion, url: str) -> bool:
         """Free a deleted job's address; False if a later store is there, which stays."""

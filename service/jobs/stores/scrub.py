@@ -1,28 +1,34 @@
-"""Startup scrub: verifies stored checksums, repairs metadata, finds stores that the ledger does not know.
+"""Scrub: verifies stored results behind the work, repairs metadata, finds stores unknown to the ledger.
 
-A thread goes once through the jobs that the ledger had at the start: first the unfinished ones, which wait
-for it, then the others, the last accepted first. It reads every stored chunk once, which takes a fraction
-of a millisecond per chunk. Damage in a job it has not reached is met when the job is read.
+A thread goes once through the jobs that the ledger had at the start: first the unfinished ones, then the
+others, the last accepted first. No job waits for it: damage that it finds is computed again, as that which a
+reader meets. Of each job it looks at the sizes of all stored chunks first, which reads no file, and then
+reads every chunk that was not verified since it was stored. What it has verified is in the ledger, so that a
+later start goes on from there; a job that is done is verified again after `verify_days`.
 """
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import Final
 
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
-from service.jobs.prepare import JobPreparer
+from service.jobs.prepare import JobPreparer, PreparedJob
 from service.jobs.stores.adoption import find_unknown
 from service.jobs.stores.repair import Repairer
+from service.jobs.transactions import VERIFIED_PAGE
 from service.settings import Settings
 from worker import store
 
 log = logging.getLogger(__name__)
 
-#: Chunks verified before the thread checks whether to stop, and whether a job waits for it.
-CHUNKS_PER_PAGE: Final = 500
+#: Times as long as the thread has worked it pauses, while chunks are computed: a fifth of a core at most.
+PAUSES: Final = 4.0
+#: Pages of chunks whose sizes are compared at once.
+SIZE_PAGES: Final = 8
 #: Jobs read from the ledger at once.
 JOBS_PER_PAGE: Final = 100
 #: Unknown stores that the log names one by one.
@@ -30,7 +36,7 @@ MAX_NAMED: Final = 20
 
 
 class Scrubber:
-    """Verifies what was stored before this start; `wake` is called whenever a job is verified."""
+    """Verifies what was stored before this start, slowly while `is_computing` says that jobs compute."""
 
     def __init__(
         self,
@@ -38,9 +44,9 @@ class Scrubber:
         settings: Settings,
         preparer: JobPreparer,
         repairer: Repairer,
-        wake: Callable[[], None],
+        is_computing: Callable[[], bool],
     ) -> None:
-        self._ledger, self._settings, self._wake = ledger, settings, wake
+        self._ledger, self._settings, self._is_computing = ledger, settings, is_computing
         self._preparer, self._repairer = preparer, repairer
         self._verified: set[str] = set()
         self.unknown_stores: Sequence[str] = ()  # addresses; the ledger did not know them at the start
@@ -61,7 +67,7 @@ class Scrubber:
             self._thread.join(seconds)
 
     def is_verified(self, job_id: str) -> bool:
-        """Whether every chunk marked as done of this job has been found intact since the start."""
+        """Whether every chunk that was done at the start has been found intact, or is computed again."""
         if job_id in self._verified:
             return True
         job = self._ledger.find(job_id)
@@ -70,7 +76,7 @@ class Scrubber:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                for job in chain(self._waiting(), self._all()):
+                for job in chain(self._unfinished(), self._all()):
                     if self._stop.is_set():
                         return
                     self._scrub(job)
@@ -82,21 +88,18 @@ class Scrubber:
                 self._stop.wait(pause)
 
     def _all(self) -> Iterator[JobRecord]:
-        """Every job there was at the start, the last accepted first; before each, those that wait."""
+        """Every job there was at the start, the last accepted first."""
         before = self._newest + 1
         while True:
             with self._ledger.reading() as ledger:
                 page = ledger.newest(None, JOBS_PER_PAGE, before)
             if not page:
                 return
-            for job in page:
-                yield from self._waiting()
-                if job.id not in self._verified:
-                    yield job
+            yield from (job for job in page if job.id not in self._verified)
             before = page[-1].seq
 
-    def _waiting(self) -> Iterator[JobRecord]:
-        """Unfinished jobs that are not verified: the supervisor waits for them."""
+    def _unfinished(self) -> Iterator[JobRecord]:
+        """Unfinished jobs that are not verified."""
         with self._ledger.reading() as ledger:
             unfinished = [job.id for job in ledger.unfinished(self._settings.max_queue)]
         for job_id in unfinished:
@@ -105,39 +108,93 @@ class Scrubber:
                 yield job
 
     def _scrub(self, job: JobRecord) -> None:
-        """Verify one job; a finished one is interrupted for those that are resumed meanwhile."""
+        """Verify one job, unless that was done not long ago."""
         try:
+            if not self._is_due(job):
+                self._verified.add(job.id)
+                return
+            began = time.monotonic()
             for _ in self._verify(job):
-                if self._stop.is_set():
+                if self._stop.wait(PAUSES * (time.monotonic() - began) if self._is_computing() else 0):
                     return
-                if job.state not in UNFINISHED:
-                    for other in self._waiting():
-                        if other.id != job.id:
-                            self._scrub(other)
+                began = time.monotonic()
+            with self._ledger.writing() as ledger:
+                ledger.finish_verification(job, time.time())
         except Exception:
             log.exception("job %s cannot be verified; damage will be met when it is read", job.id)
         self._verified.add(job.id)
-        self._wake()
+
+    def _is_due(self, job: JobRecord) -> bool:
+        """Whether a job is to be verified: all of it, if its last verification is long ago."""
+        if job.verified is None or job.state in UNFINISHED:
+            return True
+        if job.finished is not None and job.finished > job.verified:
+            return True  # chunks were stored since
+        if time.time() - job.verified < self._settings.verify_days * 86_400:
+            return False
+        with self._ledger.writing() as ledger:
+            ledger.forget_verification(job)
+        return True
 
     def _verify(self, job: JobRecord) -> Iterator[None]:
-        """Remove leftovers of interrupted writes, repair metadata, verify chunks; yields after each page."""
+        """Remove leftovers of interrupted writes, repair metadata, verify chunks; yields now and then."""
         prepared = self._preparer.prepare(job)
-        store.sweep_leftovers(prepared.store_url)
-        if job.chunks_done:
-            self._repairer.repair_metadata(job)
-        last = -1
-        while True:
-            with self._ledger.reading() as ledger:
-                page = ledger.checksums(job, last, CHUNKS_PER_PAGE)
-            if not page:
+        if job.store_format == 1:
+            store.sweep_leftovers(prepared.store_url, everywhere=True)
+        elif job.state not in UNFINISHED:  # those are swept as they start
+            store.sweep_leftovers(prepared.store_url)
+        if not job.chunks_done:
+            return
+        self._repairer.repair_metadata(job)
+        yield
+        yield from self._verify_sizes(job, prepared)
+        for page in range(-(-job.chunks_total // VERIFIED_PAGE)):
+            if self._verify_page(job, prepared, page):
+                yield
+            if self._stop.is_set():
                 return
-            marked = ((prepared.plan[chunk], checksum) for chunk, checksum in page)
-            corrupt = store.find_corrupt(prepared.store_url, prepared.layout, marked)
-            damaged = [chunk.index for chunk in corrupt]
-            if damaged:
-                self._repairer.invalidate(job, damaged)
-            last = page[-1][0]
+
+    def _verify_sizes(self, job: JobRecord, prepared: PreparedJob) -> Iterator[None]:
+        """Look for chunks that are missing or of another size, before any is read."""
+        known = self._ledger.done_mask(job)  # before the files are listed: later ones may not be among these
+        sizes = store.stored_sizes(prepared.store_url, prepared.layout)
+        if sizes is None:
+            return
+        step = SIZE_PAGES * VERIFIED_PAGE
+        for first in range(0, job.chunks_total, step):
             yield
+            with self._ledger.reading() as ledger:
+                marked = ledger.stored_chunks(job, first, first + step)
+            suspects = []
+            for index, checksum, size in marked:
+                chunk = prepared.plan[index]
+                found = sizes[prepared.layout.coords(chunk.slices)]
+                if known[index] and (found < 0 or (size is not None and found != size)):
+                    suspects.append((chunk, checksum))
+            # Read again: a chunk may have been computed again since the files were listed.
+            corrupt = store.find_corrupt(prepared.store_url, prepared.layout, suspects)
+            self._invalidate(job, [chunk.index for chunk in corrupt])
+
+    def _verify_page(self, job: JobRecord, prepared: PreparedJob, page: int) -> bool:
+        """Read the chunks of a page that are not verified; whether there were any."""
+        first = page * VERIFIED_PAGE
+        with self._ledger.reading() as ledger:
+            verified = ledger.verified_chunks(job, page)
+            marked = ledger.stored_chunks(job, first, first + VERIFIED_PAGE)
+        unread = [(prepared.plan[index], sum_) for index, sum_, _ in marked if not verified[index - first]]
+        if not unread:
+            return False
+        corrupt = store.find_corrupt(prepared.store_url, prepared.layout, unread)
+        damaged = {chunk.index for chunk in corrupt}
+        verified[[chunk.index - first for chunk, _ in unread if chunk.index not in damaged]] = True
+        with self._ledger.writing() as ledger:
+            ledger.note_verified(job, page, verified)
+        self._invalidate(job, sorted(damaged))
+        return True
+
+    def _invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
+        if chunks:
+            self._repairer.invalidate(job, chunks)
 
     def _find_unknown(self) -> None:
         """Report stores without a job in the ledger. They may be all that is left of a job: they stay."""
