@@ -11,8 +11,12 @@ runs a scheduler in a process of its own and 64 workers in another, whose tasks 
 """
 
 import argparse
+import hashlib
+import itertools
 import os
 import re
+import resource
+import sqlite3
 import statistics
 import subprocess
 import sys
@@ -20,17 +24,26 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import httpx2
+
 from benchmarks.machine import describe
+from benchmarks.million import Simulated, sweep
 from benchmarks.tables import table
+from kernel.params import KERNEL_VERSION
+from service.jobs.ledger import Ledger
+from service.jobs.manager import _new_job
+from service.server import embedded
 from worker import store
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
+from worker.store import chunks as stored
 from worker.studies import run_task, study_of
+from worker.tasks import ChunkReport
 
 SMALL: dict[str, Any] = {
     "gamma": {"start": 0.8, "stop": 5.0, "num": 64}, "omega": {"start": 0.4, "stop": 0.9, "num": 8},
@@ -111,8 +124,6 @@ def bucket(seconds: float) -> Iterator[Counting]:
         "AWS_ENDPOINT_URL": address, "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test",
         "AWS_REGION": "us-east-1", "AWS_ALLOW_HTTP": "true",
     }  # fmt: skip
-    import httpx2
-
     httpx2.put(f"{address}/results").raise_for_status()
     yield counting
     server.shutdown()
@@ -142,10 +153,160 @@ def s3() -> None:
     print(table(["sweep", "requests per chunk", "of these", f"time / latency of {latency:g} s"], rows))
 
 
+CONTENT = b"x" * 200
+
+
+def filled(folder: Path, chunks: int) -> str:
+    """A data folder with a job of so many chunks, half of them done; returns the job's id."""
+    spec = sweep(chunks)
+    plan = make_plan(spec)
+    layout = study_of(spec).variables(spec, plan.chunk_shape)
+    digest = hashlib.sha256()
+    for array in layout.arrays:
+        digest.update(f"{array.name} {len(CONTENT)}\n".encode() + CONTENT)
+    done = len(plan) // 2
+    with Ledger(folder / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            writing.insert(_new_job(spec, plan, None), time.time())
+            job = writing.find(spec.job_id(KERNEL_VERSION))
+            assert job is not None
+            writing.run(job, time.time())
+        cells = plan[0].cells
+        for first in range(0, done, 20_000):
+            reports = [
+                ChunkReport(i, cells, 1.0, 0.95, digest.hexdigest(), (0, cells, 0, 0, 0, 0))
+                for i in range(first, min(first + 20_000, done))
+            ]
+            with ledger.writing() as writing:
+                writing.mark_done(job, reports)
+    store.create(str(folder / "stores" / f"{job.id}.zarr"), layout)
+    return job.id
+
+
+def pretend(chunks: int, seconds: float) -> None:
+    """Have every chunk be there, as it was written; reading a key takes so many seconds."""
+    real = stored.read_key
+
+    def read_key(url: str, key: str) -> bytes | None:
+        if not re.search(r"/c[./]\d+[./]\d+[./]", key):
+            return real(url, key)
+        time.sleep(seconds)
+        return CONTENT
+
+    stored.read_key = read_key  # type: ignore[assignment]
+    if hasattr(stored, "sizes_in"):
+        plan = make_plan(sweep(chunks))
+
+        def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
+            extra = ".0" if folder in ("flight_time", "takeoff_phase") else ""
+            for coords in itertools.product(range(1), *map(range, plan.counts)):
+                yield f"c.{'.'.join(map(str, coords))}{extra}", len(CONTENT)
+
+        stored.sizes_in = sizes_in
+
+
+class Requests(threading.Thread):
+    """Repeats a request until the block ends; `seconds`: of each."""
+
+    def __init__(self, ask: Callable[[], httpx2.Response], pause: float = 0.05) -> None:
+        super().__init__(daemon=True)
+        self._ask, self._pause, self._over = ask, pause, threading.Event()
+        self.seconds: list[float] = []
+
+    def __enter__(self) -> "Requests":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self.join()
+
+    def run(self) -> None:
+        """Ask, pause, ask."""
+        while not self._over.wait(self._pause):
+            began = time.perf_counter()
+            self._ask().raise_for_status()
+            self.seconds.append(time.perf_counter() - began)
+
+    @property
+    def text(self) -> str:
+        """Median, 99th percentile and maximum, ms."""
+        ordered = sorted(1e3 * second for second in self.seconds)
+        if not ordered:
+            return "none"
+        high = ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)]
+        return f"{statistics.median(ordered):.0f}, {high:.0f}, {ordered[-1]:.0f} ms of {len(ordered)}"
+
+
+def restart(chunks: int, read_seconds: float, seconds: float) -> None:
+    """Print what a service does that starts in a job of so many chunks."""
+    with tempfile.TemporaryDirectory() as data:
+        folder = Path(data)
+        job_id = filled(folder, chunks)
+        size = sum(file.stat().st_size for file in folder.glob("ledger.*"))
+        print(f"ledger: {size / 2**20:.0f} MiB, {size / (chunks // 2):.0f} bytes per done chunk", flush=True)
+        pretend(chunks, read_seconds)
+        executor, first = Simulated(64, 1.0), threading.Event()
+        submit = executor.submit
+        executor.submit = lambda *given, **more: (first.set(), submit(*given, **more))[1]  # type: ignore[method-assign]
+        settings = embedded.settings(
+            data=folder, port=0, max_cells=10**12, max_bytes=10**15, max_core_seconds=1e9
+        )
+        small = SMALL | {"xi": 0.07}
+        began = time.perf_counter()
+        with (
+            embedded.running(settings, executor) as address,
+            httpx2.Client(base_url=address, timeout=60) as client,
+        ):
+            up = time.perf_counter() - began
+            here = f"/v1/jobs/{job_id}"
+            with (
+                Requests(lambda: client.get(here)) as polls,
+                Requests(lambda: client.post("/v1/jobs?validate_only=true", json=small)) as estimates,
+            ):
+                went_on = first.wait(120)
+                after = time.perf_counter() - began
+                time.sleep(seconds)
+            print(f"answers after {up:.1f} s, goes on after {after:.1f} s{'' if went_on else ' (not yet)'}")
+            print(f"polls: {polls.text}\nvalidate_only: {estimates.text}  (median, 99th percentile, maximum)")
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+            print(f"memory of the process, at most: {peak:.0f} MiB", flush=True)
+            client.post(f"{here}/cancel").raise_for_status()
+            while client.get(here).json()["state"] != "cancelled":
+                time.sleep(0.1)
+            counter = itertools.count(1)
+
+            def accept() -> httpx2.Response:
+                return client.post("/v1/jobs", json=SMALL | {"xi": 0.1 + 1e-4 * next(counter)})
+
+            with Requests(accept, 0.2) as submissions:
+                began = time.perf_counter()
+                client.delete(here).raise_for_status()
+                answered = time.perf_counter() - began
+                left = 1
+                while left and time.perf_counter() - began < 120:
+                    time.sleep(0.2)
+                    with sqlite3.connect(f"file:{folder}/ledger.sqlite?mode=ro", uri=True) as reading:
+                        [left] = reading.execute("SELECT count(*) FROM deletions WHERE step < 2").fetchone()
+                gone = time.perf_counter() - began
+            print(f"deletion: answered after {answered:.2f} s, complete after {gone:.1f} s")
+            print(f"submissions beside it: {submissions.text}")
+        executor.close()
+        with sqlite3.connect(folder / "ledger.sqlite") as ledger:
+            ledger.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        size = sum(file.stat().st_size for file in folder.glob("ledger.*"))
+        print(f"ledger afterwards: {size / 2**20:.1f} MiB")
+
+
 def main() -> None:
     """Print the table that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["files", "s3", "compute"])
+    parser.add_argument("what", choices=["files", "s3", "restart", "compute"])
+    parser.add_argument(
+        "--chunks", type=int, default=1_000_000, help="of the job that `restart` goes on with"
+    )
+    parser.add_argument("--read-seconds", type=float, default=1e-4, help="of a key that `restart` verifies")
+    parser.add_argument("--seconds", type=float, default=20.0, help="for which `restart` asks")
     parser.add_argument("rest", nargs="*", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.what == "compute":
@@ -153,7 +314,10 @@ def main() -> None:
         compute(name, url, int(chunks))
         return
     print(describe("dask", "zarr"), flush=True)
-    {"files": files, "s3": s3}[arguments.what]()
+    if arguments.what == "restart":
+        restart(arguments.chunks, arguments.read_seconds, arguments.seconds)
+    else:
+        {"files": files, "s3": s3}[arguments.what]()
 
 
 if __name__ == "__main__":
