@@ -11,8 +11,11 @@ runs a scheduler in a process of its own and 64 workers in another, whose tasks 
 """
 
 import argparse
+import asyncio
 import hashlib
 import itertools
+import json
+import multiprocessing
 import os
 import re
 import resource
@@ -25,20 +28,26 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import httpx2
+import psutil
+from distributed import Worker, WorkerPlugin
 
 from benchmarks.machine import describe
-from benchmarks.million import Simulated, sweep
+from benchmarks.million import Simulated
 from benchmarks.tables import table
 from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.manager import _new_job
 from service.server import embedded
-from worker import store
+from worker import store, tasks, watchdog
+from worker.executors import dask as executor_module
 from worker.plan import Plan, make_plan
 from worker.spec import SweepSpec
 from worker.store import chunks as stored
@@ -96,6 +105,11 @@ def files() -> None:
     print(table(["sweep", *names], rows))
 
 
+def begun() -> AbstractContextManager[None]:
+    """Have a chunk computed that was never submitted before, as a worker is told."""
+    return tasks.on_terms(tasks.Terms(begins=True)) if hasattr(tasks, "on_terms") else nullcontext()
+
+
 class Counting:
     """Counts and delays the requests of a WSGI application."""
 
@@ -143,7 +157,8 @@ def s3() -> None:
             counts, trips, kinds = [], [], Counter[str]()
             for chunk in list(plan)[1:9]:
                 before, began = len(counting.requests), time.perf_counter()
-                run_task(spec, chunk, url)
+                with begun():
+                    run_task(spec, chunk, url)
                 trips.append((time.perf_counter() - began) / latency)
                 made = counting.requests[before:]
                 counts.append(len(made))
@@ -156,10 +171,18 @@ def s3() -> None:
 CONTENT = b"x" * 200
 
 
+def huge(chunks: int) -> tuple[SweepSpec, Plan]:
+    """A sweep, and its plan in so many chunks, whatever their cost."""
+    spec = SweepSpec(**SMALL | {
+        "gamma": {"start": 0.5, "stop": 6.0, "num": 1000}, "omega": {"start": 0.1, "stop": 5.0, "num": 1000},
+        "xi": {"start": 0.02, "stop": 5.0, "num": max(chunks // 10_000, 2)},
+    })  # fmt: skip
+    return spec, make_plan(spec, chunk_shape=(1, 10, 10))
+
+
 def filled(folder: Path, chunks: int) -> str:
     """A data folder with a job of so many chunks, half of them done; returns the job's id."""
-    spec = sweep(chunks)
-    plan = make_plan(spec)
+    spec, plan = huge(chunks)
     layout = study_of(spec).variables(spec, plan.chunk_shape)
     digest = hashlib.sha256()
     for array in layout.arrays:
@@ -195,7 +218,7 @@ def pretend(chunks: int, seconds: float) -> None:
 
     stored.read_key = read_key  # type: ignore[assignment]
     if hasattr(stored, "sizes_in"):
-        plan = make_plan(sweep(chunks))
+        _, plan = huge(chunks)
 
         def sizes_in(url: str, folder: str) -> Iterator[tuple[str, int]]:
             extra = ".0" if folder in ("flight_time", "takeoff_phase") else ""
@@ -298,10 +321,97 @@ def restart(chunks: int, read_seconds: float, seconds: float) -> None:
         print(f"ledger afterwards: {size / 2**20:.1f} MiB")
 
 
+class NoKernels(WorkerPlugin):
+    """In place of the plugin that compiles kernels: pretended workers need none."""
+
+    name = "bouncing-spring-kernels"
+
+    def __init__(self, *_: Any) -> None:
+        pass
+
+
+def computed_at_once(spec: Any, chunk: Any, *_: Any) -> ChunkReport:
+    """What a pretended worker does with a chunk."""
+    return ChunkReport(chunk.index, chunk.cells, 1.0, 0.95, "0" * 64, (0, chunk.cells, 0, 0, 0, 0))
+
+
+def pretended_workers(address: str, number: int) -> None:
+    """So many workers in this process, which report each chunk at once."""
+    watchdog.run_watched = computed_at_once  # type: ignore[assignment]
+    if find_spec("worker.executors.sent_specs"):
+        import_module("worker.executors.sent_specs").run_watched = computed_at_once
+
+    async def work() -> None:
+        workers = [Worker(address, nthreads=1, dashboard=False) for _ in range(number)]
+        await asyncio.gather(*workers)
+        await asyncio.gather(*(worker.finished() for worker in workers))
+
+    asyncio.run(work())
+
+
+def keep_busy(executor: Any, spec: SweepSpec, plan: Plan, url: str, workers: int, chunks: int) -> None:
+    """Two chunks in flight per worker, as the supervisor has them, submitted as others come back."""
+    submitted, flying = 0, set[Future[Any]]()
+    while submitted < chunks or flying:
+        while submitted < chunks and len(flying) < 2 * workers:
+            flying.add(executor.submit(spec, plan[submitted % len(plan)], url, seconds=60.0))
+            submitted += 1
+        done, flying = wait(flying, return_when=FIRST_COMPLETED)
+        for future in done:
+            future.result()
+
+
+def scheduler(workers: int, chunks: int) -> None:
+    """Print the processor time of Dask's scheduler, of the workers and of this process per chunk."""
+    executor_module.PreparedWorker = NoKernels  # type: ignore[assignment, misc]
+    lists = SMALL | {"gamma": [round(0.5 + 5e-4 * i, 6) for i in range(10_000)], "xi": [0.05]}
+    rows = []
+    for name, fields in (("ranges", SMALL), ("10,000 values", lists)):
+        with tempfile.TemporaryDirectory() as folder:
+            file, url = Path(folder, "scheduler.json"), f"{folder}/sweep.zarr"
+            command = [
+                sys.executable,
+                "-m",
+                "distributed.cli.dask_scheduler",
+                "--port",
+                "0",
+                "--no-dashboard",
+            ]
+            serving = subprocess.Popen(
+                [*command, "--scheduler-file", file, "--host", "127.0.0.1", "--port", "0"]
+            )
+            while not file.exists():
+                time.sleep(0.05)
+            address = json.loads(file.read_text())["address"]
+            pretended = multiprocessing.get_context("spawn").Process(
+                target=pretended_workers, args=(address, workers), daemon=True
+            )
+            pretended.start()
+            spec = SweepSpec(**fields)
+            plan = created(spec, url)
+            measured = [psutil.Process(pid) for pid in (serving.pid, pretended.pid, os.getpid())]
+            with closing(executor_module.Dask(address)) as executor:
+                while executor.workers() < workers:
+                    time.sleep(0.1)
+
+                keep_busy(executor, spec, plan, url, workers, 4 * workers)
+                before = [sum(process.cpu_times()[:2]) for process in measured]
+                began = time.perf_counter()
+                keep_busy(executor, spec, plan, url, workers, chunks)
+                took = time.perf_counter() - began
+                spent = [sum(p.cpu_times()[:2]) - was for p, was in zip(measured, before, strict=True)]
+            pretended.terminate()
+            serving.terminate()
+            serving.wait()
+            rows.append([name, *(f"{1e3 * seconds / chunks:.2f}" for seconds in (*spent, took))])
+    head = ["axes", "scheduler, ms of CPU", "64 workers", "service", "all, ms of wall"]
+    print(table(head, rows))
+
+
 def main() -> None:
     """Print the table that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["files", "s3", "restart", "compute"])
+    parser.add_argument("what", choices=["files", "s3", "restart", "scheduler", "compute"])
     parser.add_argument(
         "--chunks", type=int, default=1_000_000, help="of the job that `restart` goes on with"
     )
@@ -316,6 +426,8 @@ def main() -> None:
     print(describe("dask", "zarr"), flush=True)
     if arguments.what == "restart":
         restart(arguments.chunks, arguments.read_seconds, arguments.seconds)
+    elif arguments.what == "scheduler":
+        scheduler(64, 4_000)
     else:
         {"files": files, "s3": s3}[arguments.what]()
 

@@ -33,7 +33,7 @@ from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
 from worker.executors.base import ClusterState
 from worker.executors.dask import Dask
-from worker.plan import Chunk, make_plan
+from worker.plan import TARGET_SECONDS, Chunk, make_plan
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 
@@ -121,7 +121,7 @@ def sweep(chunks: int) -> SweepSpec:
             {**ranges, "model": {"kind": "rigid"}, "settle": 200, "observe": 100, "keep": 16}
         )
 
-    grid["xi"] = max(2, math.ceil(chunks / len(make_plan(spec())) * 2))
+    grid["xi"] = max(2, math.ceil(chunks / len(make_plan(spec(), longest=TARGET_SECONDS)) * 2))
     return spec()
 
 
@@ -161,7 +161,8 @@ class Driven(NamedTuple):
 
 def drive(spec: SweepSpec, workers: int, seconds: float, folder: Path) -> Driven:
     """Run one job from submission to completion."""
-    settings = Settings(data=folder, max_cells=10**12, max_bytes=10**15)
+    limits: dict[str, Any] = {"max_cells": 10**12, "max_bytes": 10**15, "max_core_seconds": 1e9}
+    settings = Settings(data=folder, longest_chunk_seconds=TARGET_SECONDS, **limits)
     executor = Simulated(workers, seconds)
     before = psutil.Process().memory_info().rss
     with Counted(settings.ledger_path) as ledger:

@@ -17,6 +17,7 @@ from service import tokens
 from service.errors import NotStarted
 from worker import store
 from worker.cost import DEFAULT_MAX_BYTES, DEFAULT_MAX_CELLS, DEFAULT_MAX_CORE_SECONDS
+from worker.plan import LONGEST_SECONDS
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 #: The upper limits are what the system's clocks and SQLite can represent.
@@ -146,6 +147,11 @@ class Settings(BaseSettings):
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
         0.5,
         description="Core-seconds in flight per worker: where chunks are short, more than `window` are.",
+    )
+    longest_chunk_seconds: Positive = Field(
+        LONGEST_SECONDS,
+        description="Core-seconds of a chunk, by the estimate, of a job that would have more than 15,000 of "
+        "0.75 s; it pauses in between.",
     )
     chunk_tries: Count = Field(
         3, description="Tries of a chunk that fails or whose worker dies of it, before it is given up."

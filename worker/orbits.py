@@ -20,7 +20,7 @@ from kernel.params import KERNEL_VERSION, KernelInputError, Outcome
 from worker import store
 from worker.cost import Cost
 from worker.grid_plan import Block, GridPlan
-from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
+from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import COORDINATES, OUTCOME, Array, Layout, common_attributes
 from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
@@ -351,7 +351,9 @@ class OrbitsStudy:
     def parse(self, data: object) -> OrbitsSpec:
         return OrbitsSpec.parse(data)
 
-    def plan(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+    def plan(
+        self, spec: OrbitsSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+    ) -> GridPlan:
         return make_plan(spec, chunk_shape)
 
     def variables(self, spec: OrbitsSpec, chunk_shape: tuple[int, ...]) -> Layout:

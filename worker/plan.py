@@ -30,11 +30,17 @@ TARGET_SECONDS: Final = 0.75
 #: SMALLEST_SECONDS each.
 SMALLEST_SECONDS: Final = 0.0125
 FEWEST_CHUNKS: Final = 8
+#: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
+#: six arrays are 90,000 files. They pause in between like any chunk that takes long.
+MANY_CHUNKS: Final = 15_000
+LONGEST_SECONDS: Final = 30.0
 #: Lines of a ramp from which on chunks fill all lanes. With fewer, twice as many chunks of half the lanes
 #: keep more workers busy.
 LINES_TO_FILL: Final = 4 * LANES
 #: Before compression; reading one cell reads its whole chunk.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
+#: The same of the chunks of a sweep with many: larger ones are shards, of which a reader takes parts.
+MAX_SHARD_BYTES: Final = 96 * 2**20
 
 #: An adaptive map is cut into tiles of about so many rows and columns, each one chunk, which is refined by
 #: itself (with a margin, together with the blocks just beyond its border). Large enough that lanes are full
@@ -155,19 +161,26 @@ class Plan(Sequence[Chunk]):
 
 
 def make_plan(
-    spec: SweepSpec, *, chunk_cells: int | None = None, chunk_shape: tuple[int, ...] | None = None
+    spec: SweepSpec,
+    *,
+    chunk_cells: int | None = None,
+    chunk_shape: tuple[int, ...] | None = None,
+    longest: float = LONGEST_SECONDS,
 ) -> Plan:
     """Divide a sweep into chunks of about `chunk_cells` cells, or of `chunk_shape` cells (xi, omega, gamma).
 
-    By default a chunk costs about TARGET_SECONDS. The division does not affect the stored numbers, but for an
-    adaptive map, whose chunks are the tiles of `tile_shape` unless `chunk_shape` is given. Raises ValueError
-    for a size below 1.
+    By default a chunk costs about TARGET_SECONDS, or up to `longest` where there are many. The division does
+    not affect the stored numbers, but for an adaptive map, whose chunks are the tiles of `tile_shape` unless
+    `chunk_shape` is given. Raises ValueError for a size below 1.
     """
     _, *grid = spec.shape
     if chunk_shape is None and spec.refine is not None:
         chunk_shape = tile_shape(spec, spec.refine.coarsest)
     if chunk_shape is None:
-        chunk_shape = _block(spec, chunk_cells if chunk_cells is not None else _cells_per_chunk(spec))
+        cells = chunk_cells if chunk_cells is not None else _cells_per_chunk(spec, longest)
+        chunk_shape = _block(spec, cells)
+        if cells * bytes_per_cell(spec) > MAX_CHUNK_BYTES:
+            chunk_shape = tuple(map(_halvable, chunk_shape, grid))
     if len(chunk_shape) != 3 or min(chunk_shape) < 1:
         raise ValueError(
             f"chunk_shape: must be three sizes of at least 1 (xi, omega, gamma), not {chunk_shape}"
@@ -190,12 +203,20 @@ def tile_shape(spec: SweepSpec, coarsest: int) -> tuple[int, int, int]:
     return 1, side, side
 
 
-def _cells_per_chunk(spec: SweepSpec) -> int:
-    cost = cell_seconds(spec)
-    share = math.prod(spec.shape) * cost / FEWEST_CHUNKS
-    seconds = min(max(share, SMALLEST_SECONDS), TARGET_SECONDS)
-    cells = min(math.ceil(seconds / cost), MAX_CHUNK_BYTES // bytes_per_cell(spec))
-    return max(cells, cells_at_once(spec))
+def _cells_per_chunk(spec: SweepSpec, longest: float) -> int:
+    cost, cells = cell_seconds(spec), math.prod(spec.shape)
+    seconds = min(max(cells * cost / FEWEST_CHUNKS, SMALLEST_SECONDS), TARGET_SECONDS)
+    seconds = max(seconds, min(cells * cost / MANY_CHUNKS, longest))
+    size = bytes_per_cell(spec)
+    most_bytes = min(max(MAX_CHUNK_BYTES, cells * size // MANY_CHUNKS), MAX_SHARD_BYTES)
+    return max(min(math.ceil(seconds / cost), most_bytes // size), cells_at_once(spec))
+
+
+def _halvable(size: int, cells: int) -> int:
+    """The length of a shard along an axis of so many cells: one that can be halved a few times."""
+    if size >= cells:
+        return cells
+    return size - size % next(unit for unit in (8, 4, 2, 1) if size >= unit * unit or unit == 1)
 
 
 def _block(spec: SweepSpec, cells: int) -> tuple[int, int, int]:

@@ -37,8 +37,9 @@ _CHUNK_KEY: Final = re.compile(r"c(?:/(?:0|[1-9][0-9]{0,8})){1,8}|c(?:\.(?:0|[1-
 #: How stores are laid out that are made now. 1, until release 0.1.0: a folder for each coordinate of a chunk
 #: (c/0/0/1/2). 2: all chunks of an array in its folder (c.0.0.1.2), large ones as shards.
 STORE_FORMAT: Final = 2
-#: Chunks of more bytes, before compression and of all arrays together, are shards of inner chunks of at most
-#: so many: reading a cell reads its inner chunk.
+#: Chunks of more bytes, before compression and of all arrays together, are shards, of inner chunks of
+#: INNER_BYTES at most: reading a cell reads its inner chunk.
+SHARD_BYTES: Final = 17 * 2**20
 INNER_BYTES: Final = 4 * 2**20
 
 
@@ -135,7 +136,7 @@ class Layout:
         Halves of halves of a chunk, until they have INNER_BYTES at most; sizes that are odd stay as they are.
         """
         sizes, size = dict(self.chunk_sizes), self.chunk_bytes
-        if self.format == 1 or size <= INNER_BYTES:
+        if self.format == 1 or size <= SHARD_BYTES:
             return None
         while size > INNER_BYTES and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
             longest = max(even, key=lambda dim: sizes[dim])

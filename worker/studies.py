@@ -16,9 +16,9 @@ from worker.basins.multistability import MULTISTABILITY
 from worker.basins.study import BASINS
 from worker.cost import Cost, estimate
 from worker.orbits import ORBITS
+from worker.plan import LONGEST_SECONDS, make_plan
 from worker.plan import Chunk as SweepChunk
 from worker.plan import Plan as SweepPlan
-from worker.plan import make_plan
 from worker.schema import Layout
 from worker.spec import SweepSpec, parsing
 from worker.tasks import ChunkReport
@@ -95,8 +95,13 @@ class Study(Protocol):
     def parse(self, data: object) -> Any:
         """The specification from plain JSON values. Raises a `SpecError` that names every broken rule."""
 
-    def plan(self, spec: Any, chunk_shape: tuple[int, ...] | None = None) -> Any:
-        """The chunks, of `chunk_shape` or of a shape that the study chooses."""
+    def plan(
+        self, spec: Any, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+    ) -> Any:
+        """The chunks, of `chunk_shape` or of a shape that the study chooses.
+
+        If there are many, they may be longer, but not than about `longest` core-seconds.
+        """
 
     def variables(self, spec: Any, chunk_shape: tuple[int, ...]) -> Layout:
         """The layout of the store."""
@@ -108,7 +113,7 @@ class Study(Protocol):
         """Compute one chunk and store it, in a worker process; repeated, it writes the same bytes.
 
         Raises a `tasks.TaskError` or a `store.StoreError`. A task that takes longer than
-        `tasks.SLICE_SECONDS` should keep what it has and raise `tasks.ChunkPaused`: it is called again.
+        the slice of `tasks.TERMS` should keep what it has and raise `tasks.ChunkPaused`: it is called again.
         """
 
 
@@ -118,8 +123,10 @@ class SweepStudy:
     def parse(self, data: object) -> SweepSpec:
         return SweepSpec.parse(data)
 
-    def plan(self, spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None) -> SweepPlan:
-        return make_plan(spec, chunk_shape=chunk_shape)
+    def plan(
+        self, spec: SweepSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+    ) -> SweepPlan:
+        return make_plan(spec, chunk_shape=chunk_shape, longest=longest)
 
     def variables(self, spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
         return schema.layout(spec, chunk_shape)
@@ -128,7 +135,7 @@ class SweepStudy:
         return estimate(spec, len(plan))
 
     def task(self, spec: SweepSpec, chunk: SweepChunk, store_url: str) -> ChunkReport:
-        return tasks.run_chunk(spec, chunk, store_url, tasks.SLICE_SECONDS)
+        return tasks.run_chunk(spec, chunk, store_url, tasks.TERMS.get().slice_seconds)
 
 
 SWEEP: Final = SweepStudy()

@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -43,6 +44,23 @@ log = logging.getLogger(__name__)
 #: By the core's clock: on a busy machine, pauses would otherwise take what time a worker gets.
 SLICE_SECONDS: Final = 1.5
 
+#: A task computes at least a second for so many bytes of its record, which a pause has to keep.
+KEPT_BYTES: Final = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class Terms:
+    """How a chunk is computed, which changes no result."""
+
+    slice_seconds: float = SLICE_SECONDS
+    begins: bool = False  # nothing of it was computed before: no checkpoint is looked for
+
+
+_USUAL: Final = Terms()
+
+#: Of the chunk that this thread computes.
+TERMS: Final[ContextVar[Terms]] = ContextVar("terms", default=_USUAL)
+
 #: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
 LEAVING: Final = threading.Event()
 
@@ -63,6 +81,16 @@ _DONE: Final = "lines_done"
 _SECONDS: Final = "seconds"
 _LINE: Final = "line/"
 _RECORD: Final = "record/"
+
+
+@contextmanager
+def on_terms(terms: Terms) -> Iterator[None]:
+    """Have the tasks of this thread computed so for as long as the block lasts."""
+    token = TERMS.set(terms)
+    try:
+        yield
+    finally:
+        TERMS.reset(token)
 
 
 class TaskError(Exception):
@@ -110,6 +138,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     began = time.perf_counter()
     store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
     record = _empty_record(spec, _surrounded(spec, chunk))
+    slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
     work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)
     if spec.refine is None:
         _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
@@ -216,7 +245,7 @@ class Work:
         self._steps, self._kernel_seconds = FIRST_STEPS, 0.0
         self._before = np.zeros(2)  # seconds of the slices before this one, as `seconds`
         self._under_way: _Arrays = {}  # of the line at which the chunk was paused
-        saved = store.read_checkpoint(store_url, chunk)
+        saved = None if TERMS.get().begins else store.read_checkpoint(store_url, chunk)
         self._has_checkpoint = saved is not None
         if saved is not None:
             with self._discarding_checkpoint():

@@ -21,7 +21,15 @@ from worker import store
 from worker.basins.spec import GridSpec
 from worker.spec import SweepSpec
 from worker.studies import Chunk, Spec, run_task
-from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, TaskError, compile_for
+from worker.tasks import (
+    ChunkCancelled,
+    ChunkPaused,
+    ChunkReport,
+    TaskError,
+    Terms,
+    compile_for,
+    on_terms,
+)
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
 #: watchdog terminates the worker over it.
@@ -41,9 +49,12 @@ REPORT_SECONDS: Final = 0.2
 HARD_LIMIT_SECONDS: Final = 5.0
 #: The longest timer that faulthandler is given.
 LONGEST_SECONDS: Final = 1e6
+_USUAL: Final = Terms()
 
 
-def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> ChunkReport | TaskError:
+def run_watched(
+    spec: Spec, chunk: Chunk, store_url: str, seconds: float, terms: Terms = _USUAL
+) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 
     Ends the process if the chunk takes longer than `seconds`, exceeds the worker's memory limit, or ignores
@@ -65,7 +76,8 @@ def run_watched(spec: Spec, chunk: Chunk, store_url: str, seconds: float) -> Chu
             _compile(sweep, store_url)  # not on the chunk's time
         except ChunkCancelled as cancelled:
             return cancelled
-    with _hard_limit(seconds + HARD_LIMIT_SECONDS), Watchdog(worker, store_url, seconds, terminate):
+    hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
+    with hard_limit, Watchdog(worker, store_url, seconds, terminate), on_terms(terms):
         try:
             return run_task(spec, chunk, store_url)
         except (ChunkCancelled, ChunkPaused) as stopped:

@@ -138,7 +138,7 @@ class JobManager:
     def check(self, spec: Any) -> Plan:
         """The plan of a study. Raises SpecTooLarge for one that would not be accepted."""
         study = study_of(spec)
-        plan: Plan = study.plan(spec)
+        plan = self.preparer.plan(spec)
         cost = study.estimate(spec, plan)
         limits = self._settings
         check_size(

@@ -16,7 +16,6 @@ from service.jobs.prepare import JobPreparer
 from worker.analysis.model_selection import ModelChoice, choose, is_open, resolved
 from worker.executors.base import Executor
 from worker.executors.errors import ExecutorError, WorkerDied
-from worker.plan import make_plan
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +82,7 @@ class ModelSelector:
     def _save(self, job: JobRecord, choice: ModelChoice) -> JobRecord | None:
         """Write the choice to the ledger, with chunks for the cost of the chosen model."""
         submitted = self._preparer.prepare(job).submitted
-        plan = make_plan(resolved(submitted, choice))
+        plan = self._preparer.plan(resolved(submitted, choice))
         with self._ledger.writing() as ledger:
             ledger.choose(job, choice.model_dump_json(), plan.chunk_shape, len(plan))
             chosen = ledger.find(job.id)

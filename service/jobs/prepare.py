@@ -100,6 +100,11 @@ class JobPreparer:
         self._jobs: OrderedDict[_Key, tuple[PreparedJob, int]] = OrderedDict()  # with the characters
         self._chars = 0
 
+    def plan(self, spec: Any) -> Plan:
+        """The plan of a study that is new."""
+        plan: Plan = study_of(spec).plan(spec, longest=self._settings.longest_chunk_seconds)
+        return plan
+
     def prepare(self, job: JobRecord) -> PreparedJob:
         """The job, prepared; made anew after it was accepted again or its model was chosen.
 

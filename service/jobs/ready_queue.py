@@ -117,7 +117,7 @@ class Rotation:
     """
 
     def __init__(self, slice_seconds: float) -> None:
-        self._slice_seconds = slice_seconds
+        self.slice_seconds = slice_seconds
         self._jobs: dict[str | None, dict[str, None]] = {}  # ids by owner, both in the order of their turns
         self._owners: dict[str, str | None] = {}  # by job
         self._credit = 0.0  # core-seconds that turns may take now
@@ -140,11 +140,11 @@ class Rotation:
 
     def is_due(self, seconds: float) -> bool:
         """Whether the workers have time for a turn of about so many core-seconds."""
-        return self._credit >= min(seconds, self._slice_seconds)
+        return self._credit >= min(seconds, self.slice_seconds)
 
     def begin_turn(self, job_id: str, seconds: float) -> None:
         """A job has its turn, of about so many core-seconds; the next one is after all other jobs'."""
-        self._credit -= min(seconds, self._slice_seconds)
+        self._credit -= min(seconds, self.slice_seconds)
         owner = self._owners[job_id]
         self._remove(job_id)
         self._append(job_id, owner)
@@ -152,7 +152,7 @@ class Rotation:
 
     def end_turn(self, estimate: float, taken: float) -> None:
         """A turn has taken so many core-seconds, in place of its estimate."""
-        self._credit += min(estimate, self._slice_seconds) - taken
+        self._credit += min(estimate, self.slice_seconds) - taken
 
     def earn(self, seconds: float) -> None:
         """Chunks outside the rotation have taken so many core-seconds.
@@ -160,7 +160,7 @@ class Rotation:
         The credit is at most one turn's: turns that could not be taken are not made up for.
         """
         earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
-        self._credit = min(self._credit + earned, self._slice_seconds)
+        self._credit = min(self._credit + earned, self.slice_seconds)
 
     def _append(self, job_id: str, owner: str | None) -> None:
         self._owners[job_id] = owner

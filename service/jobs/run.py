@@ -24,11 +24,16 @@ MAX_TRACEBACK: Final = 8_000
 class JobRun:
     """The state of a running job; used by the supervisor's thread alone.
 
-    `done`: (chunks,) which chunks the ledger has marked.
+    `done`: (chunks,) which chunks the ledger has marked. `paused`: those with a checkpoint.
     """
 
     def __init__(
-        self, job: JobRecord, prepared: PreparedJob, done: NDArray[np.bool_], policy: RetryPolicy
+        self,
+        job: JobRecord,
+        prepared: PreparedJob,
+        done: NDArray[np.bool_],
+        policy: RetryPolicy,
+        paused: Iterable[int] = (),
     ) -> None:
         self.job, self.prepared = job, prepared
         self.stopping = job.cancel_requested  # a cancel is being carried out
@@ -38,6 +43,7 @@ class JobRun:
         self.turns: set[int] = set()  # chunks in flight that were submitted as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
         self._policy = policy
+        self._begun = set(paused)  # chunks that may have a checkpoint
         self._ready_queue = ReadyQueue(predecessors(prepared.plan), done)
         self._cell_seconds = prepared.cell_seconds
         self.chunk_seconds = prepared.core_seconds / len(prepared.plan)  # on average, by the cost table
@@ -73,9 +79,14 @@ class JobRun:
         """The next chunk to compute."""
         return self.prepared.plan[self._ready_queue.pop()]
 
+    def begins(self, chunk: int) -> bool:
+        """Whether a chunk was never submitted before, by this run or any other."""
+        return chunk not in self._begun
+
     def add_in_flight(self, chunk: Chunk, future: "Future[ChunkReport]") -> None:
         """The executor has taken a chunk."""
         self.in_flight[chunk.index] = future
+        self._begun.add(chunk.index)
         self._cells_in_flight += chunk.cells
 
     def remove_in_flight(self, chunk: int) -> None:
@@ -160,6 +171,7 @@ class JobRun:
     def mark_saved(self) -> None:
         """All reports, failures and damaged chunks are in the ledger now."""
         self._ready_queue.complete(report.index for report in self.unsaved_reports)
+        self._begun.difference_update(report.index for report in self.unsaved_reports)
         self.unsaved_reports.clear()
         self.unsaved_damage.clear()
         self._saved_failures = len(self._failures)

@@ -30,7 +30,7 @@ from worker import store
 from worker.executors.base import ClusterState, Executor
 from worker.store import StoreConflict
 from worker.studies import Chunk
-from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport
+from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport, Terms
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +38,8 @@ log = logging.getLogger(__name__)
 MAX_IN_FLIGHT: Final = 64
 #: Times the chunks that are enough for one job, of all jobs together.
 MAX_TIMES_IN_FLIGHT: Final = 4
+#: Chunks pause less often with more workers than this, in proportion: another job's chunk waits as long.
+WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
 TURN_PRIORITY: Final = 0.0
 #: Seconds for which a chunk that waits at the executor is passed by later ones of smaller jobs; less if its
@@ -254,11 +256,10 @@ class Supervisor:
         """Tell the rotation how long a chunk took since it was submitted: a slice at most."""
         error = _error_of(finished.future)
         if error is None:
-            seconds = min(finished.future.result().seconds, SLICE_SECONDS)
+            seconds = min(finished.future.result().seconds, self._rotation.slice_seconds)
         else:
-            seconds = (
-                SLICE_SECONDS if isinstance(error, ChunkPaused) else min(run.chunk_seconds, SLICE_SECONDS)
-            )
+            most = self._rotation.slice_seconds
+            seconds = most if isinstance(error, ChunkPaused) else min(run.chunk_seconds, most)
         if finished.chunk in run.turns:
             self._rotation.end_turn(run.chunk_seconds, seconds)
         else:
@@ -297,6 +298,8 @@ class Supervisor:
         cluster = self.cluster = self._executor.state()
         # Without workers as for one: what waits at the scheduler has a cluster that can grow start some.
         self._slots = self._settings.window * max(cluster.workers, 1) if cluster.connected else 0
+        # Of many workers one is free soon, however long each is busy.
+        self._rotation.slice_seconds = max(SLICE_SECONDS, cluster.workers * SLICE_SECONDS / WORKERS_TO_WAIT)
         pause = self._settings.heartbeat_seconds * (1.0 if cluster.workers else IDLE_SHARE)
         self._next_sync = time.monotonic() + pause
         for submitting in self._runs.values():
@@ -394,7 +397,8 @@ class Supervisor:
         store.create(prepared.store_url, prepared.layout, prepared.attributes)
         store.clear_cancelled(prepared.store_url)
         store.sweep_leftovers(prepared.store_url)
-        return JobRun(job, prepared, self._ledger.done_mask(job), self._policy)
+        paused = store.checkpoints_in(prepared.store_url)
+        return JobRun(job, prepared, self._ledger.done_mask(job), self._policy, paused)
 
     def _mark_running(self, job: JobRecord) -> bool:
         """Whether the job may run: it may have been cancelled, or deleted, since its store was created."""
@@ -549,7 +553,12 @@ class Supervisor:
         seconds = self._time_limit(run, chunk)
         try:
             future = self._executor.submit(
-                run.prepared.spec, chunk, run.prepared.store_url, seconds=seconds, priority=priority
+                run.prepared.spec,
+                chunk,
+                run.prepared.store_url,
+                seconds=seconds,
+                priority=priority,
+                terms=Terms(self._rotation.slice_seconds, begins=run.begins(chunk.index)),
             )
         except Exception as error:  # noqa: BLE001 - whatever it is, the retry policy decides what follows
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)

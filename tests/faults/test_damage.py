@@ -194,7 +194,7 @@ def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed
         intact = files(service.store(here))
     for _ in range(2):
         addresses = {damage(service.store(here), chance) for _ in range(4)}
-        chunks = {tuple(address.split("/")[2:6]) for address in addresses}
+        chunks = {coords_of(address) for address in addresses}
         with running(tmp_path) as service:
             wait_for(lambda here=here, intact=intact: files(service.store(here)) == intact)
             service.wait(here)

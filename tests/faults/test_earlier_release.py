@@ -4,6 +4,7 @@ The folder holds a job that is done and one that was stopped after 3 of its 12 c
 """
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -17,17 +18,20 @@ from earlier_release import EXPECTED, unpacked
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held, Scripted, wait_for
-from served import get, service
+from served import RAMP, finished, get, service
 from stores import checksum
 
 from kernel.params import KERNEL_VERSION
 from service.cli.main import main
 from service.client import Client, Conflict
+from service.jobs.ledger import Ledger
 from service.server import embedded
 from worker import store
+from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
+from worker.studies import run_task
 
 DONE, INTERRUPTED = (f"/v1/jobs/{EXPECTED[name]['id']}" for name in ("done", "interrupted"))
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
@@ -52,7 +56,8 @@ def spec_of(folder: Path, name: str) -> SweepSpec:
 
 def recorded_checksums(folder: Path, name: str) -> list[str]:
     """The ledger's, chunk by chunk."""
-    query = "SELECT lower(hex(checksum)) FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
+    digits = "CASE typeof(checksum) WHEN 'blob' THEN lower(hex(checksum)) ELSE checksum END"
+    query = f"SELECT {digits} FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
     with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger:
         return [row[0] for row in ledger.execute(query, (EXPECTED[name]["id"],))]
 
@@ -340,3 +345,40 @@ def test_client_and_commands_follow_to_the_new_job(folder: Path):
         with pytest.raises(Conflict, match="submit the sweep again"):
             client.job(done).resume()
         assert f"the job is {NOTICE}" in bounce("threshold", done).stderr
+
+
+# A store of the format of then, with this kernel
+
+
+def test_a_job_begun_in_the_first_format_goes_on_in_it(tmp_path: Path):
+    """As a development version before 0.2.0 left it: some chunks are done, one writer was killed."""
+    with service(tmp_path / "new", executor := Inline()) as client:
+        new = finished(client, RAMP)
+    executor.close()
+    url, old = tmp_path / "new" / "stores" / f"{new[9:]}.zarr", tmp_path / "old"
+    with service(old, Held(capacity=0)) as client:
+        assert client.post("/v1/jobs", json=RAMP).headers["Location"] == new
+    cut = store.chunk_shape(str(url))
+    first, spec = old / "stores" / url.name, SweepSpec(**RAMP)
+    plan, laid_out = make_plan(spec, chunk_shape=cut), replace(layout(spec, cut), format=1)
+    shutil.rmtree(first, ignore_errors=True)
+    store.create(str(first), laid_out)
+    reports = [run_task(spec, chunk, str(first)) for chunk in plan[: len(plan) // 2]]
+    change_ledger(old, "UPDATE jobs SET store_format = 1")
+    with Ledger(old / "ledger.sqlite") as ledger, ledger.writing() as writing:
+        job = writing.find(new[9:])
+        assert job is not None
+        writing.mark_done(job, reports)
+    leftover = first / "outcome/c/0/0/0/0.0123.partial"
+    leftover.write_bytes(b"half")
+    with service(old, executor := Scripted()) as client:
+        wait_for(lambda: get(client, new)["state"] == "done")
+        assert len(executor.tried) == len(plan) - len(reports)
+        wait_for(lambda: not leftover.exists())
+        wait_for(lambda: client.app.state.service.manager._is_verified(new[9:]))  # type: ignore[attr-defined]
+        assert client.get(f"{new}/zarr/outcome/c/0/0/0/0").status_code == 200
+        assert get(client, f"{new}/diagram", omega=0.5, xi=0.26, direction="up")["complete"]
+    executor.close()
+    there = {key.replace(".", "/"): content for key, content in files(first).items() if "/c" in key}
+    assert there == {key.replace(".", "/"): content for key, content in files(url).items() if "/c" in key}
+    assert store.format_of(str(first)) == 1

@@ -96,7 +96,9 @@ class ToyStudy:
     def parse(self, data: object) -> ToySpec:
         return ToySpec.model_validate(data)
 
-    def plan(self, spec: ToySpec, chunk_shape: tuple[int, ...] | None = None) -> ToyPlan:
+    def plan(
+        self, spec: ToySpec, chunk_shape: tuple[int, ...] | None = None, longest: float = 30.0
+    ) -> ToyPlan:
         return ToyPlan(spec.last, (chunk_shape or (7,))[:1])
 
     def variables(self, spec: ToySpec, chunk_shape: tuple[int, ...]) -> Layout:

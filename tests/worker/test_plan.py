@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 import kernel.line  # noqa: F401 - registers the models' lanes
 from kernel.interface import advance_lanes
 from kernel.params import LANES
+from worker import schema
 from worker.cost import (
     FOLLOWED_SHARE,
     SETTLING_SHARE,
@@ -26,6 +27,7 @@ from worker.cost import (
 )
 from worker.plan import (
     FEWEST_CHUNKS,
+    MAX_SHARD_BYTES,
     TARGET_SECONDS,
     Chunk,
     Plan,
@@ -383,3 +385,42 @@ def test_too_many_bytes_are_refused_with_the_limit():
 def test_absurd_sweep_is_refused_by_default():
     with pytest.raises(SpecTooLarge):
         check_size(cost_of(sweep(100_000, 100_000, 100_000)))
+
+
+# Many chunks
+
+
+def huge(kind: str, xi: int) -> SweepSpec:
+    axes = {"gamma": (0.5, 6.0, 1000), "omega": (0.1, 5.0, 1000), "xi": (0.02, 5.0, xi)}
+    ranges = {name: dict(zip(("start", "stop", "num"), axis, strict=True)) for name, axis in axes.items()}
+    return SweepSpec.model_validate({**ranges, "model": {"kind": kind}})
+
+
+@pytest.mark.parametrize("kind", ["rigid", "soft"])
+def test_a_billion_cells_are_less_than_a_hundred_thousand_files(kind: str):
+    spec = huge(kind, 1000)
+    plan, files = make_plan(spec), len(list(schema.arrays(spec)))
+    assert len(plan) * files < 100_000
+    cut = schema.layout(spec, plan.chunk_shape)
+    assert cut.inner_sizes is not None
+    inner = math.prod(cut.inner_sizes.values()) * schema.bytes_per_cell(spec)
+    assert inner <= schema.INNER_BYTES < cut.chunk_bytes <= MAX_SHARD_BYTES
+    assert all(size % cut.inner_sizes[dim] == 0 for dim, size in cut.chunk_sizes.items())
+
+
+def test_chunks_of_a_large_job_are_longer_but_not_longer_than_asked_for():
+    def seconds(spec: SweepSpec, **options: float) -> float:
+        chunk = make_plan(spec, **options)[0]
+        return chunk.cells * cell_seconds(spec)
+
+    assert seconds(huge("soft", 10)) <= TARGET_SECONDS * 1.001
+    assert 2.0 < seconds(huge("soft", 100)) < 3.0
+    assert 20.0 < seconds(huge("soft", 1000)) < 30.0
+    assert 7.0 < seconds(huge("soft", 1000), longest=10.0) < 10.1
+    assert seconds(huge("soft", 1000), longest=TARGET_SECONDS) <= TARGET_SECONDS * 1.001
+
+
+def test_ordinary_jobs_have_no_shards():
+    for xi in (2, 20, 100):
+        spec = huge("rigid", xi)
+        assert schema.layout(spec, make_plan(spec).chunk_shape).inner_sizes is None

@@ -23,6 +23,8 @@ from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.store import backend
+from worker.studies import run_task
+from worker.tasks import Terms, on_terms
 
 BUCKET_URL = "s3://results/of/sweeps"
 
@@ -99,6 +101,47 @@ def test_every_byte_is_the_same(both: dict[str, tuple[TestClient, str]]):
         stored = [client.get(f"{job_path}/zarr/{key}") for client, job_path in both.values()]
         assert stored[0].status_code == 200, key
         assert stored[0].content == stored[1].content, key
+
+
+class Counting:
+    """A bucket's client that notes its calls, and those that are under way at the same time."""
+
+    def __init__(self, real: Any) -> None:
+        self._real, self.calls, self._now, self.most = real, [], 0, 0
+
+    def __getattr__(self, name: str) -> Any:
+        def call(*given: Any, **more: Any) -> Any:
+            self.calls.append(name)
+            self._now += 1
+            self.most = max(self.most, self._now)
+            try:
+                return getattr(self._real, name)(*given, **more)
+            finally:
+                self._now -= 1
+
+        return call
+
+
+def test_a_chunk_is_stored_with_few_requests(bucket: str, monkeypatch: pytest.MonkeyPatch):
+    """One for each array, several at once; what the chunks before it have asked is not asked again."""
+    spec, url = SweepSpec(**RAMP | {"protocol": {"kind": "rest"}}), f"{BUCKET_URL}/few.zarr"
+    plan = make_plan(spec, chunk_shape=(1, 1, 4))
+    store.create(url, layout(spec, plan.chunk_shape))
+    real = backend._bucket
+    counting = Counting(real(url))
+    monkeypatch.setattr(backend, "_bucket", lambda address: counting if address == url else real(address))
+    with on_terms(Terms(begins=True)):
+        run_task(spec, plan[0], url)
+        first = len(counting.calls)
+        reports = [run_task(spec, chunk, url) for chunk in plan[1:4]]
+    assert counting.calls[first:] == ["put"] * 6 * 3
+    assert counting.most > 1
+    assert list(store.find_corrupt(url, layout(spec, plan.chunk_shape), [
+        (chunk, report.checksum) for chunk, report in zip(plan[1:4], reports, strict=True)
+    ])) == []  # fmt: skip
+    sizes = store.stored_sizes(url, layout(spec, plan.chunk_shape))
+    assert sizes is not None
+    assert sorted(sizes[sizes >= 0].tolist())[1:] == sorted(report.bytes or 0 for report in reports)
 
 
 def test_checksums_hold_and_find_what_was_changed(both: dict[str, tuple[TestClient, str]]):

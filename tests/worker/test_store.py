@@ -580,6 +580,7 @@ def test_a_store_of_another_format_is_not_continued_unnoticed(first_format, spec
 @pytest.fixture
 def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     """A store whose chunks are shards of 2 × 2 × 2 inner chunks at least."""
+    monkeypatch.setattr(schema, "SHARD_BYTES", 2000)
     monkeypatch.setattr(schema, "INNER_BYTES", 2000)
     plan, url = make_plan(spec, chunk_shape=(2, 2, 8)), str(tmp_path / "sharded.zarr")
     store.create(url, layout(spec, plan.chunk_shape))

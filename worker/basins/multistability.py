@@ -40,10 +40,10 @@ from worker.basins.starts import starts_of
 from worker.basins.steps import Steps, line_run
 from worker.cost import Cost, cell_seconds, period_seconds
 from worker.grid_plan import Block, GridPlan
-from worker.plan import TARGET_SECONDS
+from worker.plan import LONGEST_SECONDS, TARGET_SECONDS
 from worker.schema import Layout
 from worker.spec import AXES
-from worker.tasks import SLICE_SECONDS, ChunkReport
+from worker.tasks import TERMS, ChunkReport
 
 #: Attractors of a cell that are stored: those that most drops reach, then those found by following others.
 MAX_ATTRACTORS: Final = 8
@@ -373,7 +373,12 @@ class MultistabilityStudy:
     def parse(self, data: object) -> MultistabilitySpec:
         return MultistabilitySpec.parse(data)
 
-    def plan(self, spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+    def plan(
+        self,
+        spec: MultistabilitySpec,
+        chunk_shape: tuple[int, ...] | None = None,
+        longest: float = LONGEST_SECONDS,
+    ) -> GridPlan:
         return make_plan(spec, chunk_shape)
 
     def variables(self, spec: MultistabilitySpec, chunk_shape: tuple[int, ...]) -> Layout:
@@ -393,7 +398,7 @@ class MultistabilityStudy:
         )
 
     def task(self, spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, SLICE_SECONDS)
+        return run_chunk(spec, chunk, store_url, TERMS.get().slice_seconds)
 
 
 MULTISTABILITY: Final = MultistabilityStudy()

@@ -28,10 +28,10 @@ from worker.basins.starts import starts_of
 from worker.basins.steps import Steps, line_run
 from worker.cost import Cost, cell_seconds, period_seconds
 from worker.grid_plan import Block, GridPlan
-from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
+from worker.plan import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.schema import Array, Layout
 from worker.spec import AXES, SweepSpec
-from worker.tasks import SLICE_SECONDS, ChunkReport
+from worker.tasks import TERMS, ChunkReport
 
 #: Attractors of a cell that are stored, the largest basins first. Starts of others count as undecided.
 MAX_ATTRACTORS: Final = 32
@@ -226,7 +226,9 @@ class BasinStudy:
     def parse(self, data: object) -> BasinSpec:
         return BasinSpec.parse(data)
 
-    def plan(self, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> GridPlan:
+    def plan(
+        self, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None, longest: float = LONGEST_SECONDS
+    ) -> GridPlan:
         return make_plan(spec, chunk_shape)
 
     def variables(self, spec: BasinSpec, chunk_shape: tuple[int, ...]) -> Layout:
@@ -243,7 +245,7 @@ class BasinStudy:
         )
 
     def task(self, spec: BasinSpec, chunk: Block, store_url: str) -> ChunkReport:
-        return run_chunk(spec, chunk, store_url, SLICE_SECONDS)
+        return run_chunk(spec, chunk, store_url, TERMS.get().slice_seconds)
 
 
 BASINS: Final = BasinStudy()

@@ -4,12 +4,14 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from worker.studies import Chunk, Spec
-from worker.tasks import ChunkReport
+from worker.tasks import ChunkReport, Terms
 
 Result = TypeVar("Result")
+
+USUAL: Final = Terms()
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,14 @@ class Executor(Protocol):
     """
 
     def submit(
-        self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+        self,
+        spec: Spec,
+        chunk: Chunk,
+        store_url: str,
+        *,
+        seconds: float = math.inf,
+        priority: float = 0,
+        terms: Terms = USUAL,
     ) -> "Future[ChunkReport]":
         """Compute one chunk: `studies.run_task(spec, chunk, store_url)` on a worker.
 

@@ -13,8 +13,9 @@ from typing import Any, Final
 from distributed import KilledWorker
 
 from worker import store
-from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
-from worker.executors.base import ClusterState, Result
+from worker.executors.admission import Probe, Requirements, facts
+from worker.executors.base import USUAL, ClusterState, Result
+from worker.executors.bundles import Bundles, Call
 from worker.executors.connection import SchedulerConnection
 from worker.executors.errors import (
     ClusterLost,
@@ -27,11 +28,11 @@ from worker.executors.errors import (
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.quarantine import MARKS, REST_SECONDS, Quarantine
 from worker.executors.roster import Roster
+from worker.executors.sent_specs import SentSpecs, run_sent
 from worker.executors.targets import Fixed, Made, SchedulerFile, Target
 from worker.executors.worker_plugin import PreparedWorker, rest
 from worker.studies import Chunk, Spec
-from worker.tasks import ChunkReport, TaskError
-from worker.watchdog import run_watched
+from worker.tasks import ChunkReport, TaskError, Terms
 
 log = logging.getLogger(__name__)
 
@@ -89,6 +90,7 @@ class Dask:
         self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
         self._target: Target = Fixed(None)
         self._roster, self._quarantine = Roster(), Quarantine()
+        self._bundles, self._specs = Bundles(), SentSpecs()
         try:
             if address is None and scheduler_file is None:
                 self._workers = LocalWorkers(workers, memory)
@@ -110,11 +112,18 @@ class Dask:
             raise
 
     def submit(
-        self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+        self,
+        spec: Spec,
+        chunk: Chunk,
+        store_url: str,
+        *,
+        seconds: float = math.inf,
+        priority: float = 0,
+        terms: Terms = USUAL,
     ) -> "Future[ChunkReport]":
-        identity = (store_url, chunk.index)
+        sent, identity = self._specs.sent(spec, store_url), (store_url, chunk.index)
         return self._submit(
-            run_watched, spec, chunk, store_url, seconds, priority=priority, identity=identity
+            run_sent, sent, chunk, store_url, seconds, terms, priority=priority, identity=identity
         )
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
@@ -163,19 +172,26 @@ class Dask:
     def _submit(
         self, function: Callable[..., Any], *arguments: Any, priority: float, identity: Hashable = None
     ) -> "Future[Any]":
-        """Submit to the scheduler. Raises ClusterLost, also if the connection is lost at this moment."""
+        """Submit to the scheduler, together with what is submitted at the same time. Raises ClusterLost."""
         client = self._connection.client
         others = self._others(identity)
+        call = Call((function, *arguments), priority, tuple(others or ()))
+        outcome = self._submitted(client, call, identity, others)
         try:
-            future = client.submit(
-                run_if_admitted, function, *arguments, pure=False, priority=priority, workers=others
-            )
-            outcome = self._outcome(future, identity, others)
             return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
+        except Exception as error:  # the loop is closed
+            outcome.close()
+            raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
+
+    async def _submitted(self, client: Any, call: Call, identity: Hashable, others: list[str] | None) -> Any:
+        """The result of a task, in the client's event loop. Raises ClusterLost if there is none any more."""
+        try:
+            future = await self._bundles.add(client, call)
         except Exception as error:  # distributed raises whatever comes when its client is closing
             if client.status != "running":
                 raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
             raise
+        return await self._outcome(future, identity, others)
 
     def _others(self, identity: Hashable) -> list[str] | None:
         """The workers on which a chunk that failed has not failed yet; None for all, or if there are none."""

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from worker.executors.base import ClusterState, Result
+from worker.executors.base import USUAL, ClusterState, Result
 from worker.studies import Chunk, Spec, run_task
-from worker.tasks import ChunkReport
+from worker.tasks import ChunkReport, Terms, on_terms
 
 
 class Inline:
@@ -23,9 +23,16 @@ class Inline:
         self._open = True
 
     def submit(
-        self, spec: Spec, chunk: Chunk, store_url: str, *, seconds: float = math.inf, priority: float = 0
+        self,
+        spec: Spec,
+        chunk: Chunk,
+        store_url: str,
+        *,
+        seconds: float = math.inf,
+        priority: float = 0,
+        terms: Terms = USUAL,
     ) -> "Future[ChunkReport]":
-        return self._threads.submit(run_task, spec, chunk, store_url)
+        return self._threads.submit(_run, spec, chunk, store_url, terms)
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._threads.submit(function, *arguments)
@@ -44,3 +51,8 @@ class Inline:
     def close(self) -> None:
         self._open = False
         self._threads.shutdown(cancel_futures=True)
+
+
+def _run(spec: Spec, chunk: Chunk, store_url: str, terms: Terms) -> ChunkReport:
+    with on_terms(terms):
+        return run_task(spec, chunk, store_url)

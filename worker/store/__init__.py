@@ -14,7 +14,7 @@ from worker.store.backend import (
     rename_for_deletion,
 )
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
-from worker.store.checkpoints import read_checkpoint, remove_checkpoint, write_checkpoint
+from worker.store.checkpoints import checkpoints_in, read_checkpoint, remove_checkpoint, write_checkpoint
 from worker.store.chunks import Stored, checksum_of, discard, find_corrupt, stored_sizes, sync_folders
 from worker.store.errors import (
     ChunkCoords,
@@ -25,6 +25,7 @@ from worker.store.errors import (
     StoreMissing,
 )
 from worker.store.probe import read_probe, write_probe
+from worker.store.sent_spec import read_spec, write_spec
 from worker.store.store import (
     check_chunk,
     chunk_shape,
@@ -49,6 +50,7 @@ __all__ = [
     "Stored",
     "check_address",
     "check_chunk",
+    "checkpoints_in",
     "checksum_of",
     "chunk_shape",
     "clear_cancelled",
@@ -67,6 +69,7 @@ __all__ = [
     "read_key",
     "read_probe",
     "read_slice",
+    "read_spec",
     "remove",
     "remove_checkpoint",
     "rename_for_deletion",
@@ -78,4 +81,5 @@ __all__ = [
     "write_checkpoint",
     "write_chunk",
     "write_probe",
+    "write_spec",
 ]

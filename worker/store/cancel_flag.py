@@ -1,5 +1,7 @@
 """The cancel flag, an empty file beside a store, and the partial files of killed writers inside it."""
 
+import math
+import time
 from pathlib import Path
 from typing import Final
 
@@ -8,8 +10,16 @@ from worker.store import backend
 _SUFFIX: Final = ".cancelled"
 
 
+#: A bucket is not asked again for so long after the flag was not set, by any task of this process, and of so
+#: many stores.
+REMEMBERED_SECONDS: Final = 1.0
+MOST_REMEMBERED: Final = 256
+_unset: dict[str, float] = {}  # when the flag was found not set, by store
+
+
 def set_cancelled(url: str) -> None:
     """Set the cancel flag, which makes every task of this store stop. The store need not exist yet."""
+    _unset.pop(url, None)
     backend.put_flag(f"{url}{_SUFFIX}")
 
 
@@ -19,8 +29,18 @@ def clear_cancelled(url: str) -> None:
 
 
 def is_cancelled(url: str) -> bool:
-    """Whether the cancel flag is set."""
-    return backend.has_flag(f"{url}{_SUFFIX}")
+    """Whether the cancel flag is set; in a bucket, whether it was a second ago."""
+    if not backend.in_bucket(url):
+        return backend.has_flag(f"{url}{_SUFFIX}")
+    now = time.monotonic()
+    if now - _unset.get(url, -math.inf) < REMEMBERED_SECONDS:
+        return False
+    if backend.has_flag(f"{url}{_SUFFIX}"):
+        return True
+    if len(_unset) >= MOST_REMEMBERED:
+        _unset.clear()
+    _unset[url] = now
+    return False
 
 
 def sweep_leftovers(url: str, *, everywhere: bool = False) -> int:

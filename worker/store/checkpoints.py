@@ -7,7 +7,7 @@ anew, with the same result.
 import hashlib
 import io
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 from zipfile import BadZipFile
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from worker.store import backend
 
+_PREFIX: Final = ".checkpoint-"
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
@@ -41,10 +42,16 @@ def read_checkpoint(url: str, chunk: int) -> dict[str, NDArray[Any]] | None:
         return None
 
 
+def checkpoints_in(url: str) -> list[int]:
+    """The chunks that have a checkpoint in a store."""
+    names = (name.removeprefix(_PREFIX) for name in backend.names_in(url) if name.startswith(_PREFIX))
+    return [int(number) for number in names if number.isdecimal()]
+
+
 def remove_checkpoint(url: str, chunk: int) -> None:
     """Remove a chunk's checkpoint, if there is one."""
     backend.delete(url, _key(chunk))
 
 
 def _key(chunk: int) -> str:
-    return f".checkpoint-{chunk}"
+    return f"{_PREFIX}{chunk}"

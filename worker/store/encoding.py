@@ -9,8 +9,8 @@ from itertools import product
 from math import prod
 from typing import Any, Final, NamedTuple
 
-import google_crc32c
 import numpy as np
+from numcodecs.checksum32 import CRC32C
 from numcodecs.zstd import compress, decompress
 from numpy.typing import NDArray
 
@@ -20,6 +20,8 @@ LEVEL: Final = 3
 _ABSENT: Final = 2**64 - 1
 _INDEX_ENTRY: Final = 16
 _CRC: Final = 4
+#: Puts the checksum of a shard's index behind it, and compares it.
+_CHECKED: Final = CRC32C(location="end")
 
 
 class ArrayForm(NamedTuple):
@@ -69,8 +71,7 @@ def encode(form: ArrayForm, values: NDArray[Any]) -> bytes:
             index[number] = offset, len(part)
             offset += len(part)
             parts.append(part)
-    entries = index.tobytes()
-    return b"".join([*parts, entries, google_crc32c.value(entries).to_bytes(_CRC, "little")])
+    return b"".join([*parts, _CHECKED.encode(index.tobytes())])
 
 
 def decode(form: ArrayForm, content: bytes) -> NDArray[Any]:
@@ -82,9 +83,12 @@ def decode(form: ArrayForm, content: bytes) -> NDArray[Any]:
 
 def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) -> list[tuple[int, int]]:
     """Offset and length of inner chunks, by their coordinates in a shard. Raises ValueError for damage."""
-    entries, crc = index[:-_CRC], index[-_CRC:]
-    if len(index) != form.index_bytes or google_crc32c.value(entries) != int.from_bytes(crc, "little"):
-        raise ValueError("the index of the shard is damaged")
+    try:
+        entries = bytes(_CHECKED.decode(index))
+    except RuntimeError as error:
+        raise ValueError(f"the index of the shard is damaged: {error}") from None
+    if len(index) != form.index_bytes:
+        raise ValueError("the shard is cut off")
     table = np.frombuffer(entries, "<u8").reshape(*form.inner_counts, 2)
     spans = [(int(table[coords][0]), int(table[coords][1])) for coords in inner]
     if any(offset == _ABSENT for offset, _ in spans):
