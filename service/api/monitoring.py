@@ -1,5 +1,6 @@
 """What operators monitor: readiness, and metrics for Prometheus."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -7,7 +8,13 @@ from importlib.metadata import version
 from typing import Final
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    Metric,
+)
 from prometheus_client.registry import Collector
 
 from kernel.params import KERNEL_VERSION
@@ -127,6 +134,27 @@ class _JobsCollector(Collector):
         for (action, error), number in tally.returned.items():
             returned.add_metric([action, error], number)
         yield returned
+        durations = HistogramMetricFamily(
+            "bounce_chunk_duration_seconds", "Seconds of workers for each chunk computed since the start."
+        )
+        buckets = [
+            ("+Inf" if limit == math.inf else f"{limit:g}", float(number))
+            for limit, number in tally.by_seconds
+        ]
+        durations.add_metric([], buckets, tally.seconds)
+        yield durations
+        yield GaugeMetricFamily(
+            "bounce_core_seconds_remaining",
+            "Core-seconds that the unfinished jobs will take, by the cost table.",
+            self._manager.remaining_seconds,
+        )
+        verified, damaged = self._manager.scrubbed
+        yield CounterMetricFamily(
+            "bounce_chunks_verified", "Stored chunks whose checksums were verified since the start.", verified
+        )
+        yield CounterMetricFamily(
+            "bounce_chunks_damaged", "Stored chunks that verifying found damaged since the start.", damaged
+        )
 
     def describe(self) -> list[Metric]:
         return []

@@ -69,6 +69,16 @@ class JobManager:
         """How chunks came back since the start."""
         return self._supervisor.tally
 
+    @property
+    def remaining_seconds(self) -> float:
+        """Core-seconds that the unfinished jobs will take, by the cost table, as found last."""
+        return self._supervisor.remaining_seconds
+
+    @property
+    def scrubbed(self) -> tuple[int, int]:
+        """Stored chunks that were verified since the start, and those found damaged."""
+        return self._scrubber.verified_chunks, self._scrubber.damaged_chunks
+
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
 

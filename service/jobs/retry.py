@@ -11,11 +11,14 @@ A chunk can come back for five reasons, which count differently:
 """
 
 import errno
+import math
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from enum import Enum
+from itertools import accumulate
 from typing import Final, NamedTuple
 
 from worker import store
@@ -26,6 +29,9 @@ from worker.tasks import ChunkCancelled, ChunkPaused, PredecessorMissing
 #: A worker's death often takes innocent chunks with it. After this many such losses a chunk is a suspect
 #: itself, and each further one counts as a failed try.
 MAX_COLLATERAL_LOSSES: Final = 10
+
+#: Limits of the counts of chunks by what they took.
+BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 #: Operating-system errors that every other chunk of the job would meet too: disk full, quota used up,
 #: file size limit, read-only file system.
@@ -113,16 +119,23 @@ class Tally:
     def __init__(self) -> None:
         self.computed = 0
         self.seconds = 0.0  # of workers, for these
+        self._by_seconds = [0] * (len(BUCKET_SECONDS) + 1)
         self._returned: Counter[tuple[str, str]] = Counter()
 
     def add_computed(self, seconds: float) -> None:
         """A chunk came back with a report."""
         self.computed += 1
         self.seconds += seconds
+        self._by_seconds[bisect_left(BUCKET_SECONDS, seconds)] += 1
 
     def add_returned(self, action: Action, error: BaseException) -> None:
         """A chunk came back without a report."""
         self._returned[action.value, type(error).__name__] += 1
+
+    @property
+    def by_seconds(self) -> list[tuple[float, int]]:
+        """How many of them took so many seconds at most, for each of BUCKET_SECONDS, and in all."""
+        return list(zip((*BUCKET_SECONDS, math.inf), accumulate(self._by_seconds), strict=True))
 
     @property
     def returned(self) -> dict[tuple[str, str], int]:

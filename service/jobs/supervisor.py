@@ -112,6 +112,7 @@ class Supervisor:
         self._policy = RetryPolicy(settings.chunk_tries, settings.failed_chunks)
         self.tally = Tally()
         self.cluster = ClusterState(connected=True, workers=1)  # as the last sync found it
+        self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
         self._selector = ModelSelector(ledger, executor, preparer, self.wake)
         self._inbox: SimpleQueue[Message] = SimpleQueue()
         self._messages: deque[Message] = deque()  # received, and not yet taken in
@@ -334,6 +335,8 @@ class Supervisor:
         """Tell the executor what is left to compute, in two digits: at each sync a little less is left."""
         runs = [run for run in self._runs.values() if run.at_once]
         waiting = self._waiting.values()
+        self.remaining_seconds = sum(run.remaining_seconds for run in self._runs.values())
+        self.remaining_seconds += sum(job.remaining_seconds for job in waiting)
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
         at_once = sum(run.at_once for run in runs) + len(waiting)
         self._executor.ask_for(_two_digits(seconds), int(_two_digits(at_once)))

@@ -50,6 +50,7 @@ class Scrubber:
         self._preparer, self._repairer = preparer, repairer
         self._verified: set[str] = set()
         self.unknown_stores: Sequence[str] = ()  # addresses; the ledger did not know them at the start
+        self.verified_chunks = self.damaged_chunks = 0  # since the start
         self._newest = 0  # the last job there was at the start; later ones need no verification
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="scrubber", daemon=True)
@@ -189,11 +190,13 @@ class Scrubber:
         verified[[chunk.index - first for chunk, _ in unread if chunk.index not in damaged]] = True
         with self._ledger.writing() as ledger:
             ledger.note_verified(job, page, verified)
+        self.verified_chunks += len(unread)
         self._invalidate(job, sorted(damaged))
         return True
 
     def _invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
         if chunks:
+            self.damaged_chunks += len(chunks)
             self._repairer.invalidate(job, chunks)
 
     def _find_unknown(self) -> None:
