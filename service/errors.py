@@ -10,6 +10,7 @@
     ├── CrossOriginRefused     a web page of another origin sent the request
     ├── UnknownJob             no job has this id
     ├── NotInStore             a job's store has nothing under this key
+    ├── OutOfRange             the bytes that Range asks for are not there
     ├── KeyReused              an Idempotency-Key was used before with another body
     ├── IllegalTransition      the job's state does not allow this
     ├── OutdatedJob            another kernel version computed it: this would mix two versions
@@ -86,6 +87,14 @@ class UnknownJob(ServiceError):
 
 class NotInStore(ServiceError):
     """A job's store has nothing under this key."""
+
+
+class OutOfRange(ServiceError):
+    """What is under a key is shorter than the Range that was asked for; `size`: its bytes."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__(f"the Range begins behind the {size} bytes that are there")
+        self.size = size
 
 
 class KeyReused(ServiceError):

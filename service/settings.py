@@ -51,6 +51,11 @@ class Settings(BaseSettings):
         frozenset(),
         description="Host names accepted beside loopback and `host`, separated by commas; `*` accepts any.",
     )
+    cors_origins: Annotated[frozenset[str], NoDecode] = Field(
+        frozenset(),
+        description="Origins, separated by commas, whose web pages may read what the service answers to GET, "
+        "such as `https://example.org`.",
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="Messages below this level are not logged."
     )
@@ -179,6 +184,18 @@ class Settings(BaseSettings):
         """Split a text at its commas, as an environment variable gives it."""
         names = value.split(",") if isinstance(value, str) else value
         return frozenset(str(name).strip().lower() for name in names) - {""}
+
+    @field_validator("cors_origins", mode="before")
+    @classmethod
+    def _split_origins(cls, value: Any) -> Any:
+        """Split a text at its commas. Raises ValueError for what no browser sends as an origin."""
+        origins = value.split(",") if isinstance(value, str) else value
+        found = frozenset(str(origin).strip().lower().rstrip("/") for origin in origins) - {""}
+        for origin in found:
+            parts = urlsplit(origin)
+            if f"{parts.scheme}://{parts.netloc}" != origin or parts.scheme not in ("http", "https"):
+                raise ValueError(f"{origin[:80]}: an origin is http(s)://HOST or http(s)://HOST:PORT")
+        return found
 
     @field_validator("scheduler")
     @classmethod

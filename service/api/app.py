@@ -65,7 +65,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(BodyLimit, max_bytes=settings.max_body_bytes, timeout=settings.body_seconds)
-    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens)
+    app.add_middleware(AccessControl, hosts=settings.hosts, tokens=tokens, origins=settings.cors_origins)
     app.add_middleware(AccessLog, metrics=metrics)  # added last, so the outermost: it logs refusals too
     app.openapi = cache(  # type: ignore[method-assign]
         partial(openapi.document, app, needs_token=bool(tokens))

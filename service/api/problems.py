@@ -31,6 +31,7 @@ from service.errors import (
     NotComputed,
     NotInStore,
     OutdatedJob,
+    OutOfRange,
     QueueFull,
     TooLarge,
     TooManyListeners,
@@ -58,6 +59,7 @@ STATUS: Final[Mapping[type[Exception], HTTPStatus]] = {
     CrossOriginRefused: HTTPStatus.FORBIDDEN,
     UnknownJob: HTTPStatus.NOT_FOUND,
     NotInStore: HTTPStatus.NOT_FOUND,
+    OutOfRange: HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
     KeyReused: HTTPStatus.CONFLICT,
     IllegalTransition: HTTPStatus.CONFLICT,
     OutdatedJob: HTTPStatus.CONFLICT,
@@ -130,7 +132,8 @@ def problem_response(error: Exception) -> ProblemResponse:
         log.error("the data folder cannot be used", exc_info=error)
         reason = error.strerror or type(error).__name__
         return ProblemResponse(status, f"the data folder cannot be used: {reason}; see the service log")
-    return ProblemResponse(status, str(error), getattr(error, "problems", ()))
+    headers = {"Content-Range": f"bytes */{error.size}"} if isinstance(error, OutOfRange) else None
+    return ProblemResponse(status, str(error), getattr(error, "problems", ()), headers)
 
 
 def internal_error(request_id: str) -> ProblemResponse:

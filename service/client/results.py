@@ -2,7 +2,7 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from service.client.display import PartsCallback
 from service.client.errors import BounceError
@@ -277,11 +277,33 @@ class Results(JobStatus):
         self._transport.download(self._path("export"), query, target)
         return target
 
-    def open(self) -> "xarray.Dataset":
-        """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable."""
+    def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
+        """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.
+
+        chunks: as `xarray.open_zarr` takes it; `{}` for dask arrays with the chunks that are stored. Such a
+        Dataset can be sent to workers of a Dask cluster, with the address of the service and the token.
+        direct: whether to read chunks where the service has them (`store_url`), if that can be read from
+        here; by default with `chunks`. Damage that is read directly is not reported to the service.
+        """
         from service.client.zarr_store import open_store
 
-        return open_store(self._transport, self._path("zarr"), self.id)
+        return open_store(
+            self._transport,
+            self._path("zarr"),
+            self.id,
+            chunks=chunks,
+            direct=chunks is not None if direct is None else direct,
+        )
+
+    @property
+    def store_url(self) -> str:
+        """Where the service has the store: a folder of its machine, or s3://BUCKET/PREFIX.
+
+        Raises StoreUnreachable, UnexpectedAnswer.
+        """
+        from service.client.zarr_store import store_url
+
+        return store_url(self._transport, self._path("zarr"), self.id)
 
     def _diagram(self, **query: str | float | None) -> "httpx2.Response":
         return self._transport.get(self._path("diagram"), query)

@@ -3,6 +3,7 @@
 import json
 import re
 import time
+import weakref
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -54,11 +55,8 @@ class Transport:
 
     def __init__(self, url: str, *, token: str | None, timeout: float, http: httpx2.Client | None) -> None:
         self.url, credentials = _split_credentials(_valid_url(url))
-        self._owns_http = http is None
-        self._http = http or httpx2.Client(
-            timeout=httpx2.Timeout(timeout, connect=min(timeout, CONNECT_SECONDS)),
-            trust_env=not _is_loopback(self.url),  # a proxy cannot reach this machine's own loopback
-        )
+        self._timeout, self._owns_http = timeout, http is None
+        self._http = http or self._connections()
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token in (None, "", AUTO):  # an empty variable means no token
             token = None if credentials else _own_token(self.url)
@@ -67,6 +65,21 @@ class Transport:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
         elif credentials:
             self._headers["Authorization"] = f"Basic {b64encode(credentials.encode()).decode()}"
+
+    def _connections(self) -> httpx2.Client:
+        return httpx2.Client(
+            timeout=httpx2.Timeout(self._timeout, connect=min(self._timeout, CONNECT_SECONDS)),
+            trust_env=not _is_loopback(self.url),  # a proxy cannot reach this machine's own loopback
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For pickle: everything, the token included, but the connections, which are made anew."""
+        return {name: value for name, value in vars(self).items() if name not in ("_http", "_owns_http")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._owns_http, self._http = True, self._connections()
+        weakref.finalize(self, self._http.close)  # nobody else will
 
     def close(self) -> None:
         """Close the connections, unless they belong to the caller."""

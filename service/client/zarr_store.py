@@ -3,32 +3,44 @@
 import asyncio
 import json
 from collections.abc import AsyncIterator, Iterable, Iterator
+from datetime import timedelta
+from http import HTTPStatus
 from typing import Any, Final, NoReturn
+from urllib.parse import unquote
 
 import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
-from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
+from zarr.core.sync import sync
+from zarr.storage import LocalStore, ObjectStore
 
 from service.client import accessor  # noqa: F401 - registers `dataset.bounce`
-from service.client.errors import NotFound, StoreUnreachable, UnexpectedAnswer
+from service.client.errors import NotFound, Refused, StoreUnreachable, UnexpectedAnswer
 from service.client.transport import Transport
 
 #: The codecs of the stores that the service writes. Others can do more than decode: one of them unpickles.
-CODECS: Final = frozenset({"bytes", "vlen-utf8", "zstd"})
+CODECS: Final = frozenset({"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "zstd"})
 #: The documents that describe groups and arrays; of zarr's version 2 there is none in our stores.
 _METADATA: Final = "zarr.json"
 _VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
+#: A bucket that does not answer soon is not read directly.
+_FEW_RETRIES: Final[Any] = {"max_retries": 1, "retry_timeout": timedelta(seconds=2)}
 _READ_ONLY: Final = "a job's store is read only"
 
 
-def open_store(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
+def open_store(
+    transport: Transport, path: str, job_id: str, *, chunks: Any = None, direct: bool = False
+) -> xarray.Dataset:
     """The store at `path` as a lazy Dataset: values are read where they are used. Raises StoreUnreachable.
 
-    Raises UnexpectedAnswer for a store that the service cannot have written.
+    chunks: as `xarray.open_zarr` takes it. direct: read chunks at the store's own address, if that can be
+    read from here. Raises UnexpectedAnswer for a store that the service cannot have written.
     """
+    address = store_url(transport, path, job_id) if direct else None
     try:
-        dataset: xarray.Dataset = xarray.open_zarr(HTTPStore(transport, path), consolidated=True, chunks=None)
+        store = HTTPStore(transport, path, address)
+        dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
     # Of stores of earlier releases, so that `to_netcdf` can write them too.
@@ -36,12 +48,54 @@ def open_store(transport: Transport, path: str, job_id: str) -> xarray.Dataset:
     return dataset.assign_attrs({name: json.dumps(value) for name, value in nested.items()})
 
 
-class HTTPStore(Store):
-    """A read-only zarr store: a key is a path below one address of the service."""
+def store_url(transport: Transport, path: str, job_id: str) -> str:
+    """Where the service has the store at `path`. Raises StoreUnreachable, UnexpectedAnswer."""
+    try:
+        response = transport.get(f"{path}/{_METADATA}")
+    except NotFound as error:
+        raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
+    address = response.headers.get("Bounce-Store")
+    if not address:
+        raise UnexpectedAnswer(f"{transport.url} does not tell where it has its stores")
+    return unquote(address)
 
-    def __init__(self, transport: Transport, path: str) -> None:
+
+class HTTPStore(Store):
+    """A read-only zarr store: a key is a path below one address of the service.
+
+    address: where the service has the store; chunks are read there, if the same store is there as seen from
+    this machine. What describes the arrays always comes from the service: it says how chunks are decoded.
+    Pickled, it has the service's address and the token.
+    """
+
+    def __init__(self, transport: Transport, path: str, address: str | None = None) -> None:
         super().__init__(read_only=True)
-        self._transport, self._path = transport, path
+        self._transport, self._path, self._address = transport, path, address
+        self._direct = None if address is None else self._same_store(address)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return HTTPStore, (self._transport, self._path, self._address)
+
+    @property
+    def reads_directly(self) -> bool:
+        """Whether chunks are read at the store's own address."""
+        return self._direct is not None
+
+    def _same_store(self, address: str) -> Store | None:
+        """The store at an address, if it is the job's; None if it cannot be read from here."""
+        try:
+            if address.startswith("s3://"):
+                from obstore.store import S3Store
+
+                store: Store = ObjectStore(
+                    S3Store.from_url(address, retry_config=_FEW_RETRIES), read_only=True
+                )
+            else:
+                store = LocalStore(address, read_only=True)
+            root = sync(store.get(_METADATA, default_buffer_prototype()))
+        except Exception:  # noqa: BLE001 - another machine's folder, no obstore, no key of the bucket
+            return None
+        return store if root is not None and root.to_bytes() == self._read(_METADATA) else None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, HTTPStore) and (self._transport, self._path) == (
@@ -59,8 +113,10 @@ class HTTPStore(Store):
         self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
         """The value of a key, or a part of it; None if there is none."""
-        content = await asyncio.to_thread(self._read, key)
-        return None if content is None else prototype.buffer.from_bytes(_slice(content, byte_range))
+        if self._direct is not None and not key.endswith((_METADATA, *_VERSION_2)):
+            return await self._direct.get(key, prototype, byte_range)
+        content = await asyncio.to_thread(self._read, key, byte_range)
+        return None if content is None else prototype.buffer.from_bytes(content)
 
     async def get_partial_values(
         self, prototype: BufferPrototype, key_ranges: Iterable[tuple[str, ByteRequest | None]]
@@ -72,23 +128,27 @@ class HTTPStore(Store):
         """Whether the key has a value."""
         return await asyncio.to_thread(self._read, key) is not None
 
-    def _read(self, key: str) -> bytes | None:
+    def _read(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
         if key.endswith(_VERSION_2):
             return None
         try:
-            content = self._transport.get(f"{self._path}/{key}").content
+            response = self._transport.get(f"{self._path}/{key}", headers=_range_header(byte_range))
         except NotFound:
             return None
+        except Refused as error:
+            if error.status != HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+                raise
+            return b""
         if key.endswith(_METADATA):
-            self._check(key, content)
-        return content
+            self._check(key, response.content)
+        # A service of an earlier release sends all bytes.
+        return response.content if response.status_code == 206 else _slice(response.content, byte_range)
 
     def _check(self, key: str, content: bytes) -> None:
         """Raise UnexpectedAnswer unless all arrays in a metadata document use codecs of ours only."""
         try:
-            unknown = {
-                codec["name"] for array in _arrays(json.loads(content)) for codec in array["codecs"]
-            } - CODECS
+            arrays = _arrays(json.loads(content))
+            unknown = {name for array in arrays for name in _names(array["codecs"])} - CODECS
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise UnexpectedAnswer(f"{self}/{key} is not the metadata of a bounce store") from error
         if unknown:
@@ -133,6 +193,24 @@ def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield document
     for inner in ((document.get("consolidated_metadata") or {}).get("metadata") or {}).values():
         yield from _arrays(inner)
+
+
+def _names(codecs: list[dict[str, Any]]) -> Iterator[str]:
+    """The names of codecs, and of those inside shards."""
+    for codec in codecs:
+        yield codec["name"]
+        for inner in ("codecs", "index_codecs"):
+            yield from _names((codec.get("configuration") or {}).get(inner) or [])
+
+
+def _range_header(byte_range: ByteRequest | None) -> dict[str, str]:
+    if isinstance(byte_range, RangeByteRequest) and byte_range.end > byte_range.start:
+        return {"Range": f"bytes={byte_range.start}-{byte_range.end - 1}"}
+    if isinstance(byte_range, OffsetByteRequest):
+        return {"Range": f"bytes={byte_range.offset}-"}
+    if isinstance(byte_range, SuffixByteRequest):
+        return {"Range": f"bytes=-{byte_range.suffix}"}
+    return {}
 
 
 def _slice(content: bytes, byte_range: ByteRequest | None) -> bytes:

@@ -4,11 +4,14 @@ Code outside this package uses only the names listed here. In worker, only this 
 """
 
 from worker.store.backend import (
+    ROOT,
     UNREACHABLE,
+    Excerpt,
     check_address,
     created_at,
     in_bucket,
     names_in,
+    read_excerpt,
     read_key,
     remove,
     rename_for_deletion,
@@ -40,8 +43,10 @@ from worker.store.store import (
 )
 
 __all__ = [
+    "ROOT",
     "UNREACHABLE",
     "ChunkCoords",
+    "Excerpt",
     "PlaceUnusable",
     "StoreConflict",
     "StoreDamaged",
@@ -66,6 +71,7 @@ __all__ = [
     "read_checkpoint",
     "read_chunk",
     "read_coordinates",
+    "read_excerpt",
     "read_key",
     "read_probe",
     "read_slice",

@@ -11,6 +11,7 @@ from typing import Final
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import problem_response
@@ -33,6 +34,13 @@ HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:;"
     " frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
 }
+#: Headers of an answer to a web page that asks what it may send, and those that it may read.
+_PREFLIGHT: Final = {
+    "Access-Control-Allow-Methods": "GET, HEAD",
+    "Access-Control-Allow-Headers": "Authorization, Range, If-None-Match, Accept",
+    "Access-Control-Max-Age": "600",
+}
+_EXPOSED: Final = "Accept-Ranges, Bounce-Complete, Bounce-Store, Content-Range, ETag, Link, Retry-After"
 _RAW_HEADERS: Final = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
 
 
@@ -40,10 +48,17 @@ class AccessControl:
     """Middleware: refuses requests with the wrong Host, Origin or token; adds security headers.
 
     `tokens` are the names of the tokens that are accepted, by token; if there are none, none is required.
+    Web pages of `origins` may read, and send a token; they may change nothing.
     """
 
-    def __init__(self, app: ASGIApp, hosts: Set[str], tokens: Mapping[str, str | None]) -> None:
-        self._app, self._hosts = app, hosts
+    def __init__(
+        self,
+        app: ASGIApp,
+        hosts: Set[str],
+        tokens: Mapping[str, str | None],
+        origins: Set[str] = frozenset(),
+    ) -> None:
+        self._app, self._hosts, self._origins = app, hosts, origins
         self._tokens = [(token.encode(), name) for token, name in tokens.items()]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -51,6 +66,8 @@ class AccessControl:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
+        if self._origins:
+            send = _with_cors(send, self._reader(scope["method"], headers))
         if "content-length" in headers and "transfer-encoding" in headers:
             send = _closing(send)
         try:
@@ -58,13 +75,24 @@ class AccessControl:
         except ServiceError as error:
             await problem_response(error)(scope, receive, _with_headers(send))
         else:
-            await self._app(scope, receive, _with_headers(send))
+            if self._reader(scope["method"], headers) and _is_preflight(scope["method"], headers):
+                await Response(status_code=204, headers=_PREFLIGHT)(scope, receive, _with_headers(send))
+            else:
+                await self._app(scope, receive, _with_headers(send))
+
+    def _reader(self, method: str, headers: Headers) -> str | None:
+        """The origin of a web page that may read the answer, of those in the settings."""
+        origins = headers.getlist("origin")
+        return origins[0] if method in SAFE and len(origins) == 1 and origins[0] in self._origins else None
 
     def _check(self, method: str, path: str, headers: Headers) -> str | None:
         """The name of the token that a request carries, if one is required and has a name."""
         self._check_host(headers.getlist("host"))
         if method not in SAFE:
             _check_origin(headers)
+        elif self._reader(method, headers):
+            if _is_preflight(method, headers):
+                return None  # a browser sends it without a token
         elif not _same_site(headers) and not _is_navigation(headers):
             raise CrossOriginRefused(
                 "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
@@ -92,6 +120,11 @@ class AccessControl:
                 else "This service requires an access token. Send the header Authorization: Bearer TOKEN."
             )
         return names[0]
+
+
+def _is_preflight(method: str, headers: Headers) -> bool:
+    """Whether a browser asks what a web page may send."""
+    return method == "OPTIONS" and "access-control-request-method" in headers
 
 
 def _check_origin(headers: Headers) -> None:
@@ -142,6 +175,26 @@ def _closing(send: Send) -> Send:
         await send(message)
 
     return send_and_close
+
+
+def _with_cors(send: Send, origin: str | None) -> Send:
+    """`send`, adding the headers by which a browser lets a page of `origin` read the response, if any."""
+    added = [(b"vary", b"Origin")]
+    if origin is not None:
+        added += [
+            (b"access-control-allow-origin", origin.encode()),
+            (b"access-control-expose-headers", _EXPOSED.encode()),
+            (b"cross-origin-resource-policy", b"cross-origin"),
+        ]
+
+    async def send_with_cors(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            replaced = {name for name, _ in added[1:]}
+            kept = [(name, value) for name, value in message["headers"] if name not in replaced]
+            message["headers"] = [*kept, *added]
+        await send(message)
+
+    return send_with_cors
 
 
 def _with_headers(send: Send) -> Send:

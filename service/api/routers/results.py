@@ -1,9 +1,12 @@
 """Endpoints that read a job's results, also while the job is running."""
 
+import re
 from collections.abc import Mapping
+from http import HTTPStatus
 from typing import Annotated, Final
+from urllib.parse import quote
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import StreamingResponse
 
 from service.api import dependencies, parameters, schemas
@@ -11,7 +14,7 @@ from service.api.capacity import costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
-from service.errors import NotInStore
+from service.errors import NotInStore, OutOfRange
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord, JobState
 from service.render import answers
@@ -25,6 +28,7 @@ from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
 from worker import store
+from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
 
@@ -205,24 +209,69 @@ def export_job(
     return StreamingResponse(export_files.pieces(file), 200, headers, MEDIA_TYPES[query.format])
 
 
-def _zarr_memory(service: ServiceDep, job: JobRecord, key: str) -> int:
+#: One range of bytes; a request for several is answered with all bytes, which is allowed.
+_RANGE: Final = re.compile("bytes=([0-9]{1,18})?-([0-9]{1,18})?")
+#: Characters of an address that a header carries as they are.
+_PLAIN: Final = "/:@+,;=~()[] "
+
+
+def _zarr_memory(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -> int:
     return service.manager.preparer.prepare(job).layout.chunk_bytes
+
+
+def _asked(byte_range: str) -> tuple[int | None, int | None] | None:
+    """The first and the last byte that a Range asks for; None for one that counts as none (RFC 9110)."""
+    match = _RANGE.fullmatch(byte_range)
+    first, last = (None if text is None else int(text) for text in match.groups()) if match else (None, None)
+    if first is None:
+        return None if last is None else (None, last)
+    return None if last is not None and last < first else (first, last)
 
 
 @router.get(
     "/zarr/{key:path}",
     summary="Read the zarr store",
-    responses={200: {"content": {"application/octet-stream": {}}}, **NOT_MODIFIED, **problem_responses(404)},
+    responses={
+        200: {"content": {"application/octet-stream": {}}},
+        206: {"description": "Some of the bytes", "content": {"application/octet-stream": {}}},
+        **NOT_MODIFIED,
+        **problem_responses(404, 416),
+    },
 )
 @costly(_zarr_memory, "store")
-def get_zarr_file(service: ServiceDep, job: ResultsJob, key: str) -> Response:
-    """The store, read only: `xarray.open_zarr` opens the address that ends in `/zarr`."""
+def get_zarr_file(
+    service: ServiceDep,
+    job: ResultsJob,
+    key: str,
+    byte_range: Annotated[
+        str | None,
+        Header(alias="Range", description="The bytes to send: `bytes=0-99`, `bytes=100-` or `bytes=-100`."),
+    ] = None,
+    if_range: Annotated[str | None, Header(include_in_schema=False)] = None,
+) -> Response:
+    """The store, read only: `xarray.open_zarr` opens the address that ends in `/zarr`.
+
+    `Bounce-Store`, with `zarr.json`, is where the service has it: a folder of its machine, or an address in a
+    bucket.
+    """
     prepared = service.manager.preparer.prepare(job)
-    content = store.read_key(prepared.store_url, key) if prepared.layout.has_key(key) else None
-    if content is None:
+    url = prepared.store_url
+    asked = None if if_range is not None else _asked(byte_range or "")
+    first, last = asked or (0, None)
+    excerpt = store.read_excerpt(url, key, first, last) if prepared.layout.has_key(key) else None
+    if excerpt is None:
         raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
+    headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
+    if key == ROOT:
+        headers["Bounce-Store"] = quote(url, safe=_PLAIN)
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
-    return Response(content, media_type=media_type, headers={"Cache-Control": "no-cache"})
+    if asked is None:
+        return Response(excerpt.content, media_type=media_type, headers=headers)
+    if not excerpt.content:
+        raise OutOfRange(excerpt.size)
+    end = excerpt.first + len(excerpt.content) - 1
+    headers["Content-Range"] = f"bytes {excerpt.first}-{end}/{excerpt.size}"
+    return Response(excerpt.content, HTTPStatus.PARTIAL_CONTENT, headers, media_type)
 
 
 def _complete(complete: bool) -> dict[str, str]:
