@@ -33,7 +33,9 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from socketserver import ThreadingMixIn
 from typing import Any
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 import httpx2
 import psutil
@@ -124,14 +126,26 @@ class Counting:
         return self._application(environ, start)
 
 
+class ThreadedServer(ThreadingMixIn, WSGIServer):
+    """Answers each request in a thread of its own."""
+
+    daemon_threads = True
+
+
+class QuietHandler(WSGIRequestHandler):
+    """Logs nothing."""
+
+    def log_message(self, *_: Any) -> None:
+        """Called for each request."""
+
+
 @contextmanager
 def bucket(seconds: float) -> Iterator[Counting]:
     """A bucket `results` whose requests take so many seconds each."""
     from moto.server import DomainDispatcherApplication, create_backend_app
-    from werkzeug.serving import make_server
 
     counting = Counting(DomainDispatcherApplication(create_backend_app), seconds)
-    server = make_server("127.0.0.1", 0, counting, threaded=True)
+    server = make_server("127.0.0.1", 0, counting, ThreadedServer, QuietHandler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     address = f"http://127.0.0.1:{server.server_port}"
     os.environ |= {
@@ -145,9 +159,6 @@ def bucket(seconds: float) -> Iterator[Counting]:
 
 def s3() -> None:
     """Print requests and round trips per chunk."""
-    import logging
-
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
     latency, rows = 0.2, []
     with bucket(latency) as counting:
         for name, fields in SWEEPS.items():

@@ -51,6 +51,7 @@ ALLOWED = {
         "rich",
         "pydantic",
         "zarr",
+        "obstore",
         "yaml",
         "IPython",
     },

@@ -29,9 +29,9 @@ from service.jobs.ledger_files import (
     size_of,
     wal_of,
 )
-from service.jobs.migrations import MIGRATIONS, packed
+from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import JobRecord
-from service.jobs.transactions import ReadTransaction, WriteTransaction
+from service.jobs.transactions import ReadTransaction, WriteTransaction, packed
 
 log = logging.getLogger(__name__)
 

@@ -133,16 +133,3 @@ MIGRATIONS: Final = (
     ) WITHOUT ROWID;
     """,
 )
-
-
-def packed(checksum: str) -> bytes | str:
-    """A checksum as the ledger keeps it: hex digits as bytes, half as long."""
-    try:
-        return bytes.fromhex(checksum)
-    except ValueError:
-        return checksum
-
-
-def unpacked(checksum: bytes | str) -> str:
-    """The checksum that `packed` was given."""
-    return checksum if isinstance(checksum, str) else checksum.hex()

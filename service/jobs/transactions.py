@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import KERNEL_VERSION, Outcome
-from service.jobs.migrations import packed, unpacked
 from service.jobs.model import (
     UNFINISHED,
     Failure,
@@ -479,6 +478,19 @@ class WriteTransaction(ReadTransaction):
             "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes, computed",
             (job.seq, chunk),
         ).fetchall()
+
+
+def packed(checksum: str) -> bytes | str:
+    """A checksum as the ledger keeps it: hex digits as bytes, half as long."""
+    try:
+        return bytes.fromhex(checksum)
+    except ValueError:
+        return checksum
+
+
+def unpacked(checksum: bytes | str) -> str:
+    """The checksum that `packed` was given."""
+    return checksum if isinstance(checksum, str) else checksum.hex()
 
 
 def _settling(outcomes: Sequence[int]) -> int:
