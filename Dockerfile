@@ -2,6 +2,11 @@
 # Run alone, it is the service with its own two worker processes, and needs `-e BOUNCE_TOKEN=...`.
 FROM python:3.11-slim-bookworm
 
+LABEL org.opencontainers.image.title="bouncing-spring" \
+    org.opencontainers.image.description="Parameter studies of the bouncing spring: service, scheduler and workers" \
+    org.opencontainers.image.version="0.1.0" \
+    org.opencontainers.image.licenses="MIT"
+
 ENV PIP_NO_CACHE_DIR=1 \
     PIP_DISABLE_PIP_VERSION_CHECK=1 \
     PYTHONUNBUFFERED=1 \
@@ -34,7 +39,9 @@ USER 10001
 # so no two workers share a cache; on another kind of processor numba compiles anew.
 RUN python -c "from worker.kernel_cache import warm; warm()"
 
-VOLUME /data
+# The root file system may be read-only (docker run --read-only --tmpfs /tmp): what is written lies in these
+# volumes and /tmp. A new volume of the cache begins with what was compiled above.
+VOLUME ["/data", "/app/numba-cache"]
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=300s --retries=3 \
     CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]

@@ -92,11 +92,41 @@ def test_health_pages_of_dask_listen_inside_their_containers_only():
 
 
 def test_workers_and_service_share_the_data_folder_and_nothing_else():
-    assert SERVICES["worker"]["volumes"] == SERVICES["service"]["volumes"] == ["data:/data"]
-    assert "volumes" not in SERVICES["scheduler"]
     cache = re.search(r"NUMBA_CACHE_DIR=(\S+)", DOCKERFILE)
     assert cache
-    assert not cache[1].startswith("/data")
+    own = cache[1]  # a volume without a name: each container has another
+    assert SERVICES["worker"]["volumes"] == SERVICES["service"]["volumes"] == ["data:/data", own]
+    assert "volumes" not in SERVICES["scheduler"]
+    assert not own.startswith("/data")
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_the_root_of_a_container_is_read_only(name: str):
+    """What is written lies in volumes and in memory: the image says which folders."""
+    container = SERVICES[name]
+    assert container["read_only"] is True
+    assert container["tmpfs"] == ["/tmp"]
+    (volumes,) = instructions("VOLUME")
+    mounted = {volume.rpartition(":")[2] for volume in container.get("volumes", [])}
+    assert mounted in (set(), set(yaml.safe_load(volumes)))
+
+
+def test_image_says_what_it_is():
+    (labels,) = instructions("LABEL")
+    label = dict(re.findall(r'org\.opencontainers\.image\.(\w+)="([^"]*)"', labels))
+    assert label["version"] == PROJECT["project"]["version"]
+    assert label["title"] == PROJECT["project"]["name"]
+    assert label["licenses"] == PROJECT["project"]["license"]
+
+
+def test_constraints_of_the_check_are_the_lock():
+    """`.ci/run` installs what is shipped; `--check` finds what it did not."""
+    printed = subprocess.run(
+        [sys.executable, ".ci/locked.py"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    lines = [Requirement(line) for line in printed.splitlines()]
+    assert sorted(map(str, lines)) == sorted(str(pin) for pins in locked().values() for pin in pins)
+    assert "--hash" not in printed
 
 
 def test_image_runs_the_same_service_as_compose():
