@@ -6,15 +6,15 @@ import time
 from pathlib import Path
 
 import pytest
+from blame import blamed, noting_errors
 from dask_processes import Processes, dask_processes, family
 from paths import CACHE
 from running import Running, costing, running
 from scripted import wait_for
 
 from service.jobs.model import JobRecord, JobState
-from service.jobs.run import JobRun
 from worker.executors.dask import Dask
-from worker.executors.errors import WorkerDied, WorkerLeft, WorkerLost
+from worker.executors.errors import WorkerDied, WorkerLeft
 from worker.kernel_cache import warm
 
 PATIENCE = 240.0
@@ -26,19 +26,7 @@ LIFETIME, STARTS = 5.0, 3.0
 def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
     """What chunks came back with, of all jobs of the test."""
     warm(CACHE)
-    seen: list[BaseException] = []
-    apply = JobRun.apply
-
-    def noted(run: JobRun, chunk: int, action: object, error: BaseException, again: bool = False) -> None:
-        seen.append(error)
-        apply(run, chunk, action, error, again)
-
-    monkeypatch.setattr(JobRun, "apply", noted)
-    return seen
-
-
-def blamed(errors: list[BaseException]) -> list[BaseException]:
-    return [error for error in errors if isinstance(error, WorkerDied | WorkerLost)]
+    return noting_errors(monkeypatch)
 
 
 def long_job(service: Running) -> JobRecord:

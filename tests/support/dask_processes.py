@@ -26,7 +26,7 @@ class Processes:
         port = str(free_port())
         self.address = f"tcp://127.0.0.1:{port}"
         settings = {environment_variable(name): str(value) for name, value in SCHEDULER_SETTINGS.items()}
-        self._start(["dask", "scheduler", *LOOPBACK, "--port", port], settings)
+        self.start(["dask", "scheduler", *LOOPBACK, "--port", port], settings)
 
     def worker(
         self, *options: str, variables: Mapping[str, str] | None = None, before: tuple[str, ...] = ()
@@ -35,18 +35,19 @@ class Processes:
         scratch = self._folder / f"dask-{self._number}"
         command = ["dask", "worker", self.address, *LOOPBACK, "--local-directory", str(scratch)]
         threads = () if "--nthreads" in options else ("--nthreads", "1")
-        return self._start([*command, *threads, *options], variables or {}, before)
+        return self.start([*command, *threads, *options], variables or {}, before)
 
-    def _start(
-        self, command: list[str], variables: Mapping[str, str], before: tuple[str, ...] = ()
+    def start(
+        self, command: list[str], variables: Mapping[str, str] | None = None, before: tuple[str, ...] = ()
     ) -> subprocess.Popen[bytes]:
+        """Start a command of this environment."""
         program = str(Path(sys.executable).with_name(command[0]))
         with (self._folder / f"process-{self._number}.log").open("wb") as log:
             process = subprocess.Popen(
                 [*before, program, *command[1:]],
                 stdout=log,
                 stderr=log,
-                env=os.environ | self._variables | dict(variables),
+                env=os.environ | self._variables | dict(variables or {}),
                 cwd=self._folder,
                 start_new_session=True,
             )

@@ -1,0 +1,24 @@
+"""What chunks came back with: errors that use up a try, and those that do not."""
+
+import pytest
+
+from service.jobs.run import JobRun
+from worker.executors.errors import WorkerDied, WorkerLost
+
+
+def noting_errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
+    """The errors of all chunks from now on, as they come."""
+    seen: list[BaseException] = []
+    apply = JobRun.apply
+
+    def noted(run: JobRun, chunk: int, action: object, error: BaseException, again: bool = False) -> None:
+        seen.append(error)
+        apply(run, chunk, action, error, again)
+
+    monkeypatch.setattr(JobRun, "apply", noted)
+    return seen
+
+
+def blamed(errors: list[BaseException]) -> list[BaseException]:
+    """Those that use up a try."""
+    return [error for error in errors if isinstance(error, WorkerDied | WorkerLost)]
