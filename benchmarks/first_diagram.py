@@ -60,7 +60,8 @@ def browser(python: Path, folder: Path, environment: Environment) -> None:
         chromium() as chrome,
         opened(chrome, address) as page,
     ):
-        page.get_by_role("navigation").get_by_role("link", name="New sweep").click()
+        page.set_default_timeout(1000 * LIMIT)
+        page.get_by_role("link", name="Fig. 2").first.click()
         page.locator(".cost", has_text="cells in").wait_for()
         page.get_by_label("Name").fill(SPEC["name"])
         page.locator("[data-field='gamma.num']").fill(str(SPEC["gamma"]["num"]))
@@ -75,7 +76,7 @@ def browser(python: Path, folder: Path, environment: Environment) -> None:
 WAYS: Final[dict[str, tuple[str, Callable[[Path, Path, Environment], None]]]] = {
     "shell": ("2 commands: write sweep.toml, bounce run", shell),
     "notebook": ("2 lines of one cell: run(…), .bounce.plot()", notebook),
-    "browser": ("2 commands: bounce serve, bounce open; New sweep, three fields, Compute", browser),
+    "browser": ("2 commands: bounce serve, bounce open; Fig. 2, three fields, Compute", browser),
 }
 
 
