@@ -15,6 +15,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
 from kernel.numerics.jit import compilable, inlined, jit
 from kernel.params import Line, Outcome, periods_followed
+from kernel.repetition import CHECK, find_repetition, repeat_flights
 
 #: Flights shorter than this (rad) are not recorded: their length is of the order of the rounding errors of
 #: take-off and landing after long contacts.
@@ -66,6 +67,7 @@ class Window(NamedTuple):
     settle_tolerance: float  # rad; flights repeating within it end the settling early; 0: never
     settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
     exponents: int  # Lyapunov exponents computed
+    settle_early: bool = False  # whether cycles that surely repeat are not computed
 
 
 class Flights(NamedTuple):
@@ -193,7 +195,7 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     """The run after the contact or flight `p`; adds a flight that lies inside the window to `flights`.
 
     `first`: where the lane's ring buffer begins. While settling, flights are recorded only for the test of
-    settle_tolerance, and forgotten when the window begins.
+    settle_tolerance and of settle_early, and forgotten when the window begins.
     """
     turns = math.floor((run.phase + p.tau) * (1.0 / TWO_PI))
     phase = run.phase + p.tau - TWO_PI * turns
@@ -204,7 +206,8 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
         recorded = 0
     if run.in_flight and p.tau > SHORTEST_FLIGHT:
         flew = flew or not settling
-        inside = run.takeoff_period >= run.settle or (settling and window.settle_tolerance > 0.0)
+        tested = settling and (window.settle_early or window.settle_tolerance > 0.0)
+        inside = run.takeoff_period >= run.settle or tested
         if p.ending == ROOT and inside and run.takeoff_period >= 0:
             slot = first + recorded % flights.size
             flights.time[slot] = p.tau
@@ -238,6 +241,43 @@ def end_settling(before: Progress, run: Progress, window: Window, flights: Fligh
     return Progress(
         run.phase, run.settle, run.in_flight, run.gap, run.gap1, run.q, run.q1,
         run.phase, run.settle, 0, run.flew, run.budget, run.ending, run.settle, run.end,
+    )  # fmt: skip
+
+
+@inlined
+def may_repeat(before: Progress, run: Progress, window: Window) -> bool:
+    """Whether to look for cycles that repeat, after the phase from `before` to `run`.
+
+    Never in a run that is followed beyond its window.
+    """
+    enough = run.recorded // CHECK != before.recorded // CHECK
+    return window.settle_early and enough and run.ending == ROOT and run.end - run.settle == window.observe
+
+
+@jit
+def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
+    """`run`, at a landing, moved on by the cycles left before its end, if its last flights surely repeat.
+
+    The flights of these cycles are recorded as if they had been computed. Less than a cycle is left.
+    """
+    time, phase, period, size = flights.time, flights.phase, flights.period, flights.size
+    bounces, periods = find_repetition(
+        time, phase, period, first, size, run.recorded, run.end - run.period
+    )  # fmt: skip
+    if bounces == 0:
+        return run
+    turns = (run.end - 1 - run.period) // periods
+    if turns <= 0:
+        return run
+    now = run.period + turns * periods
+    recorded, begun = run.recorded, run.period >= run.settle
+    if now >= run.settle:
+        recorded = repeat_flights(
+            time, phase, period, first, size, run.recorded, bounces, periods, turns, run.settle, begun
+        )  # fmt: skip
+    return Progress(
+        run.phase, now, run.in_flight, run.gap, run.gap1, run.q, run.q1,
+        run.phase, now, recorded, run.flew or now >= run.settle, run.budget, run.ending, run.settle, run.end,
     )  # fmt: skip
 
 
@@ -318,6 +358,8 @@ def run_cell(
         run = record(started, p, window, flights, 0)
         if window.settle_tolerance > 0.0:
             run = end_settling(started, run, window, flights, 0)
+        if may_repeat(started, run, window):
+            run = skip_cycles(run, flights, 0)
     return before, run, steps
 
 

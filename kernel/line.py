@@ -46,7 +46,7 @@ from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import jit
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
-from kernel.validation import check_arrays, check_window, checked_state, checked_states
+from kernel.validation import check_arrays, check_early, check_window, checked_state, checked_states
 
 #: More steps than any line takes.
 _ALL: Final = 2**62
@@ -175,6 +175,8 @@ class LineRun:
     > 0, flights that repeat within it end the settling early. settle_until: plate periods that a cell still
     settling may take in all; None: no more than the window.
     The periods are doubled as long as the cell settles, and the last `observe` of them are recorded.
+    settle_early: whether the cycles that are left are not computed but repeated, once the last flights surely
+    follow one (`kernel.repetition`); not with `carry` or `exponents`.
     exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
     for comparison; the last digits differ.
 
@@ -196,6 +198,7 @@ class LineRun:
         micro_flight: float = 0.0,
         settle_tolerance: float = 0.0,
         settle_until: int | None = None,
+        settle_early: bool = False,
         exponents: int = 0,
         start: Start | Sequence[Start | None] | None = None,
         states: NDArray[np.float64] | None = None,
@@ -204,6 +207,7 @@ class LineRun:
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
         check_window(settle, observe, keep, micro_flight, settle_tolerance, settle_until, exponents)
+        check_early(settle_early, carry=carry, exponents=exponents)
         _check_plate(plate, len(gamma))
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
@@ -215,7 +219,7 @@ class LineRun:
             self._length = len(gamma) // len(starts)
         self._window = Window(
             int(settle), int(observe), float(micro_flight), float(settle_tolerance),
-            int(settle_until or 0), int(exponents),
+            int(settle_until or 0), int(exponents), bool(settle_early),
         )  # fmt: skip
         self._variations = allocate_variations(plate, exponents) if exponents else None
         in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None

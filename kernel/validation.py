@@ -90,6 +90,15 @@ def check_window(
         )
 
 
+def check_early(settle_early: object, *, carry: bool, exponents: int) -> None:
+    """Check that settling may end early: not on a ramp, nor with exponents."""
+    if not isinstance(settle_early, bool):
+        raise KernelInputError("settle_early", f"must be true or false, got {settle_early!r}")
+    if settle_early and (carry or exponents):
+        what = "a line that carries its state" if carry else "a run with exponents"
+        raise KernelInputError("settle_early", f"must be false on {what}, every cycle of which is computed")
+
+
 def _is_whole(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 

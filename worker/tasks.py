@@ -403,6 +403,7 @@ def _line_run(
         micro_flight=spec.micro_flight,
         settle_tolerance=spec.settle_tolerance,
         settle_until=spec.settle_until,
+        settle_early=spec.ends_early,
         exponents=spec.exponents,
         start=starts if carry else None,
     )

@@ -25,8 +25,10 @@ from kernel.cell import (
     follow,
     horizon_of,
     load_run,
+    may_repeat,
     record,
     shows_no_mode,
+    skip_cycles,
     store_run,
     store_state,
     write_record,
@@ -128,6 +130,8 @@ def run_lockstep(
                     runs[k] = record(before, p, window, flights, first)
                     if window.settle_tolerance > 0.0:
                         runs[k] = end_settling(before, runs[k], window, flights, first)
+                    if may_repeat(before, runs[k], window):
+                        runs[k] = skip_cycles(runs[k], flights, first)
                     if scalar:
                         sin, cos = sincos(runs[k].phase)
                     if runs[k].ending != ROOT:

@@ -30,7 +30,7 @@ POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
 AXES_ONLY = (
     "the fields are name, gamma, omega, xi, protocol, model, settle, observe, keep, "
-    "micro_flight, settle_tolerance, settle_until, exponents, refine, parent"
+    "micro_flight, settle_tolerance, settle_until, settle_early, exponents, refine, parent"
 )
 
 
@@ -565,6 +565,7 @@ def test_same_sweep_written_differently_is_the_same_job():
         {"model": {"adhesive": False}},
         {"model": {"rest_length": 1.0}},
         {"settle_tolerance": 1e-9},
+        {"settle_early": False},
     ],
 )
 def test_any_other_number_is_another_job(changes):
@@ -582,6 +583,22 @@ def test_identity_is_not_forgotten_from_release_to_release():
 
 def test_settling_to_the_end_is_no_other_job_than_before_it_could_be_cut_short():
     assert sweep(settle_tolerance=0.0).job_id("1") == sweep().job_id("1")
+
+
+@pytest.mark.parametrize("changes", [{"protocol": ramp()}, {"exponents": 1}])
+def test_early_settling_is_left_out_where_it_has_no_effect(changes):
+    full = SweepSpec(**(POINT | {"gamma": range_()} | changes), settle_early=False)
+    early = SweepSpec(**(POINT | {"gamma": range_()} | changes))
+    assert full.job_id("1") == early.job_id("1")
+    assert not early.ends_early
+    assert sweep().ends_early
+    assert not sweep(settle_early=False).ends_early
+
+
+@pytest.mark.parametrize("settle_early", [True, False])
+def test_the_canonical_form_keeps_whether_settling_ends_early(settle_early):
+    spec = sweep(settle_early=settle_early)
+    assert SweepSpec.from_json(json.dumps(spec.canonical())).settle_early == settle_early
 
 
 def test_canonical_form_is_json_and_a_specification_again():

@@ -110,6 +110,13 @@ class SweepSpec(Specification):
         NUMBER,
     ] = 0.0
     settle_until: SettleUntil = None
+    settle_early: Annotated[
+        bool,
+        Field(
+            strict=True,
+            description="From rest without exponents: whether cycles that surely repeat are not computed.",
+        ),
+    ] = True
     exponents: Exponents = 0
     refine: Annotated[
         Refinement, Field(description="Compute only where the map changes; null: every cell.")
@@ -218,6 +225,11 @@ class SweepSpec(Specification):
         return ("up", "down") if self.protocol.direction == "both" else (self.protocol.direction,)
 
     @property
+    def ends_early(self) -> bool:
+        """Whether `settle_early` has an effect: never on a ramp, nor with exponents."""
+        return self.settle_early and isinstance(self.protocol, Rest) and not self.exponents
+
+    @property
     def ramp_axis(self) -> str | None:
         """The axis a ramp moves along; None from rest."""
         return self.protocol.axis if isinstance(self.protocol, Ramp) else None
@@ -229,9 +241,12 @@ class SweepSpec(Specification):
         return len(self.directions), xi, omega, gamma
 
     def left_out(self) -> set[str]:
-        """The labels, and fields of later releases that are off."""
+        """The labels, and fields of later releases that have their defaults or no effect."""
         later = ("settle_tolerance", "settle_until", "exponents", "refine")
-        return super().left_out() | {"parent"} | {field for field in later if not getattr(self, field)}
+        left_out = {"parent"} | {field for field in later if not getattr(self, field)}
+        if self.settle_early or not isinstance(self.protocol, Rest) or self.exponents:
+            left_out.add("settle_early")  # on, or without effect
+        return super().left_out() | left_out
 
 
 @lru_cache(maxsize=2 * MAX_STARTS)

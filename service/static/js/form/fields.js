@@ -23,6 +23,16 @@ export function numberField(name, label, about, defaultValue) {
   };
 }
 
+/** Yes or no. */
+export function checkField(name, label, about, defaultValue) {
+  const input = h("input", { type: "checkbox", checked: defaultValue, "data-field": name });
+  return {
+    element: h("label", { className: "plain" }, h("span", {}, label), input, h("small", {}, about)),
+    read: () => (input.checked === defaultValue ? null : input.checked),
+    write: (value) => { input.checked = value ?? defaultValue; },
+  };
+}
+
 export function nameField() {
   const input = h("input", { type: "text", autocomplete: "off", maxlength: 200, size: 32, "data-field": "name" });
   return {

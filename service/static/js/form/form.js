@@ -6,7 +6,7 @@ import { announce, debounced, h } from "../lib/dom.js";
 import { bytes, count, duration, plural } from "../lib/format.js";
 import { Snippets } from "../lib/snippets.js";
 import { loadPresets, loadSchema } from "./catalogue.js";
-import { axisField, nameField, numberField, protocolField, refineField } from "./fields.js";
+import { axisField, checkField, nameField, numberField, protocolField, refineField } from "./fields.js";
 import { modelField } from "./model-field.js";
 import { showProblems } from "./problems.js";
 
@@ -62,6 +62,7 @@ export class SweepForm {
       keep: numberField("keep", "keep", "flights stored per cell, the last ones", defaults.keep),
       micro_flight: numberField("micro_flight", "micro-flight", "rad; shorter flights do not count, unless all are", defaults.micro_flight),
       settle_until: numberField("settle_until", "settle until", "plate periods in all that a cell still settling may take", "off"),
+      settle_early: checkField("settle_early", "settle early", "from rest, cycles that surely repeat are not computed", defaults.settle_early),
       exponents: numberField("exponents", "Lyapunov exponents", "0 to 4; they tell quasi-periodic from chaotic cells", defaults.exponents),
       settle_tolerance: numberField("settle_tolerance", "settle tolerance", "rad; settling ends once flights repeat within it; 0: never", defaults.settle_tolerance),
     };
