@@ -35,7 +35,7 @@ CASES = [
     *((plate, carry, {}) for plate in PLATES for carry in (False, True)),
     *((plate, carry, {"settle_until": 330}) for plate in PLATES for carry in (False, True)),
     *((plate, False, {"settle_tolerance": 1e-9}) for plate in ("rigid", "soft")),
-    *((plate, False, {"settle_early": True, "settle": 200}) for plate in PLATES),
+    *((plate, False, {"settle_early": True, "settle": 90}) for plate in PLATES),
     *((plate, True, {"exponents": EXPONENTS, "settle_until": 330}) for plate in PLATES if plate != "stepped"),
     ("rigid", False, {"exponents": EXPONENTS}),
 ]

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("kernel", "worker", "service")
 SWEEP = {
     "gamma": {"start": 1.2, "stop": 2.0, "num": 3}, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
-    "settle": 2, "observe": 2, "keep": 4,
+    "settle": 9, "observe": 2, "keep": 4,  # flights enough to look whether they repeat
 }  # fmt: skip
 
 entered: dict[str, None] = {}
