@@ -1,12 +1,16 @@
-"""Atlas: Gamma x Omega x xi cells of `rigid` from rest, over HTTP on the embedded cluster.
+"""Atlas: Gamma x Omega x xi cells of `rigid` or `soft`, over HTTP on the embedded cluster.
 
     python -m benchmarks.atlas [--gamma 1000 --omega 100 --xi 10] [--workers 2] [--queries 40]
+        [--model soft] [--ramp] [--every-cycle]
+
+From rest, with `--ramp` along Gamma up and down: twice as many cells.
 
 Prints the wall time from submission to completion on warm workers, the share of kernel time, the peak memory
 of every process, the size of the store, and the latency of diagram queries over HTTP along each axis.
 """
 
 import argparse
+import math
 import statistics
 import tempfile
 import time
@@ -28,23 +32,28 @@ from worker.spec import SweepSpec
 from worker.tasks import ChunkReport
 
 
-def atlas(gamma: int, omega: int, xi: int) -> dict[str, Any]:
+def atlas(
+    gamma: int, omega: int, xi: int, model: str = "rigid", *, ramp: bool = False, settle_early: bool = True
+) -> dict[str, Any]:
     """The specification; 300 plate periods per cell."""
+    protocol = {"kind": "ramp", "axis": "gamma", "direction": "both"} if ramp else {"kind": "rest"}
     return {
         "name": f"atlas {gamma} x {omega} x {xi}",
         "gamma": {"start": 0.5, "stop": 6.0, "num": gamma},
         "omega": {"start": 0.1, "stop": 5.0, "num": omega, "spacing": "log"},
         "xi": {"start": 0.02, "stop": 5.0, "num": xi, "spacing": "log"},
-        "model": {"kind": "rigid"},
+        "model": {"kind": model},
+        "protocol": protocol,
+        "settle_early": settle_early,
         "settle": 200,
         "observe": 100,
         "keep": 16,
     }
 
 
-def warm(client: Client) -> None:
+def warm(client: Client, model: str = "rigid") -> None:
     """Run one small job, so that every worker has compiled its kernels."""
-    spec = {**atlas(64, 2, 2), "omega": 1.0, "xi": 0.1, "settle": 1, "observe": 1, "name": "warm"}
+    spec = {**atlas(64, 2, 2, model), "omega": 1.0, "xi": 0.1, "settle": 1, "observe": 1, "name": "warm"}
     client.submit(spec).wait(progress=False)
 
 
@@ -104,9 +113,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name, size in (("gamma", 1000), ("omega", 100), ("xi", 10), ("workers", 2), ("queries", 40)):
         parser.add_argument(f"--{name}", type=int, default=size)
+    parser.add_argument("--model", choices=("rigid", "soft"), default="rigid")
+    parser.add_argument("--ramp", action="store_true")
+    parser.add_argument("--every-cycle", action="store_true", help="settle_early false")
     arguments = parser.parse_args()
     print(describe("dask", "zarr"))
-    spec = atlas(arguments.gamma, arguments.omega, arguments.xi)
+    spec = atlas(
+        arguments.gamma, arguments.omega, arguments.xi, arguments.model,
+        ramp=arguments.ramp, settle_early=not arguments.every_cycle,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder)
         settings = embedded.settings(data=data, workers=arguments.workers, host="127.0.0.1", port=0)
@@ -115,13 +130,13 @@ def main() -> None:
             embedded.running(settings, executor) as url,
             Client(url) as client,
         ):
-            warm(client)
+            warm(client, arguments.model)
             executor.kernel_seconds = executor.task_seconds = 0.0
             start = time.perf_counter()
             job = client.submit(spec).wait(progress=True)
             wall = time.perf_counter() - start
             busy, tasks = executor.kernel_seconds, executor.task_seconds
-            cells = arguments.gamma * arguments.omega * arguments.xi
+            cells = math.prod(SweepSpec.parse(spec).shape)
             print(f"{cells} cells x 300 plate periods: {wall:.1f} s, {wall / cells / 300 * 1e6:.3f} us each")
             print(f"kernel time: {busy:.1f} s, {busy / tasks:.1%} of the tasks' time,")
             print(f"             {busy / wall / arguments.workers:.1%} of the workers'")
@@ -129,7 +144,8 @@ def main() -> None:
             print(f"store: {stored / 2**20:.0f} MiB in {sum(1 for _ in data.rglob('*'))} files")
             for name, peak in peaks():
                 print(f"peak memory of {name}: {peak:.2f} GiB")
-            queries(url, job, spec, arguments.queries)
+            if not arguments.ramp:
+                queries(url, job, spec, arguments.queries)
 
 
 if __name__ == "__main__":

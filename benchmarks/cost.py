@@ -1,12 +1,17 @@
 """Cost of a cell against Gamma, Omega, xi, penetration, settling periods and the size of the grid.
 
     python -m benchmarks.cost [--repeat 5] [-o docs/cost.png]
+    python -m benchmarks.cost --estimates [--repeat 5]
 
 The kernel alone on one core, CPU microseconds per cell per plate period: one quantity varies, the others are
 Gamma = 2, Omega = 0.5, xi = 0.26, d = 1e-3, 200 + 100 periods; 64 cells within 1% of Gamma, medians. The size
 of the grid: whole sweeps over HTTP on the embedded cluster of two workers, from submission to completion.
 "exponent" is that of the total time against the quantity, between its ends (1: proportional). The cost should
 not depend on Gamma, Omega, xi and d: see the ratio of the largest to the smallest.
+
+`--estimates`: of every model, law and protocol, what `worker.cost` expects of a cell with the default window
+beside what it takes on average: random cells from rest (Gamma 0.3 to 6, Omega 0.2 to 2, xi 0.01 to 1), and 16
+lines of 50 values of Gamma; both include the periods in which cells without a mode are followed.
 """
 
 import argparse
@@ -25,9 +30,13 @@ from benchmarks.atlas import atlas, warm
 from benchmarks.kernel import NEIGHBOURS, cost_of, line
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
+from kernel.line import run_line
 from service.client import Client
 from service.server import embedded
 from tests.support.plates import Model
+from worker.cost import cell_seconds
+from worker.spec import SweepSpec
+from worker.tasks import plate_of
 
 USUAL: dict[str, Any] = {"gamma": 2.0, "omega": 0.5, "xi": 0.26, "settle": 200, "observe": 100, "d": 1e-3}
 KINDS = {"rigid": Model.RIGID, "soft": Model.SOFT}
@@ -41,6 +50,21 @@ AXES: dict[str, Sequence[float]] = {
 LABELS = {"gamma": "Γ", "omega": "Ω", "xi": "ξ", "d": "d", "settle": "settle, periods", "cells": "cells"}
 #: Values of Omega with 1000 of Gamma and 1 of xi.
 SIZES = (1, 3, 10, 30, 100)
+
+#: Contacts of `--estimates`, and the cells from rest of each.
+ESTIMATES: dict[str, tuple[dict[str, Any], int]] = {
+    "rigid": ({"kind": "rigid"}, 4000),
+    "rigid, e = 0.3": ({"kind": "rigid", "restitution": 0.3}, 1000),
+    "soft, adhesive, d = 1e-3": ({"kind": "soft"}, 1000),
+    "soft, adhesive, d = 1e-6": ({"kind": "soft", "penetration": 1e-6}, 1000),
+    "soft, nonadhesive, d = 1e-3": ({"kind": "soft", "adhesive": False}, 1000),
+    "soft, nonadhesive, d = 1e-6": ({"kind": "soft", "adhesive": False, "penetration": 1e-6}, 1000),
+    "ball": ({"kind": "ball"}, 4000),
+    "ball, e = 0.3": ({"kind": "ball", "restitution": 0.3}, 4000),
+    "stepped, adhesive": ({"kind": "stepped"}, 16),
+    "stepped, nonadhesive": ({"kind": "stepped", "adhesive": False}, 16),
+}
+RAMP_LINES, RAMP_LENGTH = 16, 50
 
 Curve = list[tuple[float, float]]
 
@@ -85,6 +109,38 @@ def size_curve(repeat: int) -> Curve:
     return curve
 
 
+def estimate_row(name: str, ramp: bool, repeat: int) -> list[str]:
+    """What a contact's cells take, and what they are estimated to take."""
+    model, cells = ESTIMATES[name]
+    random = np.random.default_rng(1)
+    ends = {"gamma": (0.3, 6.0), "omega": (0.2, 2.0)}
+    lines = 1 if name.startswith("stepped") else RAMP_LINES
+    n = lines if ramp else cells
+    gamma, omega = (random.uniform(*ends[axis], n) for axis in ends)
+    xi = 10 ** random.uniform(-2, 0, n)
+    if ramp:
+        length = 8 if name.startswith("stepped") else RAMP_LENGTH
+        gamma = np.tile(np.linspace(*ends["gamma"], length), n)
+        omega, xi = np.repeat(omega, length), np.repeat(xi, length)
+    axes = {axis: {"start": low, "stop": high, "num": 100} for axis, (low, high) in ends.items()}
+    xis = {"start": 0.01, "stop": 1.0, "num": 100, "spacing": "log"}
+    protocol = {"kind": "ramp", "axis": "gamma", "direction": "up"} if ramp else {"kind": "rest"}
+    spec = SweepSpec(**axes, xi=xis, model=model, protocol=protocol)
+    plate = plate_of(spec.model, gamma, omega, xi)
+
+    def run() -> object:
+        return run_line(
+            gamma, omega, xi, plate=plate, carry=ramp, settle=spec.settle, observe=spec.observe,
+            keep=spec.keep, micro_flight=spec.micro_flight, settle_early=spec.ends_early,
+            start=[None] * n if ramp else None,
+        )  # fmt: skip
+
+    periods = spec.settle + spec.observe
+    took = cost_of(run, len(gamma) * periods, 1 if name.startswith("stepped") else repeat)
+    expected = cell_seconds(spec) / periods * 1e6
+    return [f"{name}, {protocol['kind']}", short(took), short(expected), f"{expected / took:.2f}"]
+
+
 def exponent(curve: Curve) -> float:
     """Exponent of the total time against the quantity, between its ends."""
     (first, first_cost), (last, last_cost) = curve[0], curve[-1]
@@ -126,8 +182,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("-o", "--output", default="docs/cost.png")
+    parser.add_argument("--estimates", action="store_true")
     arguments = parser.parse_args()
     print(describe("dask", "zarr"), flush=True)
+    if arguments.estimates:
+        rows = []
+        for name in ESTIMATES:
+            for ramp in (False, True):
+                rows.append(estimate_row(name, ramp, arguments.repeat))
+                print(*rows[-1], flush=True)
+        print("\n" + table(["", "taken, µs per plate period", "estimated, µs", "ratio"], rows))
+        return
     curves: dict[str, dict[str, Curve]] = {}
     for axis in AXES:
         kinds = ("soft",) if axis == "d" else KINDS

@@ -1,9 +1,11 @@
 """The rigid spring with heyoka: adaptive Taylor integrators with terminal events, one for each phase."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import heyoka as hy
+import numpy as np
 
 from benchmarks import phases
 from benchmarks.phases import LIFT, lifted, march
@@ -54,3 +56,72 @@ class Spring:
         if integrator.propagate_until(end)[0] == hy.taylor_outcome.time_limit:
             return None
         return (integrator.time, *integrator.state)
+
+
+class BatchSpring:
+    """As many cells as a vector holds, in heyoka's batch mode: one integrator of both phases.
+
+    A parameter of each cell tells flight (1) from contact (0), and selects the equations and the event. At
+    events, Python changes the cell's state and that parameter.
+    """
+
+    def __init__(self) -> None:
+        q, v, gap, gap1 = hy.make_vars("q", "v", "gap", "gap1")
+        gravity, dashpot, stiffness, flying = hy.par[0], hy.par[1], hy.par[2], hy.par[3]
+        force = dashpot * v + stiffness * q
+        drive = hy.cos(hy.time) - gravity
+        normal = -drive - force
+        self.cells = hy.recommended_simd_size()
+        event = hy.t_event_batch(
+            flying * gap + (1.0 - flying) * normal,
+            direction=hy.event_direction.negative, callback=self._at_event, cooldown=phases.LIFT,
+        )  # fmt: skip
+        self._integrator = hy.taylor_adaptive_batch(
+            [
+                (gap, gap1),
+                (gap1, flying * (force + drive)),
+                (q, v),
+                (v, (1.0 - flying) * (drive - force) - 2.0 * flying * force),
+            ],
+            np.zeros((4, self.cells)),
+            pars=np.ones((4, self.cells)),
+            t_events=[event],
+        )
+        self._springs: list[phases.Spring] = []
+        self._takeoffs: list[float | None] = []
+        self._flights: list[list[float]] = []
+
+    def run(self, gamma: Sequence[float], omega: float, xi: float, periods: int) -> list[list[float]]:
+        """Flight times (rad) of `cells` cells from rest."""
+        self._springs = [phases.Spring.of(g, omega, xi) for g in gamma]
+        integrator = self._integrator
+        integrator.set_time(0.0)
+        integrator.state[:] = 0.0
+        for cell, spring in enumerate(self._springs):
+            flying = 2.0 * spring.gravity - 1.0 < 0.0
+            integrator.pars[:, cell] = (*spring, float(flying))
+            integrator.state[2, cell] = -spring.gravity / spring.stiffness
+        self._takeoffs = [0.0 if integrator.pars[3, cell] else None for cell in range(self.cells)]
+        self._flights = [[] for _ in range(self.cells)]
+        integrator.reset_cooldowns()
+        integrator.propagate_until(2.0 * math.pi * periods)
+        return self._flights
+
+    def __deepcopy__(self, _: dict[int, Any]) -> "BatchSpring":
+        """heyoka copies its callbacks; this one's records are here."""
+        return self
+
+    def _at_event(self, integrator: Any, _: int, cell: int) -> bool:
+        """Take-off or landing of a cell."""
+        time, state, pars = integrator.time[cell], integrator.state, integrator.pars
+        gap1, q, v = state[1:, cell]
+        if pars[3, cell]:
+            takeoff = self._takeoffs[cell]
+            self._flights[cell].append(time - takeoff)
+            v += gap1
+            state[3, cell] = v
+        state[:2, cell] = 0.0
+        flies = not pars[3, cell] or self._springs[cell].normal(time, q, v) < 0.0
+        pars[3, cell] = float(flies)
+        self._takeoffs[cell] = time if flies else None
+        return True

@@ -4,9 +4,10 @@
 
 Time: cells of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate periods each
 from rest. "neighbours" computes 64 cells within 1% of Gamma in one line, as in a sweep; "alone" computes one
-cell with the scalar functions. Every number is the median over the cells of the median over repetitions; the
-ratios come from one run. The general integrators solve the rigid spring, compiled beforehand; slow ones
-compute fewer periods.
+cell with the scalar functions; "ramp" computes 16 lines within 1% of Omega, each of 10 cells within 5% of
+Gamma. Every cycle is computed (no settle_early). Every number is the median over the cells of the median
+over repetitions; the ratios come from one run. The general integrators solve the rigid spring, compiled
+beforehand; slow ones compute fewer periods.
 
 Errors: the worst flight time of tests/golden's rigid cells after 200 periods, whose uncertainty is 6e-10; and
 the deviation of the first three flights from those of `rigid`.
@@ -32,6 +33,7 @@ from tests.support.plates import Model, run_line
 
 PERIODS = 300
 NEIGHBOURS = 64
+LINES, ALONG = 16, 10
 GOLDEN = json.loads((Path(__file__).parents[1] / "tests" / "golden" / "rigid.json").read_text())
 GOLDEN_PERIODS = 200
 FIRST = 3
@@ -96,6 +98,27 @@ def _recorded(done: Line, cell: int) -> list[float]:
     return done.flight_time[cell, : done.flights[cell]].tolist()
 
 
+def ramp(
+    gamma: float, omega: float, xi: float, model: Model, *, e: float = 0.0, adhesive: bool = True
+) -> Line:
+    """Lines of a ramp of Gamma, side by side."""
+    along = np.tile(gamma * np.linspace(0.95, 1.05, ALONG), LINES)
+    full = np.full_like
+    return run_line(
+        along, np.repeat(omega * np.linspace(0.99, 1.01, LINES), ALONG), full(along, xi), model=model,
+        restitution=full(along, e), penetration=full(along, 1e-3), adhesive=adhesive, carry=True,
+        start=[None] * LINES, settle=200, observe=PERIODS - 200, keep=64,
+    )  # fmt: skip
+
+
+def ramp_cost(model: Model, repeat: int, **options: Any) -> float:
+    """Median over CELLS."""
+    units = LINES * ALONG * PERIODS
+    return statistics.median(
+        cost_of(lambda c=cell: ramp(*c, model, **options), units, repeat) for cell in CELLS
+    )
+
+
 def cost_of(run: Callable[[], object], units: float, repeat: int) -> float:
     """Median CPU microseconds per unit; the first run, which may compile, is not timed."""
     run()
@@ -148,11 +171,18 @@ def own_rows(repeat: int) -> list[Row]:
         Row("rigid, neighbours", kernel_cost(Model.RIGID, repeat),
             golden_error(flights_neighbours), first_error(flights_neighbours)),
         Row("rigid, alone", kernel_cost(Model.RIGID, repeat, alone=True), golden_error(flights_alone)),
+        Row("rigid, ramp", ramp_cost(Model.RIGID, repeat)),
+        Row("rigid, e = 0.3", kernel_cost(Model.RIGID, repeat, e=0.3)),
+        Row("ball, e = 0.3", kernel_cost(Model.BALL, repeat, e=0.3)),
     ]  # fmt: skip
     for adhesive in (True, False):
         for d in (1e-3, 1e-6):
             name = f"soft, {'adhesive' if adhesive else 'nonadhesive'}, e = 0.01, d = {d:g}"
             rows.append(Row(name, kernel_cost(Model.SOFT, repeat, e=0.01, d=d, adhesive=adhesive)))
+    for adhesive in (True, False):
+        law = "adhesive" if adhesive else "nonadhesive"
+        cost = ramp_cost(Model.SOFT, repeat, e=0.01, adhesive=adhesive)
+        rows.append(Row(f"soft, ramp, {law}, e = 0.01, d = 0.001", cost))
     stepped = kernel_cost(Model.STEPPED, 1, e=0.01, alone=True)
     rows.append(Row("stepped, the paper's method, d = 0.001", stepped))
     return rows
@@ -166,9 +196,21 @@ def rival(name: str, solve: Solver, periods: int, repeat: int) -> Row:
 
 def heyoka(repeat: int) -> list[Row]:
     """Taylor's method to machine precision, compiled."""
-    from benchmarks.heyoka_rival import Spring
+    from benchmarks.heyoka_rival import BatchSpring, Spring
 
-    return [rival("heyoka, tolerance 2.2e-16", Spring().run, PERIODS, repeat)]
+    batch = BatchSpring()
+    costs = []
+    for gamma, omega, xi in CELLS:
+        spread = gamma * np.linspace(0.99, 1.01, batch.cells)
+        run = partial(batch.run, spread, omega, xi, PERIODS)
+        costs.append(cost_of(run, batch.cells * PERIODS, repeat))
+
+    def one(gamma: float, omega: float, xi: float, periods: int) -> list[float]:
+        return batch.run([gamma] * batch.cells, omega, xi, periods)[0]
+
+    alone = rival("heyoka, tolerance 2.2e-16", Spring().run, PERIODS, repeat)
+    name = f"the same in batch mode, {batch.cells} neighbours"
+    return [alone, Row(name, statistics.median(costs), golden_error(one), first_error(one))]
 
 
 def sundials(repeat: int) -> list[Row]:
