@@ -112,13 +112,21 @@ def coefficients(
     """Set the coefficients of lane k's phase function, and a bound on its rounding error at tau = 0."""
     table[P * LANES + k] = p
     table[R * LANES + k] = r
+    ring = abs(p * table[Y0 * LANES + k]) + abs(r * table[V0 * LANES + k])
+    smooth_coefficients(table, k, k0, k1, k2, a, b, ring)
+
+
+@inlined
+def smooth_coefficients(
+    table: Any, k: int, k0: float, k1: float, k2: float, a: float, b: float, size: float
+) -> None:
+    """Set those of F without its free modes, and the bound; `size` bounds what else was added up for F."""
     table[K0 * LANES + k] = k0
     table[K1 * LANES + k] = k1
     table[K2 * LANES + k] = k2
     table[A * LANES + k] = a
     table[B * LANES + k] = b
-    ring = abs(p * table[Y0 * LANES + k]) + abs(r * table[V0 * LANES + k])
-    table[NOISE * LANES + k] = 4.0 * EPS * (abs(k0) + abs(a) + abs(b) + ring)
+    table[NOISE * LANES + k] = 4.0 * EPS * (abs(k0) + abs(a) + abs(b) + size)
 
 
 @jit

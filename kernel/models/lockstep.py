@@ -180,7 +180,7 @@ def lanes_used(lines: int) -> int:
     return LANES // 2 if lines <= LANES // 2 else LANES
 
 
-@inlined
+@jit
 def _store_runs(runs: list[Progress], numbers: Any) -> None:
     for k in range(LANES):
         store_run(runs[k], numbers[k])

@@ -45,12 +45,13 @@ from kernel.models.lanes import (
     B,
     move_on,
     safe_step_once,
+    smooth_coefficients,
     supports,
 )
 from kernel.models.soft import SoftPlate, begin_contact, emergence_bound
 from kernel.models.soft_contact import ModalState, SoftSpring, from_modes
 from kernel.numerics import first_root
-from kernel.numerics.elementary import exp, sincos, sincos_small
+from kernel.numerics.elementary import LOWEST_EXPONENT, exp, sincos, sincos_small
 from kernel.numerics.first_root import EPS, NEAR, Phase, departure_step
 from kernel.numerics.intrinsics import fma
 from kernel.numerics.jit import inlined, jit
@@ -61,7 +62,7 @@ from kernel.params import LANES
 LARGEST_ANGLE: Final = 1e5
 
 #: ... until the mode has decayed by exp of this, to nothing.
-GONE: Final = 700.0
+GONE: Final = -LOWEST_EXPONENT
 
 # Rows of the table, in place of those of one oscillator in `lanes`. For each mode: g, h and r, its
 # coordinates at tau = 0, and the part of v in it, 1 or 0. The width of the next step over the smooth part.
@@ -104,19 +105,6 @@ def _load_search(table: Any, k: int, phi: float, start: float, horizon: float, g
     table[COUNT * LANES + k] = 0.0
 
 
-@inlined
-def _load_smooth(
-    table: Any, k: int, k0: float, k1: float, k2: float, a: float, b: float, noise: float
-) -> None:
-    """Set the coefficients of F, and a bound on the rounding error of what else was added up for it."""
-    table[K0 * LANES + k] = k0
-    table[K1 * LANES + k] = k1
-    table[K2 * LANES + k] = k2
-    table[A * LANES + k] = a
-    table[B * LANES + k] = b
-    table[NOISE * LANES + k] = 4.0 * EPS * (abs(k0) + abs(a) + abs(b) + noise)
-
-
 @jit
 def _load_contact(s: SoftSpring, table: Any, k: int, run: Progress, horizon: float) -> bool:
     """Put a contact into lane k, unless it never ends or might end at once."""
@@ -127,7 +115,7 @@ def _load_contact(s: SoftSpring, table: Any, k: int, run: Progress, horizon: flo
         return False
     _load_mode(table, k, X_G, p.slow_osc, p.slow_a, p.slow_b)
     _load_mode(table, k, Y_G, p.fast_osc, p.fast_a, p.fast_b)
-    _load_smooth(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
+    smooth_coefficients(table, k, p.static, 0.0, 0.0, p.wave_re, -p.wave_im, 0.0)
     _load_search(table, k, run.phase, start, end, 0.0)
     table[GAP_A * LANES + k] = m.gap_a
     table[GAP_B * LANES + k] = m.gap_b
@@ -171,7 +159,7 @@ def _load_flight(
     _load_mode(table, k, X_G, s.flight, 0.0, 0.0)
     a, b = coordinates(s.flight, -0.5 * run.q, -0.5 * run.q1)
     _load_mode(table, k, Y_G, s.flight, a, b)
-    _load_smooth(
+    smooth_coefficients(
         table, k, run.gap + (cos + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin), 0.5 * s.gravity, -1.0, 0.0,
         0.5 * abs(run.q),
     )  # fmt: skip

@@ -13,7 +13,7 @@ coordinates are x and x' themselves.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.elementary import TWO_PI, atan2, atanh, exp, expm1, hypot, log, sincos
+from kernel.numerics.elementary import LOWEST_EXPONENT, TWO_PI, atan2, atanh, exp, expm1, hypot, log, sincos
 from kernel.numerics.jit import inlined, jit
 
 #: Overdamped, C and S are differences of two exponentials over sqrt(D). Above this ratio of sqrt(D) to a
@@ -65,7 +65,8 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
         return 1.0, 0.0, 1.0
     if osc.discriminant < 0.0:
         decay = exp(-osc.damping * tau)
-        sin, cos = sincos(osc.root * tau)
+        # once nothing is left of the motion, its phase does not matter; for large ones `sincos` is slow
+        sin, cos = sincos(osc.root * tau if osc.damping * tau < -LOWEST_EXPONENT else 0.0)
         cosine = decay * cos
         sine = decay * sin / osc.root
         return cosine + osc.damping * sine, sine, cosine - osc.damping * sine
@@ -185,6 +186,8 @@ def derivative(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
 def propagator(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     """What `propagate` needs for tau >= 0 rad: one serves all motions of an oscillator."""
     if apart(osc):
+        if tau == 0.0:
+            return 1.0, 1.0, 0.0
         return exp(osc.slow * tau), exp(osc.fast * tau), 0.0
     return response(osc, tau)
 
