@@ -273,6 +273,16 @@ def test_a_cancelled_job_resumes_with_what_it_had(tmp_path: Path):
         assert len(held.order) - began == service.job(job).chunks_total - 1
 
 
+def test_a_cancel_flag_that_an_earlier_job_left_stops_nothing(tmp_path: Path, inline: Inline):
+    with running(tmp_path / "elsewhere", inline) as service:
+        job = service.until(service.submit(sweep()), JobState.DONE)
+    with running(tmp_path, inline) as service:
+        url = service.settings.store_of(job.id)
+        store.set_cancelled(url)
+        service.until(service.submit(sweep()), JobState.DONE)
+        assert not store.is_cancelled(url)
+
+
 def test_a_cancel_taken_back_in_time_costs_nothing(tmp_path: Path):
     held, spec = Held(), sweep()
     with running(tmp_path, held) as service:

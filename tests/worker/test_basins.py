@@ -4,7 +4,7 @@ import functools
 import itertools
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import xarray
 
 from kernel.line import LineRun
 from kernel.models.rigid import plate
-from kernel.params import Line, Outcome
+from kernel.params import STATE_FIELDS, Line, Outcome
 from worker import store, studies
 from worker.basins import attractors
 from worker.basins.attractors import Found, Request, find, ks_distance
@@ -47,8 +47,10 @@ def computed(url: str, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = No
     return xarray.open_zarr(url, chunks=None).load()
 
 
-def search(gamma: float, omega: float, xi: float, side: int = 32, **fields: Any) -> Found:
-    """The attractors of side * side drops on a rigid plate."""
+def search(
+    gamma: float, omega: float, xi: float, side: int = 32, others: Sequence[float] = (), **fields: Any
+) -> Found:
+    """The attractors of side * side drops on a rigid plate, and of `others`: drops from that height."""
     spec = basin(gamma=gamma, omega=omega, xi=xi, rows=side, columns=side, **fields)
 
     def run(request: Request, reduce: Callable[[Line], Any]) -> Any:
@@ -61,7 +63,10 @@ def search(gamma: float, omega: float, xi: float, side: int = 32, **fields: Any)
         line.advance()
         return reduce(line.line)
 
-    return find(starts_of(spec, gamma, omega, xi), rules_of(spec), run)
+    starts = starts_of(spec, gamma, omega, xi)
+    added = np.repeat(starts[:1], len(others), axis=0)
+    added[:, STATE_FIELDS.index("gap")] = others
+    return find(np.concatenate([starts, added]), rules_of(spec), run)
 
 
 def told(found: Found) -> list[tuple[int, int, int]]:
@@ -91,6 +96,14 @@ def test_three_cycles_of_one_mode_are_three_attractors():
     found = search(1.0, 0.34, 0.05, settle=1500)
     assert told(found) == [(Outcome.PERIODIC, 1, 1)] * 3
     assert [round(a.longest_flight, 3) for a in found.attractors] == [5.179, 1.054, 2.905]
+
+
+def test_a_start_that_diverges_belongs_to_no_attractor():
+    found = search(3.6, 0.5, 0.26, side=8, others=[1e300])
+    assert len(found.attractors) == 2
+    assert sorted(set(found.ids[:-1].tolist())) == [1, 2]
+    assert found.ids[-1] == 0
+    assert sum(a.fraction for a in found.attractors) == pytest.approx(64 / 65)
 
 
 def test_one_chaotic_set_is_one_attractor_whatever_was_settled():
