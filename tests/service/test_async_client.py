@@ -41,6 +41,9 @@ def test_answers_are_those_of_the_other_client(address: str, tmp_path: Path):
     async def program() -> None:
         async with AsyncClient(address) as client:
             job = await (await client.submit(LINE)).wait(progress=False)
+            shown: list[str] = []
+            await job.wait(progress=lambda status: shown.append(status.state))
+            assert shown == ["done"]
             same = client.sync.job(job.id)
             xarray.testing.assert_identical(await job.diagram(), same.diagram())
             xarray.testing.assert_identical(

@@ -20,7 +20,7 @@ from worker.basins import attractors
 from worker.basins.attractors import Found, Request, find, ks_distance
 from worker.basins.spec import BasinSpec
 from worker.basins.starts import starts_of
-from worker.basins.study import BASINS, entropies, rules_of, run_chunk
+from worker.basins.study import BASINS, entropies, make_plan, rules_of, run_chunk
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 
@@ -244,6 +244,11 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(tmp_path: Path
     data = xarray.open_zarr(url, chunks=None).load()
     for name, content in _whole(tmp_path).items():
         assert data[name].values.tobytes() == content, name
+
+
+def test_cells_that_take_longer_than_a_chunk_have_one_each():
+    costly = basin(gamma=[1.0, 2.0, 3.0], omega=0.5, rows=512, columns=512, settle=3000)
+    assert make_plan(costly).chunk_shape == (1, 1, 1)
 
 
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
