@@ -40,7 +40,7 @@ ENDLESS: dict[str, dict[str, Any]] = {
 }
 #: Undamped springs that never leave the plate: each cell is one contact, which is not divided.
 UNDIVIDED: dict[str, Any] = {"model": SOFT, "gamma": {"start": 0.1, "stop": 0.6, "num": 8}, "xi": 0.0}
-LONGEST = {"settle": 10_000_000, "observe": 10_000_000, "omega": 0.5, "xi": 0.26}
+LONGEST = {"settle": 10_000_000, "observe": 10_000_000, "settle_early": False, "omega": 0.5, "xi": 0.26}
 
 #: Jobs of the last part, and their core-seconds.
 OLD_JOBS, OLD_SECONDS = 20, 60.0
@@ -59,7 +59,15 @@ def large(core_seconds: float) -> dict[str, Any]:
     omega = 0.7 + 1e-6 * next(_numbers)
     cells = round(core_seconds / 2.4e-3)
     gamma = {"start": 1.0, "stop": 6.0, "num": cells}
-    return {"name": "large", "gamma": gamma, "omega": omega, "xi": 0.26, "model": SOFT, "settle": 1500}
+    return {
+        "name": "large",
+        "gamma": gamma,
+        "omega": omega,
+        "xi": 0.26,
+        "model": SOFT,
+        "settle": 1500,
+        "settle_early": False,
+    }
 
 
 def times(client: Client, repeat: int) -> list[float]:

@@ -31,6 +31,7 @@ LONG: Final[dict[str, Any]] = {
     "xi": 0.26,
     "model": {"kind": "rigid"},
     "settle": 20_000,
+    "settle_early": False,
 }
 #: Seconds until a command has done, or has reached what it goes on doing: with compiled kernels, and without.
 SPANS: Final = {"figure": (14.0, 40.0), "serve": (14.0, 40.0), "run": (6.0, 25.0), "submit": (3.0, 3.0)}

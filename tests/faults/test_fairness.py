@@ -28,7 +28,7 @@ ENDLESS = {
 
 
 def endless(kind: str) -> SweepSpec:
-    return sweep("endless", **ENDLESS[kind], settle=10_000_000, observe=10_000_000)
+    return sweep("endless", **ENDLESS[kind], settle=10_000_000, observe=10_000_000, settle_early=False)
 
 
 def pids(executor: Dask) -> set[int]:

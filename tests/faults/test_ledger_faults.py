@@ -126,7 +126,7 @@ def test_a_log_of_another_copy_is_refused_and_the_ledger_kept_as_it_was_found(tm
             connection.execute("PRAGMA wal_autocheckpoint = 0")
             connection.execute("BEGIN")
             connection.executemany(
-                "INSERT INTO chunks VALUES (1, ?, 1, 1.0, ?, '[]', NULL)",
+                "INSERT INTO chunks VALUES (1, ?, 1, 1.0, ?, '[]', NULL, NULL)",
                 [(10 + row, f"{path.parent.name} {row}" * 9) for row in range(rows)],
             )
             connection.execute("UPDATE jobs SET name = ?, chunks_done = chunks_done + ?", [str(rows), rows])

@@ -15,6 +15,9 @@ import httpx2
 import pytest
 import requests
 import schemathesis
+
+# Loaded here, not when it is needed: Python 3.11 cannot compile modules while other threads do.
+import schemathesis.specs.openapi.schemas
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from hypothesis.errors import FlakyStrategyDefinition

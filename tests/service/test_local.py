@@ -44,6 +44,7 @@ LONG = SPEC | {
     "omega": {"start": 0.5, "stop": 0.6, "num": 10},
     "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
     "settle": 4000,
+    "settle_early": False,
 }
 ORBITS = {
     "omega": {"start": 0.4, "stop": 1.2, "num": 60},
@@ -199,7 +200,7 @@ def stored_chunks(folder: Path) -> int:
         Path(path).relative_to(folder).parts[2]
         for path, _, names in os.walk(folder / "stores")
         for name in names
-        if len(Path(path).relative_to(folder).parts) > 5 and not name.startswith(".")
+        if name.startswith("c.")
     )
     return min(counts.values(), default=0)
 

@@ -1,5 +1,6 @@
 """Clusters that grow and shrink, and clusters that vanish: real ones of this machine."""
 
+import asyncio
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -124,6 +125,32 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
         executor.close()
     assert made[1].status.name == "closed"
     assert any("the Dask scheduler does not answer" in fault for fault in faults if fault)
+
+
+def test_what_the_connection_swallows_is_lost_with_it(
+    made: list[LocalCluster], monkeypatch: pytest.MonkeyPatch
+):
+    """What a client sends while its connection is being lost disappears without an error."""
+
+    def make() -> LocalCluster:
+        made.append(local_cluster(1))
+        return made[-1]
+
+    async def swallowed(*_: object) -> None:
+        await asyncio.Event().wait()
+
+    executor = Dask(Made(make, "mine:cluster"), kernel_cache=CACHE)
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(executor._bundles, "add", swallowed)
+            call = executor.call(len, "abc")
+        made[0].close()
+        with pytest.raises(ClusterLost):
+            call.result(PATIENCE)
+        wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
+        assert executor.call(len, "abcd").result(PATIENCE) == 4
+    finally:
+        executor.close()
 
 
 def test_a_function_that_fails_is_called_less_and_less_often(monkeypatch: pytest.MonkeyPatch):

@@ -97,7 +97,14 @@ def test_ramps_are_compared_along_their_own_lines():
 
 
 def test_settling_cut_short_is_harmless():
-    slow = {"gamma": [0.3, 0.5], "omega": 1.0, "xi": 0.01, "settle": 800, "observe": 20}
+    slow = {
+        "gamma": [0.3, 0.5],
+        "omega": 1.0,
+        "xi": 0.01,
+        "settle": 800,
+        "observe": 20,
+        "settle_early": False,
+    }
     early = choose(sweep(1e-6, **slow, settle_tolerance=1e-9, model={"restitution": 0.0}))
     assert 0.0 < percentiles(early)["soft"] < 1e-7
     assert early.model == "soft"

@@ -51,6 +51,7 @@ def naive_line(spec: SweepSpec, gamma, omega, xi, carry: bool):
         keep=spec.keep,
         micro_flight=spec.micro_flight,
         exponents=spec.exponents,
+        settle_early=spec.ends_early,
     )
 
 
@@ -281,7 +282,7 @@ def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeyp
         assert (report.checksum, report.outcomes) == (expected.checksum, expected.outcomes)
         assert pauses > 1
         assert 0 < report.kernel_seconds < report.seconds
-    assert [path.name for path in Path(url).glob(".*")] == []
+    assert [path.name for path in Path(url).glob(".*") if path.is_file()] == []
 
 
 def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
@@ -291,7 +292,7 @@ def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     done = 0
     while done < 2:
-        with pytest.raises(ChunkPaused, match="paused after 0 s"):
+        with pytest.raises(ChunkPaused, match="paused after"):
             run_chunk(spec, plan[0], url, slice_seconds=0.0)
         done = store.read_checkpoint(url, 0)["lines_done"]
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
@@ -341,7 +342,7 @@ def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, kind, expo
     """A single cell takes a quarter of a minute at least."""
     spec = small_spec(
         gamma=3.7, omega=0.5, xi=0.05, model={"kind": kind}, exponents=exponents, settle=10_000_000,
-        observe=10_000_000,
+        observe=10_000_000, settle_early=False,
     )  # fmt: skip
     plan, url = stored(tmp_path, spec)
     timer = threading.Timer(0.3, store.set_cancelled, [url])

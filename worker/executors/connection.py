@@ -58,8 +58,8 @@ class SchedulerConnection:
 
     A thread checks the connection every second, reconnects when it is lost, and registers `plugin` with
     every scheduler anew. `on_event` gets the events that workers log under `TOPIC`, and `on_roster` those
-    under `ROSTER`, in the client's event loop. Thread-safe. Raises ClusterLost if no scheduler answers within
-    `timeout` seconds at first.
+    under `ROSTER`, in the client's event loop. `on_lost` gets a client that is closed because its connection
+    was lost. Thread-safe. Raises ClusterLost if no scheduler answers within `timeout` seconds at first.
     """
 
     def __init__(
@@ -68,12 +68,13 @@ class SchedulerConnection:
         plugin: WorkerPlugin,
         on_event: Callable[[dict[str, Any]], None],
         on_roster: Callable[[dict[str, Any]], None],
+        on_lost: Callable[[Any], None],
         *,
         security: Any = None,
         timeout: float,
     ) -> None:
         self._target, self._plugin, self._security = target, plugin, security
-        self._on_event, self._on_roster = on_event, on_roster
+        self._on_event, self._on_roster, self._on_lost = on_event, on_roster, on_lost
         self._closed = threading.Event()
         self._scheduler_id = ""  # of the scheduler that has our plugin; empty while there is none
         self._takes_demand = False  # whether that scheduler has the plugin `Demand`
@@ -219,6 +220,7 @@ class SchedulerConnection:
             lost, self._client = self._client, self._connect(PING_SECONDS)
             with contextlib.suppress(Exception):
                 lost.close(timeout=RETRY_SECONDS)
+            self._on_lost(lost)
             self._register()
             log.info("connected to a scheduler again")
         elif self._is_replaced():

@@ -5,10 +5,12 @@ import logging
 import math
 import time
 from collections.abc import Callable, Hashable
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError, Future, InvalidStateError
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+from weakref import WeakSet
 
 from distributed import KilledWorker
 
@@ -88,6 +90,8 @@ class Dask:
         self._count_time = -math.inf  # when the workers were last counted
         self._state = ClusterState(connected=False, workers=0)
         self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
+        self._unfinished: dict[Any, set[Future[Any]]] = {}  # by client
+        self._lost: WeakSet[Any] = WeakSet()  # clients
         self._target: Target = Fixed(None)
         self._roster, self._quarantine = Roster(), Quarantine()
         self._bundles, self._specs = Bundles(), SentSpecs()
@@ -104,6 +108,7 @@ class Dask:
                 plugin,
                 self._on_event,
                 self._roster.note,
+                self._on_lost,
                 security=security,
                 timeout=timeout,
             )
@@ -178,10 +183,48 @@ class Dask:
         call = Call((function, *arguments), priority, tuple(others or ()))
         outcome = self._submitted(client, call, identity, others)
         try:
-            return asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
+            task = asyncio.run_coroutine_threadsafe(outcome, client.loop.asyncio_loop)
         except Exception as error:  # the loop is closed
             outcome.close()
             raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
+        return self._until_lost(client, task)
+
+    def _until_lost(self, client: Any, task: "Future[Any]") -> "Future[Any]":
+        """What a task in the client's event loop ends with, or ClusterLost once the client is lost.
+
+        What a client sends while its connection is being lost disappears without an error, and its event loop
+        may end before the task does.
+        """
+        result: Future[Any] = Future()
+        unfinished = self._unfinished.setdefault(client, set())
+        unfinished.add(result)
+
+        def on_task_done(task: "Future[Any]") -> None:
+            with suppress(InvalidStateError):  # it was cancelled, or lost
+                if task.cancelled():
+                    result.cancel()
+                elif error := task.exception():
+                    result.set_exception(error)
+                else:
+                    result.set_result(task.result())
+
+        def on_result_done(result: "Future[Any]") -> None:
+            unfinished.discard(result)
+            if result.cancelled():
+                task.cancel()
+
+        result.add_done_callback(on_result_done)
+        task.add_done_callback(on_task_done)
+        if client in self._lost:  # just now
+            self._on_lost(client)
+        return result
+
+    def _on_lost(self, client: Any) -> None:
+        """The client is closed, its connection was lost: so is what it has not told."""
+        self._lost.add(client)
+        for result in list(self._unfinished.pop(client, ())):
+            with suppress(InvalidStateError):
+                result.set_exception(ClusterLost("the connection to the scheduler was lost"))
 
     async def _submitted(self, client: Any, call: Call, identity: Hashable, others: list[str] | None) -> Any:
         """The result of a task, in the client's event loop. Raises ClusterLost if there is none any more."""

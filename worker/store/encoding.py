@@ -99,19 +99,24 @@ def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) ->
 def form_of(metadata: Mapping[str, Any]) -> ArrayForm:
     """From the metadata of an array. Raises KeyError, TypeError or ValueError for what we do not write."""
     dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
-    fill = metadata["fill_value"]
     chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
     codec = metadata["codecs"][0]
     sharded = codec["name"] == "sharding_indexed"
     return ArrayForm(
         dtype,
-        np.nan if fill == "NaN" else fill,
+        _fill(dtype, metadata["fill_value"]),
         tuple(metadata["dimension_names"]),
         tuple(metadata["shape"]),
         chunks,
         tuple(codec["configuration"]["chunk_shape"]) if sharded else chunks,
         metadata["chunk_key_encoding"]["configuration"]["separator"],
     )
+
+
+def _fill(dtype: np.dtype[Any], value: Any) -> Any:
+    """A fill from its JSON: numbers that are not finite are texts, complex ones a list of two."""
+    numbers = [float(part) if isinstance(part, str) else part for part in np.atleast_1d(value).tolist()]
+    return complex(*numbers) if dtype.kind == "c" else numbers[0]
 
 
 def _compressed(form: ArrayForm, block: NDArray[Any]) -> bytes:
