@@ -159,6 +159,10 @@ class Threshold(BaseModel):
     energy: EnergyView | None = Field(description="of the cycle at the fold")
 
 
+#: Real and imaginary part; null where numbers are too far apart for it to be known.
+Multiplier = tuple[float | None, float | None]
+
+
 class BranchView(BaseModel):
     """A connected piece of the branch of one mode, in the order of its flight times.
 
@@ -178,7 +182,7 @@ class BranchView(BaseModel):
         description="0, or the sum of 1 (gap < 0 in flight), 2 (force < 0 in contact), "
         "4 (no take-off where one should be)"
     )
-    multipliers: list[list[tuple[float, float]]] = Field(
+    multipliers: list[list[Multiplier]] = Field(
         description="of every cycle both, the larger in modulus first: real and imaginary part"
     )
     energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
@@ -195,7 +199,7 @@ class EventView(BaseModel):
     periods: int
     flight_time: float = Field(description="rad")
     admissible: int = Field(description="as of a branch; a cycle that grazes is admissible")
-    multipliers: list[tuple[float, float]]
+    multipliers: list[Multiplier]
 
 
 class OrbitsView(BaseModel):
@@ -220,7 +224,7 @@ class WordView(BaseModel):
     impact_velocity: list[list[float]]
     stable: list[bool]
     admissible: list[int] = Field(description="as of other branches")
-    multipliers: list[list[tuple[float, float]]]
+    multipliers: list[list[Multiplier]]
     energy: dict[str, list[float]] | None = Field(None, description="if asked for: see EnergyView")
 
 
@@ -289,7 +293,7 @@ class CycleView(BaseModel):
     bounces: int
     periods: int
     flight_time: float = Field(description="rad")
-    multipliers: list[tuple[float, float]] = Field(description="both, as real and imaginary part")
+    multipliers: list[Multiplier] = Field(description="both, as real and imaginary part")
     stable: bool
     admissible: int = Field(description="0 if the spring has it; else the sum of the conditions that fail")
 
