@@ -142,8 +142,8 @@ def run_to_file(
             if format in EXPORTS:
                 attributes = attributes_of(record, job)
                 whole = export.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
-                made = export.make(InThisProcess(), whole, limits.exports_path)
-                file.writelines(export.pieces(made))
+                with export.make(InThisProcess(), whole, limits.exports_path) as made:
+                    file.writelines(export.pieces(made))
             else:
                 table = cast(DiagramFormat, format)
                 file.write(answers.diagram(sweep, where, table, limits.max_points, every).content)

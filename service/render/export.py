@@ -122,7 +122,6 @@ def remove_unfinished(folder: Path) -> None:
 
 
 def pieces(file: IO[bytes]) -> Iterator[bytes]:
-    """The file's bytes; closes it."""
-    with file:
-        while piece := file.read(PIECE):
-            yield piece
+    """The file's bytes."""
+    while piece := file.read(PIECE):
+        yield piece

@@ -359,6 +359,7 @@ def test_its_own_page_may_load_everything(local: TestClient, site: str):
 def test_head_answers_what_get_answers(local: TestClient, method: str, path: str):
     """Without the body, and at once also where GET streams until the job ends."""
     job = local.post("/v1/jobs", json=SWEEP).json()["id"]
+    wait_for(lambda: local.get(f"/v1/jobs/{job}").json()["state"] == "running")  # its answers change then
     head = local.head(path.format(job=job))
     assert head.content == b""
     if "/events" in path:

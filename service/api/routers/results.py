@@ -3,11 +3,12 @@
 import re
 from collections.abc import Mapping
 from http import HTTPStatus
-from typing import Annotated, Final
+from typing import IO, Annotated, Final
 from urllib.parse import quote
 
 from fastapi import APIRouter, Header, Query, Response
 from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from service.api import dependencies, parameters, schemas
 from service.api.capacity import costly
@@ -174,6 +175,18 @@ def get_modes(
     return Response(answer.content, media_type=MEDIA_TYPES["json"], headers=_complete(answer.complete))
 
 
+class _OpenFile(StreamingResponse):
+    """A file that is open; it is closed however the request ends, also before anything is read."""
+
+    def __init__(self, file: IO[bytes], headers: Mapping[str, str], media_type: str) -> None:
+        super().__init__(export_files.pieces(file), 200, headers, media_type)
+        self._file = file
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._file:
+            await super().__call__(scope, receive, send)
+
+
 def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.ExportQuery) -> int:
     group = GROUP_BYTES if query.format == "parquet" else 0
     return BASE_MEMORY + group + _CHUNK_COPIES * service.manager.preparer.prepare(job).layout.chunk_bytes
@@ -206,7 +219,7 @@ def export_job(
         **_complete(job.state is JobState.DONE),
     }
     file.seek(0)
-    return StreamingResponse(export_files.pieces(file), 200, headers, MEDIA_TYPES[query.format])
+    return _OpenFile(file, headers, MEDIA_TYPES[query.format])
 
 
 #: One range of bytes; a request for several is answered with all bytes, which is allowed.
