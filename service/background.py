@@ -147,6 +147,7 @@ class Processes:
 
 class _Process:
     def __init__(self) -> None:
+        self._ending = threading.Lock()
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_compute, args=(theirs,), name="bounce-answers", daemon=True)
@@ -169,9 +170,10 @@ class _Process:
         return succeeded, value, self._connection.recv()
 
     def end(self) -> None:
-        self._process.terminate()
-        self._process.join()
-        self._connection.close()
+        with self._ending:  # two threads that close a connection may close a file of somebody else's
+            self._process.terminate()
+            self._process.join()
+            self._connection.close()
 
 
 def _compute(connection: Connection) -> None:
