@@ -55,6 +55,9 @@ CASES = {
     "soft ramp, adhesive, d = 1e-3": Case(
         "soft", {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}, 4 * LENGTH, 4
     ),
+    "soft ramp, 16 lines": Case(
+        "soft", {"restitution": 0.01, "penetration": 1e-3, "adhesive": True}, 16 * LENGTH, 16
+    ),
     "ball, e = 0.3": Case("ball", {"restitution": 0.3}, 2000),
 }
 

@@ -76,10 +76,12 @@ class Counting(Dask):
 
     def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
         future = super().submit(spec, chunk, store_url, **limits)
-        future.add_done_callback(self._count)
+        future.add_done_callback(self._add_times)
         return future
 
-    def _count(self, future: "Future[ChunkReport]") -> None:
+    def _add_times(self, future: "Future[ChunkReport]") -> None:
+        if future.cancelled() or future.exception() is not None:  # it paused
+            return
         report = future.result()
         self.kernel_seconds += report.kernel_seconds
         self.task_seconds += report.seconds

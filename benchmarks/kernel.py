@@ -1,6 +1,6 @@
 """CPU time per cell per plate period of each contact model and of general integrators, and their errors.
 
-    python -m benchmarks.kernel [--repeat 7] [--only rigid,heyoka,...]
+    python -m benchmarks.kernel [--repeat 7] [--only heyoka,diffrax,sundials,scipy]
 
 Time: cells of the paper's figures (Fig. 2, and Omega = 0.67, 1, 1.24 at xi = 0.05), 300 plate periods each
 from rest. "neighbours" computes 64 cells within 1% of Gamma in one line, as in a sweep; "alone" computes one

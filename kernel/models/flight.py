@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, ROOT, Terms, departure_step, first_root, polish, terms
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 #: Terms of the power series smaller than this part of their sum are omitted: a thousandth of EPS, so that
@@ -48,7 +48,7 @@ class Flight(NamedTuple):
     q1: float
 
 
-@jit
+@inlined
 def begin_flight(
     osc: Oscillator, gravity: float, phi: float, gap: float, gap1: float, q: float, q1: float
 ) -> Flight:
@@ -104,7 +104,7 @@ def _hop_bracket(p: Flight) -> tuple[float, float]:
     return width, guess + guess * cubic / (3.0 * (emerging - cubic))
 
 
-@jit
+@inlined
 def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau."""
     q, q1 = motion(p.osc, p.q, p.q1, tau)

@@ -56,7 +56,7 @@ def _needs_scalar(table: Any, k: int, run: Progress) -> bool:
     return table[STATUS * LANES + k] == FALLBACK or not run.in_flight
 
 
-@jit
+@inlined
 def _scalar_phase(s: Any, run: Progress) -> Phase:
     """The run's next phase by the scalar functions."""
     horizon = horizon_of(run)

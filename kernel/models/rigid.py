@@ -178,7 +178,7 @@ def _contact(
 
 
 @flight.register(Spring)
-@jit
+@inlined
 def _flight(
     s: Spring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
@@ -209,7 +209,7 @@ def land(
     return Phase(tau, ROOT, in_flight, 0.0, hop, q, q1, used)
 
 
-@jit
+@inlined
 def _chatter_ends(s: Spring, sin: float, cos: float, hop: float, q: float, q1: float) -> bool:
     """Whether the chatter that begins with `hop` may be summed, n being that of a mass that sticks."""
     h, h1 = q - s.static_elongation - (s.q_re * cos - s.q_im * sin), q1 + (s.q_re * sin + s.q_im * cos)

@@ -22,15 +22,16 @@ from kernel.models.soft_contact import (
     LiftoffFunction,
     ModalState,
     SoftSpring,
-    from_modes,
     liftoff_function,
+    modes_of,
     soft_spring,
-    to_modes,
+    state_of,
+    terms_of_parts,
 )
 from kernel.models.soft_liftoff import sure_contact_time
 from kernel.numerics.elementary import hypot, sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Phase, Terms, first_root, terms
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import all_derivatives, apart, derivatives, motion, quiet_time
 from kernel.validation import check_arrays
 
@@ -58,12 +59,6 @@ class Recontact(NamedTuple):
     flight: Flight
     kappa: float
     beta: float
-
-
-class Emergence(NamedTuple):
-    """-gap as the phase function of a flight below the surface: at its zero the mass emerges."""
-
-    flight: Flight
 
 
 @prepare.register(SoftPlate)
@@ -94,29 +89,31 @@ def _flies(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: flo
     return lifted_off(gap, gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
-@jit
+@inlined
 def begin_contact(
-    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float
+    s: SoftSpring, phi: float, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
 ) -> tuple[ModalState, LiftoffFunction, Terms, float, float]:
     """The contact from this state: its modes, its lift-off function with its terms now, and where to search.
 
     That is between two times (rad): the mass surely stays until the first, and from the second on both free
-    modes are too small to lift it.
+    modes are too small to lift it. sin and cos are of the plate's phase phi.
     """
-    m = to_modes(s, phi, gap, gap1, q, q1)
+    m = modes_of(s, sin, cos, gap, gap1, q, q1)
     p = liftoff_function(s, m, phi)
-    if gap < 0.0 and not s.adhesive and apart(p.fast_osc):
-        p = _beginning_with(p, plate_force(s.kappa, s.beta, gap, gap1))
-    margin = p.static - hypot(p.wave_re, p.wave_im)
     slow = all_derivatives(p.slow_osc, p.slow_a, p.slow_b)
     fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
+    t = terms_of_parts(p, sin, cos, slow, fast)
+    if gap < 0.0 and not s.adhesive and apart(p.fast_osc):
+        p = _beginning_with(p, t, plate_force(s.kappa, s.beta, gap, gap1))
+        fast = all_derivatives(p.fast_osc, p.fast_a, p.fast_b)
+        t = terms_of_parts(p, sin, cos, slow, fast)
+    margin = p.static - hypot(p.wave_re, p.wave_im)
     decayed = 0.0
     if slow.size + fast.size >= margin:
         decayed = max(
             quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * margin),
             quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * margin),
         )
-    t = terms(p, 0.0)
     return m, p, t, sure_contact_time(p, t), decayed
 
 
@@ -129,7 +126,8 @@ def _contact(
 
     The search ends early once both free modes are too small to bring it there.
     """
-    m, p, _, start, decayed = begin_contact(s, phi, gap, gap1, q, q1)
+    sin, cos = sincos(phi)
+    m, p, _, start, decayed = begin_contact(s, phi, sin, cos, gap, gap1, q, q1)
     end = min(horizon, decayed)
     tau, ending, used = first_root(p, start, end, budget)
     if tau == 0.0 and ending == ROOT:
@@ -141,20 +139,20 @@ def _contact(
         used += more
     if ending == HORIZON:
         tau = horizon
-    gap, gap1, q, q1 = from_modes(s, m, phi, tau)
+    sin, cos = sincos(phi + tau)
+    gap, gap1, q, q1 = state_of(s, m, sin, cos, tau)
     if ending == ROOT and s.adhesive:
         gap, gap1 = 0.0, max(gap1, 0.0)
     return Phase(tau, ending, ending == ROOT, gap, gap1, q, q1, used)
 
 
-@jit
-def _beginning_with(p: LiftoffFunction, force: float) -> LiftoffFunction:
-    """`p` with the force of the state at tau = 0, where n is a small difference of kappa gap and beta gap'.
+@inlined
+def _beginning_with(p: LiftoffFunction, t: Terms, force: float) -> LiftoffFunction:
+    """`p`, whose terms at tau = 0 are `t`, with the force of the state there.
 
-    The modes' sum has a few times its rounding error. The difference is given to the fast exponential,
-    which is where it came from.
+    n is a small difference of kappa gap and beta gap'. The modes' sum has a few times its rounding error. The
+    difference is given to the fast exponential, which is where it came from.
     """
-    t = terms(p, 0.0)
     fast_b = p.fast_b + (force - (t.smooth + t.ring))
     return LiftoffFunction(
         p.slow_osc, p.fast_osc, p.phi, p.static, p.wave_re, p.wave_im, p.slow_a, p.slow_b, p.fast_a, fast_b
@@ -171,17 +169,6 @@ def _lifts(s: SoftSpring, p: Flight) -> bool:
     if s.adhesive or (p.gap == 0.0 and p.gap1 == 0.0):
         return p.gap1 > 0.0 or (p.gap1 == 0.0 and p.gap2 > 0.0)
     return s.kappa * p.gap1 + s.beta * p.gap2 > 0.0  # -n'
-
-
-@terms.register(Emergence)
-@jit
-def _emergence_terms(p: Emergence, tau: float) -> Terms:
-    """The flight's terms with their signs changed."""
-    t = flight_terms(p.flight, tau)
-    return Terms(
-        -t.smooth, -t.smooth1, -t.smooth2, -t.smooth3, t.smooth4,
-        -t.ring, -t.ring1, -t.ring2, -t.ring3, t.ring4, t.amplitude, t.noise,
-    )  # fmt: skip
 
 
 @terms.register(Recontact)
@@ -213,7 +200,7 @@ def _recontact_terms(p: Recontact, tau: float) -> Terms:
     )
 
 
-@jit
+@inlined
 def _lowest_gap2(p: Flight, time: float) -> float:
     """A lower bound <= 0 of gap'' over the first `time` rad of a flight.
 
@@ -224,13 +211,13 @@ def _lowest_gap2(p: Flight, time: float) -> float:
     return min(p.gap2, p.gap2 + time * (gap3 - 0.5 * time * (1.0 + 0.5 * q4)), 0.0)
 
 
-@jit
+@inlined
 def _no_recontact(s: SoftSpring, p: Flight, lowest_gap2: float, time: float) -> bool:
     """Whether kappa gap + beta gap', zero at take-off, surely only grows for `time` rad."""
     return s.kappa * (p.gap1 + time * lowest_gap2) + s.beta * lowest_gap2 > 0.0
 
 
-@jit
+@inlined
 def emergence_bound(s: SoftSpring, p: Flight) -> float:
     """A time (rad) by which a mass that takes off below the surface is surely above it, without recontact.
 
@@ -243,33 +230,67 @@ def emergence_bound(s: SoftSpring, p: Flight) -> float:
     return time if 0.5 * lowest * time * time > p.gap and _no_recontact(s, p, lowest, time) else 0.0
 
 
-@flight.register(SoftSpring)
 @jit
+def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tuple[float, int, int]:
+    """Follow a flight from below the surface: (tau, ending, evaluations used) as of `first_root`.
+
+    ROOT with a gap <= 0: back in contact at tau. Otherwise, with a gap >= 0, the mass has emerged before tau
+    and has not landed.
+
+    While c(tau) = kappa gap + beta gap' is positive, gap exp(kappa/beta tau) grows, so that the gap passes
+    zero at most once: where it is positive it has been since. So only zeros of c are searched, up to a time
+    by which the mass should have emerged, and beyond if it has not.
+    """
+    below = Recontact(p, s.kappa, s.beta)
+    tau, used, end = 0.0, 0, 0.0
+    gap, gap1 = p.gap, p.gap1
+    while True:
+        # twice the time to the surface at constant velocity
+        end = min(max(tau - 2.0 * gap / gap1, 2.0 * end) if gap1 > 0.0 else horizon, horizon)
+        tau, ending, more = first_root(below, tau, end, budget - used)
+        used += more
+        if tau == 0.0 and ending == ROOT and _lifts(s, p):
+            tau = 1.0 / s.gap_mode.rate
+            tau, ending, more = first_root(below, tau, max(end, 2.0 * tau), budget - used)
+            used += more
+        gap, gap1, _, _ = state_after(p, tau)
+        if ending != HORIZON or gap >= 0.0 or tau >= horizon:
+            return tau, ending, used
+
+
+@flight.register(SoftSpring)
+@inlined
 def _flight(
     s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
 ) -> Phase:
-    """In flight until landing. One that begins below the surface may return to contact before it emerges."""
-    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
-    emerged, used = 0.0, 0
+    """In flight until landing."""
     if gap < 0.0:
-        emerged = emergence_bound(s, p)
-    if gap < 0.0 and emerged == 0.0:
-        emerged, ending, used = first_root(Emergence(p), 0.0, horizon, budget)
-        tau, recontact = emerged, HORIZON
-        if not _no_recontact(s, p, _lowest_gap2(p, emerged), emerged):
-            below = Recontact(p, s.kappa, s.beta)
-            tau, recontact, more = first_root(below, 0.0, emerged, budget - used)
-            used += more
-            if tau == 0.0 and recontact == ROOT and _lifts(s, p):
-                tau, recontact, more = first_root(below, 1.0 / s.gap_mode.rate, emerged, budget - used)
-                used += more
-        if recontact != HORIZON or ending != ROOT:
-            # contact returns before the mass emerges, or the window ends first
-            gap, gap1, q, q1 = state_after(p, tau)
-            ending = ending if recontact == HORIZON else recontact
-            return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used)
-    tau, ending, more = landing(p, emerged, horizon, budget - used)
+        return _flight_from_below(s, phi, gap, gap1, q, q1, horizon, budget)
+    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    return _until_landing(p, 0.0, horizon, budget)
+
+
+@jit
+def _flight_from_below(
+    s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float, horizon: float, budget: int
+) -> Phase:
+    """A flight that begins below the surface. It may return to contact before it emerges."""
+    p = begin_flight(s.flight, s.gravity, phi, gap, gap1, q, q1)
+    emerged, used = emergence_bound(s, p), 0
+    if emerged == 0.0:
+        emerged, ending, used = _below_surface(s, p, horizon, budget)
+        gap, gap1, q, q1 = state_after(p, emerged)
+        if (ending != HORIZON and (ending != ROOT or gap <= 0.0)) or gap < 0.0:
+            return Phase(emerged, ending, ending != ROOT, gap, gap1, q, q1, used)
+    end = _until_landing(p, emerged, horizon, budget - used)
+    return Phase(end.tau, end.ending, end.in_flight, end.gap, end.gap1, end.q, end.q1, used + end.used)
+
+
+@jit
+def _until_landing(p: Flight, start: float, horizon: float, budget: int) -> Phase:
+    """The flight, above the surface at `start` rad, until it lands."""
+    tau, ending, used = landing(p, start, horizon, budget)
     gap, gap1, q, q1 = state_after(p, tau)
     if ending == ROOT:
         gap, gap1 = 0.0, min(gap1, 0.0)
-    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used + more)
+    return Phase(tau, ending, ending != ROOT, gap, gap1, q, q1, used)

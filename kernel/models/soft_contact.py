@@ -22,6 +22,7 @@ from kernel.numerics.elementary import hypot, sincos
 from kernel.numerics.first_root import EPS, Terms, terms
 from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import (
+    Derivatives,
     Oscillator,
     advance,
     all_derivatives,
@@ -286,7 +287,7 @@ def _separate_modes(c: _Contact) -> Modes:
     return Modes(best.gap_mode, best.elongation_mode, elongation, gap)
 
 
-@jit
+@inlined
 def _coupled(coupling: Coupling, osc: Oscillator, a: float, b: float) -> tuple[float, float]:
     """The coordinates of the coupled quantity, those of the leading one being a and b."""
     if apart(osc):
@@ -295,7 +296,7 @@ def _coupled(coupling: Coupling, osc: Oscillator, a: float, b: float) -> tuple[f
     return coupling.first * a + coupling.second * b, coupling.first * b + coupling.second * b1
 
 
-@jit
+@inlined
 def _following(coupling: Coupling, osc: Oscillator, x: float, x1: float) -> tuple[float, float]:
     """The coupled quantity and its rate, the leading one being x with rate x1."""
     a, b = coordinates(osc, x, x1)
@@ -315,7 +316,7 @@ def _decoupling(f: Modes) -> tuple[float, float, float, float]:
     return m11 / det, -m01 / det, -m10 / det, m00 / det
 
 
-@jit
+@inlined
 def separate(s: SoftSpring, gap: float, gap1: float, q: float, q1: float) -> ModalState:
     """The modes of a free motion, without static and driven part, or of a small difference of two motions.
 
@@ -333,7 +334,7 @@ def separate(s: SoftSpring, gap: float, gap1: float, q: float, q1: float) -> Mod
     return ModalState(gap_a, gap_b, elongation_a, elongation_b)
 
 
-@jit
+@inlined
 def combine(
     s: SoftSpring,
     m: ModalState,
@@ -356,6 +357,14 @@ def combine(
 def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: float) -> ModalState:
     """The free modes of a state at phase phi: what is left without the static and driven parts."""
     sin, cos = sincos(phi)
+    return modes_of(s, sin, cos, gap, gap1, q, q1)
+
+
+@inlined
+def modes_of(
+    s: SoftSpring, sin: float, cos: float, gap: float, gap1: float, q: float, q1: float
+) -> ModalState:
+    """`to_modes` from the sine and cosine of the plate's phase."""
     q -= s.static_elongation + s.q_re * cos - s.q_im * sin
     q1 += s.q_re * sin + s.q_im * cos
     gap -= s.static_gap + s.g_re * cos - s.g_im * sin
@@ -367,6 +376,14 @@ def to_modes(s: SoftSpring, phi: float, gap: float, gap1: float, q: float, q1: f
 def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[float, float, float, float]:
     """gap, gap', q, q' at tau rad, where the modes are `m` at phase phi and tau = 0."""
     sin, cos = sincos(phi + tau)
+    return state_of(s, m, sin, cos, tau)
+
+
+@inlined
+def state_of(
+    s: SoftSpring, m: ModalState, sin: float, cos: float, tau: float
+) -> tuple[float, float, float, float]:
+    """`from_modes` from the sine and cosine of the plate's phase at tau."""
     gap, gap1, q, q1 = combine(s, m, propagator(s.gap_mode, tau), propagator(s.elongation_mode, tau))
     return (
         s.static_gap + s.g_re * cos - s.g_im * sin + gap,
@@ -376,7 +393,7 @@ def from_modes(s: SoftSpring, m: ModalState, phi: float, tau: float) -> tuple[fl
     )
 
 
-@jit
+@inlined
 def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunction:
     """The lift-off function -(kappa gap + c gap') from phi on, with c = 0 (adhesive) or beta (nonadhesive).
 
@@ -406,11 +423,16 @@ def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunctio
 def _liftoff_terms(p: LiftoffFunction, tau: float) -> Terms:
     """The static and driven parts and the slower mode are smooth, the faster mode rings."""
     sin, cos = sincos(p.phi + tau)
-    wave, wave1 = p.wave_re * cos - p.wave_im * sin, -(p.wave_re * sin + p.wave_im * cos)
     a, b = advance(p.slow_osc, p.slow_a, p.slow_b, tau)
     slow = all_derivatives(p.slow_osc, a, b)
     a, b = advance(p.fast_osc, p.fast_a, p.fast_b, tau)
-    fast = all_derivatives(p.fast_osc, a, b)
+    return terms_of_parts(p, sin, cos, slow, all_derivatives(p.fast_osc, a, b))
+
+
+@inlined
+def terms_of_parts(p: LiftoffFunction, sin: float, cos: float, slow: Derivatives, fast: Derivatives) -> Terms:
+    """The lift-off function's terms from its modes' parts and the sine and cosine of the plate's phase."""
+    wave, wave1 = p.wave_re * cos - p.wave_im * sin, -(p.wave_re * sin + p.wave_im * cos)
     bound = abs(p.wave_re) + abs(p.wave_im)
     return Terms(
         smooth=p.static + wave + slow.x,

@@ -49,13 +49,13 @@ from kernel.models.lanes import (
     supports,
 )
 from kernel.models.soft import SoftPlate, begin_contact, emergence_bound
-from kernel.models.soft_contact import ModalState, SoftSpring, from_modes
+from kernel.models.soft_contact import ModalState, SoftSpring, state_of
 from kernel.numerics import first_root
 from kernel.numerics.elementary import LOWEST_EXPONENT, exp, sincos, sincos_small
-from kernel.numerics.first_root import EPS, NEAR, Phase, departure_step
+from kernel.numerics.first_root import EPS, NEAR, Phase, Terms, departure_step
 from kernel.numerics.intrinsics import fma
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, coordinates, derivatives
+from kernel.numerics.oscillator import NEAR_CRITICAL, Oscillator, coordinates, derivatives, motion
 from kernel.params import LANES
 
 #: rad up to which `sincos_small` keeps its accuracy; a mode's angle must stay below, ...
@@ -63,6 +63,9 @@ LARGEST_ANGLE: Final = 1e5
 
 #: ... until the mode has decayed by exp of this, to nothing.
 GONE: Final = -LOWEST_EXPONENT
+
+#: A contact that begins with a force of zero is searched from where that is above so many times its rounding.
+RISEN: Final = 16.0
 
 # Rows of the table, in place of those of one oscillator in `lanes`. For each mode: g, h and r, its
 # coordinates at tau = 0, and the part of v in it, 1 or 0. The width of the next step over the smooth part.
@@ -106,11 +109,28 @@ def _load_search(table: Any, k: int, phi: float, start: float, horizon: float, g
 
 
 @jit
-def _load_contact(s: SoftSpring, table: Any, k: int, run: Progress, horizon: float) -> bool:
+def _rising_time(t: Terms) -> float:
+    """A time (rad) at which F, zero to rounding in `t`, has surely risen clearly above; 0 if it may not."""
+    f1, f2, f3, f4 = t.smooth1 + t.ring1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4
+    width = 2.0 * max(abs(f3), math.sqrt(abs(f2) * f4)) / f4
+    if not (f1 > 0.0 and width > 0.0):
+        return 0.0
+    # F is above a parabola from zero to zero, half-way at f1 time / 2
+    time = 0.5 * safe_step_once(0.0, f1, f2, f3, f4, width)
+    return time if 0.5 * f1 * time > RISEN * t.noise else 0.0
+
+
+@jit
+def _load_contact(
+    s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: float, horizon: float
+) -> bool:
     """Put a contact into lane k, unless it never ends or might end at once."""
-    m, p, t, start, decayed = begin_contact(s, run.phase, run.gap, run.gap1, run.q, run.q1)
+    m, p, t, start, decayed = begin_contact(s, run.phase, sin, cos, run.gap, run.gap1, run.q, run.q1)
     end = min(horizon, decayed)
-    at_once = start == 0.0 and t.smooth + t.ring <= 4.0 * t.noise
+    f0 = t.smooth + t.ring
+    if start == 0.0 and abs(f0) <= 4.0 * t.noise:
+        start = _rising_time(t)
+    at_once = start == 0.0 and f0 <= 4.0 * t.noise
     if at_once or decayed == 0.0 or not (_serves(p.slow_osc, end) and _serves(p.fast_osc, end)):
         return False
     _load_mode(table, k, X_G, p.slow_osc, p.slow_a, p.slow_b)
@@ -135,7 +155,7 @@ def _load_flight(
     """
     if not (supports(s.flight) and _serves(s.flight, horizon)):
         return False
-    emerged = 0.0
+    emerged, sin0, cos0 = 0.0, sin, cos
     gap, gap1, q, q1 = run.gap, run.gap1, run.q, run.q1
     if gap < 0.0:
         p = begin_flight(s.flight, s.gravity, run.phase, gap, gap1, q, q1)
@@ -155,13 +175,12 @@ def _load_flight(
             start += safe
         elif 2.0 * gap1 < -gap2 * SHORT_FLIGHT:
             return False
-    sin, cos = sincos(run.phase)
     _load_mode(table, k, X_G, s.flight, 0.0, 0.0)
     a, b = coordinates(s.flight, -0.5 * run.q, -0.5 * run.q1)
     _load_mode(table, k, Y_G, s.flight, a, b)
     smooth_coefficients(
-        table, k, run.gap + (cos + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin), 0.5 * s.gravity, -1.0, 0.0,
-        0.5 * abs(run.q),
+        table, k, run.gap + (cos0 + 0.5 * run.q), run.gap1 + (0.5 * run.q1 - sin0), 0.5 * s.gravity,
+        -1.0, 0.0, 0.5 * abs(run.q),
     )  # fmt: skip
     _load_search(table, k, run.phase, start, horizon, FIRST_WIDTH)
     return True
@@ -173,7 +192,7 @@ def _load(s: SoftSpring, table: Any, k: int, run: Progress, sin: float, cos: flo
     """Put the run's next phase into lane k."""
     if run.in_flight:
         return _load_flight(s, table, k, run, sin, cos, horizon)
-    return _load_contact(s, table, k, run, horizon)
+    return _load_contact(s, table, k, run, sin, cos, horizon)
 
 
 @unload_lane.register(SoftSpring)
@@ -184,23 +203,24 @@ def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, fl
     if table[STATUS * LANES + k] == AT_ROOT:
         ending = first_root.ROOT
     used = int(table[COUNT * LANES + k])
+    sin, cos = sincos(run.phase + tau)
     if run.in_flight:
-        p = begin_flight(s.flight, s.gravity, run.phase, run.gap, run.gap1, run.q, run.q1)
-        gap, gap1, q, q1 = state_after(p, tau)
+        q, q1 = motion(s.flight, run.q, run.q1, tau)
+        drift = table[K1 * LANES + k]
+        gap1 = sin + drift - s.gravity * tau - 0.5 * q1
         if ending == first_root.ROOT:
             gap, gap1 = 0.0, min(gap1, 0.0)
-        in_flight = ending != first_root.ROOT
-    else:
-        m = ModalState(
-            table[GAP_A * LANES + k], table[GAP_B * LANES + k], table[ELONGATION_A * LANES + k],
-            table[ELONGATION_B * LANES + k],
-        )  # fmt: skip
-        gap, gap1, q, q1 = from_modes(s, m, run.phase, tau)
-        if s.adhesive:
-            gap, gap1 = 0.0, max(gap1, 0.0)
-        in_flight = True
-    sin, cos = sincos(run.phase + tau)
-    return Phase(tau, ending, in_flight, gap, gap1, q, q1, used), sin, cos
+        else:
+            gap = table[K0 * LANES + k] - cos + (drift - 0.5 * s.gravity * tau) * tau - 0.5 * q
+        return Phase(tau, ending, ending != first_root.ROOT, gap, gap1, q, q1, used), sin, cos
+    m = ModalState(
+        table[GAP_A * LANES + k], table[GAP_B * LANES + k], table[ELONGATION_A * LANES + k],
+        table[ELONGATION_B * LANES + k],
+    )  # fmt: skip
+    gap, gap1, q, q1 = state_of(s, m, sin, cos, tau)
+    if s.adhesive:
+        gap, gap1 = 0.0, max(gap1, 0.0)
+    return Phase(tau, ending, True, gap, gap1, q, q1, used), sin, cos
 
 
 @inlined

@@ -171,6 +171,22 @@ def test_a_flight_below_the_surface_ends_at_recontact(
     assert bearing.max(initial=-1.0) <= unsure
 
 
+@pytest.mark.parametrize(
+    ("gamma", "omega", "xi", "phi", "state", "tau"),
+    [
+        (1.2105, 0.36354, 0.03554, 3.1138, (-2.34927e-4, 2.443619e-2, 0.0387416, -1.854625), 6.04e-3),
+        (4.50568, 1.49990, 0.31949, 4.17687, (-1.318e-4, 1.37093e-2, 0.241245, -1.572923), 1.95e-3),
+    ],
+)
+def test_a_return_to_contact_is_found_whatever_is_left_of_the_window(gamma, omega, xi, phi, state, tau):
+    """The mass never emerges: no search for that goes on for the 500 plate periods that are left."""
+    s = Setting(gamma, omega, xi, True, 0.01, 1e-3, False)
+    step = one_phase(s, True, phi, state, 1000.0 * math.pi, BUDGET)
+    assert (step.ending, step.flies_on) == (ROOT, False)
+    assert step.tau == pytest.approx(tau, rel=0.05)
+    assert step.used <= 8
+
+
 @given(**CELLS, gap1=powers(-9.0, 0.0), q=signed(1.0), q1=signed(2.0), below=st.sampled_from([0.0, 0.3]))
 @examples(60)
 def test_the_end_of_a_hop_keeps_its_digits(gamma, omega, xi, phi, gap1, q, q1, below):
