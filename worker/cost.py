@@ -79,7 +79,8 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     periods, share = spec.settle + spec.observe + FOLLOWED_SHARE * followed, SETTLING_SHARE
     for added in _extensions(spec):
         periods, share = periods + share * (added + followed), share * STILL_SETTLING_SHARE
-    return period_seconds(spec, alone=alone) * periods
+    share = CONTACT_MODELS[spec.model.kind].early if spec.ends_early else 1.0
+    return share * period_seconds(spec, alone=alone) * periods
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
@@ -89,13 +90,16 @@ def longest_cell_seconds(spec: SweepSpec) -> float:
 
 
 def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
-    """Core-seconds per cell of a sweep and plate period, from the table of contact models.
+    """Core-seconds per cell of a sweep and plate period that is computed, from the table of contact models.
 
     alone: of a cell that is computed by itself, as those of a refinement.
     """
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
-    base = CONTACT_MODELS[spec.model.kind].cost_us
-    period_us = spec.model.cost_us(base, gamma, omega, at_once=1 if alone else cells_at_once(spec))
+    model = CONTACT_MODELS[spec.model.kind]
+    at_once = 1 if alone else cells_at_once(spec)
+    period_us = spec.model.cost_us(model.cost_us, gamma, omega, at_once=at_once)
+    if spec.ramp_axis is not None and (at_once > 1 or not spec.model.in_lanes):
+        period_us *= model.ramp
     if spec.exponents:
         period_us *= WITH_EXPONENTS
     return period_us * 1e-6

@@ -26,7 +26,7 @@ from worker.spec import LARGEST, SMALLEST
 from worker.spec.axes import NUMBER, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
-from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport
+from worker.tasks import CANCEL_SECONDS, ChunkCancelled, ChunkReport, report_of
 
 #: Modes of one specification or answer, and plate periods of one mode.
 MAX_MODES: Final = 6
@@ -272,11 +272,7 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
         _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
     seconds = time.perf_counter() - began
     stored = store.write_chunk(store_url, chunk, record)
-    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    took = time.perf_counter() - began
-    return ChunkReport(
-        chunk.index, chunk.cells, took, seconds, stored.checksum, tuple(outcomes.tolist()), bytes=stored.bytes
-    )
+    return report_of(chunk, record, stored, (time.perf_counter() - began, seconds))
 
 
 def _empty_record(spec: OrbitsSpec, chunk: Block) -> dict[str, NDArray[Any]]:

@@ -29,6 +29,7 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
 from worker import schema, store
 from worker.cost import cells_at_once
+from worker.grid_plan import Block
 from worker.plan import Chunk
 from worker.refinement import Beyond, Refinement, surroundings
 from worker.spec import AXES, SweepSpec
@@ -123,6 +124,17 @@ class ChunkReport:
     bytes: int | None = None  # stored, of all arrays; None if it is not known
 
 
+def report_of(
+    chunk: Chunk | Block, record: Mapping[str, NDArray[Any]], stored: store.Stored,
+    seconds: tuple[float, float], computed: int | None = None,
+) -> ChunkReport:  # fmt: skip
+    """The report of a chunk that is stored. `seconds`: in all, and of these in the kernel."""
+    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
+    return ChunkReport(
+        chunk.index, chunk.cells, *seconds, stored.checksum, tuple(outcomes.tolist()), computed, stored.bytes
+    )
+
+
 #: Position of a line among the lines of its chunk.
 _LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
@@ -144,15 +156,8 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
         _compute_lines(spec, chunk, record, work, _starts(spec, chunk, store_url))
     else:
         record = _refine_tile(spec, spec.refine, chunk, record, work)
-    stored = store.write_chunk(store_url, chunk, record)
-    work.remove_checkpoint()
-    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    took, kernel_seconds = work.seconds
     computed = None if spec.refine is None else int(record[schema.COMPUTED.name].sum())
-    counts = tuple(outcomes.tolist())
-    return ChunkReport(
-        chunk.index, chunk.cells, took, kernel_seconds, stored.checksum, counts, computed, stored.bytes
-    )
+    return work.write(chunk, record, computed)
 
 
 def _compute_lines(
@@ -277,6 +282,12 @@ class Work:
         while not self._advance(run):
             self.pause_if_due(run.save())
         return run.line
+
+    def write(self, chunk: Chunk | Block, record: _Arrays, computed: int | None = None) -> ChunkReport:
+        """Store the arrays of the chunk, which needs no checkpoint then."""
+        stored = store.write_chunk(self._url, chunk, record)
+        self.remove_checkpoint()
+        return report_of(chunk, record, stored, self.seconds, computed)
 
     def remove_checkpoint(self) -> None:
         """Remove the chunk's checkpoint, once its results are stored."""

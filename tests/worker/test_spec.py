@@ -293,6 +293,14 @@ RULES = [
 ]
 
 
+@pytest.mark.parametrize(("restitution", "most"), [(0.0, 3), (0.01, 4), (0.3, 4), (1.0, 4)])
+def test_a_spring_that_rebounds_has_one_exponent_more(restitution, most):
+    model = {"kind": "rigid", "restitution": restitution}
+    assert SweepSpec(gamma=2, omega=1, xi=0.5, model=model, exponents=most).exponents == most
+    if most < 4:
+        assert "must be at most 3" in message(exponents=4, model=model)
+
+
 @pytest.mark.parametrize(("gamma", "expected"), AXIS_RULES, ids=range(len(AXIS_RULES)))
 def test_axis_rule_says(gamma, expected):
     assert message(gamma=gamma) == expected

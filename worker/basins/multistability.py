@@ -352,19 +352,7 @@ def run_chunk(
     record["outcome"][...] = np.where(
         record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
     ).astype(np.uint8)
-    stored = store.write_chunk(store_url, chunk, record)
-    work.remove_checkpoint()
-    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    took, kernel_seconds = work.seconds
-    return ChunkReport(
-        chunk.index,
-        chunk.cells,
-        took,
-        kernel_seconds,
-        stored.checksum,
-        tuple(outcomes.tolist()),
-        bytes=stored.bytes,
-    )
+    return work.write(chunk, record)
 
 
 class MultistabilityStudy:

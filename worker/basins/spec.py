@@ -160,11 +160,11 @@ class GridSpec(Specification):
         return self.settle_until or UNTIL * (self.settle + self.observe)
 
     def sweep(self) -> SweepSpec:
-        """The sweep of these cells with this window, from rest. Raises SpecInvalid."""
+        """The sweep of these cells with this window, from rest, every cycle computed. Raises SpecInvalid."""
         fields: dict[str, Any] = {
             name: getattr(self, name) for name in type(self).model_fields if name not in ("name", "protocol")
         }
-        return SweepSpec(**fields)
+        return SweepSpec(**fields, settle_early=False)
 
 
 class BasinSpec(GridSpec):

@@ -143,19 +143,7 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
         )
         _fill_in_numbers(spec, found, record, index)
         work.finish_step()
-    stored = store.write_chunk(store_url, chunk, record)
-    work.remove_checkpoint()
-    outcomes = np.bincount(record["outcome"].ravel(), minlength=len(Outcome))
-    took, kernel_seconds = work.seconds
-    return ChunkReport(
-        chunk.index,
-        chunk.cells,
-        took,
-        kernel_seconds,
-        stored.checksum,
-        tuple(outcomes.tolist()),
-        bytes=stored.bytes,
-    )
+    return work.write(chunk, record)
 
 
 def rules_of(spec: BasinSpec) -> Rules:

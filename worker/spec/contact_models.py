@@ -34,9 +34,12 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 #: Core-microseconds per cell per plate period of `rigid`: of a cell computed by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 1.0
+RIGID_ELASTIC_US: Final = 0.72
 RIGID_ELASTIC_ALONE_US: Final = 1.9
-#: And of `soft`, of a cell computed by itself.
+#: And of `soft`: in lanes under the nonadhesive law; under the adhesive law, in which the more hops follow an
+#: impact the stiffer the contact, for each decade of penetration below the default one; by itself.
+SOFT_NONADHESIVE_US: Final = 0.7
+SOFT_DECADE_US: Final = 0.12
 SOFT_ALONE_US: Final = 2.0
 
 _Array = NDArray[np.float64]
@@ -120,8 +123,12 @@ class Soft(_SoftContact):
     kind: Literal["soft"] = "soft"
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
-        """`base` holds for full lanes."""
-        return _side_by_side(base, SOFT_ALONE_US, at_once)
+        """`base` holds for full lanes, an adhesive contact and the default penetration."""
+        if not self.adhesive:
+            return _side_by_side(SOFT_NONADHESIVE_US, SOFT_ALONE_US, at_once)
+        depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
+        decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
+        return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
 
     @property
     def in_lanes(self) -> bool:
@@ -236,17 +243,20 @@ class ContactModel(NamedTuple):
     kernel: str  # name of the module that has its `plate`
     cost_us: float  # core-microseconds per cell per plate period from rest; of `stepped`, per time step
     label: str  # for figures and messages
+    early: float = 1.0  # the share of the cost where cycles that surely repeat are not computed
+    ramp: float = 1.0  # cost of a ramp's cell relative to one from rest; of models in lanes, side by side
 
 
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
-#: docs/architecture.md). Costs: medians over cells of all kinds (`python -m benchmarks.kernel`).
+#: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). Few
+#: cells of a ramp of springs are at rest; of a ball's, more.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 1.2, "soft contact"),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.73, "soft contact", 0.7, 1.3),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
-    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact"),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact"),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact", 0.7, 1.3),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact", 0.7, 0.7),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 1.2, "auto contact"),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.73, "auto contact", 0.7, 1.3),
 }
 
 
