@@ -8,6 +8,7 @@ from http import HTTPStatus
 from typing import Any, Final, NoReturn
 from urllib.parse import unquote
 
+import numpy as np
 import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
@@ -43,9 +44,17 @@ def open_store(
         dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
+    # Texts of any length, which not every xarray writes to a file: of one length, which all write.
+    texts = {
+        name: (coord.dims, np.array(coord.values.tolist(), np.str_), coord.attrs)
+        for name, coord in dataset.coords.items()
+        if coord.dtype.kind in "OT"
+    }
     # Of stores of earlier releases, so that `to_netcdf` can write them too.
     nested = {name: value for name, value in dataset.attrs.items() if isinstance(value, dict | list)}
-    return dataset.assign_attrs({name: json.dumps(value) for name, value in nested.items()})
+    return dataset.assign_coords(texts).assign_attrs(
+        {name: json.dumps(value) for name, value in nested.items()}
+    )
 
 
 def store_url(transport: Transport, path: str, job_id: str) -> str:

@@ -85,14 +85,16 @@ class ReadyQueue:
 
     def invalidate(self, chunks: Iterable[int]) -> None:
         """Chunks that were done are queued again; their successors wait for them again."""
-        undone = {chunk for chunk in chunks if self._done[chunk]}
-        self._done[list(undone)] = False
+        undone = [chunk for chunk in dict.fromkeys(chunks) if self._done[chunk]]
+        if not undone:
+            return
+        self._done[undone] = False
         self._remaining += len(undone)
-        initial = (int(chunk) for chunk in self._initial[self._initial_popped :])
-        queued = [*self._first, *initial, *self._later, *undone]
-        self._initial, self._initial_popped = np.empty(0, np.int64), 0
-        self._first.clear()
-        self._later = deque(chunk for chunk in dict.fromkeys(queued) if self._can_run(chunk))
+        initial = self._initial[self._initial_popped :]
+        self._initial = initial[~np.isin(self._predecessors[initial], undone)]
+        self._initial_popped = 0
+        self._first = deque(filter(self._can_run, self._first))
+        self._later = deque(filter(self._can_run, [*self._later, *undone]))
 
     def _can_run(self, chunk: int) -> bool:
         predecessor = self._predecessors[chunk]

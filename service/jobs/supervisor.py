@@ -277,7 +277,7 @@ class Supervisor:
             with self._ledger.writing() as ledger:
                 ledger.mark_done(run.job, run.unsaved_reports)
                 ledger.note_failures(run.job, run.unsaved_failures)
-                unmarked = ledger.unmark(run.job, run.unsaved_damage)
+                unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
             run.invalidate(unmarked)
 

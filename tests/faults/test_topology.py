@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -57,7 +58,7 @@ class Process:
 
     def wait_until_healthy(self) -> None:
         """Run the container's own health check until it passes."""
-        check = self._here(self._container["healthcheck"]["test"][1:])
+        check = self._here(shlex.split(self._container["healthcheck"]["test"]))
         deadline = time.monotonic() + PATIENCE
         while subprocess.run(check, capture_output=True, check=False, timeout=PATIENCE).returncode != 0:
             assert self.popen.poll() is None, f"{self.name} ended\n{self.log()}"

@@ -64,6 +64,14 @@ def test_a_process_that_dies_fails_its_answer_alone(processes: Processes):
     assert processes.run(divmod, 17, 5) == (3, 2)
 
 
+def test_a_process_that_dies_leaves_its_place_to_one_other():
+    with closing(Processes(1)) as processes:
+        with pytest.raises(NotComputed):
+            processes.run(os._exit, 1)
+        with ThreadPoolExecutor(2) as pool:
+            assert len(set(pool.map(processes.run, [_sleep_and_tell] * 2))) == 1
+
+
 def test_more_calls_than_processes_wait(processes: Processes):
     with ThreadPoolExecutor(8) as pool:
         pids = set(pool.map(lambda _: processes.run(os.getpid), range(40)))

@@ -296,6 +296,21 @@ def test_trajectory(running: Running, tmp_path: Path):
         running.client.trajectory({"gamma": 1, "omega": 1})
 
 
+@pytest.mark.parametrize(
+    ("words", "start"),
+    [
+        (["--drop", "0.5", "1"], {"kind": "drop", "height": 0.5, "phase": 1.0}),
+        (["--contact", "-0.5", "0.25"], {"kind": "contact", "elongation": -0.5, "velocity": 0.25}),
+    ],
+)
+def test_trajectory_from_a_start(running: Running, words: list[str], start: dict[str, Any]):
+    cell = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "samples": 8, "start": start}
+    given = ["--gamma", "2.3", "--omega", "0.5", "--xi", "0.26", "--model", "rigid", "--samples", "8"]
+    text = output_of(running, "trajectory", *given, *words, "-o", "-", "--format", "csv")
+    motion = [float(row.split(",")[3]) for row in text.splitlines()[1:]]
+    np.testing.assert_allclose(motion, running.client.trajectory(cell).z2)
+
+
 def test_metrics(running: Running):
     assert 'bounce_jobs{state="done"} 1.0' in running.client.metrics()
     assert "bounce_ready" in output_of(running, "metrics")
@@ -319,6 +334,26 @@ BAD = {
     "a gamma of zero": (
         ["trajectory", "--gamma", "0", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],
         "gamma: must be at least",
+    ),
+    "two starts": (
+        [
+            "trajectory",
+            "--gamma",
+            "1",
+            "--omega",
+            "1",
+            "--xi",
+            "1",
+            "--drop",
+            "1",
+            "0",
+            "--contact",
+            "1",
+            "0",
+            "-o",
+            "x.csv",
+        ],
+        "give --drop or --contact, not both",
     ),
     "NaN": (
         ["trajectory", "--gamma", "nan", "--omega", "1", "--xi", "1", "-o", "-", "--format", "json"],

@@ -56,8 +56,14 @@ def test_eta_uses_the_rate_of_this_run_alone():
     assert progress.eta_seconds == pytest.approx(16.0)
 
 
+def test_a_rate_may_be_of_one_cell_or_of_less_than_a_second():
+    assert Progress(0, 9, 1, 10, run_seconds=3.0, run_cells=1).eta_seconds == pytest.approx(27.0)
+    assert Progress(0, 9, 4, 10, run_seconds=0.5, run_cells=4).eta_seconds == pytest.approx(0.75)
+
+
 def test_eta_is_unknown_without_a_rate():
     assert Progress(0, 9, 0, 1000, run_seconds=3.0, run_cells=0).eta_seconds is None
+    assert Progress(0, 9, 4, 1000, run_seconds=0.0, run_cells=4).eta_seconds is None
     assert Progress(5, 9, 500, 1000).eta_seconds is None
 
 

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from paths import SUPPORT
 
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
 from service.jobs.ledger import Ledger
+from service.jobs.ledger_files import OpenFiles, lock_of
 from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
 from worker.tasks import ChunkReport
@@ -259,6 +261,35 @@ def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):
     assert not (tmp_path / "ledger.sqlite-wal").exists()
     with Ledger(tmp_path / "ledger.sqlite") as again:
         assert current(again).name == "a name"
+
+
+@pytest.mark.parametrize("exists", [False, True], ids=["new", "of an earlier release"])
+def test_the_file_gets_smaller_when_jobs_are_deleted(tmp_path: Path, *, exists: bool):
+    path = tmp_path / "ledger.sqlite"
+    if exists:
+        with closing(sqlite3.connect(path)) as earlier:
+            earlier.executescript(f"{MIGRATIONS[0]}; PRAGMA user_version = 1")
+            assert earlier.execute("PRAGMA auto_vacuum").fetchone() == (0,)
+    with Ledger(path) as ledger, closing(sqlite3.connect(path)) as reader:
+        assert reader.execute("PRAGMA auto_vacuum").fetchone() == (2,)  # incremental
+        accept(ledger)
+
+
+def test_what_others_write_into_the_same_file_is_told_from_another_file(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    lock_of(path).touch()
+    path.write_bytes(b"as it was opened")
+    files = OpenFiles(path)
+    assert not files.changed_from_outside()
+    path.write_bytes(b"longer than it was opened")
+    assert files.changed_from_outside()
+    assert files.replaced() is None
+    files.note_written()
+    assert not files.changed_from_outside()
+    (tmp_path / "other").write_bytes(b"another file")
+    (tmp_path / "other").replace(path)
+    assert not files.changed_from_outside()
+    assert files.replaced() is not None
 
 
 def test_a_newer_ledger_is_left_alone(tmp_path: Path):

@@ -18,6 +18,7 @@ import psutil
 import pytest
 from running import running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
+from served import service as served_service
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, LedgerUnavailable, QueueFull, UnknownJob
@@ -321,6 +322,29 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
         wait_for(lambda: not list((tmp_path / "stores").iterdir()))
 
 
+def test_its_threads_end_with_the_service(tmp_path: Path):
+    before = set(threading.enumerate())
+    with served_service(tmp_path, Held()):
+        names = {thread.name for thread in set(threading.enumerate()) - before}
+        assert {"supervisor", "deleter"} <= names
+    left = {thread.name for thread in set(threading.enumerate()) - before}
+    assert not left & {"supervisor", "deleter"}
+
+
+@pytest.mark.parametrize(("days", "again"), [(30.0, 0), (1e-9, 8)])
+def test_a_job_that_is_done_is_verified_again_only_after_days(
+    tmp_path: Path, inline: Inline, days: float, again: int
+):
+    def verified() -> int:
+        with running(tmp_path, inline, verify_days=days) as service:
+            service.manager._scrubber._thread.join(DEADLINE)
+            return service.manager.scrubbed[0]
+
+    with running(tmp_path, inline) as service:
+        service.until(service.submit(sweep()), JobState.DONE)
+    assert [verified(), verified(), verified()] == [8, again, again]
+
+
 def test_a_cancel_survives_the_service(tmp_path: Path, inline: Inline):
     held = Held()
     with running(tmp_path, held) as service:
@@ -587,6 +611,23 @@ def test_jobs_begun_by_another_kernel_are_replaced_though_the_queue_is_full(tmp_
             assert old.error is not None
             assert old.error.startswith("kernel version 0 began it")
             assert service.job(job).state in UNFINISHED
+
+
+@pytest.mark.parametrize(("error", "goes_on"), [(ValueError("once"), True), (ClusterLost("gone"), False)])
+def test_only_a_lost_cluster_stops_submissions_until_the_next_sync(
+    tmp_path: Path, error: Exception, *, goes_on: bool
+):
+    executor = Scripted({0: [error]})
+    with closing(executor), running(tmp_path, executor, heartbeat_seconds=2 * DEADLINE) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: 0 in executor.tried)
+        if goes_on:
+            service.until(job, JobState.DONE)
+        else:
+            time.sleep(1.0)
+            assert executor.tried.count(0) == 1
+            service.manager._supervisor.wake()
+            service.until(job, JobState.DONE)
 
 
 # Limits

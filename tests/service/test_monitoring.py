@@ -11,6 +11,13 @@ from paths import ROOT
 from prometheus_client.parser import text_string_to_metric_families
 from scripted import Scripted, wait_for
 from served import RAMP, finished, get, service
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from service.api.middleware.access_log import AccessLog
+from service.api.monitoring import Metrics
 
 DASHBOARD: dict[str, Any] = json.loads((ROOT / "docs" / "grafana.json").read_text())
 
@@ -109,3 +116,15 @@ def test_the_dashboard_can_be_imported():
     assert {panel["type"] for panel in DASHBOARD["panels"]} <= {"timeseries", "stat"}
     assert all(panel["title"] and panel["description"] for panel in DASHBOARD["panels"])
     assert str(Path("docs/grafana.json").name) in (ROOT / "docs" / "deployment.md").read_text()
+
+
+@pytest.mark.parametrize(("status", "level"), [(200, "DEBUG"), (399, "DEBUG"), (400, "INFO"), (503, "INFO")])
+def test_polls_are_logged_if_they_fail(caplog: pytest.LogCaptureFixture, status: int, level: str):
+    async def answer(request: Request) -> Response:
+        return Response(status_code=status)
+
+    caplog.set_level("DEBUG", logger="service.requests")
+    app = Starlette(routes=[Route("/readyz", answer)])
+    with TestClient(AccessLog(app, Metrics())) as client:
+        client.get("/readyz")
+    assert [(record.message, record.levelname) for record in caplog.records] == [("request", level)]

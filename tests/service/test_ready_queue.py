@@ -1,5 +1,6 @@
 """The order in which chunks are computed, each after its predecessor."""
 
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -124,6 +125,59 @@ def test_a_million_chunks_take_a_few_bytes_each():
     assert [many.pop() for _ in range(3)] == [0, 1, 2]
     held = sum(array.nbytes for array in vars(many).values() if isinstance(array, np.ndarray))
     assert held <= 34e6
+
+
+@given(st.data())
+def test_every_chunk_comes_once_whatever_is_invalidated(data: st.DataObject):
+    size = data.draw(st.integers(1, 12))
+    after = [data.draw(st.integers(NONE, index - 1)) for index in range(size)]
+    done = data.draw(st.sets(st.integers(0, size - 1)))
+    queue, popped = ready_queue(after, tuple(done)), list[int]()
+    for _ in range(data.draw(st.integers(0, 40))):
+        action = data.draw(st.sampled_from(["pop", "complete", "requeue", "first", "invalidate"]))
+        if action == "invalidate":
+            undone = data.draw(st.sets(st.integers(0, size - 1)))
+            queue.invalidate(undone)
+            done -= undone
+        elif action == "pop":
+            if queue.ready:
+                popped.append(queue.pop())
+                assert after[popped[-1]] == NONE or after[popped[-1]] in done
+        elif popped:
+            chunk = popped.pop(data.draw(st.integers(0, len(popped) - 1)))
+            if action == "complete":
+                queue.complete([chunk])
+                done.add(chunk)
+            else:
+                queue.requeue(chunk, first=action == "first")
+        expected = {
+            index for index in range(size)
+            if index not in done and index not in popped and (after[index] == NONE or after[index] in done)
+        }  # fmt: skip
+        assert queue.ready == len(expected)
+        assert queue.remaining == size - len(done)
+    for chunk in popped:
+        queue.requeue(chunk)
+    assert sorted(drain(queue)) == [index for index in range(size) if index not in done]
+
+
+@pytest.mark.parametrize("undone", [[], [7], [0, 4_999]])
+def test_invalidating_looks_at_few_of_many_chunks(undone: list[int]):
+    done = np.zeros(1_000_000, np.bool_)
+    done[:5_000] = True
+    many, calls = ReadyQueue(np.full(1_000_000, NONE), done), 0
+
+    def counted(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+
+    sys.setprofile(counted)
+    try:
+        many.invalidate(undone)
+    finally:
+        sys.setprofile(None)
+    assert calls < 200
+    assert many.ready == many.remaining == 995_000 + len(undone)
 
 
 def test_a_chunk_that_paused_comes_before_all_others():

@@ -86,7 +86,7 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(answer.body)
 
-    do_GET = do_POST = answer  # noqa: N815 - the names http.server looks for
+    do_GET = do_POST = do_DELETE = answer  # noqa: N815 - the names http.server looks for
 
     def log_message(self, *_: object) -> None: ...
 
@@ -146,6 +146,19 @@ def test_submitting_may_be_repeated_since_the_same_sweep_is_the_same_job():
     with scripted(LOST, Answer(202, view("queued"))) as (server, client):
         assert client.submit({"xi": 1}).id == ID
         assert [method for method, _, _ in server.requests] == ["POST", "POST"]
+
+
+@pytest.mark.parametrize("call", ["cancel", "resume", "refine"])
+def test_what_is_done_to_a_job_may_be_repeated(call: str):
+    with scripted(Answer(body=view()), LOST, Answer(202, view())) as (server, client):
+        getattr(client.job(ID), call)()
+        assert [method for method, _, _ in server.requests] == ["GET", "POST", "POST"]
+
+
+def test_a_deletion_is_not_repeated():
+    """Of two, the second would tell of no such job."""
+    with scripted(Answer(body=view()), LOST) as (_, client), pytest.raises(ServiceUnreachable):
+        client.job(ID).delete()
 
 
 def test_a_silent_service_is_unreachable():

@@ -507,6 +507,22 @@ def test_a_chunk_takes_few_operations(url, spec, plan, monkeypatch):
     assert not list((Path(url) / ".partial").iterdir())
 
 
+def test_the_names_of_chunks_are_synced_together(url, spec, plan, monkeypatch):
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    synced: list[str] = []
+    real = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        synced.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    stored_layout = layout(spec, plan.chunk_shape)
+    store.sync_folders(url, stored_layout)
+    assert sorted(synced) == sorted(str(Path(url, array.name)) for array in stored_layout.arrays)
+    store.sync_folders(f"{url}.removed", stored_layout)
+
+
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError(5, "Input/output error")])
 def test_a_chunk_that_cannot_be_written_leaves_nothing(url, spec, plan, monkeypatch, error):
     before, real, count = files(url), os.fsync, count_from(0)
@@ -548,6 +564,47 @@ def test_sizes_tell_of_missing_and_cut_chunks(url, spec, plan):
     assert found[1] == -1
     assert 0 < found[2] < expected[2]
     assert all(found[chunk.index] == -1 for chunk in plan[4:])
+
+
+def test_a_listing_pauses_in_every_array_and_ends_where_a_pause_raises(url, spec, plan):
+    cut_as = layout(spec, plan.chunk_shape)
+    pauses = []
+    store.stored_sizes(url, cut_as, lambda: pauses.append(1))
+    assert len(pauses) == len(cut_as.arrays)
+
+    def stop() -> None:
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        store.stored_sizes(url, cut_as, stop)
+
+
+def test_nothing_that_is_stored_waits_behind_what_is_verified(url, spec, plan):
+    cut_as = layout(spec, plan.chunk_shape)
+    stuck = [plan[number] for number in range(12)]  # more than are read at once
+    pipes = [
+        stored_files(url, chunk)[0]
+        for chunk in stuck
+        if store.write_chunk(url, chunk, record_of(spec, chunk))
+    ]
+    for pipe in pipes:
+        pipe.unlink()
+        os.mkfifo(pipe)  # to read it waits until it is written to
+    verified: list[Chunk] = []
+    verifying = threading.Thread(
+        target=lambda: verified.extend(store.find_corrupt(url, cut_as, [(chunk, "") for chunk in stuck]))
+    )
+    verifying.start()
+    try:
+        with ThreadPoolExecutor() as writing:
+            written = writing.submit(store.write_chunk, url, plan[12], record_of(spec, plan[12]))
+            assert written.result(30).bytes > 0
+            assert verifying.is_alive()
+    finally:
+        for pipe in pipes:
+            pipe.write_bytes(b"")
+        verifying.join(30)
+    assert verified == stuck
 
 
 @pytest.fixture

@@ -27,8 +27,8 @@ from worker.store.errors import (
     StoreError,
     StoreMissing,
 )
+from worker.store.metadata import read_spec, write_spec
 from worker.store.probe import read_probe, write_probe
-from worker.store.sent_spec import read_spec, write_spec
 from worker.store.store import (
     check_chunk,
     chunk_shape,

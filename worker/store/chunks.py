@@ -6,7 +6,7 @@ can be verified without opening its store.
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache
@@ -22,6 +22,8 @@ from worker.store.errors import ChunkCoords
 
 #: Concurrent syncs and requests: they wait for the disk or the network, not for the processor.
 _THREADS: Final = 8
+#: Files whose sizes are listed between two pauses.
+_LISTED: Final = 2_000
 
 Index = int | slice
 
@@ -85,15 +87,18 @@ def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) 
         return checksum_of(url, layout, expected[0]) != expected[1]
 
     marked = list(chunks)
-    for (chunk, _), corrupt in zip(marked, threads().map(is_corrupt, marked), strict=True):
+    for (chunk, _), corrupt in zip(marked, _verifying().map(is_corrupt, marked), strict=True):
         if corrupt:
             yield chunk
 
 
-def stored_sizes(url: str, layout: Layout) -> NDArray[np.int64] | None:
+def stored_sizes(
+    url: str, layout: Layout, pause: Callable[[], object] = lambda: None
+) -> NDArray[np.int64] | None:
     """Bytes of every chunk, over all arrays, by its coordinates; -1 where one of its files is missing.
 
     Lists folders and reads no file. None for a store of the first format, which has a folder for each chunk.
+    `pause` is called now and then.
     """
     if layout.format == 1:
         return None
@@ -101,11 +106,13 @@ def stored_sizes(url: str, layout: Layout) -> NDArray[np.int64] | None:
     total, missing = np.zeros(counts, np.int64), np.zeros(counts, np.bool_)
     for array in layout.arrays:
         sizes = np.full(counts, -1, np.int64)
-        for name, size in sizes_in(url, array.name):
-            first, *numbers = name.split(layout.separator)
+        for number, (name, size) in enumerate(sizes_in(url, array.name)):
+            if number % _LISTED == 0:
+                pause()
+            first, *at = name.split(layout.separator)
             with suppress(ValueError, IndexError):  # zarr.json
                 if first == "c":
-                    sizes[tuple(int(number) for number in numbers[: len(counts)])] = size
+                    sizes[tuple(map(int, at[: len(counts)]))] = size
         missing |= sizes < 0
         total += sizes
     total[missing] = -1
@@ -181,3 +188,9 @@ def write_keys(url: str, contents: Mapping[str, bytes], *, nested: bool = False)
 def threads() -> ThreadPoolExecutor:
     """The thread pool for syncs and for requests to buckets."""
     return ThreadPoolExecutor(_THREADS, thread_name_prefix="store")
+
+
+@cache
+def _verifying() -> ThreadPoolExecutor:
+    """The thread pool for what is verified, so that nothing that is stored waits behind it."""
+    return ThreadPoolExecutor(_THREADS, thread_name_prefix="verify")

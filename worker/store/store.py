@@ -13,7 +13,6 @@ from typing import Any, Final
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.core.sync import sync
 from zarr.errors import GroupNotFoundError
 
 from worker.schema import Layout, structured_attributes
@@ -49,11 +48,10 @@ def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = 
     wrong = [name for name, content in expected.items() if read_key(url, name) != content.to_bytes()]
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
-    store = open_store(url, read_only=False)
     make_partial_folder(url)
-    for name in wrong:
-        sync(store.set(name, expected[name]))
-    fsync_files(url, wrong)
+    if wrong:
+        write_keys(url, {name: expected[name].to_bytes() for name in wrong})
+        fsync_files(url, wrong)
     return wrong
 
 

@@ -27,12 +27,17 @@ log = logging.getLogger(__name__)
 
 #: Times as long as the thread has worked it pauses, while chunks are computed: a fifth of a core at most.
 PAUSES: Final = 4.0
-#: Pages of chunks whose sizes are compared at once.
-SIZE_PAGES: Final = 8
+#: Chunks that are read, or whose sizes are compared, between two pauses: requests wait for them.
+READ_AT_ONCE: Final = 32
+COMPARED_AT_ONCE: Final = 512
 #: Jobs read from the ledger at once.
 JOBS_PER_PAGE: Final = 100
 #: Unknown stores that the log names one by one.
 MAX_NAMED: Final = 20
+
+
+class _Stopping(Exception):
+    """The service ends."""
 
 
 class Scrubber:
@@ -53,6 +58,8 @@ class Scrubber:
         self.verified_chunks = self.damaged_chunks = 0  # since the start
         self._newest = 0  # the last job there was at the start; later ones need no verification
         self._stop = threading.Event()
+        self._clock: Callable[[], float] = time.monotonic
+        self._resumed = 0.0  # when the last pause ended, by the clock
         self._thread = threading.Thread(target=self._work, name="scrubber", daemon=True)
 
     def start(self) -> None:
@@ -114,13 +121,11 @@ class Scrubber:
             if not self._is_due(job):
                 self._verified.add(job.id)
                 return
-            began = time.monotonic()
-            for _ in self._verify(job):
-                if self._stop.wait(PAUSES * (time.monotonic() - began) if self._is_computing() else 0):
-                    return
-                began = time.monotonic()
+            self._verify(job)
             with self._ledger.writing() as ledger:
                 ledger.finish_verification(job, time.time())
+        except _Stopping:
+            return
         except Exception:
             log.exception("job %s cannot be verified; damage will be met when it is read", job.id)
         self._verified.add(job.id)
@@ -137,9 +142,22 @@ class Scrubber:
             ledger.forget_verification(job)
         return True
 
-    def _verify(self, job: JobRecord) -> Iterator[None]:
-        """Remove leftovers of interrupted writes, repair metadata, verify chunks; yields now and then."""
+    def _pause(self) -> None:
+        """Pause, while chunks are computed, for as long as what was done since the last one demands.
+
+        Raises _Stopping.
+        """
+        pause = PAUSES * (self._clock() - self._resumed) if self._is_computing() else 0.0
+        if self._stop.wait(pause):
+            raise _Stopping
+        self._resumed = self._clock()
+
+    def _verify(self, job: JobRecord) -> None:
+        """Remove leftovers of interrupted writes, repair metadata, verify chunks. Raises _Stopping."""
         prepared = self._preparer.prepare(job)
+        # To wait for a bucket takes nothing from others.
+        self._clock = time.process_time if store.in_bucket(prepared.store_url) else time.monotonic
+        self._resumed = self._clock()
         if job.store_format == 1:
             store.sweep_leftovers(prepared.store_url, everywhere=True)
         elif job.state not in UNFINISHED:  # those are swept as they start
@@ -147,25 +165,20 @@ class Scrubber:
         if not job.chunks_done:
             return
         self._repairer.repair_metadata(job)
-        yield
-        yield from self._verify_sizes(job, prepared)
+        self._verify_sizes(job, prepared)
         for page in range(-(-job.chunks_total // VERIFIED_PAGE)):
-            if self._verify_page(job, prepared, page):
-                yield
-            if self._stop.is_set():
-                return
+            self._verify_page(job, prepared, page)
 
-    def _verify_sizes(self, job: JobRecord, prepared: PreparedJob) -> Iterator[None]:
+    def _verify_sizes(self, job: JobRecord, prepared: PreparedJob) -> None:
         """Look for chunks that are missing or of another size, before any is read."""
         known = self._ledger.done_mask(job)  # before the files are listed: later ones may not be among these
-        sizes = store.stored_sizes(prepared.store_url, prepared.layout)
+        sizes = store.stored_sizes(prepared.store_url, prepared.layout, self._pause)
         if sizes is None:
             return
-        step = SIZE_PAGES * VERIFIED_PAGE
-        for first in range(0, job.chunks_total, step):
-            yield
+        for first in range(0, job.chunks_total, COMPARED_AT_ONCE):
+            self._pause()
             with self._ledger.reading() as ledger:
-                marked = ledger.stored_chunks(job, first, first + step)
+                marked = ledger.stored_chunks(job, first, first + COMPARED_AT_ONCE)
             suspects = []
             for index, checksum, size in marked:
                 chunk = prepared.plan[index]
@@ -176,23 +189,26 @@ class Scrubber:
             corrupt = store.find_corrupt(prepared.store_url, prepared.layout, suspects)
             self._invalidate(job, [chunk.index for chunk in corrupt])
 
-    def _verify_page(self, job: JobRecord, prepared: PreparedJob, page: int) -> bool:
-        """Read the chunks of a page that are not verified; whether there were any."""
+    def _verify_page(self, job: JobRecord, prepared: PreparedJob, page: int) -> None:
+        """Read the chunks of a page that are not verified."""
         first = page * VERIFIED_PAGE
         with self._ledger.reading() as ledger:
             verified = ledger.verified_chunks(job, page)
             marked = ledger.stored_chunks(job, first, first + VERIFIED_PAGE)
         unread = [(prepared.plan[index], sum_) for index, sum_, _ in marked if not verified[index - first]]
         if not unread:
-            return False
-        corrupt = store.find_corrupt(prepared.store_url, prepared.layout, unread)
-        damaged = {chunk.index for chunk in corrupt}
+            return
+        damaged: set[int] = set()
+        for begin in range(0, len(unread), READ_AT_ONCE):
+            self._pause()
+            reading = unread[begin : begin + READ_AT_ONCE]
+            corrupt = store.find_corrupt(prepared.store_url, prepared.layout, reading)
+            damaged.update(chunk.index for chunk in corrupt)
         verified[[chunk.index - first for chunk, _ in unread if chunk.index not in damaged]] = True
         with self._ledger.writing() as ledger:
             ledger.note_verified(job, page, verified)
         self.verified_chunks += len(unread)
         self._invalidate(job, sorted(damaged))
-        return True
 
     def _invalidate(self, job: JobRecord, chunks: Sequence[int]) -> None:
         if chunks:
