@@ -43,6 +43,6 @@ RUN python -c "from worker.kernel_cache import warm; warm()"
 # volumes and /tmp. A new volume of the cache begins with what was compiled above.
 VOLUME ["/data", "/app/numba-cache"]
 EXPOSE 8000
-HEALTHCHECK --interval=10s --timeout=5s --start-period=300s --retries=3 \
+HEALTHCHECK --interval=10s --timeout=10s --start-period=300s --retries=3 \
     CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
 CMD ["bounce", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]

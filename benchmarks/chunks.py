@@ -3,11 +3,14 @@
     python -m benchmarks.chunks files      system calls per chunk, counted by strace (which must be there)
     python -m benchmarks.chunks s3         requests and round trips per chunk in a bucket (moto, in a thread)
     python -m benchmarks.chunks restart    a service started again in a job of 10^6 chunks, half of them done
+    python -m benchmarks.chunks kill       a real service in a job of 10^6 chunks, killed and started again
     python -m benchmarks.chunks scheduler  Dask's scheduler with 64 pretended workers
 
 `files` and `s3` compute chunks of a few cells, as a worker does. `restart` fills a ledger, and pretends that
-every stored chunk is there and as it was written; each key that is read takes --read-seconds. `scheduler`
-runs a scheduler in a process of its own and 64 workers in another, whose tasks do nothing.
+every stored chunk is there and as it was written; each key that is read takes --read-seconds. `kill`
+pretends nothing: two workers compute chunks of 100 cells for --seconds, the service is killed with SIGKILL
+twice, and in the end its chunks are compared with others of the same cells. `scheduler` runs a scheduler in a
+process of its own and 64 workers in another, whose tasks do nothing.
 """
 
 import argparse
@@ -17,6 +20,7 @@ import itertools
 import json
 import multiprocessing
 import os
+import random
 import re
 import resource
 import sqlite3
@@ -27,9 +31,9 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -43,10 +47,12 @@ from distributed import Worker, WorkerPlugin
 
 from benchmarks.machine import describe
 from benchmarks.million import Simulated
+from benchmarks.serving import Serving
 from benchmarks.tables import table
 from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
 from service.jobs.manager import _new_job
+from service.jobs.transactions import StoredChunk
 from service.server import embedded
 from worker import store, tasks, watchdog
 from worker.executors import dask as executor_module
@@ -239,50 +245,74 @@ def pretend(chunks: int, seconds: float) -> None:
         stored.sizes_in = sizes_in
 
 
-class Requests(threading.Thread):
-    """Repeats a request until the block ends; `seconds`: of each."""
+class Requests:
+    """Repeats a request from another process until the block ends; `seconds`: of each.
 
-    def __init__(self, ask: Callable[[], httpx2.Response], pause: float = 0.05) -> None:
-        super().__init__(daemon=True)
-        self._ask, self._pause, self._over = ask, pause, threading.Event()
+    body: of a POST. numbered: each request is of another sweep.
+    """
+
+    def __init__(
+        self, url: str, body: dict[str, Any] | None = None, *, pause: float = 0.05, numbered: bool = False
+    ) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._over, self._here = spawn.Event(), spawn.SimpleQueue()
+        given = url, body, pause, numbered, self._over, self._here
+        self._process = spawn.Process(target=_repeat, args=given, daemon=True)
         self.seconds: list[float] = []
 
     def __enter__(self) -> "Requests":
-        self.start()
+        self._process.start()
+        self._here.get()  # it has imported all that it needs
         return self
 
     def __exit__(self, *_: object) -> None:
         self._over.set()
-        self.join()
-
-    def run(self) -> None:
-        """Ask, pause, ask."""
-        while not self._over.wait(self._pause):
-            began = time.perf_counter()
-            self._ask().raise_for_status()
-            self.seconds.append(time.perf_counter() - began)
+        self.seconds = self._here.get()
+        self._process.join()
 
     @property
     def text(self) -> str:
-        """Median, 99th percentile and maximum, ms."""
+        """Median, 95th and 99th percentile and maximum, ms."""
         ordered = sorted(1e3 * second for second in self.seconds)
         if not ordered:
             return "none"
-        high = ordered[min(int(0.99 * len(ordered)), len(ordered) - 1)]
-        return f"{statistics.median(ordered):.0f}, {high:.0f}, {ordered[-1]:.0f} ms of {len(ordered)}"
+        high = [ordered[int(share * (len(ordered) - 1))] for share in (0.5, 0.95, 0.99, 1.0)]
+        return f"{', '.join(f'{value:.0f}' for value in high)} ms of {len(ordered)}"
+
+
+def _repeat(
+    url: str, body: dict[str, Any] | None, pause: float, numbered: bool, over: Any, results: Any
+) -> None:
+    """What the process of `Requests` does: ask, pause, ask."""
+    seconds: list[float] = []
+    with httpx2.Client(timeout=60) as client:
+        results.put(None)
+        while not over.wait(pause):
+            if numbered and body is not None:
+                body["xi"] = round(0.1 + 1e-4 * (1 + len(seconds)), 4)
+            began = time.perf_counter()
+            (client.get(url) if body is None else client.post(url, json=body)).raise_for_status()
+            seconds.append(time.perf_counter() - began)
+    results.put(seconds)
 
 
 def restart(chunks: int, read_seconds: float, seconds: float) -> None:
     """Print what a service does that starts in a job of so many chunks."""
+    sys.setswitchinterval(embedded._SWITCH_SECONDS)  # as `bounce serve` has it
     with tempfile.TemporaryDirectory() as data:
         folder = Path(data)
         job_id = filled(folder, chunks)
         size = sum(file.stat().st_size for file in folder.glob("ledger.*"))
         print(f"ledger: {size / 2**20:.0f} MiB, {size / (chunks // 2):.0f} bytes per done chunk", flush=True)
         pretend(chunks, read_seconds)
-        executor, first = Simulated(64, 1.0), threading.Event()
+        executor, submitted = Simulated(64, 1.0), list[float]()
         submit = executor.submit
-        executor.submit = lambda *given, **more: (first.set(), submit(*given, **more))[1]  # type: ignore[method-assign]
+
+        def noted(*given: Any, **more: Any) -> Future[ChunkReport]:
+            submitted.append(time.perf_counter())
+            return submit(*given, **more)
+
+        executor.submit = noted  # type: ignore[method-assign]
         settings = embedded.settings(
             data=folder, port=0, max_cells=10**12, max_bytes=10**15, max_core_seconds=1e9
         )
@@ -295,25 +325,19 @@ def restart(chunks: int, read_seconds: float, seconds: float) -> None:
             up = time.perf_counter() - began
             here = f"/v1/jobs/{job_id}"
             with (
-                Requests(lambda: client.get(here)) as polls,
-                Requests(lambda: client.post("/v1/jobs?validate_only=true", json=small)) as estimates,
+                Requests(f"{address}{here}") as polls,
+                Requests(f"{address}/v1/jobs?validate_only=true", small) as estimates,
             ):
-                went_on = first.wait(120)
-                after = time.perf_counter() - began
                 time.sleep(seconds)
-            print(f"answers after {up:.1f} s, goes on after {after:.1f} s{'' if went_on else ' (not yet)'}")
-            print(f"polls: {polls.text}\nvalidate_only: {estimates.text}  (median, 99th percentile, maximum)")
+            after = f"after {submitted[0] - began:.1f} s" if submitted else "not yet"
+            print(f"answers after {up:.1f} s, goes on {after}; {len(submitted)} chunks submitted")
+            print(f"polls: {polls.text}\nvalidate_only: {estimates.text}  (median, 95 %, 99 %, maximum)")
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
             print(f"memory of the process, at most: {peak:.0f} MiB", flush=True)
             client.post(f"{here}/cancel").raise_for_status()
             while client.get(here).json()["state"] != "cancelled":
                 time.sleep(0.1)
-            counter = itertools.count(1)
-
-            def accept() -> httpx2.Response:
-                return client.post("/v1/jobs", json=SMALL | {"xi": 0.1 + 1e-4 * next(counter)})
-
-            with Requests(accept, 0.2) as submissions:
+            with Requests(f"{address}/v1/jobs", dict(SMALL), pause=0.2, numbered=True) as submissions:
                 began = time.perf_counter()
                 client.delete(here).raise_for_status()
                 answered = time.perf_counter() - began
@@ -330,6 +354,63 @@ def restart(chunks: int, read_seconds: float, seconds: float) -> None:
             ledger.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         size = sum(file.stat().st_size for file in folder.glob("ledger.*"))
         print(f"ledger afterwards: {size / 2**20:.1f} MiB")
+
+
+def kill(chunks: int, seconds: float, compared: int = 100) -> None:
+    """Print how a service goes on with a job of so many chunks after it was killed, and what it stored."""
+    os.environ |= {
+        "BOUNCE_MAX_CELLS": str(10**12), "BOUNCE_MAX_BYTES": str(10**15), "BOUNCE_MAX_CORE_SECONDS": "1e9",
+    }  # fmt: skip
+    spec, plan = huge(chunks)
+    rows: list[list[str]] = []
+    marked: list[list[StoredChunk]] = []
+    with tempfile.TemporaryDirectory() as name, ExitStack() as ending:
+        folder = Path(name)
+        with Ledger(folder / "data" / "ledger.sqlite") as ledger, ledger.writing() as writing:
+            writing.insert(_new_job(spec, plan, None), time.time())
+        for life in ("first start", "after SIGKILL", "after SIGKILL"):
+            began = time.perf_counter()
+            service = Serving(folder, "--workers", "2")
+            ending.callback(service.process.kill)
+            up, job = time.perf_counter() - began, f"{service.url}/v1/jobs/{spec.job_id(KERNEL_VERSION)}"
+            before = done = len(marked[-1]) if marked else 0
+            while done == before:
+                done = httpx2.get(job, timeout=60).json()["progress"]["chunks_done"]
+                time.sleep(0.02)
+            after = time.perf_counter() - began
+            small = SMALL | {"xi": 0.07}
+            with (
+                Requests(job) as polls,
+                Requests(f"{service.url}/v1/jobs?validate_only=true", small) as costs,
+            ):
+                time.sleep(seconds)
+            status = Path(f"/proc/{service.process.pid}/status").read_text()
+            peak = int(re.findall(r"VmHWM:\s+(\d+)", status)[0]) / 2**10
+            workers = service.me.children(recursive=True)
+            service.process.kill()
+            service.process.wait()
+            _, left = psutil.wait_procs(workers, timeout=60)
+            assert not left, f"{left} outlived the service"
+            with Ledger(service.data / "ledger.sqlite") as ledger, ledger.reading() as reading:
+                record = reading.find(spec.job_id(KERNEL_VERSION))
+                assert record is not None
+                marked.append(reading.stored_chunks(record, 0, len(plan)))
+            counts = f"{before}", f"{len(marked[-1])}"
+            rows.append([life, *counts, f"{up:.1f}", f"{after:.1f}", f"{peak:.0f}", polls.text, costs.text])
+        head = ["", "chunks at the start", "at the end", "answers, s", "goes on, s", "memory, MiB"]
+        print(table([*head, "polls", "validate_only"], rows), flush=True)
+        assert set(marked[0]) <= set(marked[1]) <= set(marked[2]), "a chunk was lost or computed otherwise"
+        layout = study_of(spec).variables(spec, plan.chunk_shape)
+        url = str(service.data / "stores" / f"{spec.job_id(KERNEL_VERSION)}.zarr")
+        corrupt = list(store.find_corrupt(url, layout, [(plan[n], checksum) for n, checksum, _ in marked[2]]))
+        print(f"{len(marked[2])} chunks read again: {len(corrupt)} differ from what the ledger has of them")
+        again = f"{folder}/again.zarr"
+        store.create(again, layout)
+        chosen = random.Random(1).sample(marked[2], compared)
+        with tasks.on_terms(tasks.Terms(3600.0)):  # the first one compiles
+            reports = [(run_task(spec, plan[one.number], again), one) for one in chosen]
+        differing = [one.number for report, one in reports if report.checksum != one.checksum]
+        print(f"{compared} chunks computed by another process: {len(differing)} differ")
 
 
 class NoKernels(WorkerPlugin):
@@ -422,12 +503,14 @@ def scheduler(workers: int, chunks: int) -> None:
 def main() -> None:
     """Print the table that is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=["files", "s3", "restart", "scheduler", "compute"])
+    parser.add_argument("what", choices=["files", "s3", "restart", "kill", "scheduler", "compute"])
     parser.add_argument(
-        "--chunks", type=int, default=1_000_000, help="of the job that `restart` goes on with"
+        "--chunks", type=int, default=1_000_000, help="of the job that `restart` and `kill` go on with"
     )
     parser.add_argument("--read-seconds", type=float, default=1e-4, help="of a key that `restart` verifies")
-    parser.add_argument("--seconds", type=float, default=20.0, help="for which `restart` asks")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="for which `restart` asks, and `kill` before each SIGKILL"
+    )
     parser.add_argument("rest", nargs="*", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.what == "compute":
@@ -437,6 +520,8 @@ def main() -> None:
     print(describe("dask", "zarr"), flush=True)
     if arguments.what == "restart":
         restart(arguments.chunks, arguments.read_seconds, arguments.seconds)
+    elif arguments.what == "kill":
+        kill(arguments.chunks, arguments.seconds)
     elif arguments.what == "scheduler":
         scheduler(64, 4_000)
     else:

@@ -177,7 +177,7 @@ def main() -> None:
         row("a small job alone, s", times(client, arguments.repeat))
         beside_endless(client, arguments.repeat)
         beside_many(client, arguments.jobs, arguments.repeat)
-        bound = 30.0 + 8.0 * (OLD_JOBS + 4) / arguments.workers
+        bound = 30.0 + 8.0 * (OLD_JOBS + 4) / min(arguments.workers, 4)
         row(
             f"{OLD_JOBS} old jobs beside small ones, longest without a chunk, s",
             list(gaps(client, arguments.seconds)),

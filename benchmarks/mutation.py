@@ -4,8 +4,8 @@
 
 A change is one of: another comparison, a condition negated, another sign or operator, `return None`, a call
 left out, another constant. It is made in a copy of the project, and up to 40 of the tests that run the
-changed line are run: those first that run few lines and take little time. A change is noticed if one of them
-fails that passes without it, or if they do not end.
+changed line are run: those first that run few lines and take little time, or most of the changed file. A
+change is noticed if one of them fails that passes without it, or if they do not end.
 
 Which tests run which line is measured first, test file by test file. Tests whose work is done in other
 processes (a browser, a service of its own, the documents) do not take part; `--tests` names others. Only
@@ -160,7 +160,7 @@ def _walk(node: ast.AST, *, in_function: bool = False) -> Iterator[Any]:
 
 def _is_look(node: ast.AST) -> bool:
     if isinstance(node, ast.keyword):
-        return node.arg in LOOK_KEYWORDS
+        return node.arg in LOOK_KEYWORDS or node.arg == "strict"  # of zip: an assertion
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
         return _called(node.value) in LOOK_CALLS or _logs(node.value)
     return isinstance(node, ast.JoinedStr | ast.Raise | ast.Assert) or _type_checking(node)
@@ -394,12 +394,20 @@ class Coverage(NamedTuple):
     breadth: Counter[str]  # lines that each test runs
 
     def nearest(self, change: Change) -> list[str]:
-        """Tests that run the changed line: those first that run few lines and take little time."""
+        """Tests that run the changed line: those that run few lines and take little time, and, in turn with
+        them, those that run most of the changed file. Threads of a service run lines in every test beside it.
+        """
         tests = self.tests[change.file, change.line]
         short = [name for name in tests if self.seconds.get(name, 0.0) <= LONGEST] or list(tests)
-        return sorted(short, key=lambda name: self.breadth[name] * (1.0 + self.seconds.get(name, 0.0)))[
-            :MOST_TESTS
-        ]
+        cost = {name: self.breadth[name] * (1.0 + self.seconds.get(name, 0.0)) for name in short}
+        depth: Counter[str] = Counter()
+        for (file, _), names in self.tests.items():
+            if file == change.file:
+                depth.update(names)
+        narrow = sorted(short, key=lambda name: cost[name])
+        deep = sorted(short, key=lambda name: (-depth[name], cost[name]))
+        both = dict.fromkeys(name for pair in zip(narrow, deep, strict=True) for name in pair)
+        return list(both)[:MOST_TESTS]
 
     def stages(self, tests: Sequence[str]) -> list[list[str]]:
         """The first tests, which together take little time, and the others."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from documents import DOCUMENTS, blocks
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
@@ -68,7 +69,8 @@ def test_scheduler_has_the_settings_that_the_service_needs():
 def test_container_restarts_has_a_health_check_and_a_memory_limit(name: str):
     container = SERVICES[name]
     assert container["restart"] == "unless-stopped"
-    assert container["healthcheck"]["test"][0] == "CMD"
+    # A line for a shell: podman-compose 1.0 fails at lists.
+    assert re.fullmatch(r"""python -c "from urllib[^"$`\\]*\"""", container["healthcheck"]["test"])
     assert container["mem_limit"]
     assert container["cap_drop"] == ["ALL"]
 
@@ -89,6 +91,84 @@ def test_health_pages_of_dask_listen_inside_their_containers_only():
         command = SERVICES[name]["command"]
         assert "--no-dashboard" in command
         assert command[command.index("--dashboard-address") + 1].startswith("127.0.0.1:")
+
+
+def dask_commands() -> list[str]:
+    """The commands of all documents that start a scheduler or workers, with the variables that they name."""
+    found = []
+    for document in DOCUMENTS:
+        for block in blocks(document):
+            if block.language != "sh":
+                continue
+            code = block.code.replace("\\\n", " ")
+            variables = dict(re.findall(r'^(\w+)="(.*)"', code, re.MULTILINE))
+            for command in re.findall(r"^dask (?:scheduler|worker) [^&\n]*", code, re.MULTILINE):
+                found.append(re.sub(r"\$(\w+)", lambda name, of=variables: of[name[1]], command))
+    return found
+
+
+def test_no_command_of_the_documents_listens_beyond_loopback_without_tls():
+    commands = dask_commands()
+    assert len(commands) >= 5
+    for command in commands:
+        beyond = "--host 127.0.0.1" not in command
+        assert not beyond or "--protocol tls" in command, command
+        assert not beyond or all(f"--tls-{part} " in command for part in ("ca-file", "cert", "key")), command
+        assert "--no-dashboard" in command, command
+        assert "--dashboard-address 127.0.0.1:0" in command, command
+
+
+def test_clusters_of_the_documents_are_closed():
+    """Those that functions make: on loopback, with a password, or over TLS."""
+    made = {block.file: block.code for block in blocks("docs/deployment.md") if "def cluster()" in block.code}
+    assert set(made) == {"batch_queue.py", "gateway.py", "local_gateway.py", "elastic.py"}
+    for code in (made["batch_queue.py"], made["elastic.py"]):
+        assert re.search(r"""["']?dashboard_address["']?(=|: )"127\.0\.0\.1:0\"""", code)
+    assert 'host="127.0.0.1"' in made["elastic.py"]
+    assert "security=True" in made["batch_queue.py"]
+    assert '"--dashboard-address", "127.0.0.1:0"' in made["batch_queue.py"]
+    assert 'Gateway("https://' in made["gateway.py"]
+    assert 'Gateway("http://127.0.0.1:' in made["local_gateway.py"]
+    (gateway,) = (block.code for block in blocks("docs/deployment.md") if "c.Proxy.address" in block.code)
+    assert 'c.Proxy.address = "127.0.0.1:' in gateway
+    assert "c.SimpleAuthenticator.password = os.environ[" in gateway
+
+
+def test_pods_speak_tls_and_are_reached_by_each_other_only():
+    from worker.executors.connection import SCHEDULER_SETTINGS, environment_variable
+
+    things = list(yaml.safe_load_all((ROOT / "docs" / "kubernetes.yaml").read_text()))
+    (cluster,) = (thing["spec"] for thing in things if thing["kind"] == "DaskCluster")
+    (service,) = (thing["spec"]["template"]["spec"] for thing in things if thing["kind"] == "Deployment")
+    pods = {part: cluster[part]["spec"] for part in ("scheduler", "worker")} | {"service": service}
+    containers = {part: pod["containers"][0] for part, pod in pods.items()}
+    for part in ("scheduler", "worker"):
+        words = containers[part]["args"]
+        assert all(f"--tls-{file}" in words for file in ("ca-file", "cert", "key"))
+        assert "--no-dashboard" in words
+    address = "tls://bounce-scheduler:8786"
+    assert containers["scheduler"]["args"][2:4] == ["--protocol", "tls"]
+    assert address in containers["worker"]["args"]
+    assert containers["service"]["args"][-2:] == ["--scheduler", address]
+    variables = {variable["name"] for variable in containers["service"]["env"]}
+    assert {
+        "BOUNCE_TOKEN",
+        "BOUNCE_SCHEDULER_CA",
+        "BOUNCE_SCHEDULER_CERT",
+        "BOUNCE_SCHEDULER_KEY",
+    } < variables
+    settings = {variable["name"]: float(variable["value"]) for variable in containers["scheduler"]["env"]}
+    assert settings == {environment_variable(name): value for name, value in SCHEDULER_SETTINGS.items()}
+    stores = {"name": "stores", "mountPath": "/stores"}
+    assert all(stores in containers[part]["volumeMounts"] for part in ("worker", "service"))
+    for part, pod in pods.items():
+        assert pod["enableServiceLinks"] is False  # of the service "bounce": BOUNCE_PORT
+        assert pod["securityContext"]["runAsUser"] == int(instructions("USER")[-1])
+        assert containers[part]["securityContext"]["readOnlyRootFilesystem"] is True
+    services = [cluster["scheduler"]["service"], *(t["spec"] for t in things if t["kind"] == "Service")]
+    assert {each["type"] for each in services} == {"ClusterIP"}
+    closed = [t["spec"]["podSelector"]["matchLabels"]["app"] for t in things if t["kind"] == "NetworkPolicy"]
+    assert closed == ["bounce-scheduler", "bounce-worker"]
 
 
 def test_workers_and_service_share_the_data_folder_and_nothing_else():

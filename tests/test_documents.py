@@ -28,18 +28,20 @@ python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/pytest
 NOT_RUN = {
     "the set-up itself": r"python3 -m venv \.venv && \.venv/bin/pip install ",
     "needs Docker": r"export BOUNCE_TOKEN=|docker compose ",
-    "needs machines with a shared folder": r"TLS=|export BOUNCE_SCHEDULER_|"
+    "needs machines with a shared folder": r"(TLS|PAGES)=|export BOUNCE_SCHEDULER_|"
     r"dask (scheduler|worker) --scheduler-file /shared/|"
     r"(BOUNCE_\w+=\S+ )*bounce serve --(scheduler tls://scheduler\.example\.org|scheduler-file /shared/)",
+    "needs Kubernetes": r"kubectl ",
     "needs a batch queue or a gateway": r"BOUNCE_STORES=\S+ bounce serve --cluster ",
     "takes minutes": r"bounce figure (all|hysteresis|branches|curves|energy)\b|bounce tradeoff |"
     r"python -m benchmarks\.",
-    "goes on until it is stopped": r"dask worker |bounce serve --cluster elastic:cluster",
+    "goes on until it is stopped": r"dask worker |export GATEWAY_PASSWORD=|dask-gateway-server |"
+    r"bounce serve --cluster (elastic|local_gateway):cluster",
     "the service must be stopped": r"bounce (restore|adopt) ",
 }
 
 #: So that a good reason does not become a habit.
-MOST_NOT_RUN = 16
+MOST_NOT_RUN = 18
 
 #: What must not be hidden in a block of plain text.
 LOOKS_RUNNABLE = re.compile(
