@@ -250,8 +250,8 @@ def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tup
         tau, ending, more = first_root(below, tau, end, budget - used)
         used += more
         if tau == 0.0 and ending == ROOT and _lifts(s, p):
-            tau = 1.0 / s.gap_mode.rate
-            tau, ending, more = first_root(below, tau, max(end, 2.0 * tau), budget - used)
+            start = min(1.0 / s.gap_mode.rate, horizon)
+            tau, ending, more = first_root(below, start, min(max(end, 2.0 * start), horizon), budget - used)
             used += more
         gap, gap1, _, _ = state_after(p, tau)
         if ending != HORIZON or gap >= 0.0 or tau >= horizon:

@@ -171,6 +171,15 @@ def test_a_flight_below_the_surface_ends_at_recontact(
     assert bearing.max(initial=-1.0) <= unsure
 
 
+@given(**CELLS, depth=powers(-6.0, -1.0), q=signed(1.0), q1=signed(2.0), horizon=powers(-12.0, 0.0))
+@examples(60)
+def test_a_flight_below_the_surface_ends_within_its_window(gamma, omega, xi, phi, depth, q, q1, horizon):
+    s = Setting(gamma, omega, xi, True, 0.1, 1e-3, False)
+    gap = -1e-3 * depth
+    step = one_phase(s, True, phi, (gap, -s.kappa * gap / s.beta, q, q1), horizon, BUDGET)
+    assert 0.0 <= step.tau <= horizon
+
+
 @pytest.mark.parametrize(
     ("gamma", "omega", "xi", "phi", "state", "tau"),
     [

@@ -1,6 +1,7 @@
 """Clusters that grow and shrink, and clusters that vanish: real ones of this machine."""
 
 import asyncio
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -136,7 +137,10 @@ def test_what_the_connection_swallows_is_lost_with_it(
         made.append(local_cluster(1))
         return made[-1]
 
+    sent = threading.Event()
+
     async def swallowed(*_: object) -> None:
+        sent.set()
         await asyncio.Event().wait()
 
     executor = Dask(Made(make, "mine:cluster"), kernel_cache=CACHE)
@@ -144,6 +148,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
         with monkeypatch.context() as patched:
             patched.setattr(executor._bundles, "add", swallowed)
             call = executor.call(len, "abc")
+            assert sent.wait(PATIENCE)
         made[0].close()
         with pytest.raises(ClusterLost):
             call.result(PATIENCE)
