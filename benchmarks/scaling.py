@@ -129,6 +129,9 @@ def draw(curves: dict[int, list[tuple[int, float]]], file: str) -> None:
         if workers > 1 and shared:
             gain.semilogx(*zip(*shared, strict=True), "o-", label=label)
     cost.set_ylabel("wall time, µs per cell and plate period")
+    cost.set_yticks([0.05, 0.1, 0.2, 0.5, 1.0], ["0.05", "0.1", "0.2", "0.5", "1"])
+    cost.minorticks_off()
+    cost.set_ylim(0.05, 1.0)
     gain.set_ylabel("times as fast as one worker")
     gain.set_ylim(bottom=0.0)
     for panel in (cost, gain):

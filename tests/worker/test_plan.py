@@ -27,6 +27,7 @@ from worker.cost import (
 )
 from worker.plan import (
     FEWEST_CHUNKS,
+    MANY_CHUNKS,
     MAX_SHARD_BYTES,
     TARGET_SECONDS,
     Chunk,
@@ -300,7 +301,7 @@ def test_estimate_counts_what_the_store_holds():
     assert found.core_seconds == pytest.approx(
         found.cells
         * (300 + FOLLOWED_SHARE * 200)
-        * 1.3
+        * CONTACT_MODELS["rigid"].ramp
         * CONTACT_MODELS["rigid"].cost_us
         * LANES
         / 2
@@ -329,7 +330,7 @@ def test_cycles_that_are_repeated_cost_less_and_cells_of_a_ramp_more(kind):
     assert cell_seconds(ramps) == pytest.approx(row.ramp * computed)
 
 
-def test_stiffer_contacts_cost_more_under_the_adhesive_law_only():
+def test_stiffer_contacts_cost_more():
     def cost(**contact):
         return cell_seconds(sweep(model={"kind": "soft"} | contact)) / cell_seconds(
             sweep(model={"kind": "soft"})
@@ -339,7 +340,7 @@ def test_stiffer_contacts_cost_more_under_the_adhesive_law_only():
         1.0 + 3.0 * SOFT_DECADE_US / CONTACT_MODELS["soft"].cost_us
     )
     assert cost(penetration=1e-2) == 1.0
-    assert cost(penetration=1e-3, adhesive=False) == cost(penetration=1e-6, adhesive=False) < 1.0
+    assert cost(penetration=1e-6, adhesive=False) == cost(penetration=1e-6)
 
 
 def test_cells_that_go_on_are_estimated_by_their_share_and_at_most_all():
@@ -451,9 +452,12 @@ def test_chunks_of_a_large_job_are_longer_but_not_longer_than_asked_for():
         return chunk.cells * cell_seconds(spec)
 
     assert seconds(huge("soft", 10)) <= TARGET_SECONDS * 1.001
-    assert 2.0 < seconds(huge("soft", 200)) < 3.0
-    assert 10.0 < seconds(huge("soft", 1000)) < 15.0
-    assert 7.0 < seconds(huge("soft", 1000), longest=10.0) < 10.1
+    for xi in (200, 1000):
+        spec = huge("soft", xi)
+        shared = make_plan(spec).cells * cell_seconds(spec) / MANY_CHUNKS
+        assert shared > 2.0 * TARGET_SECONDS
+        assert seconds(spec) == pytest.approx(shared, rel=0.2)
+    assert 3.0 < seconds(huge("soft", 1000), longest=5.0) < 5.05
     assert seconds(huge("soft", 1000), longest=TARGET_SECONDS) <= TARGET_SECONDS * 1.001
 
 

@@ -34,12 +34,11 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 #: Core-microseconds per cell per plate period of `rigid`: of a cell computed by itself, and with restitution
 #: above 0, in lanes and by itself.
 RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 0.72
+RIGID_ELASTIC_US: Final = 0.68
 RIGID_ELASTIC_ALONE_US: Final = 1.9
-#: And of `soft`: in lanes under the nonadhesive law; under the adhesive law, in which the more hops follow an
-#: impact the stiffer the contact, for each decade of penetration below the default one; by itself.
-SOFT_NONADHESIVE_US: Final = 0.7
-SOFT_DECADE_US: Final = 0.12
+#: And of `soft`: more hops follow an impact the stiffer the contact, for each decade of penetration below the
+#: default one; of a cell by itself.
+SOFT_DECADE_US: Final = 0.085
 SOFT_ALONE_US: Final = 2.0
 
 _Array = NDArray[np.float64]
@@ -123,9 +122,7 @@ class Soft(_SoftContact):
     kind: Literal["soft"] = "soft"
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
-        """`base` holds for full lanes, an adhesive contact and the default penetration."""
-        if not self.adhesive:
-            return _side_by_side(SOFT_NONADHESIVE_US, SOFT_ALONE_US, at_once)
+        """`base` holds for full lanes and the default penetration."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
         return _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
@@ -251,12 +248,12 @@ class ContactModel(NamedTuple):
 #: docs/architecture.md). Costs: means over cells of all kinds (`python -m benchmarks.cost --estimates`). Few
 #: cells of a ramp of springs are at rest; of a ball's, more.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 0.73, "soft contact", 0.7, 1.3),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.52, "soft contact", 0.7, 1.3),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
-    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.16, "rigid contact", 0.7, 1.3),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.165, "rigid contact", 0.7, 1.4),
     "ball": ContactModel(Ball, "kernel.models.ball", 0.06, "ball contact", 0.7, 0.7),
     # Until a model is chosen: the exact one, which is the most expensive.
-    "auto": ContactModel(Auto, "kernel.models.soft", 0.73, "auto contact", 0.7, 1.3),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.52, "auto contact", 0.7, 1.3),
 }
 
 
