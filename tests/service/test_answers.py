@@ -31,6 +31,7 @@ from paths import GOLDEN, ROOT
 from scripted import wait_for
 from served import computing, finished
 
+from service.api.capacity import Activity, Capacity, Lease
 from service.client import Client, Job
 
 ANSWERS: Final = GOLDEN / "answers.json"
@@ -107,6 +108,25 @@ MOTIONS: Final[tuple[dict[str, Any], ...]] = (
                                                                         "height": 2.0}},
     {"gamma": 0.7, "omega": 0.5, "periods": 1, "samples": 10, "settle": 0},
 )  # fmt: skip
+#: Requests whose memory is bounded before they are computed, each by what it asks for.
+COSTLY: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
+    ("ramp", "diagram", {"omega": 0.7, "xi": 0.05}),
+    ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "every": 4, "direction": "down", "format": "csv"}),
+    ("ramp", "diagram", {"omega": 0.7, "xi": 0.05, "format": "svg"}),
+    ("multistability", "diagram", {"omega": 0.5}),
+    ("ramp", "threshold", {"xi": 0.05}),
+    ("ramp", "modes", {"xi": 0.05}),
+    ("ramp", "modes", {"xi": 0.05, "every": 2, "min_flight": 5.0}),
+    ("ramp", "modes", {"xi": 0.05, "hysteresis": True}),
+    ("ramp", "plane", {"xi": 0.05, "hysteresis": True}),
+    ("ramp", "plane", {"xi": 0.05, "min_flight": 5.0}),
+    ("rest", "line", {"width": 40, "height": 30}),
+    ("rest", "export", {"format": "parquet"}),
+    ("rest", "export", {"format": "nc"}),
+    ("rest", "zarr/outcome/c.0.0.0.0", {}),
+    ("basins", "basins", {"gamma": 1.27}),
+    ("multistability", "multistability", {}),
+)
 #: What the client makes of them.
 READ: Final[tuple[tuple[str, str, dict[str, Any]], ...]] = (
     ("rest", "diagram", {}),
@@ -150,6 +170,9 @@ class Answers:
         if kind == "query":
             name, document, query = QUERIES[number]
             return self._document(f"{self._job(name)}/{document}", query)
+        if kind == "memory":
+            name, document, query = COSTLY[number]
+            return self._bytes_asked(f"{self._job(name)}/{document}", query)
         name, method, arguments = READ[number]
         job = self._client.job(self._job(name).rsplit("/", 1)[1])
         return _dataset(_read(job, method, arguments))
@@ -157,6 +180,21 @@ class Answers:
     def _document(self, path: str, query: Mapping[str, Any]) -> Any:
         wait_for(lambda: self._service.get(path, params=query).status_code != 202)
         return _document(self._service.get(path, params=query))
+
+    def _bytes_asked(self, path: str, query: Mapping[str, Any]) -> dict[str, int]:
+        """The bytes that an answer waits for before it is computed, by its activity."""
+        asked: dict[str, int] = {}
+        acquire = Capacity.acquire
+
+        async def noting(capacity: Capacity, activity: Activity, memory: int) -> Lease:
+            asked[activity] = memory
+            return await acquire(capacity, activity, memory)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Capacity, "acquire", noting)
+            answer = self._service.get(path, params=query)
+        assert answer.status_code == 200, answer.text
+        return asked
 
     def _job(self, name: str) -> str:
         if name not in self._jobs:
@@ -247,6 +285,8 @@ def _cases() -> Iterator[str]:
         yield f"cost {number} {name}"
     for number, (name, document, query) in enumerate(QUERIES):
         yield f"query {number} {name} {document} {_told(query)}"
+    for number, (name, document, query) in enumerate(COSTLY):
+        yield f"memory {number} {name} {document} {_told(query)}"
     for number, (name, method, arguments) in enumerate(READ):
         yield f"client {number} {name} {method} {_told(arguments)}"
 
