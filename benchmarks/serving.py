@@ -98,13 +98,17 @@ class Serving:
         """Delete a job."""
         httpx2.delete(self.url + path, timeout=TIMEOUT).raise_for_status()
 
-    def digest(self, job: dict[str, Any]) -> str:
-        """SHA-256 of every file of a job's store."""
+    def digests(self, job: dict[str, Any]) -> dict[str, str]:
+        """SHA-256 of every file of a job's store, by its name."""
         store = self.data / "stores" / f"{job['id']}.zarr"
-        digest = hashlib.sha256()
-        for path in sorted(path for path in store.rglob("*") if path.is_file()):
-            digest.update(str(path.relative_to(store)).encode() + path.read_bytes())
-        return digest.hexdigest()
+        return {
+            str(path.relative_to(store)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(path for path in store.rglob("*") if path.is_file())
+        }
+
+    def digest(self, job: dict[str, Any]) -> str:
+        """SHA-256 of all files of a job's store together."""
+        return hashlib.sha256(repr(self.digests(job)).encode()).hexdigest()
 
     def end(self) -> float:
         """Stop it with SIGTERM and return how long that took, s."""

@@ -120,7 +120,7 @@ class Soak:
         self.jobs, self.faults, self.answers = 0, Counter[str](), Counter[int]()
         self.left, self.wrong = 0, list[str]()
         self.samples: list[tuple[float, float, int]] = []  # MB of the service, with its processes; handles
-        self._expected = [self._digest(sweep(number)) for number in range(SWEEPS)]
+        self._expected = [self._digests(sweep(number)) for number in range(SWEEPS)]
         self._kept = self._submit(sweep(SWEEPS, gammas=2_000, settle=100))
         self._kept_digest = self._service.digest(self._wait(self._kept))
         self._paths = [
@@ -183,9 +183,9 @@ class Soak:
             raise SystemExit(f"a job is {job['state']}: {str(job)[:2000]}")
         return dict(job)
 
-    def _digest(self, spec: dict[str, Any]) -> str:
+    def _digests(self, spec: dict[str, Any]) -> dict[str, str]:
         path = self._submit(spec)
-        digest = self._service.digest(self._wait(path))
+        digest = self._service.digests(self._wait(path))
         self._persist("DELETE", path)
         return digest
 
@@ -217,8 +217,10 @@ class Soak:
 
         def work(rng: random.Random) -> None:
             number = numbers[self.jobs % len(numbers)]
-            if self._digest(sweep(number)) != self._expected[number]:
-                self._note_wrong(f"job {number}")
+            found, expected = self._digests(sweep(number)), self._expected[number]
+            if found != expected:
+                names = sorted(name for name, _ in found.items() ^ expected.items())
+                self._note_wrong(f"job {number}: {', '.join(names)}")
             with self._lock:
                 self.jobs += 1
             self._over.wait(rng.uniform(0, 2 * rest))

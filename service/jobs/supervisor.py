@@ -11,7 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final, NamedTuple
@@ -434,6 +434,8 @@ class Supervisor:
         state = run.final_state
         if state is None:
             return
+        with suppress(OSError):  # else what killed workers left goes when the service starts again
+            store.sweep_leftovers(run.prepared.store_url)
         if self._finish(run.job, state, run.error if state is JobState.FAILED else None):
             del self._runs[run.job.id]
             self._broken.pop(run.job.id, None)
