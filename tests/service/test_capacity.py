@@ -6,7 +6,7 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +25,7 @@ from service.api import routers
 from service.api.app import create_app
 from service.api.capacity import PIECE, Capacity, Lease
 from service.errors import Busy
+from service.jobs.on_demand import Pending
 from service.render import answers
 from service.results.selection import BASE_MEMORY
 from service.server.web_server import limited
@@ -256,6 +257,22 @@ def test_costly_requests_leave_the_other_threads_alone(tmp_path: Path):
             go.set()
             for thread in ask:
                 thread.join()
+
+
+def test_with_the_service_end_its_threads_and_what_was_asked_of_workers(tmp_path: Path):
+    def costly() -> set[threading.Thread]:
+        return {thread for thread in threading.enumerate() if thread.name.startswith("costly-")}
+
+    before, asked = costly(), Future[Any]()
+    with computing(tmp_path) as client:
+        assert client.get(f"{finished(client, FIGURE_2)}/diagram").status_code == 200
+        threads = costly() - before
+        on_demand = client.app.state.service.on_demand  # type: ignore[attr-defined]
+        with pytest.raises(Pending):
+            on_demand.get("never computed", lambda _: [asked])
+    assert threads
+    wait_for(lambda: not threads & costly())
+    assert asked.cancelled()
 
 
 def test_a_burst_of_costly_requests_stays_within_its_limits(tmp_path: Path):
