@@ -88,15 +88,24 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             assert counting.submitted - calm.chunks_total <= 4  # the window
 
 
-def test_what_a_killed_worker_had_begun_to_write_goes_with_the_end_of_the_job(tmp_path: Path, fragile: Dask):
-    wait_until_ready(fragile)
+def test_what_killed_workers_had_begun_to_write_goes_with_the_end_of_the_job(tmp_path: Path, fragile: Dask):
     with running(tmp_path, fragile) as service:
-        job = service.submit(costing())
-        wait_for(lambda: service.job(job).chunks_done >= 1)
-        half = Path(service.settings.store_of(job.id)) / ".partial" / "0123456789abcdef.partial"
-        half.write_bytes(b"half")
-        service.until(job, JobState.DONE)
-        assert not half.exists()
+        for number in range(10):
+            wait_until_ready(fragile)
+            workers, job = pids(fragile), service.submit(costing(str(number)))
+            partial = Path(service.settings.store_of(job.id)) / ".partial"
+            wait_for(lambda job=job: service.job(job).state is JobState.RUNNING)
+            deadline = time.monotonic() + PATIENCE
+            while not list(partial.glob("*")):  # it is there for some milliseconds: no pause in between
+                assert time.monotonic() < deadline
+            for pid in workers:
+                os.kill(pid, signal.SIGKILL)
+            half_written = list(partial.glob("*"))
+            service.until(job, JobState.DONE)
+            assert not list(partial.glob("*"))
+            if half_written:
+                return
+    pytest.fail("no worker was killed while it wrote")
 
 
 @pytest.mark.timeout(400)
