@@ -7,7 +7,8 @@ A chunk can come back for five reasons, which count differently:
   chunk is requeued and nothing is counted;
 - its worker died while computing another chunk: a collateral loss, counted on its own;
 - it failed, or its worker died of it: a failed try, of which each chunk has a limited number;
-- no chunk of the job can be stored, as on a full disk: the job stops at once.
+- no chunk of the job can be stored, as on a full disk: the job stops at once. A disk may be read-only on one
+  machine alone; then the chunk's tries are used up before.
 """
 
 import errno
@@ -34,8 +35,9 @@ MAX_COLLATERAL_LOSSES: Final = 10
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 #: Operating-system errors that every other chunk of the job would meet too: disk full, quota used up,
-#: file size limit, read-only file system.
-FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+#: file size limit; and a read-only file system, if the chunk met it at its last try too.
+FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+FATAL_AT_LAST: Final = FATAL_ERRNOS | {errno.EROFS}
 
 
 class Action(Enum):
@@ -108,9 +110,11 @@ class RetryPolicy:
         return fatal or given_up >= self.failed_chunks
 
     def _after_failed_try(self, error: BaseException, history: History) -> Action:
-        if history.fatal or (isinstance(error, OSError) and error.errno in FATAL_ERRNOS):
+        last = history.tries + 1 >= self.chunk_tries
+        fatal = FATAL_AT_LAST if last else FATAL_ERRNOS
+        if history.fatal or (isinstance(error, OSError) and error.errno in fatal):
             return Action.FATAL
-        return Action.RETRY if history.tries + 1 < self.chunk_tries else Action.GIVE_UP
+        return Action.GIVE_UP if last else Action.RETRY
 
 
 class Tally:

@@ -21,6 +21,7 @@ LAST_LOSS = History(collateral_losses=MAX_COLLATERAL_LOSSES - 1)
 SUSPECT = History(tries=2, collateral_losses=MAX_COLLATERAL_LOSSES - 1)
 
 DISK_FULL = OSError(errno.ENOSPC, "No space left on device")
+READ_ONLY = OSError(errno.EROFS, "Read-only file system")
 INTERRUPTED = OSError(errno.EIO, "Input/output error")
 
 
@@ -58,11 +59,12 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (DISK_FULL, FRESH, Action.FATAL),
     (OSError(errno.EDQUOT, "quota"), FRESH, Action.FATAL),
     (OSError(errno.EFBIG, "too big"), FRESH, Action.FATAL),
-    (OSError(errno.EROFS, "read-only"), FRESH, Action.FATAL),
+    (READ_ONLY, LAST_TRY, Action.FATAL),
     (DISK_FULL, STOPPING, Action.REQUEUE),
     (INTERRUPTED, FRESH, Action.RETRY),
     (INTERRUPTED, LAST_TRY, Action.GIVE_UP),
     (OSError("no number"), FRESH, Action.RETRY),
+    (READ_ONLY, FRESH, Action.RETRY),  # perhaps of one machine alone
     (ValueError("no"), FATAL, Action.FATAL),
 ])  # fmt: skip
 def test_what_follows_an_error(error: BaseException, history: History, action: Action):
