@@ -416,10 +416,12 @@ def kill(chunks: int, seconds: float, compared: int = 100) -> None:
 class NoKernels(WorkerPlugin):
     """In place of the plugin that compiles kernels: pretended workers need none."""
 
-    name = "bouncing-spring-kernels"
-
     def __init__(self, *_: Any) -> None:
         pass
+
+    async def setup(self, worker: Any) -> None: ...
+
+    async def teardown(self, worker: Any) -> None: ...
 
 
 def computed_at_once(spec: Any, chunk: Any, *_: Any) -> ChunkReport:

@@ -72,7 +72,7 @@ def claim_cache(root: str | Path | None = None) -> Path | None:
 
     Called again, returns the same folder. Returns None if kernels have been declared without a cache.
     The folder stays when the process ends, for the next one. Call it before starting threads: it changes
-    the environment. Raises CacheRefused.
+    the environment. Raises CacheRefused, or ModuleNotFoundError if there is no kernel.
     """
     if _held:
         return _held[0]
@@ -172,9 +172,13 @@ def _remove_old(root: Path, keep: Path) -> None:
 
 
 def _digest() -> str:
-    """An identifier of the kernel's sources: modification times, as numba compares, and contents."""
-    package = find_spec("kernel")
-    folder = Path(next(iter(package.submodule_search_locations or ()))) if package else Path()
+    """An identifier of the kernel's sources: modification times, as numba compares, and contents.
+
+    Raises ModuleNotFoundError if there is no kernel.
+    """
+    if (package := find_spec("kernel")) is None:
+        raise ModuleNotFoundError("No module named 'kernel'", name="kernel")
+    folder = Path(next(iter(package.submodule_search_locations or ())))
     digest = hashlib.sha256(f"{platform.python_version()} {platform.machine()}".encode())
     for source in sorted(folder.rglob("*.py")):
         digest.update(f"{source.relative_to(folder)} {source.stat().st_mtime_ns}\n".encode())

@@ -36,11 +36,6 @@ def submitted(service: Running, spec: dict[str, Any]) -> JobRecord:
     return service.manager.submit(studies.parse(spec)).job
 
 
-def contents(service: Running, job: JobRecord) -> dict[str, bytes]:
-    url = Path(service.settings.store_of(job.id))
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
-
-
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "spec",
@@ -56,7 +51,7 @@ def test_a_killed_worker_a_cancel_and_another_number_of_workers_change_no_byte(
     with closing(Inline()) as one, running(tmp_path / "one", one) as service:
         job = service.until(submitted(service, spec), JobState.DONE, seconds=PATIENCE)
         assert job.chunks_total > 4
-        expected = contents(service, job)
+        expected = service.stored(job)
     wait_for(lambda: workers.ready() and workers.workers() == 2)
     with running(tmp_path / "two", workers) as service:
         job = submitted(service, spec)
@@ -69,4 +64,4 @@ def test_a_killed_worker_a_cancel_and_another_number_of_workers_change_no_byte(
         assert stopped.chunks_done < stopped.chunks_total
         service.manager.resume(job.id)
         service.until(job, JobState.DONE, seconds=PATIENCE)
-        assert contents(service, job) == expected
+        assert service.stored(job) == expected

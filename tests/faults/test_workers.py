@@ -63,17 +63,12 @@ def files(url: str) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in map(Path, Path(url).rglob("*")) if path.is_file()}
 
 
-def contents(service: Running, job_id: str) -> dict[str, bytes]:
-    url = Path(service.settings.store_of(job_id))
-    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
-
-
 def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, fragile: Dask):
     chance = random.Random(2)
     inline = Inline()
     with running(tmp_path / "calm", inline) as service:
         calm = service.until(service.submit(costing()), JobState.DONE)
-        expected = contents(service, calm.id)
+        expected = service.stored(calm)
     inline.close()
     for run in range(RUNS):
         wait_until_ready(fragile)
@@ -84,7 +79,7 @@ def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, f
             time.sleep(chance.uniform(0, 0.5))
             os.kill(chance.choice(pids(fragile)), signal.SIGKILL)
             service.until(job, JobState.DONE)
-            assert contents(service, job.id) == expected
+            assert service.stored(job) == expected
             assert counting.submitted - calm.chunks_total <= 4  # the window
 
 

@@ -1,6 +1,7 @@
 """A Dask scheduler and workers as processes of their own, started as an operator starts them."""
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -67,6 +68,15 @@ class Processes:
                 except psutil.NoSuchProcess:
                     continue
             process.wait()
+
+
+def with_another_kernel(folder: Path) -> Path:
+    """A new folder with a copy of this project whose kernel has another line: a PYTHONPATH."""
+    for package in ("kernel", "worker"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    with (folder / "kernel" / "modes.py").open("a") as file:
+        file.write("\n# another kernel\n")
+    return folder
 
 
 def family(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:

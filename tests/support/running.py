@@ -46,6 +46,11 @@ class Running:
     def outcomes(self, job: JobRecord) -> np.ndarray:
         return store.read_slice(self.settings.store_of(job.id), ("outcome",))["outcome"]
 
+    def stored(self, job: JobRecord) -> dict[str, bytes]:
+        """The contents of the files of a job's store, by their names in it."""
+        url = Path(self.settings.store_of(job.id))
+        return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
 
 @contextmanager
 def running(folder: Path, executor: Executor, **options: Any) -> Iterator[Running]:

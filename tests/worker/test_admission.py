@@ -1,12 +1,21 @@
 """Workers that differ from the service get no chunk, beside one that computes; the reason names them."""
 
+import os
+import pickle
+import re
 import shutil
+import signal
 import socket
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
+from functools import partial
 from pathlib import Path
 
+import psutil
 import pytest
-from dask_processes import Processes, dask_processes
+from blame import noting_errors
+from dask_processes import Processes, dask_processes, with_another_kernel
+from distributed import Client
 from paths import CACHE, ROOT
 from running import costing, running
 from scripted import wait_for
@@ -18,17 +27,85 @@ from worker.executors.admission import Probe, Requirements, facts, run_if_admitt
 from worker.executors.dask import Dask
 from worker.executors.errors import WorkerRefused
 from worker.kernel_cache import warm
+from worker.tasks import ChunkCancelled, ChunkPaused
 
 PATIENCE = 240.0
+#: How chunks come back that nobody is to blame for.
+EXPECTED = CancelledError | ChunkCancelled | ChunkPaused | WorkerRefused
 
 
-def with_another_kernel(processes: Processes, folder: Path) -> None:
-    copy = folder / "copy"
-    for package in ("kernel", "worker"):
-        shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__"))
-    with (copy / "kernel" / "modes.py").open("a") as file:
-        file.write("\n# another kernel\n")
-    processes.worker(variables={"PYTHONPATH": str(copy)})
+def of_another_kernel(processes: Processes, folder: Path) -> None:
+    processes.worker(variables={"PYTHONPATH": str(with_another_kernel(folder / "copy"))})
+
+
+#: Of a Python without this project until there is a file `installed`. The kernels' files are then where they
+#: are for others, whose compiled kernels it can use.
+BARE = """
+import sys
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+class Late:
+    def find_spec(name, path=None, target=None):
+        if path is None and Path({tree!r}, "installed").exists():
+            return PathFinder.find_spec(name, [{root!r}], target)
+
+sys.path[:] = [entry for entry in sys.path if not Path(entry, "kernel", "params.py").exists()]
+sys.meta_path[:] = [finder for finder in sys.meta_path if "bouncing_spring" not in finder.__module__]
+sys.meta_path.append(Late)
+"""
+
+
+def without_packages(processes: Processes, folder: Path, *packages: str) -> None:
+    """In a Python that has those packages of this project only."""
+    tree = folder / "tree"
+    tree.mkdir()
+    (tree / "sitecustomize.py").write_text(BARE.format(tree=str(tree), root=str(ROOT)))
+    for package in packages:
+        shutil.copytree(ROOT / package, tree / package, ignore=shutil.ignore_patterns("__pycache__"))
+    processes.worker(variables={"PYTHONPATH": str(tree)})
+
+
+def without_the_project(processes: Processes, folder: Path) -> None:
+    without_packages(processes, folder)
+
+
+def without_the_kernel(processes: Processes, folder: Path) -> None:
+    without_packages(processes, folder, "worker")
+
+
+def install_late(folder: Path) -> None:
+    (folder / "tree" / "installed").touch()
+
+
+def with_broken(library: str, processes: Processes, folder: Path) -> None:
+    """With a library that is there, in the right version, and cannot be imported."""
+    (folder / "tree" / library).mkdir(parents=True)
+    (folder / "tree" / library / "__init__.py").write_text(f'raise ImportError("no\\nlib{library}.so")\n')
+    processes.worker(variables={"PYTHONPATH": f"{folder / 'tree'}:{ROOT}"})
+
+
+def mend(folder: Path) -> None:
+    shutil.rmtree(folder / "tree")
+
+
+def with_an_open_cache(processes: Processes, folder: Path) -> None:
+    """With a cache of compiled kernels to which every user can write."""
+    (folder / "tree").mkdir()
+    (folder / "tree").chmod(0o777)
+    processes.worker(variables={"NUMBA_CACHE_DIR": str(folder / "tree")})
+
+
+def on_a_read_only_folder(processes: Processes, folder: Path) -> None:
+    """In a mount namespace of its own, in which it sees the stores and cannot write there."""
+    stores = folder / "data" / "stores"
+    stores.mkdir(parents=True, exist_ok=True)
+    fix = f'mount --bind {stores} {stores} && mount -o remount,bind,ro {stores} && exec "$@"'
+    processes.worker(before=("unshare", "--mount", "--map-root-user", "sh", "-c", fix, "sh"))
+
+
+with_broken_numba = partial(with_broken, "numba")
+with_broken_numpy = partial(with_broken, "numpy")
 
 
 def with_two_threads(processes: Processes, folder: Path) -> None:
@@ -53,15 +130,23 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
 @pytest.mark.parametrize(
     ("start", "why"),
     [
-        (with_another_kernel, "its package kernel is "),
+        (of_another_kernel, "its package kernel is "),
         (with_two_threads, "it has 2 threads: start it with --nthreads 1"),
         (without_the_folder, "it does not see the service's stores in "),
+        (on_a_read_only_folder, "it cannot write into "),
+        (without_the_project, "cannot load bouncing-spring: ModuleNotFoundError: No module named 'worker'"),
+        (without_the_kernel, "it cannot load the kernel: ModuleNotFoundError: No module named 'kernel'"),
+        (with_broken_numba, "it cannot load the kernel: ImportError: no libnumba.so"),
+        (with_broken_numpy, "it cannot load the kernel: ImportError: no libnumpy.so"),
+        (with_an_open_cache, "it cannot load the kernel: CacheRefused: "),
     ],
 )
 def test_a_worker_that_differs_is_refused_beside_one_that_computes(
     tmp_path: Path, processes: Processes, start: Callable[[Processes, Path], None], why: str
 ):
     start(processes, tmp_path)
+    with Client(processes.address, timeout=60, set_as_default=False) as client:
+        wait_for(lambda: client.scheduler_info()["workers"], processes.log, PATIENCE)
     executor = Dask(processes.address, stores=str(tmp_path / "data" / "stores"), timeout=60)
     readiness = Readiness(executor, max_age=0.0)
     try:
@@ -81,6 +166,56 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
             assert ended.chunks_done == ended.chunks_total
             assert executor.workers() == 1
             assert readiness.fault() is None
+    finally:
+        executor.close()
+
+
+@pytest.mark.parametrize(
+    ("start", "repair"),
+    [(without_the_project, install_late), (without_the_kernel, install_late), (with_broken_numba, mend)],
+)
+def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_can(
+    tmp_path: Path,
+    processes: Processes,
+    monkeypatch: pytest.MonkeyPatch,
+    start: Callable[[Processes, Path], None],
+    repair: Callable[[Path], None],
+):
+    """It is given a chunk at once, before it is refused."""
+    errors = noting_errors(monkeypatch)
+    processes.worker()
+    executor = Dask(processes.address, stores=str(tmp_path / "data" / "stores"), timeout=60)
+    try:
+        with running(tmp_path / "data", executor, chunk_tries=1) as service:
+            job = service.submit(costing(chunks=2000, seconds=0.1))
+            wait_for(lambda: service.job(job).chunks_done >= 1, processes.log, PATIENCE)
+            start(processes, tmp_path)
+            wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
+            done = service.job(job).chunks_done
+            wait_for(lambda: service.job(job).chunks_done >= done + 3, processes.log, PATIENCE)
+            assert executor.workers() == 1
+            assert len(executor._connection.threads_of()) == 2
+            repair(tmp_path)
+            wait_for(
+                lambda: executor.workers() == 2 and not executor.state().refused, processes.log, PATIENCE
+            )
+            service.manager.cancel(job.id)
+            assert service.until(job, JobState.CANCELLED).error is None
+    finally:
+        executor.close()
+    unexpected = [error for error in errors if not isinstance(error, EXPECTED)]
+    assert unexpected == []
+
+
+def test_a_refused_worker_ends_when_it_is_told_to(tmp_path: Path, processes: Processes):
+    with_broken_numba(processes, tmp_path)
+    executor = Dask(processes.address, timeout=60)
+    try:
+        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
+        [reason] = executor.state().refused
+        [process] = re.findall(r"\(process (\d+)\)", reason)
+        os.kill(int(process), signal.SIGTERM)
+        wait_for(lambda: not psutil.pid_exists(int(process)), processes.log, PATIENCE)
     finally:
         executor.close()
 
@@ -105,12 +240,12 @@ def test_what_a_process_is_judged_by(tmp_path: Path):
     here = facts()
     try:
         assert Requirements(here, Probe(url, content)).judge(1) == ""
-        assert run_if_admitted(sum, [1, 2]) == 3
+        assert run_if_admitted(pickle.dumps((sum, [1, 2]))) == 3
         assert "does not see" in Requirements(here, Probe(url, "other")).judge(1)
         for name in here:
             reason = Requirements(here | {name: "other"}).judge(1)
             assert reason == f"its {name} is {here[name]}, the service's other"
-        assert isinstance(run_if_admitted(sum, [1, 2]), WorkerRefused)
+        assert isinstance(run_if_admitted(b"not to be unpickled here"), WorkerRefused)
         assert "4 threads" in Requirements(here).judge(4)
     finally:
         Requirements(here).judge(1)  # this process computes for other tests

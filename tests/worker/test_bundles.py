@@ -2,6 +2,9 @@
 
 import asyncio
 import math
+import pickle
+import subprocess
+import sys
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -11,7 +14,6 @@ from studies import BASINS, MULTISTABILITY
 
 from worker import store
 from worker.executors import sent_specs
-from worker.executors.admission import run_if_admitted
 from worker.executors.bundles import Bundles, Call
 from worker.executors.dask import Dask
 from worker.executors.sent_specs import Reference, SentSpecs
@@ -30,20 +32,20 @@ class Recording:
     """A client that notes what is submitted, one entry for each message."""
 
     def __init__(self) -> None:
-        self.messages: list[tuple[list[tuple[Any, ...]], dict[str, Any]]] = []
+        self.messages: list[tuple[list[Any], dict[str, Any]]] = []  # what its tasks return, and options
 
-    def map(self, function: Any, *columns: Any, **options: Any) -> list[str]:
-        rows = list(zip(*columns, strict=True))
-        assert function is run_if_admitted
-        if any(row[0] == "bad" for row in rows):
+    def map(self, function: Any, calls: Any, **options: Any) -> list[str]:
+        results = [function(call) for call in calls]
+        if "bad" in results:
             raise ValueError("not this one")
-        self.messages.append((rows, options))
-        return [f"future of {row}" for row in rows]
+        self.messages.append((results, options))
+        return [f"future of {result}" for result in results]
 
 
-def submit(calls: list[Call]) -> tuple[Recording, list[Any]]:
+def submit(calls: list[Call], client: Recording | None = None) -> tuple[Recording, list[Any]]:
+    client, bundles = client or Recording(), Bundles()
+
     async def run() -> tuple[Recording, list[Any]]:
-        client, bundles = Recording(), Bundles()
         adding = [bundles.add(client, call) for call in calls]
         return client, await asyncio.gather(*adding, return_exceptions=True)
 
@@ -51,31 +53,45 @@ def submit(calls: list[Call]) -> tuple[Recording, list[Any]]:
 
 
 def test_calls_of_one_moment_are_one_message():
-    client, futures = submit([Call(("f", i), priority=-100.5 - i / 100) for i in range(20)])
-    [(rows, options)] = client.messages
-    assert rows == [("f", i) for i in range(20)]
-    assert options == {"pure": False, "priority": -100.5, "workers": None}
-    assert futures == [f"future of {row}" for row in rows]
+    client, futures = submit([Call((abs, -i), priority=-100.5 - i / 100) for i in range(20)])
+    [(results, options)] = client.messages
+    assert results == list(range(20))
+    assert options == {"key": "run_if_admitted", "pure": False, "priority": -100.5, "workers": None}
+    assert futures == [f"future of {result}" for result in results]
 
 
 def test_calls_that_differ_in_urgency_or_workers_are_not():
     calls = [
-        Call(("f", 1), 0.0),
-        Call(("f", 2), -50.0),
-        Call(("f", 3), -50.0, ("a",)),
-        Call(("f", 4, 5), 0.0),
+        Call((abs, 1), 0.0),
+        Call((abs, 2), -50.0),
+        Call((abs, 3), -50.0, ("a",)),
+        Call((max, 4, 5), 0.0),
     ]
     client, futures = submit(calls)
-    assert sorted(row for rows, _ in client.messages for row in rows) == [call.arguments for call in calls]
-    assert len(client.messages) == 4
+    assert sorted(results for results, _ in client.messages) == [[1, 5], [2], [3]]
     assert ["a"] in [options["workers"] for _, options in client.messages]
-    assert futures == [f"future of {call.arguments}" for call in calls]
+    assert futures == [f"future of {result}" for result in (1, 2, 3, 5)]
 
 
 def test_a_message_that_cannot_be_sent_concerns_its_calls_alone():
-    _, futures = submit([Call(("bad", 1), 0.0), Call(("f", 2), -50.0)])
+    _, futures = submit([Call((str, "bad"), 0.0), Call((abs, 2), -50.0)])
     assert isinstance(futures[0], ValueError)
-    assert futures[1] == "future of ('f', 2)"
+    assert futures[1] == "future of 2"
+
+
+def test_scheduler_and_worker_need_nothing_of_this_project_until_a_task_runs():
+    class Sending(Recording):
+        def map(self, function: Any, calls: Any, **_: Any) -> list[bytes]:
+            return [pickle.dumps((function, call)) for call in calls]
+
+    _, [sent] = submit([Call((run_chunk, 3), 0.0)], Sending())
+    code = (
+        "import pickle, sys; function, call = pickle.loads(sys.stdin.buffer.read()); "
+        "print('worker' in sys.modules); sys.modules['worker'] = None; function(call)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=False)
+    assert done.stdout == b"False\n"
+    assert b"ModuleNotFoundError" in done.stderr
 
 
 # Specifications

@@ -1,22 +1,23 @@
 """Whether a worker may compute chunks: it must be as the service is, and see the service's stores.
 
-A worker with another kernel computes other numbers, and one that does not see the stores fails every chunk.
-Both are refused before their first chunk, with the reason. Nothing here imports a kernel or zarr at the top:
-a worker unpickles the plugin, and so imports this module, before it has claimed its kernel cache.
+A worker with another kernel computes other numbers, and one that does not see the stores, or cannot load the
+kernel, fails every chunk. They are refused before their first chunk, with the reason. Nothing here imports a
+kernel or zarr at the top: a worker unpickles the plugin, and so imports this module, before it has claimed
+its kernel cache.
 """
 
 import hashlib
+import pickle
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import invalidate_caches
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from worker.executors.errors import WorkerRefused
-
-Result = TypeVar("Result")
 
 #: Libraries on whose versions stored numbers or bytes depend.
 _LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
@@ -42,16 +43,27 @@ class Requirements:
     facts: Mapping[str, str]
     probe: Probe | None = None
 
-    def judge(self, threads: int) -> str:
+    def judge(self, threads: int, prepare: Callable[[], object] = lambda: None) -> str:
         """Why this process may not compute, and from now on does not; empty if it may.
 
-        `threads`: how many chunks it would compute at once.
+        `threads`: how many chunks it would compute at once. `prepare` is called if there is no other reason;
+        what it raises is one.
         """
-        _refusal[:] = filter(None, ["; ".join(self._differences(threads))])
-        return "".join(_refusal)
+        invalidate_caches()  # what could not be imported before may be there now
+        wrong = self._differences(threads)
+        if not wrong:
+            try:
+                prepare()
+            except Exception as error:  # noqa: BLE001 - whatever it is, no chunk can be computed
+                wrong.append(f"it cannot load the kernel: {_told(error)}")
+        _refusal[:] = filter(None, ["; ".join(wrong)])
+        return refusal()
 
     def _differences(self, threads: int) -> list[str]:
-        here = facts()
+        try:
+            here = facts()
+        except Exception as error:  # noqa: BLE001 - a library that is not there, or is broken
+            return [f"it cannot load the kernel: {_told(error)}"]
         wrong = [
             f"its {name} is {here.get(name)}, the service's {expected}"
             for name, expected in self.facts.items()
@@ -81,12 +93,21 @@ def facts() -> dict[str, str]:
     }
 
 
-def run_if_admitted(function: Callable[..., Result], *arguments: Any) -> "Result | WorkerRefused":
-    """`function(*arguments)`, unless this worker is refused.
+def refusal() -> str:
+    """Why this process, a worker, is refused; empty if it is not."""
+    return "".join(_refusal)
 
-    The scheduler gives a refused worker no task, but may have given it one before the worker was judged.
+
+def run_if_admitted(call: bytes) -> Any:
+    """What a function returns that is pickled with its arguments; WorkerRefused if this worker is refused.
+
+    The scheduler gives a refused worker no task, but may have given it one before the worker was judged. Such
+    a worker may not be able to unpickle it.
     """
-    return WorkerRefused(_refusal[0]) if _refusal else function(*arguments)
+    if _refusal:
+        return WorkerRefused(_refusal[0])
+    function, *arguments = pickle.loads(call)
+    return function(*arguments)
 
 
 def _digest(package: str) -> str:
@@ -108,13 +129,20 @@ def _version(library: str) -> str:
 
 
 def _unseen(probe: Probe) -> str:
-    """Why the stores' folder is not the service's; empty if it is."""
-    from worker import store  # noqa: PLC0415 - see above
-
+    """Why the stores' folder is not the service's, or of no use; empty if it is."""
     try:
+        from worker import store  # noqa: PLC0415 - see above
+
         found = store.read_probe(probe.url)
     except Exception as error:  # noqa: BLE001 - whatever keeps it from reading keeps it from computing
-        return f"it cannot read {probe.url}, where the stores are: {type(error).__name__}: {error}"
+        return f"it cannot read {probe.url}, where the stores are: {_told(error)}"
     if found == probe.content:
-        return ""
+        return (
+            "" if store.is_writable(probe.url) else f"it cannot write into {probe.url}, where the stores are"
+        )
     return f"it does not see the service's stores in {probe.url}: share that folder, under the same path"
+
+
+def _told(error: Exception) -> str:
+    """An error in one line; numpy's are of many."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

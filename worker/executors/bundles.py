@@ -1,11 +1,15 @@
 """Tasks that are submitted at the same time, told to Dask's scheduler in one message.
 
-The scheduler takes about as long for a message with one task as for one with many.
+The scheduler takes about as long for a message with one task as for one with many. Each is sent as bytes that
+are unpickled when it runs: a worker ends that cannot unpickle a message.
 """
 
 import asyncio
+import pickle
 from collections import defaultdict
 from typing import Any, Final, NamedTuple
+
+from distributed.protocol.pickle import dumps
 
 from worker.executors.admission import run_if_admitted
 
@@ -42,14 +46,15 @@ class Bundles:
         bundles = defaultdict(list)
         for client, call, submitted in self._waiting:
             if not submitted.done():  # cancelled meanwhile
-                key = client, len(call.arguments), call.workers, call.priority // SAME_PRIORITY
+                key = client, call.workers, call.priority // SAME_PRIORITY
                 bundles[key].append((call, submitted))
         self._waiting = []
-        for (client, _, workers, _), bundle in bundles.items():
+        for (client, workers, _), bundle in bundles.items():
             try:
                 futures = client.map(
-                    run_if_admitted,
-                    *_columns([call.arguments for call, _ in bundle]),
+                    pickle.loads,
+                    [pickle.dumps(_Admitted(call.arguments)) for call, _ in bundle],
+                    key=run_if_admitted.__name__,
                     pure=False,
                     priority=max(call.priority for call, _ in bundle),
                     workers=list(workers) or None,
@@ -62,5 +67,14 @@ class Bundles:
                 submitted.set_result(future)
 
 
-def _columns(rows: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    return list(zip(*rows, strict=True))
+class _Admitted:
+    """A function and its arguments: unpickling it is `run_if_admitted` of them.
+
+    So scheduler and worker need nothing of this project until a worker runs it.
+    """
+
+    def __init__(self, call: tuple[Any, ...]) -> None:
+        self._call = call
+
+    def __reduce__(self) -> Any:
+        return run_if_admitted, (dumps(self._call),)  # type: ignore[no-untyped-call]

@@ -13,8 +13,8 @@ from distributed.comm.addressing import get_address_host_port
 
 from worker.executors.demand import HANDLER, Demand
 from worker.executors.errors import ClusterLost
+from worker.executors.sent_plugin import ROSTER
 from worker.executors.targets import NO_SCHEDULER, Target
-from worker.executors.worker_plugin import ROSTER
 from worker.watchdog import TOPIC
 
 log = logging.getLogger(__name__)

@@ -13,9 +13,10 @@ from typing import Any, Final
 from weakref import WeakSet
 
 from distributed import KilledWorker
+from distributed.protocol.pickle import dumps
 
 from worker import store
-from worker.executors.admission import Probe, Requirements, facts
+from worker.executors.admission import Probe, Requirements, facts, refusal
 from worker.executors.base import USUAL, ClusterState, Result
 from worker.executors.bundles import Bundles, Call
 from worker.executors.connection import SchedulerConnection
@@ -30,6 +31,7 @@ from worker.executors.errors import (
 from worker.executors.local_cluster import LocalWorkers
 from worker.executors.quarantine import MARKS, REST_SECONDS, Quarantine
 from worker.executors.roster import Roster
+from worker.executors.sent_plugin import SentPlugin
 from worker.executors.sent_specs import SentSpecs, run_sent
 from worker.executors.targets import Fixed, Made, SchedulerFile, Target
 from worker.executors.worker_plugin import PreparedWorker, rest
@@ -71,7 +73,7 @@ class Dask:
     bucket) `stores`, get no chunk: see `worker.executors.admission`.
 
     Returns when the workers present have compiled their kernels; later workers compile on joining.
-    Raises ClusterLost if no scheduler answers within `timeout` seconds.
+    Raises ClusterLost if no scheduler answers within `timeout` seconds, or no worker of its own can compute.
     """
 
     def __init__(
@@ -105,15 +107,27 @@ class Dask:
             self._target = _target(address, scheduler_file, timeout)
             self._connection = SchedulerConnection(
                 self._target,
-                plugin,
+                SentPlugin(dumps(plugin)),  # type: ignore[no-untyped-call]
                 self._on_event,
                 self._roster.note,
                 self._on_lost,
                 security=security,
                 timeout=timeout,
             )
+            if self._workers is not None:
+                self._check_own_workers()
         except BaseException:
             self._close_workers(at_once=True)
+            raise
+
+    def _check_own_workers(self) -> None:
+        """Raise ClusterLost if the workers started here cannot compute: no others will join."""
+        try:
+            reasons = self._connection.client.run(refusal, on_error="ignore")
+            if reasons and all(reasons.values()):
+                raise ClusterLost(f"no worker can compute: {next(iter(reasons.values()))}")
+        except BaseException:
+            self._connection.close()
             raise
 
     def submit(
@@ -293,6 +307,8 @@ class Dask:
         except (TaskError, WorkerLeft, WorkerRefused):
             raise
         except Exception as error:
+            if _lacks_project(error):
+                raise WorkerRefused(f"the worker cannot load bouncing-spring: {error}") from None
             self._on_failed(task, error)
             raise
         finally:
@@ -334,6 +350,11 @@ class Dask:
         if task.chunk is None or task.worker == address:
             return WorkerDied("the worker process that computed it died")
         return WorkerLost("the worker process at which it waited died")
+
+
+def _lacks_project(error: Exception) -> bool:
+    """Whether a worker without this project was given the task, before it was refused."""
+    return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == "worker"
 
 
 def _probe(stores: str) -> Probe | None:

@@ -5,24 +5,22 @@ kernel cache. For the same reason `worker/executors/__init__.py` is empty.
 """
 
 import asyncio
+import contextlib
 import logging
 import os
 import signal
-import socket
+import sys
 import threading
 import time
-from typing import Any, Final
+from functools import partial
+from typing import Any
 
 from distributed import Status, WorkerPlugin
 
 from worker.executors.admission import Requirements
+from worker.executors.sent_plugin import JUDGE_SECONDS, log_event, refuse, set_available
 from worker.kernel_cache import claim_cache, warm
 
-#: The topic under which a worker's plugin logs events, each with "worker", "host" and "process", and one of
-#: "refused" (why), "admitted" and "leaving".
-ROSTER: Final = "bouncing-spring-workers"
-#: Seconds between two looks at whether a refused worker may compute now: its folder may be mounted late.
-JUDGE_SECONDS: Final = 5.0
 #: Time for the last event to reach the scheduler before the process ends, and the longest that chunks may
 #: take to pause before.
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
@@ -35,17 +33,15 @@ class PreparedWorker(WorkerPlugin):
     stays, and the scheduler gives it no task until it meets the requirements.
     """
 
-    name = "bouncing-spring-kernels"
-
     def __init__(self, requirements: Requirements, root: str | None = None) -> None:
         self._requirements, self._root = requirements, root
         self._removed = False
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process. Compiles in a thread, beside the event loop."""
-        self._refused = ""
         _quiet_when_closing(worker)
-        claim_cache(self._root)
+        with contextlib.suppress(Exception):  # `warm` raises it again, and the worker is refused
+            claim_cache(self._root)
         await self._judge(worker)
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
             # Batch queues end all processes of a job at once: this one too, and not through its nanny.
@@ -61,24 +57,21 @@ class PreparedWorker(WorkerPlugin):
         """
         self._removed = True
         if worker.status == Status.closing:
-            _log(worker, leaving=True)
+            log_event(worker, leaving=True)
             if worker.nanny is not None:
                 await _pause_chunks(worker)
                 os._exit(0)
 
     async def _judge(self, worker: Any) -> None:
         """Admit or refuse the worker; a refused one is judged again later."""
-        reason = await asyncio.to_thread(self._requirements.judge, worker.state.nthreads)
+        prepare = partial(warm, self._root)
+        reason = await asyncio.to_thread(self._requirements.judge, worker.state.nthreads, prepare)
         if reason:
-            set_available(worker, available=False)
-            if reason != self._refused:
-                _log(worker, refused=reason, threads=worker.state.nthreads)
+            refuse(worker, reason)
             worker.loop.call_later(JUDGE_SECONDS, self._judge_again, worker)
         else:
-            await asyncio.to_thread(warm, self._root)
             set_available(worker, available=True)
-            _log(worker, admitted=True)
-        self._refused = reason
+            log_event(worker, admitted=True)
 
     async def _judge_again(self, worker: Any) -> None:
         if not self._removed:
@@ -86,7 +79,7 @@ class PreparedWorker(WorkerPlugin):
 
     def _leave(self, worker: Any) -> None:
         """SIGTERM: say so, let chunks pause, then end as SIGTERM would."""
-        _log(worker, leaving=True)
+        log_event(worker, leaving=True)
         set_available(worker, available=False)
         worker.loop.add_callback(self._end, worker)
 
@@ -105,21 +98,6 @@ def _quiet_when_closing(worker: Any) -> None:
         handler.addFilter(is_open)
 
 
-def set_available(worker: Any, *, available: bool) -> None:
-    """Have the scheduler give this worker tasks, or none.
-
-    The worker itself stays as it is: one that is paused would keep the tasks that it was given before, and
-    its memory monitor would end the pause.
-    """
-    worker.batched_send(
-        {
-            "op": "worker-status-change",
-            "status": (Status.running if available else Status.paused).name,
-            "stimulus_id": f"bouncing-spring-{time.time()}",
-        }
-    )
-
-
 def rest(seconds: float, dask_worker: Any) -> None:
     """Run on a worker by the service: take no task for so long."""
     set_available(dask_worker, available=False)
@@ -134,15 +112,10 @@ def set_available_again(worker: Any) -> None:
 
 async def _pause_chunks(worker: Any) -> None:
     """Have the chunks of this worker write what they have computed, and wait until they have."""
-    from worker.tasks import LEAVING  # noqa: PLC0415 - see above
-
-    LEAVING.set()
+    if (tasks := sys.modules.get("worker.tasks")) is None:
+        return  # it was refused, and perhaps because that cannot be imported
+    tasks.LEAVING.set()
     deadline = time.monotonic() + PAUSE_SECONDS
     await asyncio.sleep(REPORT_SECONDS)
     while worker.active_threads and time.monotonic() < deadline:
         await asyncio.sleep(0.02)
-
-
-def _log(worker: Any, **what: Any) -> None:
-    event = {"worker": worker.address, "host": socket.gethostname(), "process": os.getpid()}
-    worker.log_event(ROSTER, event | what)

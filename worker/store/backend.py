@@ -216,6 +216,11 @@ def make_place(url: str) -> None:
         Path(url).mkdir(parents=True, exist_ok=True)
 
 
+def is_writable(url: str) -> bool:
+    """Whether this process may write into the folder at an address; of a bucket that is not asked."""
+    return in_bucket(url) or os.access(url, os.W_OK)
+
+
 def delete(url: str, key: str) -> None:
     """Remove a key of a store, if it exists."""
     try:
