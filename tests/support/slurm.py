@@ -92,6 +92,10 @@ class Slurm:
         lines = self.ask("squeue", "--noheader", "--states=R", "--format=%A %M").splitlines()
         return {job: _seconds(ran) for job, ran in (line.split() for line in lines)}
 
+    def timed_out(self) -> set[str]:
+        """The jobs of the last minutes that Slurm ended because their time was over."""
+        return set(self.ask("squeue", "--noheader", "--states=TIMEOUT", "--format=%A").split())
+
     def log(self) -> str:
         """The ends of all logs."""
         return "\n".join(file.read_text()[-3000:] for file in sorted(self.folder.glob("*.log")))
