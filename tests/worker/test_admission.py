@@ -85,6 +85,17 @@ def with_broken(library: str, processes: Processes, folder: Path) -> None:
     processes.worker(variables={"PYTHONPATH": f"{folder / 'tree'}:{ROOT}"})
 
 
+def that_dies_at_once(processes: Processes, folder: Path) -> None:
+    """Without a nanny, which would start it again; it ends as soon as it is to be prepared."""
+    for package in ("kernel", "worker"):
+        shutil.copytree(
+            ROOT / package, folder / "tree" / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    with (folder / "tree" / "worker" / "kernel_cache.py").open("a") as file:
+        file.write("\nos._exit(1)\n")
+    processes.worker("--no-nanny", variables={"PYTHONPATH": str(folder / "tree")})
+
+
 def mend(folder: Path) -> None:
     shutil.rmtree(folder / "tree")
 
@@ -166,6 +177,22 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
             assert ended.chunks_done == ended.chunks_total
             assert executor.workers() == 1
             assert readiness.fault() is None
+    finally:
+        executor.close()
+
+
+def test_a_worker_that_dies_while_it_is_prepared_does_not_keep_the_service_from_starting(
+    tmp_path: Path, processes: Processes, caplog: pytest.LogCaptureFixture
+):
+    that_dies_at_once(processes, tmp_path)
+    processes.worker()
+    with Client(processes.address, timeout=60, set_as_default=False) as client:
+        wait_for(lambda: len(client.scheduler_info()["workers"]) == 2, processes.log, PATIENCE)
+    executor = Dask(processes.address, stores=str(tmp_path / "data" / "stores"), timeout=60)
+    try:
+        assert "the workers cannot be prepared, trying again" in caplog.text
+        assert executor.call(len, "abc").result(PATIENCE) == 3
+        assert executor.workers() == 1
     finally:
         executor.close()
 

@@ -4,6 +4,7 @@ import contextlib
 import logging
 import socket
 import threading
+import time
 from collections.abc import Callable, Collection
 from typing import Any, Final
 
@@ -82,7 +83,7 @@ class SchedulerConnection:
         self.fault = ""  # why the last attempt to connect failed
         self._client = self._connect(timeout)
         try:
-            self._register()
+            self._register_at_first(timeout)
         except BaseException:
             self._client.close()
             raise
@@ -168,6 +169,18 @@ class SchedulerConnection:
         except NO_SCHEDULER as error:
             self._target.unanswered()
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
+
+    def _register_at_first(self, timeout: float) -> None:
+        """Register, again if a worker dies meanwhile. Raises ClusterLost after `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while True:
+            try:
+                return self._register()
+            except (OSError, RuntimeError) as error:
+                if self._client.status != "running" or time.monotonic() > deadline:
+                    raise ClusterLost(f"the scheduler or its workers cannot be prepared: {error}") from error
+                log.warning("the workers cannot be prepared, trying again: %s", error)
+                time.sleep(RETRY_SECONDS)
 
     def _register(self) -> None:
         """Prepare a scheduler for tasks: events, plugin, settings. Until then `client` raises ClusterLost."""
