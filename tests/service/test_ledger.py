@@ -213,7 +213,8 @@ def test_it_survives_closing(tmp_path: Path):
         accept(ledger)
     with Ledger(path) as ledger:
         assert current(ledger).name == "a name"
-    assert sqlite3.connect(path).execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
+    with closing(sqlite3.connect(path)) as reader:
+        assert reader.execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
 
 
 def test_what_a_transaction_returned_survives_a_kill(tmp_path: Path):
