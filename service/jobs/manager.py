@@ -47,7 +47,7 @@ class JobManager:
         self.preparer = JobPreparer(settings)
         self._deleter = Deleter(ledger, settings, self._wake)
         self._supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
-        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidate, self._deleter.repeat)
+        self.repairer = Repairer(ledger, self.preparer, self._supervisor.invalidating, self._deleter.repeat)
         self._scrubber = Scrubber(ledger, settings, self.preparer, self.repairer, self.is_computing)
 
     def is_computing(self) -> bool:

@@ -94,8 +94,8 @@ class Supervisor:
     A job whose address still has results of a deleted job waits for it to be free. `after_writing` removes
     the store of a job that was deleted while the store was created.
 
-    `start`, `in_flight`, `tally`, `cluster`, `wake`, `invalidate` and `stop` may be used from any thread; all
-    else runs in its own.
+    `start`, `in_flight`, `tally`, `cluster`, `wake`, `invalidating` and `stop` may be used from any thread;
+    all else runs in its own.
     """
 
     def __init__(
@@ -121,6 +121,8 @@ class Supervisor:
         self._waiting: dict[str, Waiting] = {}  # by job id, in order, as the last sync found them
         self._core_seconds: dict[str, float] = {}  # of each unfinished job as a whole, by the cost table
         self._rotation = Rotation(SLICE_SECONDS)
+        self._invalidating: Counter[str] = Counter()  # callers of `invalidating`, by job
+        self._invalidating_lock = threading.Lock()
         self._slots = 0  # chunks that may be in flight
         self._next_sync = time.monotonic()
         self._stop = threading.Event()
@@ -139,10 +141,26 @@ class Supervisor:
         """Have the ledger synced now. Call it after a change of the ledger."""
         self._inbox.put(Sync())
 
-    def invalidate(self, job_id: str, chunks: Sequence[int]) -> None:
-        """Have chunks computed again that were unmarked in the ledger."""
-        self._inbox.put(ChunksInvalidated(job_id, chunks))
-        self.wake()
+    @contextmanager
+    def invalidating(self, job_id: str) -> Iterator[list[int]]:
+        """Have chunks computed again: the caller unmarks them in the ledger, adds them to the list, and
+        removes their bytes.
+
+        No run of the job begins meanwhile. It would find them unmarked, and what it had stored of them would
+        be removed after them.
+        """
+        chunks: list[int] = []
+        with self._invalidating_lock:
+            self._invalidating[job_id] += 1
+        try:
+            yield chunks
+        finally:
+            with self._invalidating_lock:
+                self._invalidating[job_id] -= 1
+                self._invalidating += Counter()  # without those at zero
+            if chunks:
+                self._inbox.put(ChunksInvalidated(job_id, chunks))
+            self.wake()
 
     def stop(self, seconds: float) -> None:
         """Abandon what is in flight and end the thread, within `seconds`; unfinished jobs stay unfinished."""
@@ -365,7 +383,7 @@ class Supervisor:
     def _start_job(self, job_id: str) -> None:
         """Create a job's store and add the job to those that run; a job that cannot start fails.
 
-        Raises one of `store.UNREACHABLE`.
+        One of which chunks are being invalidated starts later. Raises one of `store.UNREACHABLE`.
         """
         with self._ledger.reading() as ledger:
             job = ledger.find(job_id)
@@ -386,6 +404,8 @@ class Supervisor:
             hint = "; bounce adopt takes in what is stored there" if isinstance(error, StoreConflict) else ""
             reason = f"the job cannot start: {type(error).__name__}: {error}{hint}"
             self._finish(job, JobState.FAILED, reason)
+            return
+        if job_id in self._invalidating:  # looked at after the run has read which chunks are marked
             return
         if self._mark_running(job):
             self._runs[job_id] = run

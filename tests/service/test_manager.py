@@ -25,6 +25,7 @@ from service.errors import IllegalTransition, LedgerUnavailable, QueueFull, Unkn
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState
 from worker import store
+from worker.executors.base import ClusterState
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
 from worker.executors.inline import Inline
 from worker.plan import Chunk, make_plan
@@ -581,6 +582,36 @@ def test_chunks_whose_damaged_files_cannot_be_removed_are_computed_again(
         with pytest.raises(PermissionError):
             service.manager.repairer.invalidate(job, [0])
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+    assert [chunk for _, chunk in held.order].count(0) == 2
+
+
+def test_what_is_computed_again_is_not_removed_with_the_damaged_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """They are removed late: by then the ledger has long said that the chunk is to be computed."""
+    discard, state = store.discard, Held.state
+    syncs = 0
+
+    def counted(held: Held) -> ClusterState:
+        nonlocal syncs
+        syncs += 1
+        return state(held)
+
+    def late(*chunk: Any) -> None:
+        before = syncs
+        service.manager._supervisor.wake()
+        held.let_go_until(lambda: syncs >= before + 3)
+        discard(*chunk)
+
+    monkeypatch.setattr(Held, "state", counted)
+    held = Held(capacity=1)
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        monkeypatch.setattr(store, "discard", late)
+        service.manager.repairer.invalidate(service.job(job), [0])
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        assert np.all(service.outcomes(job) != Outcome.MISSING)
     assert [chunk for _, chunk in held.order].count(0) == 2
 
 

@@ -6,6 +6,7 @@ that are there: its damaged chunks are given up and read as missing.
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Final, NamedTuple
 
 from service.jobs.ledger import Ledger
@@ -30,19 +31,20 @@ class Repair(NamedTuple):
 class Repairer:
     """Repairs stores. Its methods may be called from any thread.
 
-    `on_invalidated` is called with a job's id and its chunks when chunks are to be computed again,
-    `after_writing` with a job whose store was written to: it may have been deleted meanwhile.
+    `invalidating` is entered with a job's id while chunks are unmarked and their bytes removed; those added
+    to its list are computed again. `after_writing` is called with a job whose store was written to: it may
+    have been deleted meanwhile.
     """
 
     def __init__(
         self,
         ledger: Ledger,
         preparer: JobPreparer,
-        on_invalidated: Callable[[str, Sequence[int]], None],
+        invalidating: Callable[[str], AbstractContextManager[list[int]]],
         after_writing: Callable[[JobRecord], None] = lambda job: None,
     ) -> None:
         self._ledger, self._preparer = ledger, preparer
-        self._on_invalidated, self._after_writing = on_invalidated, after_writing
+        self._invalidating, self._after_writing = invalidating, after_writing
 
     def report(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
         """Repair a store in which a reader met damage, in these chunks or outside any."""
@@ -75,25 +77,24 @@ class Repairer:
 
         Those of an outdated job are given up: their cells stay missing, and a job that was done has failed.
         """
-        with self._ledger.writing() as ledger:
-            current = ledger.find(job.id)
-            if current is None or current.seq != job.seq:
-                return  # deleted, and perhaps accepted again
-            if job.outdated:
-                unmarked = ledger.lose(current, [self._lost(current, chunk) for chunk in chunks])
-            else:
-                unmarked = ledger.unmark(current, chunks)
-        if not unmarked:
-            return
-        fate = "given up" if job.outdated else "computed again"
-        log.error("job %s: chunks %s are damaged in the store and %s", job.id, unmarked, fate)
-        prepared = self._preparer.prepare(job)
-        try:
+        with self._invalidating(job.id) as computed_again:
+            with self._ledger.writing() as ledger:
+                current = ledger.find(job.id)
+                if current is None or current.seq != job.seq:
+                    return  # deleted, and perhaps accepted again
+                if job.outdated:
+                    unmarked = ledger.lose(current, [self._lost(current, chunk) for chunk in chunks])
+                else:
+                    unmarked = ledger.unmark(current, chunks)
+            if not unmarked:
+                return
+            if not job.outdated:  # whether or not their files can be removed
+                computed_again.extend(unmarked)
+            fate = "given up" if job.outdated else "computed again"
+            log.error("job %s: chunks %s are damaged in the store and %s", job.id, unmarked, fate)
+            prepared = self._preparer.prepare(job)
             for chunk in unmarked:
                 store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
-        finally:  # they are unmarked, whether or not their files could be removed
-            if not job.outdated:
-                self._on_invalidated(job.id, unmarked)
 
     def _lost(self, job: JobRecord, chunk: int) -> Failure:
         prepared = self._preparer.prepare(job)
