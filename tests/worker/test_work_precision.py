@@ -61,11 +61,11 @@ def test_a_ball_is_a_spring_only_where_the_dashpot_locks(measured: list[Measurem
         assert row_of(measured, purpose, "ball", locked_only=True).error < 0.03
 
 
-def test_models_in_the_order_of_their_cost(measured: list[Measurement]):
-    costs = [row_of(measured, "adhesive", model, **settings).cost for model, settings in (
-        ("ball", {"locked_only": False}), ("rigid", {}), ("soft", {}), ("stepped", {}))]  # fmt: skip
-    assert costs == sorted(costs)
-    assert costs[-1] > 10 * costs[-2]
+def test_steps_cost_more_than_closed_forms(measured: list[Measurement]):
+    """Some fifty times as much; less is asked, as other processes may run."""
+    stepped, *others = [row_of(measured, "adhesive", model, **settings).cost for model, settings in (
+        ("stepped", {}), ("ball", {"locked_only": False}), ("rigid", {}), ("soft", {}))]  # fmt: skip
+    assert stepped > 3 * max(others)
 
 
 def test_the_cost_table_agrees_with_the_measurements(measured: list[Measurement]):
