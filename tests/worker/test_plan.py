@@ -11,34 +11,43 @@ from hypothesis import strategies as st
 import kernel.line  # noqa: F401 - registers the models' lanes
 from kernel.interface import advance_lanes
 from kernel.params import LANES
+from kernel.step_limits import steps_per_period
 from worker import schema
 from worker.cost import (
     FOLLOWED_SHARE,
+    REFINED_SECONDS,
     SETTLING_SHARE,
     STILL_SETTLING_SHARE,
+    TILE_SECONDS,
     WITH_EXPONENTS,
     Cost,
     cell_seconds,
     cells_at_once,
     check_size,
+    computed_shares,
     estimate,
+    lines_of,
     longest_cell_seconds,
     period_seconds,
 )
 from worker.plan import (
     FEWEST_CHUNKS,
     MANY_CHUNKS,
+    MAX_CHUNK_BYTES,
     MAX_SHARD_BYTES,
+    SMALLEST_SECONDS,
     TARGET_SECONDS,
     Chunk,
     Plan,
     make_plan,
+    tile_shape,
 )
 from worker.schema import layout
 from worker.spec import AXES, SweepSpec
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     RIGID_ALONE_US,
+    RIGID_ELASTIC_ALONE_US,
     RIGID_ELASTIC_US,
     SOFT_ALONE_US,
     SOFT_DECADE_US,
@@ -261,6 +270,76 @@ def test_the_chunks_of_an_atlas():
     assert make_plan(sweep(10, 100, 1000)).counts == (5, 5, 3)
 
 
+@pytest.mark.parametrize("gamma", [300, 1000, 3000, 100_000])
+def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
+    spec = sweep(gamma=gamma)
+    seconds = min(max(gamma * cell_seconds(spec) / FEWEST_CHUNKS, SMALLEST_SECONDS), TARGET_SECONDS)
+    assert len(make_plan(spec)) == math.ceil(gamma / math.ceil(seconds / cell_seconds(spec)))
+
+
+@pytest.mark.parametrize(
+    ("grid", "cells", "shape"),
+    [
+        ((1, 1, 101), 100, (1, 1, 51)),
+        ((1, 1, 101), 101, (1, 1, 101)),
+        ((1, 10, 10), 100, (1, 10, 10)),
+        ((1, 10, 10), 99, (1, 5, 10)),  # what is left over goes to gamma
+        ((1, 10, 10), 30, (1, 5, 5)),
+        ((10, 10, 10), 1000, (10, 10, 10)),
+        ((10, 10, 10), 124, (4, 5, 5)),
+        ((10, 10, 10), 150, (5, 5, 5)),
+        ((10, 10, 10), 1, (1, 1, 1)),
+        ((10, 3, 1), 7, (5, 1, 1)),
+        ((2, 3, 1000), 100, (1, 1, 100)),
+    ],
+)
+def test_blocks_from_rest_are_balanced(grid, cells, shape):
+    assert make_plan(sweep(*grid), chunk_cells=cells).chunk_shape == shape
+
+
+@pytest.mark.parametrize(("lines", "at_once"), [(4 * LANES - 1, LANES // 2), (4 * LANES, LANES)])
+def test_lanes_are_filled_from_so_many_lines_on(lines, at_once):
+    spec = sweep(omega=50, gamma=lines, ramp=("omega", "both"))
+    assert make_plan(spec, chunk_cells=50 * at_once).chunk_shape[2] == at_once
+
+
+def test_a_chunk_that_is_long_in_bytes_can_be_halved():
+    """Its length along an axis is a multiple of 8 from 64 on, of 4 from 16 and of 2 from 4, or the axis."""
+    shapes = {}
+    for cells in (900_000, 400_000, 200_000, 9):
+        spec = sweep(omega=1003, gamma=1003, keep=10_000 if cells == 9 else 1)
+        assert (cells * schema.bytes_per_cell(spec) > MAX_CHUNK_BYTES) == (cells >= 600_000)
+        shapes[cells] = make_plan(spec, chunk_cells=cells).chunk_shape
+    assert shapes == {900_000: (1, 496, 1003), 400_000: (1, 502, 502), 200_000: (1, 335, 502), 9: (1, 3, 3)}
+    kept = sweep(omega=41, gamma=41, keep=10_000)
+    assert make_plan(kept, chunk_cells=21 * 21).chunk_shape == (1, 20, 20)
+    assert make_plan(kept, chunk_cells=11 * 11).chunk_shape == (1, 10, 10)
+    assert make_plan(kept, chunk_cells=41 * 41).chunk_shape == (1, 41, 41)
+
+
+@pytest.mark.parametrize(
+    ("keep", "coarsest", "side"),
+    [
+        (1, 2, 129),
+        (1, 3, 127),
+        (1, 16, 129),
+        (1, 128, 129),
+        (200, 2, 79),  # of 3,214 bytes a cell, 80 by 80 cells fit
+        (200, 3, 79),
+        (200, 16, 65),
+        (200, 64, 65),
+        (200, 128, 80),
+        (1000, 3, 34),
+        (1000, 16, 33),
+        (1000, 64, 36),
+    ],
+)
+def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
+    """What is computed of a map depends on them: a map in other tiles is another one."""
+    spec = sweep(xi=2, omega=300, gamma=300, keep=keep, refine={"by": "mode", "coarsest": coarsest})
+    assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
+
+
 def test_parts_are_as_equal_as_can_be():
     assert make_plan(sweep(gamma=101), chunk_cells=100).chunk_shape == (1, 1, 51)
 
@@ -279,6 +358,16 @@ def test_million_chunks_are_planned_without_being_made():
 def test_impossible_chunks_are_refused(wrong):
     with pytest.raises(ValueError, match=r"^chunk_(cells|shape): must be "):
         make_plan(sweep(gamma=10), **wrong)
+
+
+def test_a_plan_is_a_sequence():
+    plan = make_plan(sweep(omega=2, gamma=6), chunk_shape=(1, 1, 4))
+    assert plan[-1] == plan.chunk(3) == list(plan)[3]
+    assert plan[1:3] == [plan[1], plan[2]]
+    assert plan[::-2] == [plan[3], plan[1]]
+    assert plan[4:] == []
+    assert (plan[1].cells, plan[1].shape) == (2, (1, 1, 2))
+    assert make_plan(sweep(gamma=6), chunk_shape=(9, 9, 9)).chunk_shape == (1, 1, 6)
 
 
 @pytest.mark.parametrize("index", [6, -7])
@@ -375,6 +464,49 @@ def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
         assert cell_seconds(one_by_one, alone=True) == cell_seconds(one_by_one)
 
 
+@pytest.mark.parametrize(
+    ("restitution", "lines", "us"),
+    [
+        (0.0, 1, RIGID_ALONE_US),
+        (0.0, 2, CONTACT_MODELS["rigid"].cost_us * LANES / 4),  # half of the lanes cost the same with two
+        (0.5, 1, RIGID_ELASTIC_ALONE_US),
+        (0.5, 2, RIGID_ELASTIC_ALONE_US),  # as two in lanes would cost more
+        (0.5, 8, RIGID_ELASTIC_US),
+        (0.5, 4, RIGID_ELASTIC_US * 2),
+    ],
+)
+def test_a_few_lines_of_a_ramp_cost_as_half_of_the_lanes(restitution, lines, us):
+    model = {"kind": "rigid", "restitution": restitution}
+    spec = sweep(gamma=2, omega=lines, model=model, ramp=("gamma", "up"))
+    ramp = CONTACT_MODELS["rigid"].ramp if lines > 1 else 1.0
+    assert cells_at_once(spec) == lines
+    assert period_seconds(spec) == pytest.approx(us * ramp * 1e-6)
+
+
+def test_a_ramp_has_as_many_lines_as_cells_beside_its_axis():
+    spec = sweep(xi=2, omega=3, gamma=5, ramp=("omega", "both"))
+    assert lines_of(spec) == cells_at_once(spec) == 10
+    assert cells_at_once(sweep(omega=100, gamma=5, ramp=("gamma", "up"))) == LANES
+    assert cells_at_once(sweep()) == LANES
+    assert cells_at_once(sweep(exponents=1)) == cells_at_once(sweep(model={"kind": "ball"})) == 1
+
+
+def test_the_depth_at_both_ends_of_a_sweep_decides_its_cost():
+    """With a rest length L the depth is 1e-4 * L * omega**2 / gamma; the middle by decades counts."""
+    ends = {"gamma": [1.0, 2.0, 10.0], "omega": [0.5, 0.6, 1.0]}
+    model = {"kind": "soft", "rest_length": 1e-3}
+    depths = np.array([1e-7 * 0.5**2, 1e-8])
+    decades = np.mean(np.log10(1e-3 / depths))
+    spec = SweepSpec(xi=0.1, model=model, **ends)
+    expected = CONTACT_MODELS["soft"].cost_us + SOFT_DECADE_US * decades
+    assert period_seconds(spec) == pytest.approx(expected * 1e-6)
+    model = {"kind": "stepped", "rest_length": 30.0, "steps_per_contact": 30, "restitution": 0.2}
+    steps = steps_per_period(0.2, np.array([3e-3 * 0.5**2, 3e-4]), 30)
+    assert steps[0] != steps[1]
+    expected = CONTACT_MODELS["stepped"].cost_us * np.sqrt(float(steps[0]) * float(steps[1]))
+    assert period_seconds(SweepSpec(xi=0.1, model=model, **ends)) == pytest.approx(expected * 1e-6)
+
+
 def test_cells_with_exponents_are_computed_one_by_one():
     with_them, without = (sweep(gamma=2, ramp=("gamma", "up"), exponents=n) for n in (1, 0))
     assert cell_seconds(with_them) == pytest.approx(WITH_EXPONENTS * cell_seconds(without))
@@ -418,6 +550,53 @@ def test_too_many_bytes_are_refused_with_the_limit():
     ):
         check_size(cost_of(spec), max_bytes=1_036_999)
     check_size(cost_of(spec), max_bytes=1_037_000)
+
+
+def test_too_many_core_seconds_are_refused_with_the_limit():
+    cost = cost_of(sweep(gamma=1000))
+    check_size(cost, max_core_seconds=cost.core_seconds)
+    with pytest.raises(SpecTooLarge, match=r"^asks for about \S+ core-seconds; at most \S+ are allowed"):
+        check_size(cost, max_core_seconds=cost.core_seconds * (1 - 1e-9))
+
+
+def test_of_an_adaptive_map_the_computed_cells_are_counted():
+    spec = sweep(omega=1025, gamma=1025, refine={"by": "mode"}, settle_until=1000)
+    plan = make_plan(spec)
+    found = estimate(spec, len(plan))
+    low, high = found.computed_cells
+    full = sweep(omega=1025, gamma=1025, settle_until=1000)
+    corners = 2.0 / 16**2 * 1025**2
+    assert (found.cells, found.chunks) == (1025**2, len(plan))
+    assert (low, high) == (math.ceil(corners + 0.02 * 1025**2), math.ceil(corners + 0.30 * 1025**2))
+    # The others hold outcome, bounces, periods, flights and whether they were computed.
+    assert found.bytes == high * (schema.bytes_per_cell(full) + 1) + (1025**2 - high) * (4 + 4 + 4 + 1 + 1)
+    assert found.least_core_seconds == pytest.approx(low * cell_seconds(full))
+    assert found.core_seconds == pytest.approx(
+        REFINED_SECONDS * high * cell_seconds(full) + TILE_SECONDS * len(plan)
+    )
+    assert found.longest_core_seconds == pytest.approx(high * longest_cell_seconds(full))
+    assert estimate(full, 1).computed_cells is None
+    with pytest.raises(SpecTooLarge, match=f"^asks for {high} computed cells; at most {high - 1} are"):
+        check_size(found, max_cells=high - 1)
+    check_size(found, max_cells=high)
+
+
+@pytest.mark.parametrize(
+    ("refine", "side", "shares"),
+    [
+        ({"by": "bouncing"}, 1025, (2 / 64**2 + 0.001, 2 / 64**2 + 0.03)),
+        ({"by": "bouncing"}, 2050, (2 / 64**2 + 0.0005, 2 / 64**2 + 0.015)),
+        ({"by": "bouncing", "coarsest": 8}, 1025, (2 / 8**2 + 0.001, 2 / 8**2 + 0.03)),
+        ({"by": "bouncing", "margin": True}, 1025, (2 / 64**2 + 0.001, 2 * (2 / 64**2 + 0.03))),
+        ({"by": "mode"}, 2050, (2 / 16**2 + 0.02 * 0.5**0.7, 2 / 16**2 + 0.30 * 0.5**0.7)),
+        ({"by": "mode"}, 3, (1.0, 1.0)),
+    ],
+)
+def test_finer_maps_compute_a_smaller_share(refine, side, shares):
+    spec = sweep(omega=side, gamma=side, refine=refine)
+    assert computed_shares(spec, spec.refine) == pytest.approx(shares)
+    oblong = sweep(omega=4 * side, gamma=1 + side // 4, refine=refine)
+    assert computed_shares(oblong, oblong.refine) == pytest.approx(shares, rel=5e-3)
 
 
 def test_absurd_sweep_is_refused_by_default():

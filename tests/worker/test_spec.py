@@ -8,22 +8,37 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from kernel.params import Cell
-from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
-from worker.spec import SweepSpec
+from kernel.step_limits import (
+    Scheme,
+    largest_stable_step,
+    stable_steps_per_contact,
+    steps_per_period,
+)
+from worker.spec import SweepSpec, parsing
 from worker.spec.axes import MAX_AXIS_VALUES
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     Auto,
+    Ball,
+    Rigid,
     Soft,
     Stepped,
     penetration_of,
 )
-from worker.spec.errors import SpecError, SpecInvalid, SpecTooLarge, SpecUnreadable, describe
+from worker.spec.errors import (
+    BrokenRuleError,
+    SpecError,
+    SpecInvalid,
+    SpecTooLarge,
+    SpecUnreadable,
+    describe,
+)
+from worker.spec.specification import Label
 from worker.spec.sweep import no_cycle
-from worker.spec.time_steps import corners
+from worker.spec.time_steps import MOST_STEPS_PER_CELL, check_steps, corners, stated
 from worker.tasks import plate_of
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
@@ -252,6 +267,11 @@ RULES = [
         "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 400 or null works",
     ),
     (
+        {"settle_until": 10**7 - 1, "settle": 9_999_800},
+        "settle_until: must be at least settle + 2 * observe, or null: less has no effect; "
+        "10000000 or null works",
+    ),
+    (
         {"settle_until": 10**7, "settle": 9_999_900},
         "settle_until: must be at least settle + 2 * observe, or null: less has no effect; null works",
     ),
@@ -377,6 +397,32 @@ def test_no_cell_of_a_grid_needs_more_steps_than_its_corners(depth, adhesive, sc
 
     everywhere = [axis.ravel() for axis in np.meshgrid(gamma, omega, xi)]
     assert most(*corners(gamma, omega, xi)) == most(*everywhere)
+
+
+def test_a_cell_may_take_as_many_steps_as_are_allowed():
+    model, cells = Stepped(penetration=0.5), corners(*np.array([[1.0], [1.0], [0.1]]))
+    [steps] = steps_per_period(model.restitution, np.array([0.5]), 20)
+    most = MOST_STEPS_PER_CELL // int(steps)
+    assert most * steps <= MOST_STEPS_PER_CELL < (most + 10**6) * steps
+    check_steps(model, cells, most)
+    with pytest.raises(BrokenRuleError, match=f" over {most + 10**6} periods; 19 would do$"):
+        check_steps(model, cells, most + 10**6)
+
+
+def test_the_limits_of_time_steps_are_those_of_the_worst_cell():
+    model = Stepped(penetration=0.05, steps_per_contact=200)
+    axes = np.array([[1.0, 2.0], [0.1, 3.0], [0.1, 20.0]])
+    cells = corners(*axes)
+    assert {tuple(cell) for cell in zip(*cells, strict=True)} == {
+        (gamma, omega, xi) for gamma in axes[0] for omega in axes[1] for xi in axes[2]
+    }
+    found = stated(model, cells)
+    [steps] = set(steps_per_period(model.restitution, np.full(8, 0.05), 200).tolist())
+    assert found["longest_step"] == pytest.approx(2.0 * np.pi / steps)
+    limits = largest_stable_step(cells.omega, cells.xi, model.restitution, 0.05)
+    assert found["stable_below"] == limits.min() < limits.max()
+    fewest = stable_steps_per_contact(cells.omega, cells.xi, model.restitution, 0.05)
+    assert found["fewest_stable_steps_per_contact"] == fewest.max() > fewest.min()
 
 
 def test_auto_is_measured_from_the_contact_it_names():
@@ -512,6 +558,22 @@ def test_xi_may_be_zero_and_minus_zero_is_the_same():
             {"omega": range_(0.5, 1.0, 1001)},
             "protocol.start: is possible for at most 1,000 lines, and this sweep has 1,001",
         ),
+        (
+            {"omega": range_(0.5, 1.0, 501), "xi": [0.05, 0.06]},
+            "protocol.start: is possible for at most 1,000 lines, and this sweep has 1,002",
+        ),
+        (
+            {"omega": range_(0.7, 1.0, 1000)},
+            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05",
+        ),
+        (
+            {"protocol": ramp(start={"bounces": True})},
+            "protocol.start.bounces: must be a whole number, not true",
+        ),
+        (
+            {"protocol": ramp(start={"bounces": "x"})},
+            "protocol.start.bounces: must be a whole number, not text 'x'",
+        ),
     ],
 )
 def test_a_start_on_a_cycle_that_cannot_be_is_refused(changes, expected):
@@ -528,7 +590,17 @@ def test_a_start_is_part_of_the_identity_only_where_it_is_set():
     assert plain.job_id("1") == off.job_id("1") != seeded.job_id("1")
     assert plain.as_submitted()["protocol"] == ramp(direction="down")
     assert SweepSpec.parse(seeded.as_submitted()) == seeded
-    assert [tuple(cell) for cell in seeded.first_cells()] == [(0.6, 0.6, 0.05)]
+
+
+@pytest.mark.parametrize(("direction", "gamma"), [("down", 0.6), ("up", 0.555), ("both", 0.555)])
+def test_a_line_begins_where_its_first_direction_does(direction, gamma):
+    seeded = sweep(**SEEDED | {"protocol": ramp(direction=direction, start={})})
+    assert [tuple(cell) for cell in seeded.first_cells()] == [(gamma, 0.6, 0.05)]
+    grid = sweep(gamma=range_(), omega=[0.5, 0.6], xi=[0.0, 0.1], protocol=ramp("omega", direction))
+    first = 0.6 if direction == "down" else 0.5
+    expected = [(gamma, first, xi) for xi in (0.0, 0.1) for gamma in (1.0, 1.5, 2.0)]
+    assert [tuple(cell) for cell in grid.first_cells()] == expected
+    assert list(sweep().first_cells()) == []
 
 
 def test_shape_and_directions():
@@ -546,6 +618,11 @@ def test_shape_and_directions():
 def test_shape_of_a_huge_sweep_takes_no_memory():
     axis = range_(1.0, 2.0, MAX_AXIS_VALUES)
     assert sweep(gamma=axis, omega=axis, xi=axis).shape == (1, 10**5, 10**5, 10**5)
+
+
+def test_settling_may_end_with_the_first_window_more():
+    assert sweep(settle_until=400).settle_until == 400
+    assert sweep(settle_until=10**7, settle=9_999_800).settle_until == 10**7
 
 
 # Identity
@@ -673,7 +750,71 @@ def test_restitution_from_nothing_to_one(model):
     assert sweep(model=model)
 
 
+@pytest.mark.parametrize("field", ["adhesive", "kind", "tolerance"])
+def test_the_least_restitution_and_tolerance_are_accepted(field):
+    model, value = {
+        "adhesive": (Soft(adhesive=False, restitution=1e-6), 1e-6),
+        "kind": (Stepped(restitution=1e-6), 1e-6),
+        "tolerance": (Auto(tolerance=1e-9, restitution=0.0), 0.0),
+    }[field]
+    assert model.restitution == value
+
+
+def test_the_deepest_and_the_shallowest_contact_are_accepted():
+    for rest_length in (1e4, 1e-8):  # plate amplitudes 1 and 1e-12 deep
+        assert (
+            sweep(gamma=1.0, omega=1.0, model={"rest_length": rest_length}).model.rest_length == rest_length
+        )
+    for rest_length, depth in ((1.01e4, "1.01"), (0.99e-8, "9.9e-13")):
+        said = message(gamma=1.0, omega=1.0, model={"rest_length": rest_length})
+        assert f"gives contacts {depth} to {depth} plate amplitudes deep" in said
+
+
+def test_stepped_gives_its_kernel_contact_and_steps():
+    given = arguments(Stepped(restitution=0.2, adhesive=False, penetration=1e-2), np.ones(2))
+    assert (given["restitution"].tolist(), given["penetration"].tolist()) == ([0.2, 0.2], [1e-2, 1e-2])
+    assert (given["adhesive"], given["steps_per_contact"], given["scheme"]) == (False, 20, "verlet")
+
+
+def test_the_depth_of_a_model_without_a_soft_contact_is_the_default():
+    for model in (Rigid(), Ball(), Soft()):
+        assert penetration_of(model, np.ones(2), np.ones(2)).tolist() == [1e-3, 1e-3]
+
+
+def test_the_protocol_is_not_another_object():
+    assert message(protocol=Soft()).startswith("protocol.kind: must be 'rest', 'ramp', ")
+    assert message(protocol=Soft()).endswith(", not text 'soft'")
+    assert message(model=SweepSpec(**POINT).protocol).endswith(", not text 'rest'")
+
+
 # Files and text
+
+
+def test_the_longest_numbers_files_and_keys_are_read(tmp_path):
+    assert parsing.read_json("9" * 400) == 10**400 - 1
+    text = 'gamma = 1.5\nomega = 1.0\nxi = 0.5\nmodel.kind = "rigid"\n'
+    (tmp_path / "a.toml").write_text(text + "#" * (parsing.MAX_SLOW_BYTES - len(text)))
+    spec = SweepSpec.from_file(tmp_path / "a.toml")
+    assert spec.model.kind == "rigid"
+    (tmp_path / "a.json").write_text(json.dumps(spec.as_submitted()).ljust(parsing.MAX_FILE_BYTES))
+    assert SweepSpec.from_file(tmp_path / "a.json") == spec
+
+
+@pytest.mark.parametrize("before", ["", "\n", "x = 1\n"])
+def test_a_key_has_sixteen_parts_at_most(tmp_path, before):
+    file = tmp_path / "a.toml"
+    file.write_text(f"{before}{'.'.join('abcdefghijklmnop')} = 1")
+    assert "a" in parsing.read_file(file)
+    file.write_text(f"{before}{'.'.join('abcdefghijklmnopq')} = 1")
+    line = 1 + before.count("\n")
+    with pytest.raises(SpecUnreadable, match=f"^a key of more than 16 parts at line {line}; "):
+        parsing.read_file(file)
+
+
+def test_an_empty_file_is_no_specification(tmp_path):
+    (tmp_path / "a.yaml").write_text("")
+    with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not null$"):
+        SweepSpec.from_file(tmp_path / "a.yaml")
 
 
 def test_yaml_files_are_read_as_yaml_1_2(tmp_path):
@@ -802,9 +943,9 @@ def test_dots_in_strings_and_comments_are_no_keys(tmp_path, name, quote):
 
 
 def test_a_pile_of_combining_marks_is_refused():
-    fields = {"gamma": 1.0, "omega": 1.0, "xi": 0.5}
+    fields, label = {"gamma": 1.0, "omega": 1.0, "xi": 0.5}, TypeAdapter(Label)
     for name in ("Vie\u0302\u0323t e\u0301\u0302\u0323\u0324", "\u0915\u094d\u0937\u093f", "s\u0336t\u0336"):
-        assert SweepSpec(**fields, name=name).name == name
+        assert label.validate_python(name) == name
     for name in ("e" + "\u0301" * 5, "\u0301" * 200, "ok \u20dd\u20dd\u20dd\u20dd\u20dd"):
         with pytest.raises(SpecInvalid, match=r"^name: must have at most 4 combining marks in a row$"):
             SweepSpec(**fields, name=name)

@@ -1,0 +1,175 @@
+"""Layouts of stores: shapes, shards, keys, and the texts for people and readers."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scripted import small
+
+from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
+from worker import schema
+from worker.schema import Layout, layout
+from worker.spec import SweepSpec
+
+UP_AND_DOWN = {"kind": "ramp", "axis": "gamma", "direction": "both"}
+
+
+def sized(**sizes: int) -> Layout:
+    """One chunk of so many cells of 8 bytes."""
+    array = schema.Array("outcome", tuple(sizes), "<f8", 0, {})
+    return Layout(sizes, {dim: np.arange(n) for dim, n in sizes.items()}, {}, (array,))
+
+
+def arrays(spec: SweepSpec) -> dict[str, schema.Array]:
+    return {array.name: array for array in schema.arrays(spec)}
+
+
+def test_a_sweep_stores_what_it_computes():
+    usual = ["flight_time", "takeoff_phase", "flights", "bounces", "periods"]
+    assert list(arrays(small())) == [*usual, "outcome"]
+    assert list(arrays(small(protocol=UP_AND_DOWN))) == [*usual, "end_state", "outcome"]
+    assert list(arrays(small(exponents=2))) == [*usual, "lyapunov", "outcome"]
+    assert list(arrays(small(refine={"by": "mode"}))) == [*usual, "computed", "outcome"]
+
+
+def test_the_bytes_of_a_cell():
+    flights, counts = 2 * 8 * 8, 4 + 4 + 4
+    assert schema.bytes_per_cell(small()) == flights + counts + 1
+    assert schema.bytes_per_cell(small(exponents=3)) == flights + counts + 3 * 8 + 1
+    ramp = small(protocol=UP_AND_DOWN)
+    assert schema.bytes_per_cell(ramp) == flights + counts + len(STATE_FIELDS) * 8 + 1
+    assert schema.bytes_of_map(small(refine={"by": "mode"})) == counts + 1 + 1
+
+
+def test_the_shapes_of_a_sweep():
+    spec = small(protocol=UP_AND_DOWN, exponents=2)
+    cut, found = layout(spec, (1, 2, 4)), arrays(spec)
+    assert schema.sizes(spec) == {
+        "direction": 2, "xi": 2, "omega": 3, "gamma": 10, "flight": 8, "exponent": 2,
+        "state": len(STATE_FIELDS),
+    }  # fmt: skip
+    assert cut.shape(found["flight_time"]) == (2, 2, 3, 10, 8)
+    assert cut.chunk_shape(found["flight_time"]) == (1, 1, 2, 4, 8)
+    assert cut.chunk_shape(found["lyapunov"]) == (1, 1, 2, 4, 2)
+    assert cut.shape(found["outcome"]) == (2, 2, 3, 10)
+    assert cut.chunk_bytes == 8 * schema.bytes_per_cell(spec)
+    assert cut.inner_shape(found["outcome"]) is None
+    assert cut.coords((slice(1, 2), slice(1, 2), slice(2, 3), slice(8, 10))) == (1, 1, 1, 2)
+    assert cut.identity == {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": [1, 2, 4]}
+    assert cut.separator == "."
+
+
+@pytest.mark.parametrize(
+    ("sizes", "inner"),
+    [
+        ({"x": 2**21}, None),  # 16 MiB
+        ({"x": 17 * 2**17}, None),  # 17 MiB
+        ({"x": 17 * 2**17 + 64}, {"x": (17 * 2**17 + 64) // 8}),
+        ({"x": 2**22}, {"x": 2**19}),  # 32 MiB in parts of 4
+        ({"x": 2, "y": 2**21}, {"x": 2, "y": 2**18}),
+        ({"x": 2048, "y": 2048}, {"x": 512, "y": 1024}),
+        ({"x": 3 * 2**20 + 1}, None),  # odd
+        ({"x": 3, "y": 2 * 3**13}, {"x": 3, "y": 3**13}),
+    ],
+)
+def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
+    cut = sized(**sizes)
+    assert cut.inner_sizes == inner
+    assert cut.inner_shape(cut.arrays[0]) == (inner and tuple(inner.values()))
+
+
+def test_chunks_of_the_first_format_are_whole():
+    cut = sized(x=2**22)
+    first = Layout(cut.chunk_sizes, cut.coordinates, {}, cut.arrays, format=1)
+    assert (first.inner_sizes, first.separator) == (None, "/")
+
+
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ((0, (0, 1), (0, 1), (0, 1)), "up, gamma 0.5, omega 0.5, xi 0.05"),
+        ((1, (0, 2), (1, 3), (2, 10)), "down, gamma 1.5 to 5, omega 0.7 to 1, xi 0.05 to 0.26"),
+    ],
+)
+def test_cells_are_described(place, text):
+    direction, *spans = place
+    slices = slice(direction, direction + 1), *(slice(*span) for span in spans)
+    assert layout(small(protocol=UP_AND_DOWN), (1, 1, 1)).describe(slices) == text
+
+
+def test_cells_of_a_grid_without_directions_are_described():
+    assert sized(x=3, y=2).describe((slice(0, 3), slice(1, 2))) == "y 1, x 0 to 2"
+
+
+@pytest.mark.parametrize(
+    ("key", "known"),
+    [
+        ("zarr.json", True),
+        ("outcome/zarr.json", True),
+        ("gamma/c/0", True),
+        ("direction_code/c/0", True),
+        ("outcome/c.0.1.0.2", True),
+        ("outcome/c/0/1/0/2", True),
+        ("outcome/c.0.01", False),
+        ("outcome/c.0/1", False),
+        ("outcome", False),
+        ("outcome/", False),
+        ("outcome/.zattrs", False),
+        ("flight", False),
+        ("flight/zarr.json", False),
+        (".spec-0123456789abcdef", False),
+        ("", False),
+    ],
+)
+def test_which_files_a_store_has(key, known):
+    assert layout(small(), (1, 1, 1)).has_key(key) == known
+
+
+def test_coordinates_that_are_texts_are_numbers_too():
+    cut = layout(small(protocol=UP_AND_DOWN), (1, 1, 1))
+    [(name, code)] = cut.codes.items()
+    assert (name, code.dim, code.values.tolist(), code.values.dtype) == (
+        "direction_code", "direction", [0, 1], np.uint8
+    )  # fmt: skip
+    assert code.attrs == {
+        "long_name": "protocol: from rest, or the ramp's direction, as a number",
+        "flag_values": [0, 1],
+        "flag_meanings": "up down",
+    }
+    outcome = cut.arrays[-1]
+    assert cut.array_attrs(outcome) == outcome.attrs | {"coordinates": "direction_code"}
+    numbers = sized(x=3)
+    assert numbers.codes == {}
+    assert numbers.array_attrs(numbers.arrays[0]) == {}
+
+
+def test_the_attributes_of_arrays_and_coordinates():
+    cut = layout(small(), (1, 1, 1))
+    found = {array.name: array for array in cut.arrays}
+    assert found["outcome"].attrs["flag_values"] == [int(outcome) for outcome in Outcome]
+    assert found["outcome"].fill == Outcome.MISSING
+    assert np.isnan(found["flight_time"].fill)
+    assert found["flights"].attrs["units"] == "1"
+    assert set(cut.coordinate_attrs) == {"direction", "xi", "omega", "gamma"}
+    assert cut.attributes["title"] == "bouncing spring"
+    assert cut.attributes["model"] == "rigid"
+    assert cut.attributes["spec"] == small().as_submitted()
+    assert cut.coordinates["gamma"].dtype == np.dtype("<f8")
+
+
+@pytest.mark.parametrize(
+    ("attrs", "flat"),
+    [
+        ({"a": "text", "b": 1, "c": 0.5}, {"a": "text", "b": 1, "c": 0.5}),
+        ({"spec": {"name": "ä"}, "chunk_shape": [1, 2]}, {"spec": '{"name": "ä"}', "chunk_shape": "[1, 2]"}),
+    ],
+)
+def test_attributes_with_parts_are_json(attrs: dict[str, Any], flat: dict[str, Any]):
+    assert schema.flat_attributes(attrs) == flat
+    assert schema.structured_attributes(flat) == attrs
+    assert schema.structured_attributes(attrs) == attrs  # as earlier releases wrote them
+
+
+def test_texts_that_are_no_json_stay_as_they_are():
+    attrs = {"spec": "{", "note": "[1]", "choice": "[1]"}
+    assert schema.structured_attributes(attrs) == {"spec": "{", "note": "[1]", "choice": [1]}

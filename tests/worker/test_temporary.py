@@ -1,0 +1,42 @@
+"""Temporary folders: for this user alone, and gone at the end."""
+
+from pathlib import Path
+
+import pytest
+
+from worker import temporary
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where temporary folders are made."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    return tmp_path
+
+
+def fill_and_fail() -> None:
+    with temporary.temporary_folder("some-") as folder:
+        assert folder.name.startswith("some-")
+        assert folder.stat().st_mode & 0o777 == 0o700
+        (folder / "inner").mkdir()
+        (folder / "inner" / "file").touch()
+        raise ZeroDivisionError(folder)
+
+
+def test_a_temporary_folder_is_gone_at_the_end_of_its_block(place: Path):
+    with pytest.raises(ZeroDivisionError) as caught:
+        fill_and_fail()
+    [folder] = caught.value.args
+    assert folder.parent == place
+    assert list(place.iterdir()) == []
+    folder.mkdir()  # by somebody else
+    temporary.remove_all()
+    assert list(place.iterdir()) == [folder]
+
+
+def test_a_process_that_ends_at_once_removes_those_in_use(place: Path):
+    with temporary.temporary_folder("first-") as first, temporary.temporary_folder("second-") as second:
+        (first / "file").touch()
+        assert {*place.iterdir()} == {first, second}
+        temporary.remove_all()
+        assert list(place.iterdir()) == []

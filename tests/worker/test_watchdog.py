@@ -1,0 +1,301 @@
+"""The watchdog of a worker: what it lets a chunk do, and why it ends the process."""
+
+import faulthandler
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from distributed import Client, LocalCluster
+from scripted import DEADLINE, wait_for
+
+from worker import store, tasks, watchdog
+from worker.basins.spec import BasinSpec
+from worker.plan import make_plan
+from worker.schema import layout
+from worker.studies import STUDIES
+from worker.tasks import ChunkCancelled, ChunkPaused, ChunkReport, Terms
+from worker.watchdog import TOPIC, Watchdog, run_watched
+
+LIMIT = 1000 << 20
+
+
+class Process:
+    """What the watchdog reads of a worker: the memory that it uses, and its limit."""
+
+    def __init__(self, used: int = 0, limit: int | None = None) -> None:
+        self.memory_manager = SimpleNamespace(memory_limit=limit)
+        self.monitor = SimpleNamespace(get_process_memory=lambda: used)
+
+
+def reason(url: Path, *, after: float = 0.0, seconds: float = 8.0, **process: Any) -> str | None:
+    dog = Watchdog(Process(**process), str(url), seconds, print)
+    return dog._reason_to_terminate(dog._began + after)
+
+
+def test_a_chunk_may_take_its_time_and_no_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(watchdog, "time", SimpleNamespace(monotonic=lambda: 64.0))
+    assert reason(tmp_path / "a.zarr", after=8.0) is None
+    assert reason(tmp_path / "a.zarr", after=8.5) == (
+        "it took longer than 8 s; its worker process was terminated"
+    )
+
+
+@pytest.mark.parametrize(
+    ("used", "limit", "exceeds"),
+    [
+        (LIMIT, LIMIT, True),
+        (int(0.91 * LIMIT), LIMIT, True),
+        (int(0.89 * LIMIT), LIMIT, False),
+        (LIMIT, None, False),
+        (LIMIT, 0, False),
+    ],
+)
+def test_a_worker_may_use_nine_tenths_of_its_memory(
+    tmp_path: Path, used: int, limit: int | None, exceeds: bool
+):
+    why = reason(tmp_path / "a.zarr", used=used, limit=limit)
+    expected = f"its worker process used {used >> 20} MB of memory of a limit of 1000 MB and was terminated"
+    assert why == (expected if exceeds else None)
+
+
+def test_a_chunk_that_does_not_stop_a_second_after_its_cancel_was_seen_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """The flag is looked for twice a second."""
+    monkeypatch.setattr(watchdog, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    url = str(tmp_path / "a.zarr")
+    dog = Watchdog(Process(), url, 100.0, print)
+    store.set_cancelled(url)
+    ended = [now for now in (0.5, 0.75, 1.25, 1.75, 2.0) if dog._reason_to_terminate(now)]
+    assert ended == [2.0]
+    assert dog._reason_to_terminate(2.0) == (
+        "it was cancelled and did not stop; its worker process was terminated"
+    )
+    store.clear_cancelled(url)  # it was resumed
+    assert dog._reason_to_terminate(3.0) is None
+    store.set_cancelled(url)
+    assert [now for now in (4.0, 4.75, 5.25) if dog._reason_to_terminate(now)] == [5.25]
+
+
+def test_a_store_out_of_reach_is_no_reason_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def away(_: str) -> bool:
+        raise ConnectionError
+
+    monkeypatch.setattr(watchdog, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    monkeypatch.setattr(store, "is_cancelled", away)
+    dog = Watchdog(Process(), str(tmp_path / "a.zarr"), 100.0, print)
+    assert [dog._reason_to_terminate(now) for now in (1.0, 2.0, 3.0)] == [None] * 3
+
+
+def watching() -> bool:
+    return any(thread.name == "watchdog" for thread in threading.enumerate())
+
+
+def test_it_looks_again_and_again_and_ends_with_its_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(watchdog, "CHECK_SECONDS", 0.001)
+    looks, whys, process = [0], [], Process(limit=LIMIT)
+
+    def memory() -> int:
+        looks[0] += 1
+        return LIMIT if looks[0] > 3 else 0
+
+    process.monitor.get_process_memory = memory
+    with Watchdog(process, str(tmp_path / "a.zarr"), 100.0, whys.append):
+        wait_for(lambda: looks[0] >= 3)
+        assert len(whys) <= looks[0] - 3
+        wait_for(lambda: bool(whys))
+    wait_for(lambda: not watching())
+    assert all("of memory" in why for why in whys)
+
+
+def test_nothing_is_ended_whose_chunk_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(watchdog, "CHECK_SECONDS", 0.001)
+    looking, done, whys, process = threading.Event(), threading.Event(), [], Process(limit=LIMIT)
+
+    def memory() -> int:
+        looking.set()
+        assert done.wait(DEADLINE)
+        return LIMIT
+
+    process.monitor.get_process_memory = memory
+    with Watchdog(process, str(tmp_path / "a.zarr"), 100.0, whys.append):
+        assert looking.wait(DEADLINE)
+    done.set()
+    wait_for(lambda: not watching())
+    assert whys == []
+
+
+# In a worker
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    """A client of a cluster whose only worker is a thread of this process."""
+    cluster = LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, memory_limit=None, dashboard_address=None
+    )
+    with cluster, Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@pytest.fixture
+def timers(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What faulthandler is told: these tests run in a process that must not end."""
+    told: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(
+        faulthandler, "dump_traceback_later", lambda seconds, *, exit: told.append((seconds, exit))
+    )
+    monkeypatch.setattr(faulthandler, "cancel_dump_traceback_later", lambda: told.append(("cancelled",)))
+    return told
+
+
+class Watched:
+    """Runs the first chunk of a small sweep as a worker does."""
+
+    def __init__(self, client: Client, url: Path, spec: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._client, self.url, self._spec, self._patch = client, str(url), spec, monkeypatch
+        self.plan = make_plan(spec)
+        store.create(self.url, layout(spec, self.plan.chunk_shape))
+        self.key = f"{url.parent.name}-0"
+        [self.worker] = client.scheduler_info()["workers"]
+
+    def __call__(self, seconds: float = 100.0, **more: Any) -> Any:
+        future = self._client.submit(
+            run_watched, self._spec, self.plan[0], self.url, seconds, key=self.key, pure=False, **more
+        )
+        return future.result(DEADLINE)
+
+    def running(self, task: Callable[..., Any]) -> "Watched":
+        """The same with another task in place of the real one."""
+        self._patch.setattr(watchdog, "run_task", task)
+        return self
+
+    def compiling(self, compile_for: Callable[..., Any]) -> "Watched":
+        self._patch.setattr(watchdog, "compile_for", compile_for)
+        return self
+
+    def events(self) -> list[dict[str, str]]:
+        found = [event for _, event in self._client.get_events(TOPIC)]
+        return [event for event in found if event["key"] == self.key]
+
+
+@pytest.fixture
+def watched(
+    client: Client, tmp_path: Path, small_spec: Any, timers: Any, monkeypatch: pytest.MonkeyPatch
+) -> Watched:
+    return Watched(client, tmp_path / "a.zarr", small_spec(), monkeypatch)
+
+
+def test_a_worker_says_what_it_begins_and_returns_the_report(watched: Watched, timers: list[Any]):
+    compiled: list[Any] = []
+    report = watched.compiling(compiled.append)()
+    assert isinstance(report, ChunkReport)
+    assert report.index == 0
+    assert store.read_chunk(watched.url, watched.plan[0], ["outcome"])["outcome"].all()
+    assert compiled == [watched._spec]
+    assert watched.events() == [{"key": watched.key, "worker": watched.worker}]
+    assert not watching()
+    assert timers == [(105.0, True), ("cancelled",)]  # five seconds more than the chunk has
+
+
+def test_the_last_resort_has_a_timer_that_fits(watched: Watched, timers: list[Any]):
+    watched(seconds=1e9)
+    assert timers[0] == (1e6, True)
+
+
+@pytest.mark.parametrize("stop", [ChunkCancelled("cancelled"), ChunkPaused("paused")])
+def test_that_a_chunk_stopped_is_returned(watched: Watched, stop: Exception):
+    def stopping(*_: Any) -> None:
+        raise stop
+
+    assert type(watched.running(stopping)()) is type(stop)
+
+
+def test_other_errors_are_raised(watched: Watched, timers: list[Any]):
+    def failing(*_: Any) -> None:
+        raise ZeroDivisionError("the spring broke")
+
+    with pytest.raises(ZeroDivisionError, match="the spring broke"):
+        watched.running(failing)()
+    assert timers[-1] == ("cancelled",)
+
+
+def test_a_chunk_is_computed_on_the_terms_that_are_given(watched: Watched):
+    assert watched.running(lambda *_: tasks.TERMS.get())(terms=Terms(7.0)) == Terms(7.0)
+
+
+def test_without_terms_a_chunk_is_computed_on_the_usual_ones(watched: Watched):
+    assert watched.running(lambda *_: tasks.TERMS.get())() == Terms()
+
+
+def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):
+    ended, codes = threading.Event(), []
+
+    def exit_(code: int) -> None:
+        codes.append(code)
+        ended.set()
+
+    monkeypatch.setattr(os, "_exit", exit_)
+    assert watched.running(lambda *_: ended.wait(DEADLINE))(seconds=0.0) is True
+    wait_for(lambda: not watching())  # it goes on asking for the end until the chunk is done
+    why = "it took longer than 0 s; its worker process was terminated"
+    begun = {"key": watched.key, "worker": watched.worker}
+    assert watched.events()[:2] == [begun, begun | {"why": why}]
+    assert codes[0] == 1
+
+
+def test_a_job_cancelled_while_its_kernel_is_compiled_does_not_begin(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+):
+    compiled, begun = threading.Event(), []
+    monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
+
+    def compile_for(_: Any) -> None:
+        store.set_cancelled(watched.url)
+        assert compiled.wait(DEADLINE)
+
+    try:
+        answer = watched.compiling(compile_for).running(lambda *_: begun.append(1))()
+    finally:
+        compiled.set()
+    assert isinstance(answer, ChunkCancelled)
+    assert begun == []
+
+
+def test_compiling_goes_on_while_the_store_is_out_of_reach(watched: Watched, monkeypatch: pytest.MonkeyPatch):
+    looks = threading.Semaphore(0)
+    monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
+
+    def away(_: str) -> bool:
+        looks.release()
+        raise ConnectionError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(store, "is_cancelled", away)
+        watched.compiling(lambda _: [looks.acquire(timeout=DEADLINE) for _ in range(3)])
+        assert watched.running(lambda *_: "computed")() == "computed"
+
+
+def test_what_cannot_be_compiled_is_said(watched: Watched):
+    def broken(_: Any) -> None:
+        raise ZeroDivisionError("no compiler")
+
+    with pytest.raises(ZeroDivisionError, match="no compiler"):
+        watched.compiling(broken)()
+
+
+def test_for_a_grid_of_starts_the_kernel_of_its_sweep_is_compiled(
+    client: Client, tmp_path: Path, timers: Any, monkeypatch: pytest.MonkeyPatch
+):
+    spec = BasinSpec(gamma=1.27, omega=0.5, xi=0.26, protocol={"kind": "basin", "rows": 4, "columns": 4})
+    study, compiled = STUDIES["basin"], []
+    monkeypatch.setattr(watchdog, "compile_for", compiled.append)
+    monkeypatch.setattr(watchdog, "run_task", lambda spec, chunk, url: (spec, chunk, url))
+    chunk, url = study.plan(spec)[0], str(tmp_path / "a.zarr")
+    answer = client.submit(run_watched, spec, chunk, url, 100.0, pure=False).result(DEADLINE)
+    assert answer == (spec, chunk, url)
+    assert compiled == [spec.sweep()]

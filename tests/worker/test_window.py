@@ -1,0 +1,124 @@
+"""Windows of a map: the adaptive sweep that each of them is."""
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecInvalid
+from worker.spec.window import FEWEST_VALUES, Window
+
+JOB = "0123456789abcdef" * 2
+MAP: dict[str, Any] = {
+    "gamma": {"start": 1.0, "stop": 3.0, "num": 201},  # 0.01 apart
+    "omega": [0.25, 0.5, 0.75, 1.0],
+    "xi": [0.0, 0.125, 0.5],
+    "model": {"kind": "rigid", "restitution": 0.25},
+    "settle": 60,
+    "keep": 8,
+}
+
+
+def window(map_: dict[str, Any] | None = None, **fields: Any) -> SweepSpec:
+    return Window(**{"xi": 0.125} | fields).of(SweepSpec(**MAP | (map_ or {})), JOB)
+
+
+def problem(map_: dict[str, Any] | None = None, **fields: Any) -> str:
+    with pytest.raises(SpecInvalid) as caught:
+        window(map_, **fields)
+    [found] = caught.value.problems
+    return str(found)
+
+
+def test_a_window_keeps_all_but_the_grid():
+    found, whole = window(), SweepSpec(**MAP)
+    assert found.parent == JOB
+    assert found.name == "Window of sweep 01234567"
+    assert window({"name": "modes"}).name == "Window of modes"
+    assert window({"name": "m" * 200}).name == "Window of " + "m" * 190
+    assert (found.model, found.settle, found.keep) == (whole.model, 60, 8)
+    assert found.refine.model_dump() == {"by": "mode", "coarsest": 16, "margin": False}
+    other = window(by="bouncing", margin=True).refine
+    assert other.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": True}
+
+
+def test_without_ends_a_window_is_the_whole_map():
+    found = window()
+    assert found.gamma.model_dump() == {"start": 1.0, "stop": 3.0, "num": 801, "spacing": "linear"}
+    assert found.omega.model_dump() == {"start": 0.25, "stop": 1.0, "num": 129, "spacing": "linear"}
+
+
+@pytest.mark.parametrize(
+    ("ends", "finer", "expected"),
+    [
+        ([1.5, 2.5], 4, (1.5, 2.5, 401)),
+        ([1.5, 2.5], 1, (1.5, 2.5, FEWEST_VALUES)),
+        ([1.5, 2.5], 2, (1.5, 2.5, 201)),
+        ([0.5, 2.0], 64, (1.0, 2.0, 6401)),  # cut to the map
+        ([2.0, 9.0], 4, (2.0, 3.0, 401)),
+        ([1.505, 1.506], 64, (1.505, 1.506, FEWEST_VALUES)),  # between two values
+    ],
+)
+def test_a_window_is_so_many_times_as_fine_as_the_map(ends: list[float], finer: int, expected: tuple):
+    gamma = window(gamma=ends, finer=finer).gamma
+    assert (gamma.start, gamma.stop, gamma.num) == expected
+
+
+def test_the_window_of_a_logarithmic_axis_is_logarithmic():
+    spaced = {"gamma": {"start": 0.5, "stop": 2.0, "num": 129, "spacing": "log"}}
+    assert window(spaced, gamma=[1.0, 1.5]).gamma.spacing == "log"
+
+
+def test_an_axis_of_one_value_stays_as_it_is():
+    for ends in (None, [0.25, 1.0], [0.5, 1.0], [0.25, 0.5]):
+        assert window({"omega": 0.5}, omega=ends).omega == 0.5
+    rule = "omega: must enclose 0.5, the only value of this sweep"
+    assert problem({"omega": 0.5}, omega=[0.75, 1.0]) == rule
+    assert problem({"omega": 0.5}, omega=[0.25, 0.375]) == rule
+
+
+@pytest.mark.parametrize("ends", [[0.1, 0.9], [0.5, 1.0], [3.0, 4.0], [3.5, 4.0]])
+def test_a_window_has_a_part_of_the_map(ends: list[float]):
+    assert problem(gamma=ends) == "gamma: must overlap the sweep, which is from 1 to 3"
+
+
+@pytest.mark.parametrize(
+    ("asked", "given"), [(0.0, 0.0), (0.0624, 0.0), (0.0626, 0.125), (0.3, 0.125), (0.4, 0.5), (0.5, 0.5)]
+)
+def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):
+    assert window(xi=asked).xi == given
+
+
+def test_the_only_xi_need_not_be_named_and_may_be_rounded():
+    assert window({"xi": 0.26}, xi=None).xi == 0.26
+    assert window({"xi": 0.26}, xi=0.26 * (1 + 1e-12)).xi == 0.26
+    assert window({"xi": [0.1, 0.2]}, xi=0.2).xi == 0.2
+    assert problem(xi=None) == "xi: is required: the sweep has 3 values"
+    assert problem(xi=0.6) == "xi: must be within the sweep, which is from 0 to 0.5, not 0.6"
+    assert problem({"xi": [0.1, 0.2]}, xi=0.05).startswith("xi: must be within the sweep")
+
+
+def test_the_map_of_a_ramp_has_no_windows():
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
+    assert problem({"protocol": ramp}) == (
+        "protocol.kind: must be 'rest' to refine a window, and is 'ramp' in this sweep"
+    )
+
+
+def test_windows_are_read_from_json():
+    text = '{"gamma": [0.6, 1.1], "xi": 0, "finer": 8.0, "by": "bouncing", "margin": true}'
+    assert Window.from_json(text) == Window(gamma=[0.6, 1.1], xi=0.0, finer=8, by="bouncing", margin=True)
+    assert Window.from_json("{}") == Window(gamma=None, omega=None, xi=None, finer=4, by="mode", margin=False)
+    with pytest.raises(SpecInvalid, match=r"^a window must be an object, not a list of 0$"):
+        Window.from_json("[]")
+    with pytest.raises(SpecInvalid, match=r"^coarse: is not a field here; the fields are gamma, omega, xi"):
+        Window.from_json('{"coarse": 3}')
+    with pytest.raises(SpecInvalid, match=r"^gamma: must be two numbers, the smaller first, not 1 and 1$"):
+        Window.from_json('{"gamma": [1, 1]}')
+
+
+@pytest.mark.parametrize("ends", [[1.0], [1.0, 2.0, 3.0], [2.0, 1.0]])
+def test_a_window_has_two_ends(ends: list[float]):
+    with pytest.raises(ValidationError, match="gamma"):
+        Window(gamma=ends)
