@@ -351,6 +351,17 @@ def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
     assert len(set(files(url)) - before) == len(record)
 
 
+def test_a_chunk_can_be_checked_before_it_is_computed(url, plan, tmp_path):
+    for chunk in plan:
+        store.check_chunk(url, chunk)
+    shifted = replace(plan[0], gamma=(2, 6))
+    for wrong in (shifted, replace(plan[0], gamma=(2, 4)), replace(plan[0], omega=(0, 1))):
+        with pytest.raises(store.StoreConflict, match="but chunks here are"):
+            store.check_chunk(url, wrong)
+    with pytest.raises(store.StoreMissing):
+        store.check_chunk(str(tmp_path / "none.zarr"), plan[0])
+
+
 def test_chunk_that_is_not_the_stores_own_is_refused(url, spec):
     chunk = make_plan(spec, chunk_shape=(1, 2, 5))[0]
     with pytest.raises(store.StoreConflict, match="spans gamma 0 to 5, but chunks here are 4 long"):
@@ -452,6 +463,50 @@ def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
     assert store.sweep_leftovers(url, everywhere=True) == 2
     assert store.sweep_leftovers(url, everywhere=True) == 0
     assert files(url) == before
+
+
+@pytest.mark.parametrize("missing", ["outcome", "flights"])
+def test_of_a_complete_store_every_file_must_be_there(url, spec, plan, missing):
+    """And where there are outcomes, every other file."""
+    for chunk in plan[:2]:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    Path(url, missing, "c.0.0.0.0").unlink()
+    names = ["flights", "outcome"]
+    for complete in (True, False):
+        if missing == "outcome" and not complete:
+            assert not store.read_chunk(url, plan[0], names)["outcome"].any()
+            continue
+        with pytest.raises(store.StoreDamaged, match=rf"{missing}/c\.0\.0\.0\.0: is missing$") as caught:
+            store.read_chunk(url, plan[0], names, complete=complete)
+        assert caught.value.chunks == ((0, 0, 0, 0),)
+    assert store.read_chunk(url, plan[1], names, complete=True)["outcome"].all()
+
+
+def test_a_dimension_that_is_not_there_is_named(url):
+    with pytest.raises(IndexError, match=r"^there is no dimension phase; there are direction, xi, omega, g"):
+        store.read_slice(url, ["outcome"], phase=0)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b"null", b'{"consolidated_metadata": 3}'])
+def test_cells_are_not_read_with_damaged_metadata(url, content):
+    (Path(url) / "zarr.json").write_bytes(content)
+    with pytest.raises(store.StoreError):
+        store.read_slice(url, ["outcome"])
+
+
+def test_a_store_that_is_not_finished_or_has_no_outcomes_is_said(url):
+    root = Path(url) / "zarr.json"
+    document = json.loads(root.read_text())
+    del document["consolidated_metadata"]["metadata"]["outcome"]
+    root.write_text(json.dumps(document))
+    with pytest.raises(store.StoreDamaged, match="no outcomes in it"):
+        store.read_slice(url, ["flights"])
+    root.write_text(json.dumps(document | {"consolidated_metadata": None}))
+    with pytest.raises(store.StoreMissing, match="creation was interrupted"):
+        store.read_slice(url, ["flights"])
+    root.unlink()
+    with pytest.raises(store.StoreMissing, match="no store here"):
+        store.read_slice(url, ["flights"])
 
 
 # The cancel flag
@@ -564,6 +619,99 @@ def test_sizes_tell_of_missing_and_cut_chunks(url, spec, plan):
     assert found[1] == -1
     assert 0 < found[2] < expected[2]
     assert all(found[chunk.index] == -1 for chunk in plan[4:])
+
+
+def test_a_chunk_without_any_bytes_is_there(url, spec, plan):
+    cut_as = layout(spec, plan.chunk_shape)
+    size = store.write_chunk(url, plan[0], record_of(spec, plan[0])).bytes
+    [file] = Path(url).glob("outcome/c.0.0.0.0")
+    left = size - file.stat().st_size
+    file.write_bytes(b"")
+    sizes = store.stored_sizes(url, cut_as)
+    assert sizes.shape == (2, 2, 2, 3)
+    assert sizes[0, 0, 0, 0] == left
+    assert sizes.sum() == left - (sizes.size - 1)
+
+
+def test_a_long_listing_pauses_in_between(url, spec, plan, monkeypatch):
+    for chunk in plan[:4]:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    monkeypatch.setattr(stored, "_LISTED", 2)
+    pauses = []
+    cut_as = layout(spec, plan.chunk_shape)
+    store.stored_sizes(url, cut_as, lambda: pauses.append(1))
+    assert len(pauses) == 3 * len(cut_as.arrays)  # four chunks and zarr.json
+
+
+def test_what_is_discarded_is_gone_and_outcomes_first(url, spec, plan, monkeypatch):
+    for chunk in plan[:2]:
+        store.write_chunk(url, chunk, record_of(spec, chunk))
+    removed, real = [], stored.delete
+    monkeypatch.setattr(stored, "delete", lambda url, key: (removed.append(key), real(url, key)))
+    store.discard(url, layout(spec, plan.chunk_shape), plan[0])
+    assert removed[0] == "outcome/c.0.0.0.0"
+    assert stored_files(url, plan[0]) == []
+    assert len(stored_files(url, plan[1])) == len(schema.RECORD) + 2
+
+
+@pytest.fixture
+def synced(monkeypatch) -> list[str]:
+    """The files and folders that are synced."""
+    paths: list[str] = []
+    real = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        paths.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    return paths
+
+
+def test_a_store_is_on_the_disk_once_it_is_created(tmp_path, spec, plan, synced):
+    url = tmp_path / "new.zarr"
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    made = {str(path) for path in url.rglob("*") if path.name != ".partial"}
+    assert made <= {str(url), str(tmp_path), *synced}
+    assert {str(url), str(tmp_path)} <= set(synced)
+    assert [path for path in synced if not path.startswith(str(tmp_path))] == []
+
+
+def test_chunks_of_the_first_format_are_synced_with_their_folders(first_format, spec, plan, synced):
+    url, cut_as = first_format
+    synced.clear()
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    assert {f"{url}/outcome/c/0/0/0/0", f"{url}/outcome/c/0/0/0", url} <= set(synced)
+    synced.clear()
+    store.sync_folders(url, cut_as)
+    assert synced == []
+
+
+def test_no_file_stays_open(url, spec, plan):
+    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    stored.threads()  # its threads are there
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(5):
+        store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+        store.sync_folders(url, layout(spec, plan.chunk_shape))
+        stored.fsync_files(url, ["zarr.json"])
+    assert len(list(Path("/proc/self/fd").iterdir())) < before + 20
+
+
+def test_a_chunk_that_cannot_be_renamed_leaves_no_partial_file(url, spec, plan, monkeypatch):
+    real, count = os.replace, count_from(0)
+
+    def replace_(source: Any, target: Any, **more: Any) -> None:
+        if next(count) == 2:
+            raise OSError(5, "Input/output error")
+        real(source, target, **more)
+
+    monkeypatch.setattr(os, "replace", replace_)
+    with pytest.raises(OSError, match="Input/output error"):
+        store.write_chunk(url, plan[0], record_of(spec, plan[0]))
+    assert not list((Path(url) / ".partial").iterdir())
+    assert len(stored_files(url, plan[0])) == 2
+    assert not store.read_chunk(url, plan[0], ["outcome"])["outcome"].any()
 
 
 def test_a_listing_pauses_in_every_array_and_ends_where_a_pause_raises(url, spec, plan):

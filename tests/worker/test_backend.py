@@ -1,0 +1,281 @@
+"""Stores in folders, below zarr: keys, parts of them, partial files, flags, probes and checkpoints."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from worker import store
+from worker.store import backend, checkpoints
+from worker.store.backend import Excerpt
+
+
+@pytest.fixture
+def url(tmp_path: Path) -> str:
+    """A folder with ten bytes under the keys `a` and `folder/b`."""
+    (tmp_path / "store" / "folder").mkdir(parents=True)
+    for key in ("a", "folder/b"):
+        (tmp_path / "store" / key).write_bytes(b"0123456789")
+    return str(tmp_path / "store")
+
+
+def below(folder: str | Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in Path(folder).rglob("*")}
+
+
+# Addresses
+
+
+def test_addresses_that_no_store_can_have_are_refused(url: str):
+    backend.check_address(url)
+    backend.check_address("s3://bucket/prefix")
+    with pytest.raises(store.PlaceUnusable, match="only folders and s3://BUCKET/PREFIX can hold stores"):
+        backend.check_address("file:///folder")
+    for wrong in ("s3://", "s3:///prefix"):
+        with pytest.raises(store.PlaceUnusable, match="must be s3://BUCKET/PREFIX"):
+            backend.check_address(wrong)
+    assert backend.in_bucket("s3://bucket/prefix") is True
+    assert backend.in_bucket(url) is False
+
+
+# Reading
+
+
+@pytest.mark.parametrize("key", ["a", "folder/b"])
+def test_a_key_is_read(url: str, key: str):
+    assert backend.read_key(url, key) == b"0123456789"
+    assert backend.read_parts(url, key, [(2, 3), (0, 1)]) == [b"234", b"0"]
+
+
+@pytest.mark.parametrize("key", ["c", "folder", "folder/c", "a/b", "none/c"])
+def test_where_nothing_is_nothing_is_read(url: str, key: str):
+    assert backend.read_key(url, key) is None
+    assert backend.read_parts(url, key, [(0, 1)]) is None
+    assert key == "folder" or backend.read_excerpt(url, key, 0, 3) is None
+
+
+def test_links_inside_a_store_are_not_followed_and_those_above_it_are(url: str, tmp_path: Path):
+    (tmp_path / "store" / "link").symlink_to(tmp_path / "store" / "a")
+    (tmp_path / "store" / "linked").symlink_to(tmp_path / "store" / "folder")
+    for key in ("link", "linked/b"):
+        assert backend.read_key(url, key) is None
+        assert backend.read_parts(url, key, [(0, 1)]) is None
+    (tmp_path / "other").symlink_to(url)
+    for key in ("a", "folder/b"):
+        assert backend.read_key(str(tmp_path / "other"), key) == b"0123456789"
+        assert backend.read_parts(str(tmp_path / "other"), key, [(0, 2)]) == [b"01"]
+
+
+@pytest.mark.parametrize(
+    ("span", "part"),
+    [((8, 5), b"89"), ((10, 1), b""), ((-3, 3), b"789"), ((-3, 2), b"78"), ((-20, 20), b"0123456789")],
+)
+def test_parts_count_from_either_end(url: str, span: tuple[int, int], part: bytes):
+    assert backend.read_parts(url, "a", [span]) == [part]
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "expected"),
+    [
+        (0, 0, Excerpt(b"0", 0, 10)),
+        (2, 4, Excerpt(b"234", 2, 10)),
+        (9, 9, Excerpt(b"9", 9, 10)),
+        (8, 20, Excerpt(b"89", 8, 10)),
+        (7, None, Excerpt(b"789", 7, 10)),
+        (0, None, Excerpt(b"0123456789", 0, 10)),
+        (None, 3, Excerpt(b"789", 7, 10)),
+        (None, 20, Excerpt(b"0123456789", 0, 10)),
+        (None, 0, Excerpt(b"", 10, 10)),
+        (10, 12, Excerpt(b"", 10, 10)),
+        (15, None, Excerpt(b"", 10, 10)),
+        (4, 3, Excerpt(b"", 4, 10)),
+    ],
+)
+def test_excerpts(url: str, first: int | None, last: int | None, expected: Excerpt):
+    assert backend.read_excerpt(url, "a", first, last) == expected
+
+
+# Writing
+
+
+def test_a_key_is_written_whole_or_not_at_all(url: str):
+    backend.put(url, "folder/b", b"new")
+    backend.put(url, "c", b"")
+    assert (backend.read_key(url, "folder/b"), backend.read_key(url, "c")) == (b"new", b"")
+    before = below(url)
+    for key, error in (("folder", IsADirectoryError), ("none/c", FileNotFoundError)):
+        with pytest.raises(error):
+            backend.put(url, key, b"new")
+    assert below(url) == before
+
+
+def test_a_partial_file_gets_its_key(url: str):
+    backend.make_partial_folder(url)
+    backend.make_partial_folder(url)
+    umask = os.umask(0o022)
+    try:
+        partial = backend.write_partial(url, b"content")
+    finally:
+        os.umask(umask)
+    assert partial.parent == Path(url, ".partial")
+    assert partial.stat().st_mode & 0o777 == 0o644
+    assert partial.read_bytes() == b"content"
+    backend.place(url, partial, "a")
+    assert backend.read_key(url, "a") == b"content"
+    for key in ("x/y/z", "x/y/w"):
+        backend.place(url, backend.write_partial(url, b"deep"), key)
+        assert backend.read_key(url, key) == b"deep"
+    assert list(Path(url, ".partial").iterdir()) == []
+
+
+def test_the_folder_of_partial_files_is_made_again_and_the_store_is_not(url: str, tmp_path: Path):
+    assert backend.write_partial(url, b"content").parent == Path(url, ".partial")
+    with pytest.raises(FileNotFoundError):
+        backend.write_partial(str(tmp_path / "removed"), b"content")
+    with pytest.raises(FileNotFoundError):
+        backend.place(str(tmp_path / "removed"), backend.write_partial(url, b"content"), "a/b")
+    assert not (tmp_path / "removed").exists()
+    backend.make_partial_folder(str(tmp_path / "new" / "store"))
+    assert below(tmp_path / "new") == {"store", "store/.partial"}
+
+
+def test_sizes_are_those_of_files_directly_in_a_folder(url: str):
+    Path(url, "folder", "deeper").mkdir()
+    Path(url, "folder", "deeper", "c").write_bytes(b"01")
+    Path(url, "folder", "empty").touch()
+    Path(url, "folder", "link").symlink_to(Path(url, "a"))
+    Path(url, "folder", "nowhere").symlink_to(Path(url, "none"))
+    assert dict(backend.sizes_in(url, "folder")) == {"b": 10, "empty": 0}
+    assert dict(backend.sizes_in(url, "none")) == {}
+
+
+# Folders
+
+
+def test_places_are_made_and_told_from_those_that_cannot_be_written_to(url: str, tmp_path: Path):
+    place = str(tmp_path / "deep" / "stores")
+    assert backend.is_writable(place) is False
+    backend.make_place(place)
+    backend.make_place(place)
+    assert backend.is_writable(place) is True
+    assert backend.is_writable("s3://bucket/prefix") is True
+    assert backend.names_in(url) == ["a", "folder"]
+    assert backend.names_in(place) == backend.names_in(str(tmp_path / "none")) == []
+
+
+def test_keys_and_folders_are_removed(url: str, tmp_path: Path):
+    for _ in range(2):
+        backend.delete(url, "folder/b")
+        assert below(url) == {"a", "folder"}
+    for _ in range(2):
+        backend.remove(url)
+        assert below(tmp_path) == set()
+
+
+def test_a_folder_is_renamed_for_deletion_also_after_one_that_was_interrupted(url: str, tmp_path: Path):
+    renamed = tmp_path / "deleted"
+    (renamed / "earlier").mkdir(parents=True)
+    backend.rename_for_deletion(url, str(renamed))
+    assert below(tmp_path) == {"deleted", "deleted/a", "deleted/folder", "deleted/folder/b"}
+    backend.rename_for_deletion(url, str(renamed))  # it is gone
+    assert (renamed / "a").exists()
+
+
+def test_the_time_of_creation_is_that_of_the_root(url: str, tmp_path: Path):
+    assert backend.created_at(url) is backend.created_at(str(tmp_path / "none")) is None
+    assert backend.created_at(str(tmp_path / "store" / "a")) is None
+    Path(url, "zarr.json").touch()
+    os.utime(Path(url, "zarr.json"), (1e9, 1.5e9))
+    assert backend.created_at(url) == 1.5e9
+
+
+def test_a_flag_is_set_and_cleared(tmp_path: Path):
+    flag = str(tmp_path / "deep" / "flag")
+    assert backend.has_flag(flag) is False
+    for _ in range(2):
+        backend.put_flag(flag)
+        assert backend.has_flag(flag) is True
+        assert Path(flag).read_bytes() == b""
+    for _ in range(2):
+        backend.clear_flag(flag)
+        assert backend.has_flag(flag) is False
+
+
+# Probes
+
+
+def test_a_probe_is_written_once(tmp_path: Path):
+    place = str(tmp_path / "stores")
+    assert store.read_probe(place) is None
+    content = store.write_probe(place)
+    assert content == store.write_probe(place) == store.read_probe(place)
+    assert len(content) == 32
+    (tmp_path / "stores" / ".probe").write_bytes(b"")  # as a disk that was full leaves it
+    again = store.write_probe(place)
+    assert again == store.read_probe(place) != content
+    (tmp_path / "stores" / ".probe").write_bytes(b"\xff")
+    assert store.read_probe(place) == "\ufffd"
+
+
+# Specifications
+
+
+def test_a_specification_is_kept_under_its_digest(url: str):
+    digest = store.write_spec(url, '{"name": "ä"}')
+    assert len(digest) == 64
+    file = Path(url, f".spec-{digest[:16]}")
+    os.utime(file, (1e9, 1e9))
+    assert store.write_spec(url, '{"name": "ä"}') == digest
+    assert file.stat().st_mtime == 1e9  # it stays
+    assert store.read_spec(url, digest) == '{"name": "ä"}'
+    assert store.read_spec(url, "0" * 64) is None
+    file.write_text("{}")
+    assert store.read_spec(url, digest) is None
+    assert store.write_spec(url, '{"name": "ä"}') == digest
+    assert store.read_spec(url, digest) == '{"name": "ä"}'
+
+
+# Checkpoints
+
+
+def test_a_checkpoint_is_kept_until_it_is_removed(url: str):
+    arrays = {"lines": np.arange(3), "record/flights": np.ones((2, 2), np.int32)}
+    assert store.read_checkpoint(url, 7) is None
+    store.write_checkpoint(url, 7, {"lines": np.zeros(1)})
+    store.write_checkpoint(url, 7, arrays)
+    store.write_checkpoint(url, 12, {})
+    found = store.read_checkpoint(url, 7)
+    assert found is not None
+    assert {name: array.tolist() for name, array in found.items()} == {
+        name: array.tolist() for name, array in arrays.items()
+    }
+    assert store.read_checkpoint(url, 12) == {}
+    Path(url, ".checkpoint-").touch()
+    Path(url, ".checkpoint-x").touch()
+    assert sorted(store.checkpoints_in(url)) == [7, 12]
+    for _ in range(2):
+        store.remove_checkpoint(url, 7)
+        assert store.checkpoints_in(url) == [12]
+    assert store.read_checkpoint(url, 7) is None
+
+
+@pytest.mark.parametrize("at", [0, 31, 32, -1])
+def test_a_checkpoint_that_was_changed_is_none(url: str, at: int):
+    store.write_checkpoint(url, 7, {"lines": np.arange(3)})
+    file = Path(url, ".checkpoint-7")
+    content = bytearray(file.read_bytes())
+    content[at] ^= 1
+    file.write_bytes(content)
+    assert store.read_checkpoint(url, 7) is None
+
+
+@pytest.mark.parametrize("content", [b"no archive", b"PK\x03\x04"])
+def test_a_checkpoint_of_another_kind_is_none(url: str, monkeypatch: pytest.MonkeyPatch, content: bytes):
+    def save(file: Any, **_: Any) -> None:
+        file.write(content)
+
+    monkeypatch.setattr(checkpoints.np, "savez", save)
+    store.write_checkpoint(url, 7, {})
+    assert store.read_checkpoint(url, 7) is None

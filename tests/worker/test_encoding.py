@@ -1,0 +1,91 @@
+"""Chunks as bytes: shards with an index, and what is damaged about them."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from worker.store.encoding import ArrayForm, decode, encode, form_of, spans_of
+
+
+def form(chunks: tuple[int, ...] = (4, 4), inner: tuple[int, ...] = (2, 4), fill: float = 7) -> ArrayForm:
+    return ArrayForm(np.dtype("<i4"), fill, ("x", "y"), (10, 10), chunks, inner, ".")
+
+
+def test_a_chunk_that_is_no_shard_has_no_index():
+    whole = form(inner=(4, 4))
+    assert not whole.sharded
+    values = np.arange(16, dtype=np.int32).reshape(4, 4)
+    assert decode(whole, encode(whole, values)).tolist() == values.tolist()
+    edge = decode(whole, encode(whole, values[:3, :2]))
+    assert edge[:3, :2].tolist() == values[:3, :2].tolist()
+    assert np.all(edge[3] == 7)
+    assert np.all(edge[:, 2:] == 7)
+
+
+@pytest.mark.parametrize("inner", [(2, 4), (1, 2), (2, 2), (4, 1)])
+@pytest.mark.parametrize("shape", [(4, 4), (3, 4), (2, 3), (1, 1)])
+def test_a_shard_has_the_inner_chunks_with_cells(inner: tuple[int, int], shape: tuple[int, int]):
+    shard, values = form(inner=inner), np.arange(16, dtype=np.int32).reshape(4, 4)[: shape[0], : shape[1]]
+    assert shard.sharded
+    assert shard.inner_counts == (4 // inner[0], 4 // inner[1])
+    assert shard.index_bytes == 16 * 16 // (inner[0] * inner[1]) + 4
+    content = encode(shard, values)
+    index = content[-shard.index_bytes :]
+    whole = np.full((4, 4), 7)
+    whole[: shape[0], : shape[1]] = values
+    end = 0
+    for coords in product(*map(range, shard.inner_counts)):
+        first = tuple(at * n for at, n in zip(coords, inner, strict=True))
+        if any(at >= n for at, n in zip(first, shape, strict=True)):
+            with pytest.raises(ValueError, match="the shard lacks a chunk"):
+                spans_of(shard, index, [coords])
+            continue
+        [(offset, length)] = spans_of(shard, index, [coords])
+        assert offset == end
+        end += length
+        cells = tuple(slice(at, at + n) for at, n in zip(first, inner, strict=True))
+        assert decode(shard, content[offset:end]).tolist() == whole[cells].tolist()
+    assert end == len(content) - shard.index_bytes
+
+
+def test_a_damaged_index_is_no_index():
+    shard = form()
+    content = encode(shard, np.zeros((4, 4), np.int32))
+    index = content[-shard.index_bytes :]
+    assert len(spans_of(shard, index, [(0, 0), (1, 0)])) == 2
+    with pytest.raises(ValueError, match="the index of the shard is damaged"):
+        spans_of(shard, bytes([index[0] ^ 1]) + index[1:], [(0, 0)])
+    shorter = form(chunks=(2, 4), inner=(1, 4))._replace(chunks=(6, 4), inner=(2, 4))
+    with pytest.raises(ValueError, match="the shard is cut off"):
+        spans_of(shorter, index, [(0, 0)])
+
+
+def test_damaged_bytes_are_not_decoded():
+    whole = form(inner=(4, 4))
+    content = bytearray(encode(whole, np.arange(16, dtype=np.int32).reshape(4, 4)))
+    content[-1] ^= 1  # of the frame's checksum
+    with pytest.raises((RuntimeError, ValueError)):
+        decode(whole, bytes(content))
+
+
+METADATA = {
+    "data_type": "float64",
+    "shape": [10, 10],
+    "fill_value": "NaN",
+    "dimension_names": ["x", "y"],
+    "chunk_grid": {"configuration": {"chunk_shape": [4, 4]}},
+    "chunk_key_encoding": {"configuration": {"separator": "/"}},
+    "codecs": [{"name": "bytes"}],
+}
+
+
+def test_how_an_array_is_stored_is_read_from_its_metadata():
+    found = form_of(METADATA)
+    assert np.isnan(found.fill)
+    assert found._replace(fill=0) == ArrayForm(np.dtype("<f8"), 0, ("x", "y"), (10, 10), (4, 4), (4, 4), "/")
+    sharding = {"name": "sharding_indexed", "configuration": {"chunk_shape": [2, 4]}}
+    assert form_of(METADATA | {"codecs": [sharding]}).inner == (2, 4)
+    assert form_of(METADATA | {"data_type": "uint8", "fill_value": 3}).fill == 3
+    assert form_of(METADATA | {"fill_value": "-Infinity"}).fill == -np.inf
+    assert form_of(METADATA | {"data_type": "complex128", "fill_value": ["NaN", 2.0]}).fill.imag == 2.0
