@@ -64,7 +64,6 @@ def test_positive_numbers_are_not_too_small_to_compute_with():
 def test_a_list_has_as_many_values_as_a_range_may_have():
     values = list(range(1, MAX_AXIS_VALUES + 1))
     assert len(AXIS.validate_python(values)) == MAX_AXIS_VALUES
-    assert len(AXIS.validate_python(np.array(values))) == MAX_AXIS_VALUES
     assert refusal([*values, 200_000]) == "must hold at most 100000 numbers, not 100001"
     assert Range(start=1.0, stop=2.0, num=MAX_AXIS_VALUES).num == MAX_AXIS_VALUES
 
