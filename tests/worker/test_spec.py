@@ -970,6 +970,13 @@ def test_of_several_ranges_with_a_cycle_the_nearest_is_proposed(gamma: float, ne
     assert f"it exists from gamma {nearest}" in rule
 
 
+def test_where_no_cycles_are_looked_for_the_reason_is_told():
+    assert no_cycle(Cell(1.0, 1.0, 0.0), 1) == (
+        "there is no stable cycle (1, 1) at gamma 1, omega 1, xi 0 "
+        "(xi: must be > 0 at omega = 1: the driven amplitude is infinite)"
+    )
+
+
 def test_json_schema_tells_the_bounds():
     schema = SweepSpec.model_json_schema()
     assert schema["properties"]["keep"] == {
