@@ -19,6 +19,7 @@ from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.api.routers import page
 from service.figures.catalogue import FIGURES
+from service.render.binary import packed
 from worker.analysis.thresholds import Status
 from worker.spec import SweepSpec
 
@@ -237,6 +238,39 @@ def test_density_counts_the_points(client: TestClient, line: str, log: bool):
 def test_the_density_of_a_whole_line_counts_every_flight(client: TestClient, line: str):
     header, arrays = unpacked(client, f"{line}/line", omega=0.5, most=0, width=300, height=500)
     assert arrays["density"].sum() == header["points"]
+
+
+def test_as_many_flights_as_are_allowed_are_sent_as_points(client: TestClient, line: str):
+    points = unpacked(client, f"{line}/line", omega=0.5)[0]["points"]
+    _, arrays = unpacked(client, f"{line}/line", omega=0.5, most=points)
+    assert len(arrays["flight_time"]) == points
+    _, arrays = unpacked(client, f"{line}/line", omega=0.5, most=points - 1)
+    assert "flight_time" not in arrays
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_arrays_begin_at_multiples_of_eight_bytes(length: int):
+    arrays = {
+        "three": np.arange(3, dtype=np.uint8),
+        "two": np.arange(2.0),
+        "none": np.empty(0),
+        "table": np.arange(4, dtype=">f4").reshape(2, 2).T,
+    }
+    line, _, body = packed({"text": "x" * length}, arrays).partition(b"\n")
+    assert (len(line) + 1) % 8 == 0
+    assert len(line) - len(line.rstrip()) < 8
+    assert json.loads(line) == {
+        "text": "x" * length,
+        "arrays": {
+            "three": ["uint8", 0, 3],
+            "two": ["float64", 8, 2],
+            "none": ["float64", 24, 0],
+            "table": ["float32", 24, 4],
+        },
+    }
+    assert len(body) == 40
+    assert np.frombuffer(body, "<f8", 2, 8).tolist() == [0.0, 1.0]
+    assert np.frombuffer(body, "<f4", 4, 24).tolist() == [0.0, 2.0, 1.0, 3.0]
 
 
 def test_density_is_compressed_where_the_client_accepts_it(client: TestClient, line: str):

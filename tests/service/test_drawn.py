@@ -118,6 +118,12 @@ def test_the_axes_span_the_cells_and_the_longest_flight_of_all_directions():
     assert axes.get_xscale() == "linear"
 
 
+@pytest.mark.parametrize(("longest", "step"), [(6.0, 1.0), (8.2, 2.0), (30.0, 5.0), (60.0, 10.0)])
+def test_the_axis_of_flights_has_at_most_nine_ticks_at_round_numbers(longest: float, step: float):
+    axes = drawn(cells(arrays={"flight_time": cells().flight_time * longest / 6.0}))
+    assert set(np.diff(axes.get_yticks())) == {step}
+
+
 def test_without_flights_the_axis_is_a_plate_period():
     axes = drawn(cells(arrays={"flights": np.zeros(4, np.int32)}))
     assert axes.get_ylim() == pytest.approx((0.0, 1.06 * 2 * np.pi))
@@ -139,6 +145,12 @@ def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], sca
     number = len(values)
     arrays = {name: array[:number] for name, array in cells().arrays.items()}
     assert drawn(cells(values=np.array(values), arrays=arrays)).get_xscale() == scale
+
+
+def test_many_close_values_are_told_apart_too():
+    assert bifurcation._is_geometric(np.geomspace(1.0, 1.2, 1000))
+    assert not bifurcation._is_geometric(np.linspace(1.0, 1.2, 1000))
+    assert not bifurcation._is_geometric(np.linspace(1.0, 1.2, 1000) ** 2)
 
 
 def test_whole_plate_periods_are_lines_and_counted_on_the_right():
@@ -239,16 +251,41 @@ def test_density_shades_the_bins_of_the_flights(monkeypatch: pytest.MonkeyPatch)
     assert (len(handle.get_xdata()), handle.get_label()) == (0, "rest")
 
 
-def test_a_bin_with_some_flights_is_darker_than_one_with_one(monkeypatch: pytest.MonkeyPatch):
+def test_density_of_two_directions_has_the_colours_and_sizes_of_their_points(monkeypatch: pytest.MonkeyPatch):
+    both = cells(direction="up"), cells(direction="down")
+    dots = points(drawn(*both))
     monkeypatch.setattr(bifurcation, "DENSE_POINTS", 2)
+    axes = drawn(*both)
+    for handle, dot in zip(points(axes), dots, strict=True):
+        assert handle.get_markersize() == dot.get_markersize()
+        assert (handle.get_color(), handle.get_label()) == (dot.get_color(), dot.get_label())
+    shades = [np.asarray(child.images[0].get_array()) for child in axes.child_axes if child.images]
+    assert [tuple(shade[0, 0, :3]) for shade in shades] == [to_rgb(GREY), to_rgb(RED)]
+
+
+def test_as_many_flights_as_are_drawn_as_points_are_no_density(monkeypatch: pytest.MonkeyPatch):
+    for most, dense in ((3, False), (2, True)):
+        monkeypatch.setattr(bifurcation, "DENSE_POINTS", most)
+        assert any(child.images for child in drawn(cells()).child_axes) is dense
+
+
+@pytest.mark.parametrize(
+    ("few", "many", "shade"), [(3, 12, np.log(3) / np.log(12)), (1, 2, 0.0), (2, 2, 1.0), (1, 1, 0.0)]
+)
+def test_a_bin_with_some_flights_is_darker_than_one_with_one(
+    few: int, many: int, shade: float, monkeypatch: pytest.MonkeyPatch
+):
+    """Black from the most flights of a bin on, or from two if no bin has so many."""
+    monkeypatch.setattr(bifurcation, "DENSE_POINTS", 1)
     monkeypatch.setattr(bifurcation, "COLUMNS_AND_ROWS", (30, 20))
     monkeypatch.setattr(bifurcation, "_dot", lambda _: 0.1)
     times = np.full((4, 12), NAN)
-    times[1, :3], times[2, :12] = 4.0, 2.0
-    axes = drawn(cells(arrays={"flight_time": times, "flights": np.array([0, 3, 12, 0], np.int32)}))
+    times[1, :few], times[2, :many] = 4.0, 2.0
+    axes = drawn(cells(arrays={"flight_time": times, "flights": np.array([0, few, many, 0], np.int32)}))
     alpha = np.unique(image(axes)[..., 3])
-    half = bifurcation.FAINTEST + (1 - bifurcation.FAINTEST) * np.log(3) / np.log(12)
-    assert alpha == pytest.approx([0.0, half, 1.0])
+    darkest = shade if few == many else 1.0
+    expected = {0.0, *(bifurcation.FAINTEST + (1 - bifurcation.FAINTEST) * x for x in (shade, darkest))}
+    assert alpha == pytest.approx(sorted(expected))
 
 
 @pytest.mark.parametrize(("width", "covered"), [(1, [3]), (2, [3, 4]), (3, [2, 3, 4]), (4, [2, 3, 4, 5])])

@@ -6,8 +6,10 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx2
@@ -24,7 +26,12 @@ from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
 from service import formats
 from service.api import schemas
+from service.errors import NoSpace, TooLarge
+from service.jobs.model import JobState
+from service.render import export
 from service.render import parquet as parquet_file
+from service.render.blocks import Block
+from service.results import provenance
 from service.results.counting import MODE_ARRAYS
 from service.results.mode_map import modes
 from service.results.selection import Sweep
@@ -32,6 +39,7 @@ from service.server import embedded
 from service.settings import Settings
 from service.software import processor, software
 from worker import schema, store
+from worker.cost import estimate
 from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
@@ -206,6 +214,34 @@ def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
         answer = client.get(f"{here}/export?format=nc")
         assert answer.status_code == 413
         assert "the limit for one file is 1,000" in answer.json()["detail"]
+
+
+def test_a_file_may_have_as_many_bytes_as_the_limit():
+    spec = SweepSpec(**RAMP)
+    plan = make_plan(spec)
+    size = estimate(spec, len(plan)).bytes
+    export.check_size(Sweep(spec, ""), plan, size)
+    with pytest.raises(TooLarge, match=f"holds {size:,} bytes; the limit for one file is {size - 1:,}"):
+        export.check_size(Sweep(spec, ""), plan, size - 1)
+
+
+def test_a_block_is_written_if_it_fits_on_the_disk_beside_what_is_spared(monkeypatch: pytest.MonkeyPatch):
+    """Two arrays of 800 bytes."""
+    block = Block("up", {}, {"one": np.zeros(100), "two": np.zeros((10, 10))})
+    free = export.SPARE + 1600
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    assert list(export._while_there_is_room([block, block], Path())) == [block, block]
+    free -= 1
+    with pytest.raises(NoSpace, match="less than 16,777,216 bytes would stay free"):
+        list(export._while_there_is_room([block], Path()))
+
+
+def test_the_history_of_results_that_are_repaired_has_no_end(done: Done):
+    job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+    whole = provenance._history(job).splitlines()
+    assert [line.split(" ")[1] for line in whole] == ["accepted", "computing", "done"]
+    assert provenance._history(replace(job, state=JobState.RUNNING)).splitlines() == whole[:2]
+    assert provenance._history(replace(job, finished=None)).splitlines() == whole[:2]
 
 
 def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):

@@ -2,9 +2,12 @@
 
 import csv
 import io
+import itertools
+import json
 from collections.abc import Iterator
 from io import BytesIO
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -12,9 +15,17 @@ from fastapi.testclient import TestClient
 from matplotlib import image
 from served import computing, get
 
+from kernel.params import Outcome
 from service.api import schemas
 from service.client import BadRequest, Client, Job
-from service.results.multistability import _joined
+from service.errors import InvalidRequest, TooLarge
+from service.render.multistability import multistability_csv, multistability_json
+from service.results import multistability
+from service.results.multistability import Event, Multistability, _joined, plane
+from service.results.trajectory import of_attractor
+from worker import store
+from worker.basins.spec import MultistabilitySpec
+from worker.studies import study_of
 
 SPEC: dict[str, Any] = {
     "name": "Fig. 2", "gamma": [3.56, 3.58, 3.6, 3.62, 3.64], "omega": [0.5, 0.502], "xi": 0.26,
@@ -171,3 +182,208 @@ def test_branches_join_by_most_votes_unless_they_share_a_cell():
     assert owner.tolist() == [0, 1, 1, 1, 1]
     assert _joined(branch, {}).tolist() == [0, 1, 2, 3, 4]
     assert _joined(branch, {(0, 2): 3, (1, 2): 2}).tolist() == [0, 1, 0, 3, 4]
+
+
+# From a store that was written by hand
+
+REST, CHAOS = (Outcome.AT_REST, 0, 0), (Outcome.APERIODIC, 0, 0)
+ONE, TWO = (Outcome.PERIODIC, 1, 1), (Outcome.PERIODIC, 2, 2)
+GAMMA, OMEGA = (1.0, 1.5, 2.0, 2.5, 3.0), (0.5, 0.6, 0.7)
+
+
+class Known(NamedTuple):
+    """An attractor of a cell, and which one of the next cell up and down it leads to."""
+
+    mode: tuple[int, int, int]
+    longest: float = 3.0
+    up: int = 0
+    down: int = 0
+    share: float = 0.5
+
+
+#: Attractors by cell, in lines along gamma; None for a cell that is not computed.
+Lines = list[list[list[Known] | None]]
+
+
+def spec_of(gamma: Any, omega: Any) -> MultistabilitySpec:
+    return MultistabilitySpec(**SPEC | {"gamma": gamma, "omega": omega})
+
+
+def written(folder: Path, lines: Lines) -> Multistability:
+    spec = spec_of(list(GAMMA[: len(lines[0])]), list(OMEGA[: len(lines)]))
+    (chunk,) = study_of(spec).plan(spec, (1, len(lines), len(lines[0])))
+    layout = study_of(spec).variables(spec, chunk.shape)
+    record = {
+        array.name: np.full(
+            [*chunk.shape, *(layout.extra_sizes[dim] for dim in array.dims[3:])], array.fill, array.dtype
+        )
+        for array in layout.arrays
+    }
+    for i, line in enumerate(lines):
+        for j, cell in enumerate(line):
+            if cell is None:
+                continue
+            record["outcome"][0, i, j] = Outcome.PERIODIC
+            record["attractor_count"][0, i, j] = len(cell)
+            for k, known in enumerate(cell[:8]):
+                place = (0, i, j, k)
+                for name, value in zip(("attractor_outcome", "bounces", "periods"), known.mode, strict=True):
+                    record[name][place] = value
+                record["longest_flight"][place] = record["flight_time"][(*place, 0)] = known.longest
+                record["next_up"][place], record["next_down"][place] = known.up, known.down
+                record["fraction"][place] = known.share
+                record["attractor_state"][place] = k
+    url = str(folder / "made.zarr")
+    store.create(url, layout)
+    store.write_chunk(url, chunk, record)
+    return Multistability(spec, url)
+
+
+def ids(lines: Lines, folder: Path) -> list[list[list[int]]]:
+    return [
+        [[place.id for place in cell] for cell in line] for line in plane(written(folder, lines), None).cells
+    ]
+
+
+def test_attractors_of_neighbouring_cells_are_one_if_each_leads_to_the_other(tmp_path: Path):
+    crossed: Lines = [[[Known(ONE, up=2), Known(TWO, up=1)], [Known(ONE, down=2), Known(TWO, down=1)]]]
+    assert ids(crossed, tmp_path / "crossed") == [[[1, 2], [2, 1]]]
+    one_way: Lines = [[[Known(ONE, up=1)], [Known(ONE)], [Known(ONE, down=1)]]]
+    assert ids(one_way, tmp_path / "one way") == [[[1], [2], [3]]]
+    merged: Lines = [[[Known(ONE, up=1), Known(TWO, up=1)], [Known(ONE, down=2)]]]
+    assert ids(merged, tmp_path / "merged") == [[[2, 1], [1]]]  # the first is that of most cells
+
+
+@pytest.mark.parametrize(
+    ("mode", "other", "longest", "same"),
+    [
+        (ONE, ONE, 4.0, True),
+        (ONE, ONE, 2.0, True),
+        (ONE, ONE, 4.01, False),
+        (ONE, TWO, 3.0, False),
+        (CHAOS, CHAOS, 9.0, True),
+        (CHAOS, ONE, 3.0, False),
+    ],
+)
+def test_attractors_of_neighbouring_lines_are_one_if_they_are_near(
+    mode: Any, other: Any, longest: float, same: bool, tmp_path: Path
+):
+    found = ids([[[Known(mode, 3.0)]], [[Known(other, longest)]]], tmp_path)
+    assert found == [[[1]], [[1 if same else 2]]]
+
+
+def test_of_several_near_attractors_the_nearest_are_one(tmp_path: Path):
+    lines: Lines = [[[Known(ONE, 3.0), Known(ONE, 3.6)]], [[Known(ONE, 3.5), Known(ONE, 4.4)]]]
+    assert ids(lines, tmp_path / "two lines") == [[[2, 1]], [[1, 3]]]
+    lines = [[[Known(ONE, 3.0), Known(ONE, 3.6)]], [[Known(ONE, 3.5)]], [[Known(ONE, 3.1)]]]
+    assert ids(lines, tmp_path / "three lines") == [[[2, 1]], [[1]], [[1]]]
+
+
+def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
+    line: Lines = [
+        [
+            [Known(REST, 0.0, up=1)],
+            [Known(REST, 0.0, down=1), Known(ONE, 3.0, up=1, down=1, share=0.0)],
+            [Known(TWO, 3.2, down=2)],
+            None,
+            [Known(ONE, 3.1)],
+        ]
+    ]
+    found = plane(written(tmp_path / "first", line), None)
+    where = [(0.5, low, high) for low, high in itertools.pairwise(GAMMA)]
+    assert found.events == (
+        Event("birth", 2, *where[0], None, "(1,1)", 1),
+        Event("death", 1, *where[1], "rest", None, None),
+        Event("mode", 2, *where[1], "(1,1)", "(2,2)", None),
+    )
+    assert [(a.id, a.label, a.cells, a.gamma, a.longest_flight) for a in found.attractors] == [
+        (1, "rest", 2, (1.0, 1.5), (0.0, 0.0)),
+        (2, "(1,1)", 2, (1.5, 2.0), (3.0, 3.2)),
+        (3, "(1,1)", 1, (3.0, 3.0), (3.1, 3.1)),
+    ]
+    assert found.count.tolist() == [[1, 2, 1, -1, 1]]
+    assert (found.several, found.several_by_drops, found.complete) == (0.25, 0.0, False)
+    lost = plane(written(tmp_path / "second", [[[Known(ONE, up=1)], [Known(REST, 0.0)]]]), None)
+    assert lost.events == (
+        Event("death", 1, *where[0], "(1,1)", None, 2),
+        Event("birth", 2, *where[0], None, "rest", None),
+    )
+    assert lost.complete
+
+
+def test_a_line_of_a_plane_has_its_own_attractors_and_events(tmp_path: Path):
+    lines: Lines = [
+        [[Known(REST, 0.0)], [Known(ONE, 3.0)]],
+        [[Known(TWO, 5.0, up=1)], [Known(TWO, 5.0, down=1)]],
+    ]
+    job = written(tmp_path, lines)
+    whole = plane(job, None)
+    assert [(a.id, a.label) for a in whole.attractors] == [(1, "(2,2)"), (2, "rest"), (3, "(1,1)")]
+    one, other = whole.line(0.52), whole.line(0.6)
+    assert [a.id for a in one.attractors] == [2, 3]
+    assert one.events == whole.events != ()
+    assert ([a.id for a in other.attractors], other.events) == ([1], ())
+    assert other.omega.tolist() == [0.6]
+    assert multistability.flights(job, None, 0.6)[:, 0, 0].tolist() == [5.0, 5.0]
+
+
+def test_attractors_beyond_those_stored_are_counted(tmp_path: Path):
+    many = [Known((Outcome.PERIODIC, n, 1)) for n in range(1, 11)]
+    found = plane(written(tmp_path, [[many]]), None)
+    assert found.count.tolist() == [[10]]
+    assert [place.label for place in found.cells[0][0]] == [f"({n},1)" for n in range(1, 9)]
+
+
+def test_before_the_first_cell_is_computed_there_is_no_attractor(tmp_path: Path):
+    queued = Multistability(spec_of([1.0, 1.5], [0.5, 0.6, 0.7]), str(tmp_path / "nothing.zarr"))
+    found = plane(queued, None)
+    assert found.count.tolist() == [[-1, -1]] * 3
+    assert found.cells == (((), ()),) * 3
+    assert (found.attractors, found.events, found.complete) == ((), (), False)
+    assert np.isnan([found.several, found.several_by_drops]).all()
+    assert multistability.flights(queued, None, 0.5).shape == (2, 0, 0)
+    with pytest.raises(InvalidRequest, match="attractor: this cell has none yet"):
+        of_attractor(queued, {"gamma": 1.0, "omega": 0.5}, 1, 1, 8)
+
+
+def test_the_motion_of_an_attractor_begins_at_its_state(tmp_path: Path):
+    job = written(tmp_path, [[[Known(ONE), Known(TWO)]]])
+    for number in (1, 2):
+        spec, state = of_attractor(job, {"gamma": 1.0, "omega": 0.5}, number, 3, 8)
+        assert (spec.settle, spec.periods, spec.samples) == (0, 3, 8)
+        assert set(state.tolist()) == {number - 1.0}
+    for number in (0, 3):
+        with pytest.raises(InvalidRequest, match="attractor: must be from 1 to 2"):
+            of_attractor(job, {"gamma": 1.0, "omega": 0.5}, number, 3, 8)
+
+
+def test_a_plane_of_too_many_cells_is_refused_and_its_memory_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    job = written(tmp_path, [[[Known(ONE)]] * 3] * 2)
+    monkeypatch.setattr(multistability, "MAX_CELLS", 6)
+    assert plane(job, None).complete
+    whole = multistability.plane_memory(job)
+    monkeypatch.setattr(multistability, "MAX_CELLS", 5)
+    with pytest.raises(TooLarge, match="2 by 3 cells"):
+        plane(job, None)
+    assert whole - multistability.plane_memory(job) == multistability._PER_CELL
+
+
+def test_json_and_the_table_hold_the_flights_that_count(tmp_path: Path):
+    """Those longer than micro_flight, here 0.05, unless none is; of a plane the longest flight."""
+    found = plane(written(tmp_path, [[[Known(ONE), Known(TWO, 4.0)], [], None]]), None)
+    times = np.full((3, 8, 4), np.nan)
+    times[0, 0, :3] = 3.0, 0.05, 0.06
+    times[0, 1, :2] = 0.05, 0.01
+    document = json.loads(multistability_json(found, times))
+    assert document["count"] == [[2, 0, None]]
+    assert [place["flight_time"] for place in document["cells"][0][0]] == [[3.0, 0.06], [0.05, 0.01]]
+    assert document["cells"][0][1:] == [[], []]
+    rows = list(csv.DictReader(io.StringIO(multistability_csv(found, times).decode())))
+    assert [(row["attractor"], row["flight"], row["flight_time_rad"]) for row in rows] == [
+        ("1", "0", "3.0"), ("1", "1", "0.06"), ("2", "0", "0.05"), ("2", "1", "0.01"),
+    ]  # fmt: skip
+    assert "flight_time" not in json.loads(multistability_json(found))["cells"][0][0][0]
+    rows = list(csv.DictReader(io.StringIO(multistability_csv(found).decode())))
+    assert [(row["label"], row["longest_flight_rad"]) for row in rows] == [("(1,1)", "3.0"), ("(2,2)", "4.0")]

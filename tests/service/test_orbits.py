@@ -15,7 +15,7 @@ from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.api import schemas
-from service.client import BadRequest, Client
+from service.client import BadRequest, Client, TooLarge
 from service.results import orbits, thresholds
 from worker.spec import SweepSpec
 
@@ -330,26 +330,64 @@ def test_every_omega_is_predicted_when_asked_for(service: TestClient, client: Cl
     assert "enough for 400 values" in refused(service, where, 413, predict="words")
 
 
+def explained(down: float, predicted: float, cause: str, tolerance: float | None = None) -> str:
+    """What is said of a threshold on the way down that is not the predicted one, at omega 0.6, xi 0.05."""
+    none = np.array([np.nan])
+    found = thresholds.Thresholds(
+        xi=0.05, omega=np.array([0.6]), analytic=none, up=none, down=np.array([down]),
+        up_status=["not ramped"], down_status=["found"], predicted_jump=none,
+        predicted_down=np.array([predicted]), cause=[cause], difference=[""], prediction="", complete=True,
+        tolerance=tolerance,
+    )  # fmt: skip
+    return thresholds._compared(SweepSpec.parse(RAMP), found).difference[0]
+
+
 def test_a_difference_from_the_prediction_is_explained():
-    spec = SweepSpec.parse(RAMP)
+    """The grid goes from 0.5 in steps of 0.004."""
     fold = orbits.thresholds(0.6, 0.05)
-    gamma = spec.axis_values("gamma")
-    texts = {}
-    for name, down in {"as predicted": fold.down + 0.001, "ghost": fold.down - 1e-5, "early": 0.62,
-                       "other": fold.down - 0.03}.items():  # fmt: skip
-        coarse = thresholds.Thresholds(
-            xi=0.05, omega=np.array([0.6]), analytic=np.array([fold.gamma_th]), up=np.array([np.nan]),
-            down=np.array([down]), up_status=["not ramped"], down_status=["found"],
-            predicted_jump=np.array([fold.jump]), predicted_down=np.array([fold.down]), cause=[fold.cause],
-            difference=[""], prediction="", complete=True,
-        )  # fmt: skip
-        texts[name] = thresholds._compared(spec, coarse).difference[0]
-    assert gamma[1] - gamma[0] == pytest.approx(0.004)
-    assert texts["as predicted"] == ""
-    assert "bouncing lives about 1,1" in texts["ghost"]
-    assert "longer than the window of 80" in texts["ghost"]
-    assert "steps of 0.004 excite the spring" in texts["early"]
-    assert "another cycle" in texts["other"]
+    assert explained(fold.down + 0.001, fold.down, fold.cause) == ""
+    ghost = explained(fold.down - 1e-5, fold.down, fold.cause)
+    assert ghost.startswith("bouncing lives about 1,1")
+    assert "1e-05 below the fold, longer than the window of 80" in ghost
+    early = explained(0.62, fold.down, fold.cause)
+    assert "the ramp lost the cycle 0.0668 above the fold: its steps of 0.004 excite the spring" in early
+    other = explained(fold.down - 0.03, fold.down, fold.cause)
+    assert other == "another cycle than those of one bounce lives 0.03 below the prediction"
+
+
+def test_a_threshold_within_a_step_above_the_prediction_agrees_with_it():
+    for tolerance, step in ((None, 0.004), (1e-4, 1e-4)):
+        assert explained(0.62, 0.62, "Eq. 25", tolerance) == ""
+        assert explained(0.62, 0.62 - step, "Eq. 25", tolerance) == ""
+        assert explained(0.62 - 1e-10, 0.62, "Eq. 25", tolerance) == ""
+        late = explained(0.62, 0.62 - 1.01 * step, "Eq. 25", tolerance)
+        assert late.startswith(f"the sweep stops bouncing {1.01 * step:.3g} above Eq. 25")
+    assert explained(0.5, 0.5, "Eq. 25") == ""  # the first value of the grid has no step below it
+    assert "above Eq. 25" in explained(0.5, 0.499, "Eq. 25")
+    for missing in ((np.nan, 0.5), (0.5, np.nan)):
+        assert explained(*missing, "unresolved") == ""
+
+
+def test_as_many_springs_are_predicted_at_once_as_may_be(
+    service: TestClient, client: Client, monkeypatch: pytest.MonkeyPatch
+):
+    job = client.submit(RAMP | {"gamma": [0.5, 0.6]}).wait(progress=False)
+    monkeypatch.setattr(thresholds, "MAX_PREDICTED", 2)
+    predicted = job.threshold()
+    assert np.isfinite(predicted.predicted_down.values).all()
+    monkeypatch.setattr(thresholds, "MAX_PREDICTED", 1)
+    assert set(job.threshold().cause.values.tolist()) == {
+        "not predicted: ask for all above 1 values of omega"
+    }
+    for name, size in (("all", 50), ("all", 1), ("words", 1)):  # all that one worker call predicts
+        monkeypatch.setattr(thresholds, "PREDICTED_AT_ONCE", {name: size})
+        monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 2 * thresholds.PREDICTION_SECONDS[name])
+        every = job.threshold(predict=name, progress=False)  # type: ignore[arg-type]
+        assert every.cause.values.tolist() == predicted.cause.values.tolist()
+        np.testing.assert_array_equal(every.predicted_down, predicted.predicted_down)
+    monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 0.03)
+    with pytest.raises(TooLarge, match=r"2 values of omega take .*: enough for 1 values"):
+        job.threshold(predict="all", progress=False)
 
 
 def test_another_contact_is_told_from_the_one_predicted(client: Client):

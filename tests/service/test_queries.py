@@ -12,10 +12,12 @@ from scripted import small as spec
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, OutdatedJob, TooLarge
+from service.render import answers
 from service.results import density, mode_map, selection, thresholds
 from service.results import diagram as diagrams
+from service.results import line as lines
 from service.results.counting import MODE_ARRAYS
-from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis
+from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
 from worker import schema, store
 from worker.plan import make_plan
@@ -48,8 +50,8 @@ def diagram(
     return diagrams.diagram(sweep, along, values, direction, 0.0, 1_000_000)
 
 
-def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
-    """A store whose outcomes, (direction, xi, omega, gamma), are `outcomes`."""
+def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.ndarray) -> Sweep:
+    """A store whose outcomes, (direction, xi, omega, gamma), are `outcomes`; other arrays are 0 or given."""
     plan = make_plan(spec, chunk_shape=spec.shape[1:])
     url = str(folder / "made.zarr")
     store.create(url, layout(spec, plan.chunk_shape))
@@ -59,7 +61,11 @@ def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec) -> Sweep:
             array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
             for array in schema.arrays(spec)
         }
-        store.write_chunk(url, chunk, record | {"outcome": outcomes[chunk.direction].astype("u1")})
+        given = {
+            name: values[chunk.direction].astype("u1")
+            for name, values in {**others, "outcome": outcomes}.items()
+        }
+        store.write_chunk(url, chunk, record | given)
     return Sweep(spec, url)
 
 
@@ -266,7 +272,170 @@ def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path,
         assert len(reads) == 1 + chunks  # the description, and outcomes, which are not there
 
 
+def test_results_under_repair_are_not_complete(sweep: Sweep):
+    damaged = replace(sweep, repairing=True)
+    line = diagram(damaged, omega=0.7, xi=0.26)
+    assert (line.missing, line.complete) == (0, False)
+    assert not mode_map.modes(damaged, 0.05, None, 1000).complete
+    assert not mode_map.modes_between(damaged, 0.05, None, (1.0, 2.0), (None, None), 1000).complete
+    assert mode_map.modes(sweep, 0.05, None, 1000).complete
+    whole = answers.Line("gamma", {"omega": 0.7, "xi": 0.26}, None, None)
+    view = answers.View(None, None, 0.0, None, log=False, width=4, height=4, most=1000)
+    assert [answers.packed_line(one, whole, view).complete for one in (sweep, damaged)] == [True, False]
+
+
+# A line for the page
+
+TWO_FLIGHTS = lines.FlightLine(
+    fixed={}, direction="rest", cells={"values": np.array([0.5, 1.0, 2.0]), "outcome": np.array([3, 0, 1])},
+    flights=np.array([3.0, 7.0], np.float32), every=1, min_flight=0.0,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("edges", "log", "window"),
+    [
+        ((None, None, 1.0, None), False, (0.5, 2.0, 1.0, 7.0)),
+        ((0.7, 1.5, 0.5, 4.0), True, (0.7, 1.5, 0.5, 4.0)),
+        ((None, None, 8.0, None), True, (0.5, 2.0, 8.0, 8.0)),  # above every flight
+        ((1.0, 1.0, 2.0, 2.0), False, (1.0, 1.0, 2.0, 2.0)),
+        ((0.0, 1.0, 0.0, None), False, (0.0, 1.0, 0.0, 7.0)),
+    ],
+)
+def test_a_window_has_the_ends_of_the_line_where_no_edge_is_given(edges: Any, log: bool, window: Any):
+    assert lines.window_of(TWO_FLIGHTS, *edges, log=log) == window
+
+
+@pytest.mark.parametrize(
+    ("edges", "log", "rule"),
+    [
+        ((0.0, 1.0, 0.0, None), True, "left: must be above 0 on a logarithmic axis, not 0.0"),
+        ((1.0, 0.9, 0.0, None), False, "right: must not be below left, which is 1.0"),
+        ((None, None, 3.0, 2.9), False, "top: must not be below bottom, which is 3.0"),
+    ],
+)
+def test_an_empty_window_is_refused(edges: Any, log: bool, rule: str):
+    with pytest.raises(InvalidRequest, match=rule):
+        lines.window_of(TWO_FLIGHTS, *edges, log=log)
+
+
+def test_a_line_tells_its_longest_flight_and_the_missing_cells():
+    assert (TWO_FLIGHTS.longest, TWO_FLIGHTS.missing) == (7.0, 1)
+    assert replace(TWO_FLIGHTS, flights=np.empty(0, np.float32)).longest == 0.0
+
+
+def test_counts_beyond_a_byte_are_sent_as_its_largest():
+    crowded = replace(
+        TWO_FLIGHTS,
+        cells={"values": np.array([1.0, 2.0]), "shown": np.array([255, 256])},
+        flights=np.full(511, 3.0, np.float32),
+    )
+    window = lines.window_of(crowded, None, None, 0.0, 4.0, log=False)
+    assert lines.counts(crowded, window, 2, 2, log=False).tolist() == [[0, 0], [255, 255]]
+
+
+def test_a_line_for_the_page_however_long(sweep: Sweep, monkeypatch: pytest.MonkeyPatch):
+    point = {"omega": 0.7, "xi": 0.26}
+    assert lines.read_line(sweep, "gamma", point, None, None).every == 1
+    for most, every in ((79, 2), (8, 10), (7, 10)):
+        monkeypatch.setattr(lines, "MAX_READ", most)
+        line = lines.read_line(sweep, "gamma", point, None, None)
+        assert line.every == every
+        assert line.cells["values"].tolist() == sweep.spec.axis_values("gamma")[::every].tolist()
+
+
 # Planes and thresholds
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "inside"),
+    [
+        (1.0, 2.0, [1.0, 1.5, 2.0]),
+        (None, 1.0, [0.5, 1.0]),
+        (4.4, None, [4.5, 5.0]),
+        (1.6, 1.8, [1.5]),  # none is inside: the one nearest to the middle
+        (1.7, 1.95, [2.0]),
+        (6.0, 7.0, [5.0]),
+    ],
+)
+def test_a_window_of_a_plane_has_the_cells_inside(
+    sweep: Sweep, low: float | None, high: float | None, inside: list[float]
+):
+    window = mode_map.modes_between(sweep, 0.05, None, (low, high), (0.6, None), 1000)
+    assert window.gamma.tolist() == inside
+    assert window.omega.tolist() == [0.7, 1.0]
+    assert window.arrays["outcome"].shape == (2, len(inside))
+    assert window.every == 1
+
+
+def test_a_window_of_a_plane_is_thinned_to_what_fits(sweep: Sweep):
+    window = mode_map.modes_between(sweep, 0.05, None, (1.0, 5.0), (None, None), 10)
+    assert (window.every, window.omega.tolist()) == (2, [0.5, 1.0])
+    assert window.gamma.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    whole = mode_map.modes(sweep, 0.05, None, 1000)
+    np.testing.assert_array_equal(window.arrays["bounces"], whole.arrays["bounces"][::2, 1::2])
+
+
+def test_modes_of_other_flights_are_those_of_as_many_cells_as_can_be_read(
+    sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+):
+    """Eight flights of each of 3 by 10 cells."""
+    monkeypatch.setattr(mode_map, "MAX_READ", 80)
+    assert mode_map.modes(sweep, 0.05, None, 30).every == 1
+    assert mode_map.modes(sweep, 0.05, None, 1000, 2, min_flight=1.0).arrays["outcome"].shape == (2, 5)
+    with pytest.raises(TooLarge, match=r"the limit is 10: every=2 fits"):
+        mode_map.modes(sweep, 0.05, None, 1000, min_flight=1.0)
+    assert mode_map.modes_between(sweep, 0.05, None, (None, None), (None, None), 1000, 1.0).every == 2
+    assert mode_map.plane_size(sweep.spec, None, 1000) == (30, 0)
+    assert mode_map.plane_size(sweep.spec, None, 20) == (20, 0)
+    assert mode_map.plane_size(sweep.spec, None, 1000, 3) == (4, 0)
+    assert mode_map.plane_size(sweep.spec, 1.0, 1000) == (10, 80)
+    assert mode_map.plane_size(sweep.spec, 1.0, 4) == (4, 32)
+    monkeypatch.setattr(mode_map, "MAX_READ", 7)
+    assert mode_map.plane_size(sweep.spec, 1.0, 1000) == (1, 8)
+
+
+def test_the_memory_of_a_comparison_is_that_of_the_rows_read_at_once(monkeypatch: pytest.MonkeyPatch):
+    """3 by 15 cells, two directions, six flights: 540 in all, 180 in a row."""
+    spec = SweepSpec(**BOTH_WAYS)
+    for compared, flights in ((1000, 540), (400, 400), (100, 180)):
+        monkeypatch.setattr(mode_map, "_COMPARED", compared)
+        assert mode_map.comparison_memory(spec) == flights * 48
+
+
+ADAPTIVE: dict[str, Any] = {"refine": {"by": "mode", "coarsest": 4}, "xi": 0.05}
+
+
+def test_the_computed_share_of_an_adaptive_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Of 3 by 10 cells two are not done yet, and seven of the others are computed."""
+    adaptive = spec(**ADAPTIVE)
+    outcomes, computed = np.full(adaptive.shape, Outcome.PERIODIC), np.zeros(adaptive.shape)
+    outcomes[0, 0, 2, 8:] = Outcome.MISSING
+    computed[0, 0, 0, :4] = computed[0, 0, 1, 5] = computed[0, 0, 2, :2] = 1
+    made = handmade(tmp_path, outcomes, adaptive, computed=computed)
+    for most in (1000, 20, 1):
+        monkeypatch.setattr(mode_map, "MAX_READ", most)
+        assert mode_map.modes(made, None, None, 1000, 2).computed == pytest.approx(7 / 28)
+    queued = Sweep(adaptive, str(tmp_path / "nothing.zarr"))
+    assert mode_map.modes(queued, None, None, 1000).computed == 0.0
+
+
+def test_a_threshold_of_an_adaptive_map_says_whether_its_two_cells_were_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """All bounce from the fifth cell; computed are both beside it, all but the lower, all but the upper."""
+    adaptive = spec(**ADAPTIVE)
+    outcomes, computed = np.full(adaptive.shape, Outcome.AT_REST), np.zeros(adaptive.shape)
+    outcomes[..., 4:] = Outcome.PERIODIC
+    computed[0, 0, 0, 3:5] = 1
+    computed[0, 0, 1], computed[0, 0, 1, 3] = 1, 0
+    computed[0, 0, 2], computed[0, 0, 2, 4] = 1, 0
+    made = handmade(tmp_path, outcomes, adaptive, computed=computed)
+    for most in (1000, 10):  # all rows at once, and one after the other
+        monkeypatch.setattr(thresholds, "MAX_READ", most)
+        found = thresholds.on_grid(made, None, 1000)
+        assert found.up.tolist() == [2.5] * 3
+        assert found.up_computed == [True, False, False]
 
 
 def test_a_plane_is_the_stores_own(sweep: Sweep):
@@ -404,12 +573,27 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
     assert window.arrays["hysteresis"].tolist() == expected[1:][:, columns].tolist()
 
 
-def test_rows_are_compared_in_parts(both_ways: Sweep, monkeypatch: pytest.MonkeyPatch):
-    whole = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
-    monkeypatch.setattr(mode_map, "_COMPARED", 1)
-    parts = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
+@pytest.mark.parametrize(("compared", "rows"), [(1, [1, 1, 1]), (2 * 6 * 15 * 2, [2, 1])])
+def test_rows_are_compared_in_parts(
+    compared: int, rows: list[int], both_ways: Sweep, monkeypatch: pytest.MonkeyPatch
+):
+    """As many as belong to `_COMPARED` flights of both directions, at least one."""
+    whole = mode_map.modes(both_ways, None, "up", 1000, hysteresis=True).arrays["hysteresis"]
+    thinned = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
+    seen: list[int] = []
+
+    def noting(spec: SweepSpec, up: Any, *others: Any) -> Any:
+        seen.append(len(up["outcome"]))
+        return compare(spec, up, *others)
+
+    monkeypatch.setattr(mode_map, "_COMPARED", compared)
+    monkeypatch.setattr(mode_map, "compare", noting)
+    parts = mode_map.modes(both_ways, None, "up", 1000, hysteresis=True).arrays["hysteresis"]
     assert whole.any()
     assert np.array_equal(parts, whole)
+    assert seen == rows
+    some = mode_map.modes(both_ways, None, "up", 1000, 2, hysteresis=True).arrays["hysteresis"]
+    assert np.array_equal(some, thinned)
 
 
 def test_cells_of_one_direction_alone_have_no_hysteresis(tmp_path: Path):

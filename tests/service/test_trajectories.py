@@ -16,6 +16,8 @@ from kernel.branches.starts import cycles_at
 from kernel.params import Cell, KernelInputError, Line
 from kernel.trajectory import Trajectory
 from service.api import schemas
+from service.errors import TooLarge
+from service.results.trajectory import TrajectorySpec, check_cost
 from worker.basins.spec import BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.steps import line_run
@@ -172,15 +174,16 @@ def test_a_start_in_contact_is_that_of_the_plane(client: TestClient):
     assert length - weight == pytest.approx(-2.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("settle", [60, 3, 1])
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
-def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any]):
-    flights = trajectory(client, model=model)["flights"]
+def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
+    flights = trajectory(client, model=model, settle=settle)["flights"]
     kind = Model[model["kind"].upper()]
     ones = np.ones(1)
     line = run_line(
         2.3 * ones, 0.5 * ones, 0.26 * ones, model=kind, penetration=1e-3 * ones, adhesive=True, carry=False,
         restitution=model.get("restitution", 0.01 if kind is Model.SOFT else 0.0) * ones,
-        settle=60, observe=4, keep=64,
+        settle=settle, observe=4, keep=64,
     )  # fmt: skip
     n = int(line.flights[0])
     np.testing.assert_allclose(flights["flight_time"], line.flight_time[0, :n], atol=1e-9)
@@ -261,6 +264,47 @@ def test_bad_trajectory(client: TestClient, case: str):
     answer = client.post("/v1/trajectories", content=content, headers={"Content-Type": "application/json"})
     assert answer.status_code == status, answer.text
     assert message in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(("periods", "most"), [(1, 19_999), (2, 9_999), (10_000, 1)])
+def test_the_samples_of_an_answer_are_counted_with_the_one_at_the_end(periods: int, most: int):
+    cell = CELL | {"periods": periods, "settle": 0, "model": {"kind": "rigid"}}
+    check_cost(TrajectorySpec(**cell | {"samples": most}), 1e6)
+    with pytest.raises(TooLarge, match=rf"the limit is 20,000, {most:,} per period"):
+        check_cost(TrajectorySpec(**cell | {"samples": most + 1}), 1e6)
+
+
+def test_a_refusal_names_the_periods_that_fit():
+    """The settled and the sampled ones together."""
+    with pytest.raises(TooLarge, match=r"the limit for one answer is 0\.01 s") as error:
+        check_cost(TrajectorySpec(**CELL | {"settle": 1_000_000}), 0.01)
+    periods = int(str(error.value).split("settle for ")[1].split(" ")[0].replace(",", ""))
+    check_cost(TrajectorySpec(**CELL | {"settle": periods - CELL["periods"]}), 0.01)
+    with pytest.raises(TooLarge, match=rf"settle: {periods + 1:,} periods"):
+        check_cost(TrajectorySpec(**CELL | {"settle": periods + 1 - CELL["periods"]}), 0.01)
+
+
+def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(client: TestClient):
+    rigid: dict[str, Any] = {"gamma": 1.5, "model": {"kind": "rigid"}, "settle": 300}
+    balance = trajectory(client, **rigid)["energy"]
+    assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
+        balance["dashpot"] + balance["impact"], abs=1e-9
+    )
+    longer = {"gamma": 3.6, "model": {"kind": "rigid"}, "settle": 0, "periods": 6}
+    cycle = trajectory(client, **longer, start={"periods": 2})
+    assert cycle["cycle"]["periods"] == 2
+    balance = cycle["energy"]
+    assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
+        balance["dashpot"] + balance["impact"], abs=1e-9
+    )
+    for changes in (
+        {"settle": 0},  # from rest, not settled yet
+        {"periods": 1},  # one take-off does not show a cycle
+        {"gamma": 0.5},  # none
+        {"gamma": 2.3},  # (2,2)
+        {"model": {"kind": "rigid", "restitution": 0.1}},
+    ):
+        assert trajectory(client, **rigid | changes)["energy"] is None
 
 
 def test_the_kernel_names_what_it_cannot_sample():
