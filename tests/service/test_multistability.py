@@ -279,6 +279,14 @@ def test_of_several_near_attractors_the_nearest_are_one(tmp_path: Path):
     assert ids(lines, tmp_path / "three lines") == [[[2, 1]], [[1]], [[1]]]
 
 
+def test_cells_count_for_the_nearest_attractor_alone(tmp_path: Path):
+    """Two lines of two cells: in the first, one attractor is near two of the other line."""
+    alone: list[list[Known] | None] = [[Known(ONE, 3.6, up=1)], [Known(ONE, 3.6, down=1)]]
+    two: list[list[Known] | None] = [[Known(ONE, 3.5), Known(ONE, 4.4, up=1)], [Known(ONE, 4.4, down=2)]]
+    assert ids([alone, two], tmp_path / "above") == [[[1], [1]], [[1, 2], [2]]]
+    assert ids([two, alone], tmp_path / "below") == [[[1, 2], [2]], [[1], [1]]]
+
+
 def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
     line: Lines = [
         [

@@ -3,13 +3,15 @@
 import itertools
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from scripted import wait_for
+from scripted import Held, wait_for
 from served import computing, get
+from served import service as begun
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
@@ -133,6 +135,8 @@ def test_long_branches_are_refused_before_they_are_computed(service: TestClient)
     assert "the limit is 2,000" in refused(service, "/v1/orbits", 413, omega=0.01, xi=0.05)
     query = {"xi": 0.05, "omega_start": 0.01, "omega_stop": 0.5, "modes": "1-1"}
     assert "the limit is 2,000" in refused(service, "/v1/curves", 413, **query)
+    query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
+    assert "the limit is 2,000" in refused(service, "/v1/curves", 413, **query)
 
 
 def test_orbits_are_kept(service: TestClient):
@@ -175,7 +179,9 @@ def test_a_plane_of_curves_is_one_range_and_one_value(service: TestClient):
     assert rule in refused(service, "/v1/curves", 422)
     assert rule in refused(service, "/v1/curves", 422, xi=0.05, omega=0.5)
     backwards = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.5}
-    assert "omega_stop: must be above omega_start" in refused(service, "/v1/curves", 422, **backwards)
+    for stop in (0.5, 0.6):
+        backwards["omega_stop"] = stop
+        assert "omega_stop: must be above omega_start" in refused(service, "/v1/curves", 422, **backwards)
     query = {"omega": 0.6, "xi_start": 0.05, "xi_stop": 0.06, "kinds": "bend"}
     assert "not 'bend'" in refused(service, "/v1/curves", 422, **query)
 
@@ -254,6 +260,14 @@ def test_cells_without_words_are_told(client: Client):
     assert found.sizes["branch"] == 0
     assert found.skipped_gamma.values.tolist() == [2.3]
     assert "do not show two rounds" in str(found.skipped_reason.values[0])
+
+
+def test_a_job_not_begun_has_no_cells_to_continue(tmp_path: Path):
+    with begun(tmp_path, Held(capacity=0)) as service:
+        here = service.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+        answer = get(service, f"{here}/orbits")
+    assert (answer["branches"], answer["events"], answer["skipped"]) == ([], [], [])
+    assert not answer["complete"]
 
 
 def test_the_orbits_of_a_job_name_the_grid(service: TestClient, client: Client):

@@ -13,13 +13,14 @@ from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from service.render import answers
-from service.results import density, mode_map, selection, thresholds
+from service.results import density, hysteresis, mode_map, selection, thresholds
 from service.results import diagram as diagrams
 from service.results import line as lines
 from service.results.counting import MODE_ARRAYS
 from service.results.hysteresis import OTHER_FLIGHTS, Hysteresis, compare
 from service.results.selection import Sweep
 from worker import schema, store
+from worker.cost import cell_seconds
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -101,6 +102,15 @@ def test_a_value_off_the_end_by_rounding_is_on_the_grid(sweep: Sweep):
     ends = math.nextafter(0.5, 0), math.nextafter(0.26, 1)
     assert diagram(sweep, omega=ends[0], xi=ends[1]).fixed == {"omega": 0.5, "xi": 0.26}
     assert diagram(sweep, "omega", gamma=0.1 + 0.4, xi=0.05).fixed["gamma"] == 0.5
+
+
+def test_the_rounding_forgiven_is_relative_to_the_larger_end():
+    wide = spec(gamma=[1.0, 2000.0], xi=0.0)
+    assert selection.nearest_index(wide, "gamma", 2000.0 + 1e-6).index == 1
+    assert selection.nearest_index(wide, "gamma", 1.0 - 1e-6).index == 0
+    with pytest.raises(InvalidRequest, match="gamma: must be within"):
+        selection.nearest_index(wide, "gamma", 2000.0 + 3e-6)
+    assert selection.nearest_index(wide, "xi", 0.0).value == 0.0  # nothing to round
 
 
 @pytest.mark.parametrize(
@@ -255,6 +265,22 @@ def test_a_picture_of_a_line_however_long(sweep: Sweep, monkeypatch: pytest.Monk
     assert len(line.values) == 1
 
 
+def test_a_picture_of_both_directions_has_half_as_many_cells_of_each(
+    both_ways: Sweep, monkeypatch: pytest.MonkeyPatch
+):
+    """Fifteen cells of six flights in each direction."""
+    for most, every in ((180, 1), (179, 2), (96, 2), (95, 3)):
+        monkeypatch.setattr(diagrams, "MAX_READ", most)
+        lines_ = diagrams.diagrams_to_draw(both_ways, "gamma", {"omega": 0.6}, None, None)
+        assert [(line.direction, line.every) for line in lines_] == [("up", every), ("down", every)]
+    (line,) = diagrams.diagrams_to_draw(both_ways, "gamma", {"omega": 0.6}, "down", None, 5)
+    assert (line.direction, line.every) == ("down", 5)
+
+
+def test_the_flights_of_a_line_are_those_of_every_nth_cell():
+    assert [selection.line_flights(spec(), "gamma", every) for every in (1, 3, 10, 11)] == [80, 32, 8, 8]
+
+
 def test_a_read_of_a_million_cells_decodes_what_its_line_touches(tmp_path: Path, reads: list[str]):
     """However large the store: a line touches as many files as the plan has chunks along its axis."""
     large = spec(
@@ -282,6 +308,14 @@ def test_results_under_repair_are_not_complete(sweep: Sweep):
     whole = answers.Line("gamma", {"omega": 0.7, "xi": 0.26}, None, None)
     view = answers.View(None, None, 0.0, None, log=False, width=4, height=4, most=1000)
     assert [answers.packed_line(one, whole, view).complete for one in (sweep, damaged)] == [True, False]
+
+
+def test_a_picture_tells_what_it_was_made_from():
+    made = Sweep(spec(name="Γ and Ω"), "", job=32 * "a")
+    assert set(made.origin) == {"job", "kernel_version", "release", "spec"}
+    assert '"name": "Γ and Ω"' in made.origin["spec"]
+    assert set(Sweep(spec(), "").attributes) == {"kernel_version", "release"}
+    assert "computed by kernel version 1;" in replace(made, kernel_version="1").attributes["comment"]
 
 
 # A line for the page
@@ -475,6 +509,19 @@ def test_thresholds_of_another_kernel_version_are_not_refined(tmp_path: Path):
         thresholds.refined(nobody, nobody, earlier, coarse, 1e-3)
 
 
+def test_as_many_thresholds_are_refined_as_may_be(monkeypatch: pytest.MonkeyPatch):
+    """In each direction of the sweep."""
+    for direction, ways in (("up", 1), ("both", 2)):
+        ramp = Sweep(spec(protocol={"kind": "ramp", "axis": "gamma", "direction": direction}), "")
+        seconds = thresholds.TYPICAL_CELLS * cell_seconds(ramp.spec, alone=True) * ways
+        monkeypatch.setattr(thresholds, "MAX_SECONDS", 4.5 * seconds)
+        thresholds._check_cost(ramp, 4)
+        with pytest.raises(TooLarge) as error:
+            thresholds._check_cost(ramp, 5)
+        assert f"refining 5 values of omega takes about {5 * seconds:.3g} core-seconds" in str(error.value)
+        assert str(error.value).endswith("enough for 4 values")
+
+
 def test_thresholds_up_and_down_tell_directions_apart(tmp_path: Path):
     both = spec(
         omega=[0.5, 0.7, 1.0], xi=0.05, protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}
@@ -571,6 +618,36 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
     window = mode_map.modes_between(both_ways, None, "up", (0.6, 1.0), (0.59, 0.7), 1000, hysteresis=True)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
     assert window.arrays["hysteresis"].tolist() == expected[1:][:, columns].tolist()
+
+
+@pytest.mark.parametrize(
+    ("count", "last"),
+    [(1, [4.0]), (2, [2.0, 4.0]), (3, [2.0, 3.0, 4.0]), (4, [2.0, 3.0, 4.0, math.nan])],
+)
+def test_the_flights_compared_are_the_last_that_count(count: int, last: list[float]):
+    """Sorted; not the short one, nor the one beyond the last."""
+    times = np.array([[3.0, 2.0, 0.01, 4.0, math.nan]])
+    found = hysteresis._last(times, np.array([4], np.int32), count, 0.05)
+    np.testing.assert_array_equal(found, [last])
+
+
+def test_cycles_of_one_mode_are_other_cycles_if_a_flight_differs(both_ways: Sweep):
+    """By more than OTHER_FLIGHTS, among those of the cycle; the last cell has none."""
+    times = np.tile([3.0, 2.0], (5, 1))
+    up = {
+        "outcome": np.array([1, 1, 1, 1, Outcome.APERIODIC], np.uint8),
+        "bounces": np.array([2, 2, 2, 1, 0], np.int32),
+        "periods": np.array([1, 1, 1, 1, 0], np.int32),
+        "flight_time": times,
+        "flights": np.full(5, 2, np.int32),
+    }
+    changed = times + np.array([[0.0, 0.0], [0.0, 0.9e-3], [-1.1e-3, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    found = compare(both_ways.spec, up, up | {"flight_time": changed}, None)
+    assert found.tolist() == [0, 0, Hysteresis.FLIGHTS, 0, 0]
+    unknown = up | {"outcome": np.array([0, 1, Outcome.SETTLING, 1, Outcome.UNRESOLVED], np.uint8)}
+    shorter = unknown | {"bounces": np.array([1, 1, 1, 1, 0], np.int32)}
+    assert compare(both_ways.spec, up, shorter, None).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
+    assert compare(both_ways.spec, shorter, up, None).tolist() == [0, Hysteresis.MODE, 0, 0, 0]
 
 
 @pytest.mark.parametrize(("compared", "rows"), [(1, [1, 1, 1]), (2 * 6 * 15 * 2, [2, 1])])
