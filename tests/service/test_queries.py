@@ -437,6 +437,20 @@ def test_the_memory_of_a_comparison_is_that_of_the_rows_read_at_once(monkeypatch
         assert mode_map.comparison_memory(spec) == flights * 48
 
 
+def noted(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[int]:
+    """The rows of omega that a module reads at a time, from now on."""
+    rows: list[int] = []
+
+    def reading(*arguments: Any) -> mode_map.Plane:
+        part = plane(*arguments)
+        rows.append(len(part.omega))
+        return part
+
+    plane = mode_map.plane
+    monkeypatch.setattr(module, "plane", reading)
+    return rows
+
+
 ADAPTIVE: dict[str, Any] = {"refine": {"by": "mode", "coarsest": 4}, "xi": 0.05}
 
 
@@ -447,9 +461,12 @@ def test_the_computed_share_of_an_adaptive_map(tmp_path: Path, monkeypatch: pyte
     outcomes[0, 0, 2, 8:] = Outcome.MISSING
     computed[0, 0, 0, :4] = computed[0, 0, 1, 5] = computed[0, 0, 2, :2] = 1
     made = handmade(tmp_path, outcomes, adaptive, computed=computed)
-    for most in (1000, 20, 1):
+    read = noted(monkeypatch, mode_map)
+    for most, rows in ((1000, [3]), (20, [2, 1]), (1, [1, 1, 1])):
         monkeypatch.setattr(mode_map, "MAX_READ", most)
+        read.clear()
         assert mode_map.modes(made, None, None, 1000, 2).computed == pytest.approx(7 / 28)
+        assert read[1:] == rows  # after the modes
     queued = Sweep(adaptive, str(tmp_path / "nothing.zarr"))
     assert mode_map.modes(queued, None, None, 1000).computed == 0.0
 
@@ -465,9 +482,12 @@ def test_a_threshold_of_an_adaptive_map_says_whether_its_two_cells_were_computed
     computed[0, 0, 1], computed[0, 0, 1, 3] = 1, 0
     computed[0, 0, 2], computed[0, 0, 2, 4] = 1, 0
     made = handmade(tmp_path, outcomes, adaptive, computed=computed)
-    for most in (1000, 10):  # all rows at once, and one after the other
+    read = noted(monkeypatch, thresholds)
+    for most, rows in ((1000, [3]), (20, [2, 1]), (1, [1, 1, 1])):
         monkeypatch.setattr(thresholds, "MAX_READ", most)
+        read.clear()
         found = thresholds.on_grid(made, None, 1000)
+        assert read == rows
         assert found.up.tolist() == [2.5] * 3
         assert found.up_computed == [True, False, False]
 
