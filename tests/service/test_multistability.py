@@ -311,10 +311,12 @@ def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
     ]
     assert found.count.tolist() == [[1, 2, 1, -1, 1]]
     assert (found.several, found.several_by_drops, found.complete) == (0.25, 0.0, False)
-    lost = plane(written(tmp_path / "second", [[[Known(ONE, up=1)], [Known(REST, 0.0)]]]), None)
+    lost = plane(written(tmp_path / "second", [[[Known(ONE, up=1)], [Known(REST, 0.0)], [Known(TWO)]]]), None)
     assert lost.events == (
         Event("death", 1, *where[0], "(1,1)", None, 2),
         Event("birth", 2, *where[0], None, "rest", None),
+        Event("death", 2, *where[1], "rest", None, None),
+        Event("birth", 3, *where[1], None, "(2,2)", None),
     )
     assert lost.complete
 

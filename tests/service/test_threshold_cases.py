@@ -165,6 +165,14 @@ def test_of_a_job_not_begun_they_are_missing(tmp_path: Path):
             assert (answer["tolerance"], answer["complete"]) == (query.get("tolerance"), False)
 
 
+def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch):
+    here = submitted(client, CASES[0])
+    monkeypatch.setattr("service.results.thresholds.MAX_SECONDS", 0.0)
+    answer = client.get(f"{here}/threshold", params={"tolerance": 1e-3})
+    assert answer.status_code == 413
+    assert "tolerance: refining 1 values of omega" in answer.json()["detail"]
+
+
 def submitted(client: TestClient, case: Case) -> str:
     """The path of a finished job whose store holds the outcomes of the case."""
     spec = spec_of(case)
