@@ -378,11 +378,7 @@ class MultistabilityStudy:
             chunks=len(plan),
             bytes=plan.cells * bytes_per_cell(_ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS)),
             core_seconds=plan.cells * cell_cost(spec),
-            longest_core_seconds=plan.cells
-            / len(plan)
-            * _runs(spec)
-            * period_seconds(spec.sweep())
-            * spec.until,
+            longest_core_seconds=plan.cells * _runs(spec) * period_seconds(spec.sweep()) * spec.until,
         )
 
     def task(self, spec: MultistabilitySpec, chunk: Block, store_url: str) -> ChunkReport:

@@ -1,0 +1,382 @@
+"""Attractors told apart, of motions that are written down: what is asked for, and where starts are put.
+
+A search asks for runs and answers from their records alone. Here no kernel answers: a start's gap names its
+motion, its gap velocity counts the plate periods that it has run. What springs do is in test_basins.py.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from scipy.stats import ks_2samp
+
+from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
+from worker.basins import attractors
+from worker.basins.attractors import Attractor, Found, Request, Rules, counted, find, ks_distance
+
+WHICH, ELAPSED = STATE_FIELDS.index("gap"), STATE_FIELDS.index("gap_velocity")
+
+RULES = Rules(settle=100, observe=20, until=1200, keep=8, micro_flight=0.05, exponents=0)
+
+#: A request: starts, settle, observe, keep, exponents.
+Asked = tuple[int, int, int, int, int]
+
+
+class Seen(NamedTuple):
+    """What a window shows of a motion."""
+
+    outcome: Outcome
+    flights: Sequence[float] = ()
+    bounces: int = 0
+    periods: int = 0
+
+
+Motion = Callable[[float], Seen]
+
+
+def cycle(*flights: float, periods: int = 1) -> Motion:
+    return lambda _: Seen(Outcome.PERIODIC, flights * 3, len(flights), periods)
+
+
+def always(outcome: Outcome, flights: Sequence[float] = ()) -> Motion:
+    return lambda _: Seen(outcome, flights)
+
+
+def turning(end: float, before: Motion, after: Motion) -> Motion:
+    """One motion for so many plate periods, then another."""
+    return lambda periods: (before if periods < end else after)(periods)
+
+
+def spread(low: float, high: float) -> list[float]:
+    """300 flights, evenly distributed, in no order."""
+    return np.random.default_rng(1).permutation(np.linspace(low, high, 300)).tolist()
+
+
+REST = always(Outcome.AT_REST)
+CHAOS = always(Outcome.APERIODIC, spread(1.0, 2.0))
+
+
+def searched(starts: Sequence[int], *motions: Motion, **rules: Any) -> tuple[Found, list[Asked]]:
+    """Where starts of these motions lead, and the requests."""
+    asked: list[Asked] = []
+
+    def run(request: Request, reduce: Callable[[Line], Any]) -> Any:
+        n = len(request.states)
+        asked.append((n, request.settle, request.observe, request.keep, request.exponents))
+        line = empty_line(n, request.keep, request.exponents)
+        line.end_state[:] = request.states
+        line.end_state[:, ELAPSED] += request.settle + request.observe
+        for i, state in enumerate(line.end_state):
+            seen = motions[int(state[WHICH])](state[ELAPSED])
+            flights = np.array(seen.flights[-request.keep :])
+            line.flight_time[i, : len(flights)], line.takeoff_phase[i, : len(flights)] = flights, 0.5
+            line.flights[i], line.outcome[i] = len(seen.flights), seen.outcome
+            line.bounces[i], line.periods[i] = seen.bounces, seen.periods
+            line.lyapunov[i] = state[ELAPSED]
+        return reduce(line)
+
+    states = np.zeros((len(starts), len(STATE_FIELDS)))
+    states[:, WHICH] = starts
+    return find(states, RULES._replace(**rules), run), asked
+
+
+def test_cycles_and_rest_are_followed_by_representatives_and_recorded():
+    diverging = always(Outcome.DIVERGED)
+    found, asked = searched([0, 0, 0, 1, 1, 2], cycle(1.0, 2.0, periods=3), REST, diverging, exponents=2)
+    assert found.ids.tolist() == [1, 1, 1, 2, 2, 0]
+    assert found.ids.dtype == np.uint16
+    bounce, rest = found.attractors
+    assert (bounce.outcome, bounce.bounces, bounce.periods) == (Outcome.PERIODIC, 2, 3)
+    assert (rest.outcome, rest.bounces, rest.periods) == (Outcome.AT_REST, 0, 0)
+    assert (bounce.fraction, rest.fraction) == (0.5, 1 / 3)
+    assert bounce.flights.tolist() == [1.0, 2.0]
+    assert (bounce.longest_flight, rest.longest_flight) == (2.0, 0.0)
+    assert np.isinf(bounce.lifetime)
+    assert not len(bounce.phases)
+    assert bounce.state[ELAPSED] == rest.state[ELAPSED] == 1200
+    assert bounce.flight_time[:6].tolist() == [1.0, 2.0] * 3
+    assert np.isnan(bounce.flight_time[6:]).all()
+    assert bounce.takeoff_phase[:6].tolist() == [0.5] * 6
+    assert bounce.lyapunov.tolist() == [4200.0, 4200.0]
+    assert asked == [
+        (6, 100, 20, 256, 0),
+        (5, 1060, 20, 256, 0),  # both at rest and the three on the cycle, until 1200
+        (2, 0, 20, 8, 0),
+        (2, 2000, 1000, 1, 2),
+    ]
+
+
+def test_at_most_four_of_a_group_run_on():
+    found, asked = searched([0] * 9, REST)
+    assert found.ids.tolist() == [1] * 9
+    assert [request[0] for request in asked] == [9, 4, 1]
+
+
+def test_starts_are_run_in_blocks():
+    found, asked = searched([0] * (attractors.BLOCK + 2), REST)
+    assert asked[:2] == [(attractors.BLOCK, 100, 20, 256, 0), (2, 100, 20, 256, 0)]
+    assert (found.ids == 1).all()
+
+
+def test_settling_starts_go_on_their_periods_doubled_until_they_are_on_a_cycle():
+    slow = turning(400, always(Outcome.SETTLING, (1.1, 1.9)), cycle(1.0, 2.0))
+    found, asked = searched([0, 0], slow)
+    assert found.ids.tolist() == [1, 1]
+    assert asked == [
+        (2, 100, 20, 256, 0),
+        (2, 60, 60, 256, 0),  # to 240
+        (2, 120, 120, 256, 0),  # to 480, where the cycle shows
+        (2, 600, 120, 256, 0),  # the representatives to 1200
+        (1, 0, 20, 8, 0),
+    ]
+
+
+def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near():
+    slow, other = (always(Outcome.SETTLING, flights) for flights in ((1.01, 1.99), (3.0,)))
+    found, asked = searched([0, 1, 2], cycle(1.0, 2.0), slow, other)
+    assert found.ids.tolist() == [1, 1, 0]
+    assert found.attractors[0].fraction == 2 / 3
+    assert asked == [
+        (3, 100, 20, 256, 0),
+        (1, 1060, 20, 256, 0),
+        (2, 60, 60, 256, 0),
+        (2, 120, 120, 256, 0),
+        (2, 240, 240, 256, 0),  # to 960
+        (2, 120, 120, 256, 0),  # to 1200
+        (1, 0, 20, 8, 0),
+    ]
+
+
+def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
+    """One of two seems to be on the cycle of the other for 500 plate periods."""
+    leaving = turning(500, cycle(1.0, 2.0), cycle(4.0))
+    found, asked = searched([0, 1, 1], leaving, cycle(1.0, 2.0))
+    assert found.ids.tolist() == [2, 1, 1]
+    assert [a.flights.tolist() for a in found.attractors] == [[1.0, 2.0], [4.0]]
+    assert asked == [
+        (3, 100, 20, 256, 0),
+        (3, 1060, 20, 256, 0),
+        (3, 60, 60, 256, 0),
+        (3, 900, 60, 256, 0),
+        (3, 120, 120, 256, 0),
+        (3, 600, 120, 256, 0),
+        (3, 240, 240, 256, 0),
+        (3, 20, 240, 256, 0),  # at least one window on
+        (2, 0, 20, 8, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("flights", "count"),
+    [
+        ((1.0 + 0.9e-4, 2.0 + 0.9e-4), 1),
+        ((1.0 + 1.2e-4, 2.0 + 1.2e-4), 2),
+        ((1.0, 2.0 + 1.2e-4), 2),
+        ((1.0 - 1.2e-4, 2.0), 2),
+    ],
+)
+def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, ...], count: int):
+    found, _ = searched([0, 1], cycle(1.0, 2.0), cycle(*flights))
+    assert len(found.attractors) == count
+    assert set(found.ids.tolist()) == set(range(1, count + 1))
+
+
+def test_cycles_with_the_same_sum_and_extremes_are_told_apart():
+    found, _ = searched([0, 1], cycle(1.0, 2.0, 4.0, 5.0), cycle(1.0, 2.0 + 7e-4, 4.0 - 7e-4, 5.0))
+    assert sorted(found.ids.tolist()) == [1, 2]
+
+
+@pytest.mark.parametrize("other", [cycle(1.0, 2.0, periods=2), cycle(1.0, 2.0, 2.0, 1.0), cycle(1.5, 1.5)])
+def test_cycles_of_other_modes_or_flights_are_others(other: Motion):
+    found, _ = searched([0, 1], cycle(1.0, 2.0), other)
+    assert sorted(found.ids.tolist()) == [1, 2]
+
+
+def test_attractors_of_equal_shares_are_in_the_order_of_outcome_mode_and_longest_flight():
+    motions = cycle(1.0, 3.0), cycle(1.0, 2.0), cycle(1.0, 2.0, periods=2), cycle(9.0), REST
+    found, _ = searched([0, 1, 2, 3, 4], *motions)
+    assert found.ids.tolist() == [3, 2, 4, 1, 5]
+    assert [a.fraction for a in found.attractors] == [0.2] * 5
+
+
+def test_aperiodic_starts_do_not_go_on_where_none_leaves():
+    found, asked = searched([0, 0, 0], CHAOS)
+    (attractor,) = found.attractors
+    assert found.ids.tolist() == [1, 1, 1]
+    assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.APERIODIC, 0, 0)
+    assert attractor.flights.tolist() == sorted(spread(1.0, 2.0) * 3)
+    assert len(attractor.phases) == 900
+    assert np.isinf(attractor.lifetime)
+    assert asked == [
+        (3, 100, 20, 256, 0),
+        (3, 1060, 20, 256, 0),  # whether they leave
+        (3, 20, 2000, 2048, 0),  # their distribution
+        (1, 0, 20, 8, 0),
+    ]
+
+
+def test_two_distributions_are_two_attractors():
+    found, _ = searched([0, 1, 1, 0, 1], CHAOS, always(Outcome.APERIODIC, spread(1.5, 2.5)))
+    assert found.ids.tolist() == [2, 1, 1, 2, 1]
+    assert [a.longest_flight for a in found.attractors] == [2.5, 2.0]
+
+
+def test_the_starts_farthest_from_what_is_known_are_looked_at_too():
+    """The second of 40 is not among the 32 representatives."""
+    starts = [0] * 40
+    starts[2] = 1
+    assert 2 not in attractors._spread(np.arange(40), 32)
+    found, asked = searched(starts, CHAOS, always(Outcome.APERIODIC, spread(3.0, 4.0)))
+    assert found.ids.tolist() == [2 if which else 1 for which in starts]
+    assert asked == [(40, 100, 20, 256, 0), (32, 1060, 20, 256, 0), *[(32, 20, 2000, 2048, 0)] * 3,
+                     (2, 0, 20, 8, 0)]  # fmt: skip
+
+
+LEAVING = turning(1000, CHAOS, cycle(4.0))
+
+
+def test_motion_that_ends_is_followed_and_has_a_lifetime():
+    """One of four leaves after 1000 plate periods; the last look is 240 before the end."""
+    found, asked = searched([0, 1, 1, 1], LEAVING, CHAOS)
+    assert found.ids.tolist() == [2, 1, 1, 1]
+    assert [a.lifetime for a in found.attractors] == [pytest.approx(240 * 3.5), np.inf]
+    assert asked == [
+        (4, 100, 20, 256, 0), (4, 1060, 20, 256, 0),
+        (4, 60, 60, 256, 0), (4, 940, 20, 256, 0),
+        (4, 120, 120, 256, 0), (4, 700, 20, 256, 0),
+        (4, 240, 240, 256, 0), (4, 220, 20, 256, 0),
+        (4, 120, 120, 256, 0), (1, 20, 120, 256, 0),  # the cycle
+        (3, 20, 20, 256, 0),
+        (3, 20, 2000, 2048, 0), (2, 0, 20, 8, 0),
+    ]  # fmt: skip
+
+
+def test_motion_that_ends_is_followed_once_more_if_that_is_worth_it():
+    """To a thousandth of the starts: ln 750 times the lifetime of 840, 5561 plate periods."""
+    found, asked = searched([0, 1, 1, 1], LEAVING, CHAOS, extends=True)
+    assert found.ids.tolist() == [2, 1, 1, 1]
+    assert asked[10:] == [
+        (3, 5541, 20, 256, 0),
+        (3, 600, 600, 256, 0), (3, 4341, 20, 256, 0),  # to 2400
+        (3, 1200, 1200, 256, 0), (3, 1941, 20, 256, 0),  # to 4800
+        (3, 981, 980, 256, 0), (3, 20, 20, 256, 0),  # to 6761, the end
+        (3, 20, 2000, 2048, 0), (2, 0, 20, 8, 0),
+    ]  # fmt: skip
+
+
+def test_motion_that_ends_is_left_where_following_it_costs_too_much():
+    """Of 8 starts 7 remain: 0.875 * ln 875 lifetimes of 1800 are more than 4 * 1200."""
+    found, asked = searched([0, *[1] * 7], LEAVING, CHAOS, extends=True)
+    assert found.attractors[0].lifetime == pytest.approx(240 * 7.5)
+    assert asked[10:] == [(7, 20, 20, 256, 0), (7, 20, 2000, 2048, 0), (2, 0, 20, 8, 0)]
+
+
+def test_what_seems_to_settle_joins_the_distribution_that_it_has():
+    slow, other = (always(Outcome.SETTLING, flights) for flights in (spread(1.0, 2.0), (9.0,) * 70))
+    found, asked = searched([0, 1, 2], CHAOS, slow, other)
+    assert found.ids.tolist() == [1, 1, 0]
+    assert asked[-2:] == [(2, 0, 20, 256, 0), (1, 0, 20, 8, 0)]
+
+
+def test_a_cycle_of_many_flights_joins_the_distribution_that_it_has():
+    long, short = (cycle(*(1.0 + (np.arange(n) + 0.5) / n).tolist()) for n in (20, 19))
+    found, _ = searched([0, 1, 2, 2], long, short, CHAOS)
+    assert found.ids.tolist() == [1, 2, 1, 1]
+    other = cycle(*np.linspace(3.0, 4.0, 20).tolist())
+    assert searched([0, 1, 1], other, CHAOS)[0].ids.tolist() == [2, 1, 1]
+
+
+def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle():
+    flights = np.linspace(1.0, 2.0, 90).tolist()
+    closing = turning(2000, CHAOS, cycle(*flights, periods=70))
+    found, _ = searched([0, 0], closing)
+    (attractor,) = found.attractors
+    assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.PERIODIC, 90, 70)
+    assert attractor.flights.tolist() == flights
+    assert not len(attractor.phases)
+
+
+@pytest.mark.parametrize("outcome", [Outcome.DIVERGED, Outcome.UNRESOLVED])
+def test_aperiodic_starts_of_which_nothing_remains_are_undecided(outcome: Outcome):
+    found, _ = searched([0, 0], turning(2000, CHAOS, always(outcome, spread(1.0, 2.0))))
+    assert (found.ids.tolist(), found.attractors) == ([0, 0], ())
+
+
+# Parts
+
+
+def line_of(*rows: Sequence[float], bounces: int = 0, outcome: Outcome = Outcome.APERIODIC) -> Line:
+    """Runs with these flights, the take-off phases a tenth of them."""
+    line = empty_line(len(rows), max(map(len, rows)))
+    for i, row in enumerate(rows):
+        line.flight_time[i, : len(row)] = row
+        line.takeoff_phase[i, : len(row)] = np.array(row) / 10
+    line.outcome[:], line.bounces[:], line.periods[:] = outcome, bounces, bounces
+    return line
+
+
+def test_short_flights_count_only_where_there_are_no_others():
+    line = line_of([1.0, 0.05, 2.0, 0.04], [0.05, 0.01])
+    assert [flights.tolist() for flights in counted(line, 0, 0.05)] == [[1.0, 2.0], [0.1, 0.2]]
+    assert [flights.tolist() for flights in counted(line, 1, 0.05)] == [[0.05, 0.01], [0.005, 0.001]]
+
+
+def test_of_a_run_on_a_cycle_the_sums_of_its_last_round_are_kept():
+    kept = attractors._reduced(line_of([9.0, 1.0, 0.01, 2.0], bounces=2, outcome=Outcome.PERIODIC), 0.05)
+    assert kept["cycle"].tolist() == [[3.0, 5.0, 1.0, 2.0]]
+    assert kept["time"].shape == kept["phase"].shape == (0, attractors.START_FLIGHTS)
+
+
+def test_of_a_run_without_a_cycle_the_last_flights_are_kept():
+    flights = (1.0 + np.arange(70) / 100).tolist()
+    kept = attractors._reduced(line_of(flights, [1.0, 2.0]), 0.05)
+    assert kept["cycle"].tolist() == [[0.0] * 4] * 2
+    np.testing.assert_array_equal(kept["time"][0], np.array(flights[-64:], np.float32))
+    np.testing.assert_array_equal(kept["time"][1, :3], [1.0, 2.0, np.nan])
+    np.testing.assert_array_equal(kept["phase"][1, :3], np.array([0.1, 0.2, np.nan], np.float32))
+    assert kept["time"].shape == kept["phase"].shape == (2, 64)
+
+
+def test_representatives_are_evenly_spaced():
+    which = np.arange(10, 20)
+    assert attractors._spread(which, 4).tolist() == [10, 13, 16, 19]
+    assert attractors._spread(which[:2], 4).tolist() == [10, 11]
+    assert attractors._spread(which, 1).tolist() == [10]
+
+
+def test_distances_are_those_of_kolmogorov_and_smirnov():
+    """Also where values repeat, and of rows that hold fewer flights than there is room for."""
+    generator = np.random.default_rng(2)
+    pool = generator.integers(0, 12, 50) / 4.0
+    rows = generator.integers(0, 12, (6, 16)) / 4.0
+    phases = generator.integers(0, 12, (6, 16)) / 4.0
+    pool_phase = generator.integers(0, 12, 50) / 4.0
+    rows[1, 9:] = phases[1, 9:] = np.nan
+    rows[2] = phases[2] = np.nan
+    found = attractors._distance_of_rows(rows, phases, pool, pool_phase)
+    for times, angles, distance in zip(rows, phases, found, strict=True):
+        row, phase = times[np.isfinite(times)], angles[np.isfinite(angles)]
+        pairs = (row, pool), (np.sin(phase), np.sin(pool_phase)), (np.cos(phase), np.cos(pool_phase))
+        expected = [ks_2samp(a, b).statistic if len(row) else 0.0 for a, b in pairs]
+        assert distance == pytest.approx(max(expected), abs=1e-12)
+        if len(row):
+            assert [ks_distance(a, b) for a, b in pairs] == pytest.approx(expected, abs=1e-12)
+
+
+def test_distributions_agree_within_what_two_halves_differ_by():
+    def features(x: np.ndarray) -> tuple[np.ndarray, ...]:
+        return x, np.zeros(len(x)), np.zeros(len(x))
+
+    x = np.arange(32.0)
+    shifted = {n: features(np.concatenate([x[n:], x[:n] + 100.0])) for n in (1, 2, 3)}
+    for n, noise, agree in [(1, 0.0, True), (2, 0.0, False), (2, 0.05, True), (3, 0.05, False)]:
+        assert attractors._agree(features(x), shifted[n], noise, 0.0) is agree
+        assert attractors._agree(features(x), shifted[n], 0.0, noise) is agree
+    assert not attractors._agree((x, x, x), (x, x, x + 100.0), 0.0, 0.0)
+
+
+def test_the_key_of_an_attractor_tells_mode_and_longest_flights():
+    flights = np.arange(20.0)
+    attractor = Attractor(1, 20, 7, flights, np.empty(0), np.zeros(6))
+    assert attractor.key == (1, 20, 7, *flights[::-1][:16])
