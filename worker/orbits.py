@@ -323,7 +323,7 @@ def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDAr
 def _kept(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
     """Which rows of a branch are stored: indices (m,), m <= points, with -1 between its parts.
 
-    Both ends of every part are, while there is room.
+    The first and the last row are, and both ends of every part if all rows fit.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]))).reshape(-1, 2)
     parts: list[NDArray[np.intp]] = []

@@ -10,12 +10,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_runs import Model, run
 
-from kernel.params import KERNEL_VERSION, Line, Outcome
+from kernel.params import KERNEL_VERSION, Line, Outcome, empty_line
 from kernel.threshold import threshold
-from worker.analysis.deviation import deviations
-from worker.analysis.model_selection import CELLS, ModelChoice, choose, resolved, sample
+from worker.analysis.deviation import LONGEST_CYCLE, deviations, percentile
+from worker.analysis.model_selection import (
+    CELLS,
+    MAX_FLIGHTS,
+    MAX_OBSERVE,
+    MAX_SETTLE,
+    ModelChoice,
+    ModelComparison,
+    _is_within,
+    _shortened,
+    choose,
+    is_open,
+    resolved,
+    sample,
+)
 from worker.spec import SweepSpec
-from worker.spec.contact_models import Ball, Rigid, Soft
+from worker.spec.contact_models import Auto, Ball, Rigid, Soft
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
 STIFF = {"restitution": 0.0, "penetration": 1e-6}
@@ -94,6 +107,52 @@ def test_ramps_are_compared_along_their_own_lines():
     choice = choose(spec)
     assert choice.model == "rigid"
     assert choice.table[0].cells == 2 * 2 * 12
+
+
+def test_half_of_three_cells_is_the_middle_one():
+    choice = choose(sweep(1e-2, gamma=[0.3, 0.4, 2.0], model=STIFF))
+    for row in choice.table[:2]:
+        assert (row.cells, row.resting, row.median) == (3, 2, 0.0)
+        assert row.percentile_95 > 0.0
+
+
+def test_the_exact_contact_is_taken_where_no_model_holds_the_tolerance():
+    """The sweep itself lets cells settle to 0.01 alone."""
+    slow = {"gamma": [0.3, 0.5], "omega": 1.0, "xi": 0.01, "settle": 800, "observe": 20}
+    choice = choose(
+        sweep(1e-9, **slow, settle_early=False, settle_tolerance=1e-3, model={"restitution": 0.0})
+    )
+    assert choice.model == "soft"
+    assert choice.reason.startswith(
+        "soft: no model holds 1e-09 rad in 95% of the cells, and this is the best (2 "
+    )
+
+
+@pytest.mark.parametrize(("percent", "within"), [(0.0, True), (1e-2, True), (1.01e-2, False), (None, False)])
+def test_a_model_holds_a_tolerance_that_it_just_reaches(percent: float | None, within: bool):
+    row = ModelComparison(model="ball", cost=1.0, measured=None, median=0.0, percentile_95=percent, cells=48)
+    assert _is_within(Auto(kind="auto", tolerance=1e-2), row) is within
+
+
+def test_windows_of_the_comparison_are_those_of_the_sweep_up_to_a_limit():
+    rigid = Rigid(kind="rigid")
+    short = _shortened(sweep(settle=300, observe=100, keep=64, settle_until=5000), rigid, 0.0)
+    assert (short.model, short.settle, short.observe, short.keep) == (rigid, 300, 100, 800)
+    assert (short.settle_until, short.settle_tolerance) == (None, 0.0)
+    long = _shortened(sweep(settle=9000, observe=5000), rigid, 1e-6)
+    assert (long.settle, long.observe, long.keep) == (MAX_SETTLE, MAX_OBSERVE, MAX_FLIGHTS)
+    assert long.settle_tolerance == 1e-6
+    ignored = [
+        _shortened(sweep(tolerance, micro_flight=0.03), rigid, 0.0).micro_flight
+        for tolerance in (0.01, 0.05, 0.5)
+    ]
+    assert ignored == [0.03, 0.05, 0.1]
+
+
+def test_only_a_sweep_with_auto_is_open():
+    assert is_open(sweep())
+    assert not is_open(SweepSpec(gamma=2.0, omega=0.5, xi=0.26, model={"kind": "rigid"}))
+    assert not is_open("auto")
 
 
 def test_settling_cut_short_is_harmless():
@@ -249,3 +308,49 @@ def test_aperiodic_cells_without_flights_that_count_are_apart_only_if_the_other_
     assert deviations(silent, silent, 0.0).tolist() == [0.0]
     assert deviations(chaotic, silent, 0.0).tolist() == [math.inf]
     assert deviations(silent, chaotic, 0.0).tolist() == [math.inf]
+
+
+def written(
+    *flights: float, outcome: Outcome = Outcome.APERIODIC, bounces: int = 0, periods: int = 0
+) -> Line:
+    """One cell that shows these flights."""
+    line = empty_line(1, len(flights))
+    line.flight_time[0], line.flights[0], line.outcome[0] = flights, len(flights), outcome
+    line.bounces[0], line.periods[0] = bounces, periods
+    return line
+
+
+def test_distributions_differ_by_more_than_their_scatter():
+    """The quarters of 16 flights differ by 1 at most; of fewer flights no scatter is known."""
+    exact = written(*[1.0] * 12, *[2.0] * 4)
+    assert between(exact, written(4.0, 4.0)) == pytest.approx(3.0 - 2.25 * 1.0 / 2.0)
+    assert between(exact, written(1.5, 1.5)) == 0.0
+    assert between(written(*[1.0] * 12, *[2.0] * 3), written(4.0, 4.0)) == 3.0
+    assert between(exact, exact) == 0.0
+
+
+def test_flights_beyond_those_kept_and_short_ones_are_not_compared():
+    cut = written(0.1, 3.0, 3.0)
+    cut.flights[0] = 9
+    assert between(cut, written(5.0), 0.1) == 2.0
+    assert between(cut, written(5.0), 0.09) > 4.0
+    none = written(0.1)
+    assert between(none, none, 0.1) == 0.0
+
+
+@pytest.mark.parametrize(("periods", "deviation"), [(LONGEST_CYCLE, 2.0), (LONGEST_CYCLE + 1, 0.0)])
+def test_the_longest_cycles_are_compared_by_their_distribution(periods: int, deviation: float):
+    """One flight of a hundred differs."""
+    exact, other = (
+        written(*[1.0] * 99, last, outcome=Outcome.PERIODIC, bounces=100, periods=periods)
+        for last in (1.0, 3.0)
+    )
+    assert between(exact, other) == deviation
+
+
+def test_a_percentile_is_one_of_the_values_and_finite():
+    values = np.array([8.0, 1.0, 4.0, 2.0])
+    assert [percentile(values, percent) for percent in (0.0, 50.0, 100.0)] == [1.0, 4.0, 8.0]
+    assert percentile(np.array([1.0, np.inf]), 0.0) == 1.0
+    assert percentile(np.array([1.0, np.inf]), 50.0) is None
+    assert percentile(np.empty(0), 50.0) is None

@@ -157,7 +157,7 @@ def _auto(spec: SweepSpec) -> Auto:
 
 
 def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: float) -> SweepSpec:
-    """The sweep with another model, its windows limited to those of the comparison, without exponents."""
+    """The sweep with another model, its windows limited to those of the comparison."""
     observe = min(spec.observe, MAX_OBSERVE)
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
     return spec.model_copy(
@@ -169,7 +169,6 @@ def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball, settle_tolerance: fl
             "micro_flight": micro_flight,
             "settle_tolerance": settle_tolerance,
             "settle_until": None,
-            "exponents": 0,
         }
     )
 
