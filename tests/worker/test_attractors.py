@@ -1,7 +1,8 @@
 """Attractors told apart, of motions that are written down: what is asked for, and where starts are put.
 
 A search asks for runs and answers from their records alone. Here no kernel answers: a start's gap names its
-motion, its gap velocity counts the plate periods that it has run. What springs do is in test_basins.py.
+motion, its gap velocity counts the plate periods that it has run, its elongation numbers it.
+What springs do is in test_basins.py.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
 from worker.basins.attractors import Attractor, Found, Request, Rules, counted, find, ks_distance
 
-WHICH, ELAPSED = STATE_FIELDS.index("gap"), STATE_FIELDS.index("gap_velocity")
+WHICH, ELAPSED, START = (STATE_FIELDS.index(name) for name in ("gap", "gap_velocity", "elongation"))
 
 RULES = Rules(settle=100, observe=20, until=1200, keep=8, micro_flight=0.05, exponents=0)
 
@@ -77,7 +78,7 @@ def searched(starts: Sequence[int], *motions: Motion, **rules: Any) -> tuple[Fou
         return reduce(line)
 
     states = np.zeros((len(starts), len(STATE_FIELDS)))
-    states[:, WHICH] = starts
+    states[:, WHICH], states[:, START] = starts, np.arange(len(starts))
     return find(states, RULES._replace(**rules), run), asked
 
 
@@ -207,6 +208,7 @@ def test_aperiodic_starts_do_not_go_on_where_none_leaves():
     assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.APERIODIC, 0, 0)
     assert attractor.flights.tolist() == sorted(spread(1.0, 2.0) * 3)
     assert len(attractor.phases) == 900
+    assert attractor.state[START] == 0
     assert np.isinf(attractor.lifetime)
     assert asked == [
         (3, 100, 20, 256, 0),
@@ -294,6 +296,7 @@ def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle():
     (attractor,) = found.attractors
     assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.PERIODIC, 90, 70)
     assert attractor.flights.tolist() == flights
+    assert attractor.state[START] == 0
     assert not len(attractor.phases)
 
 
@@ -362,6 +365,35 @@ def test_distances_are_those_of_kolmogorov_and_smirnov():
         assert distance == pytest.approx(max(expected), abs=1e-12)
         if len(row):
             assert [ks_distance(a, b) for a, b in pairs] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("flights", "distance"),
+    [((0.5, 9.0, 9.0, 9.0), 0.75), ((1.5, 1.5, 1.5, 9.0), 0.5), ((0.0, 0.0, 0.0, 1.5), 0.75), ((9.0,), 1.0)],
+)
+def test_distances_are_looked_for_on_both_sides(flights: tuple[float, ...], distance: float):
+    rows, pool = np.array([flights]), np.array([1.0, 1.25, 1.75, 2.0])
+    found = attractors._distance_of_rows(rows, np.zeros_like(rows), pool, np.zeros(4))
+    assert found.tolist() == [distance]
+
+
+def test_starts_on_cycles_are_grouped_by_flights_within_the_same_step():
+    """Chains of little steps are one group, which ends at a step of more than 1e-4, and its like in sums."""
+
+    def grouped(*cycles: tuple[float, ...]) -> list[list[int]]:
+        ends = attractors._Ends.empty(len(cycles))
+        ends.outcome[:] = Outcome.PERIODIC
+        for i, flights in enumerate(np.array(cycle) for cycle in cycles):
+            ends.bounces[i] = ends.periods[i] = len(flights)
+            ends.cycle[i] = flights.sum(), (flights * flights).sum(), flights.min(), flights.max()
+        return sorted(group.tolist() for group in attractors._alike(ends, np.arange(len(cycles))))
+
+    assert grouped((1.0,), (1.0 + 1.8e-4,), (1.0 + 0.9e-4,)) == [[0, 1, 2]]
+    assert grouped((1.0,), (1.0 + 1.2e-4,)) == [[0], [1]]
+    assert grouped((1.0, 2.0), (3.0,), (1.0, 2.0)) == [[0, 2], [1]]
+    sums = [(0.1, 0.2 + step, 0.4 - step, 0.5) for step in (0.0, 8e-4, 10e-4)]  # squares differ by 0.4 step
+    assert grouped(sums[0], sums[1]) == [[0, 1]]
+    assert grouped(sums[0], sums[2]) == [[0], [1]]
 
 
 def test_distributions_agree_within_what_two_halves_differ_by():
