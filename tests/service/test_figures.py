@@ -68,6 +68,8 @@ SMALL: Mapping[int, Mapping[str, Any]] = {
     8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
     9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
 }
+#: The fold of (1,1) at Ω = 0.6, ξ = 0.05: docs/hysteresis.md.
+FOLD_060 = 0.5532446
 #: What each figure draws from these cells.
 DRAWN = GOLDEN / "figures.json"
 #: Frequencies of ramps that start on a cycle.
@@ -382,6 +384,33 @@ def test_explanations_have_ink_and_captions(pictures: Pictures, name: str):
     assert str(picture.caption).startswith(f"{name.capitalize()}. ")
     assert 0.01 < np.mean(np.asarray(image.convert("L")) < 128) < 0.4
     assert np.all(np.asarray(image.convert("L"))[:, -2:] == 255)  # nothing is cut off on the right
+
+
+def test_ramps_that_start_on_a_cycle_pass_its_fold():
+    """docs/hysteresis.md: steps of 1e-5, the fold between two of them, 6 cells below it."""
+    (sweep,) = presets.seeded(0.6, presets.XI)
+    spec = SweepSpec.parse(sweep)
+    gamma = spec.axis_values("gamma")
+    fold = FOLD_060
+    assert np.diff(gamma) == pytest.approx(1e-5)
+    assert (np.count_nonzero(gamma < fold), np.count_nonzero(gamma > fold)) == (6, 25)
+    assert np.abs(gamma - fold).min() == pytest.approx(5e-6, abs=1e-8)
+    assert spec.directions == ("down",)
+    assert (spec.settle, spec.observe, spec.settle_until, spec.keep) == (300, 100, 8000, 1)
+    assert sweep["protocol"]["start"] == {"bounces": 1, "periods": 1}
+    assert not presets.seeded(0.9, presets.XI)  # bouncing does not end at a fold of one flight
+
+
+def test_branches_are_drawn_over_loops_at_each_frequency():
+    branches = next(each for each in presets.EXPLANATIONS if each.name == "branches")
+    (sweep,) = branches.sweeps()
+    spec = SweepSpec.parse(sweep)
+    assert spec.axis_values("omega").tolist() == [0.46, 0.6, 0.82]
+    gamma = spec.axis_values("gamma")
+    assert (gamma[0], gamma[-1]) == (0.45, 1.5)
+    assert np.diff(gamma) == pytest.approx(0.003)
+    assert spec.directions == ("up", "down")
+    assert (spec.settle, spec.observe, spec.keep) == (300, 60, 24)
 
 
 def test_ramps_from_the_cycle_end_at_the_predicted_folds(pictures: Pictures):

@@ -21,13 +21,15 @@ from service.client import BadRequest, Client, Job
 from service.server.embedded import running
 from service.settings import Settings
 from worker import store
-from worker.analysis.thresholds import Refined, Status, refine
+from worker.analysis.prediction import predict, predict_each
+from worker.analysis.thresholds import Refined, Status, _patient, refine
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
 from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
+from worker.spec.sweep import MAX_PERIODS
 from worker.tasks import run_chunk
 
 TOLERANCE = 1e-4
@@ -176,6 +178,35 @@ def test_a_refinement_that_reaches_its_limit_says_so(tmp_path: Path, monkeypatch
     found = thresholds(spec, url, 1e-9)
     assert np.isnan(found.up).all()
     assert found.up_status == (Status.NOT_REFINED,)
+
+
+def test_cells_of_a_refinement_may_settle_for_sixteen_windows():
+    def patient(**fields: Any) -> SweepSpec:
+        window = {"settle": 100, "observe": 20, "keep": 8, "exponents": 1, "model": {"kind": "rigid"}}
+        return _patient(SweepSpec(gamma=1.0, omega=0.5, xi=0.26, **window | fields))
+
+    usual = patient()
+    assert (usual.settle, usual.observe, usual.keep, usual.exponents) == (100, 20, 1, 0)
+    assert usual.settle_until == 16 * 120
+    assert patient(settle_until=500).settle_until == 16 * 120
+    assert patient(settle_until=5000).settle_until == 5000
+    assert patient(settle=MAX_PERIODS // 4).settle_until == MAX_PERIODS
+
+
+def test_what_has_no_closed_form_is_unresolved_and_says_why():
+    resonant, slow = predict(1.0, 0.0), predict(0.001, 0.05)
+    for found, omega, xi in ((resonant, 1.0, 0.0), (slow, 0.001, 0.05)):
+        assert (found.omega, found.xi, found.cause) == (omega, xi, "unresolved")
+        assert found.gamma_th == pytest.approx(float(threshold(omega, xi)))
+        assert np.isnan([found.jump, found.down]).all()
+        assert found.fold is None
+    assert "omega: must be at least about 0.038" in slow.reason
+    assert resonant.reason
+    # just above that limit, the points near both ends make it too many
+    assert "omega: 0.03855 takes branches of 2,00" in predict(0.03855, 0.0).reason
+    one, two = predict_each((0.6, 0.62), 0.05)
+    assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
+    assert one.cause == "fold (1,1)"
 
 
 # Through the service
