@@ -1,5 +1,7 @@
 """States, transitions and progress."""
 
+from typing import Any
+
 import pytest
 
 from kernel.params import KERNEL_VERSION
@@ -8,10 +10,12 @@ from service.jobs.model import (
     LEGAL,
     RESUMABLE,
     UNFINISHED,
+    Failure,
     JobRecord,
     JobState,
     Progress,
     check_transition,
+    summary_of,
 )
 
 #: Every transition there is; anything else is illegal.
@@ -48,6 +52,7 @@ def test_percent_is_100_only_when_all_is_done():
     assert Progress(0, 9, 0, 1_000_000).percent == 0
     assert Progress(8, 9, 999_999, 1_000_000).percent == 99.9
     assert Progress(9, 9, 1_000_000, 1_000_000).percent == 100
+    assert Progress(1, 1, 1, 1).percent == 100
 
 
 def test_eta_uses_the_rate_of_this_run_alone():
@@ -80,10 +85,75 @@ def test_eta_is_unknown_without_a_rate():
 def test_only_a_running_job_that_was_done_before_is_repairing(
     state: JobState, finished: float | None, repairing: bool
 ):
-    job = JobRecord(
-        id="a" * 32, name="", spec="{}", kernel_version=KERNEL_VERSION, chunk_shape=(1, 1, 1), chunks_total=1,
-        cells_total=1, seq=1, state=state, cancel_requested=False, error=None, created=0.0, started=0.0,
-        finished=finished, run_started=0.0, run_cells=0, chunks_done=0, cells_done=0, cells_settling=0,
-        cells_computed=0, choice=None, replaced_by=None,
-    )  # fmt: skip
-    assert job.repairing is repairing
+    assert record(state=state, finished=finished).repairing is repairing
+
+
+def record(**changes: Any) -> JobRecord:
+    """A job that has run since 100 s and has done 3 of 10 chunks, with these fields changed."""
+    fields: dict[str, Any] = {
+        "id": "a" * 32, "name": "", "spec": "{}", "kernel_version": KERNEL_VERSION,
+        "chunk_shape": (1, 1, 1), "chunks_total": 10, "cells_total": 1000, "seq": 1,
+        "state": JobState.RUNNING, "cancel_requested": False, "error": None, "created": 0.0, "started": 50.0,
+        "finished": None, "run_started": 100.0, "run_cells": 200, "chunks_done": 3, "cells_done": 300,
+        "cells_settling": 7, "cells_computed": 40, "choice": None, "replaced_by": None,
+    }  # fmt: skip
+    return JobRecord(**fields | changes)
+
+
+def test_the_progress_of_a_running_job_counts_from_its_last_start():
+    progress = record().progress(104.0)
+    assert progress == Progress(3, 10, 300, 1000, run_seconds=4.0, run_cells=100, cells_settling=7)
+    assert progress.eta_seconds == pytest.approx(28.0)
+
+
+@pytest.mark.parametrize("state", [state for state in JobState if state is not JobState.RUNNING])
+def test_a_job_that_does_not_run_has_no_rate(state: JobState):
+    assert record(state=state).progress(104.0) == Progress(3, 10, 300, 1000, cells_settling=7)
+
+
+@pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 70), (99, 40 + 70), (91, 40 + 64)])
+def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(first_cells: int, needed: int):
+    progress = record(first_cells=first_cells).progress(104.0)
+    assert (progress.cells_computed, progress.cells_needed) == (40, needed)
+
+
+def test_a_job_of_another_kernel_says_so_and_what_replaces_it():
+    assert record().notice is None
+    assert not record().outdated
+    old = record(kernel_version="0")
+    assert old.outdated
+    told = f"computed by kernel version 0; this release computes version {KERNEL_VERSION}"
+    assert old.notice == told
+    assert record(kernel_version="0", replaced_by="b" * 32).notice == f"{told}, as job {'b' * 32}"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"id": "b" * 32}, {"state": JobState.DONE}, {"error": "because"}, {"choice": "{}"},
+        {"chunks_done": 4}, {"started": 51.0}, {"finished": 60.0}, {"owner": "ann"}, {"pinned": True},
+        {"kernel_version": "0"},
+    ],
+    ids=lambda change: next(iter(change)),
+)  # fmt: skip
+def test_what_a_job_shows_has_another_revision_when_it_changes(change: dict[str, Any]):
+    assert record(**change).revision != record().revision
+    assert record(run_started=101.0).revision == record().revision
+
+
+def failures(*tries: int) -> list[Failure]:
+    return [Failure(number, f"chunk {number}", "no", None, count) for number, count in enumerate(tries)]
+
+
+@pytest.mark.parametrize(
+    ("given", "summary"),
+    [
+        (failures(), None),
+        (failures(1), "chunk 0: no"),
+        (failures(2), "chunk 0: no (2 times)"),
+        (failures(1, 5), "chunk 0: no (and 1 more chunk failed)"),
+        (failures(3, 1, 1), "chunk 0: no (3 times) (and 2 more chunks failed)"),
+    ],
+)
+def test_failures_are_told_by_the_first_and_the_number_of_others(given: list[Failure], summary: str | None):
+    assert summary_of(given) == summary

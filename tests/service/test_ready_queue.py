@@ -264,6 +264,31 @@ def test_turns_take_their_share_of_the_time_and_no_more():
     assert taken / (taken + outside) == pytest.approx(ROTATION_SHARE, rel=0.02)
 
 
+def test_a_turn_is_due_when_its_time_is_earned():
+    rotation = rotation_of("ab")
+    assert len(rotation) == 2
+    assert rotation.is_due(0.0)
+    assert not rotation.is_due(0.1)
+    rotation.earn(0.3)  # of which turns get a third
+    assert rotation.is_due(0.099)
+    assert not rotation.is_due(0.101)
+    rotation.begin_turn("a", 0.05)
+    assert rotation.is_due(0.049)
+    assert not rotation.is_due(0.051)
+    rotation.end_turn(0.05, 0.01)
+    assert rotation.is_due(0.089)
+    assert not rotation.is_due(0.091)
+
+
+def test_a_long_chunk_costs_a_slice():
+    rotation = rotation_of("a")
+    rotation.earn(1e6)
+    rotation.begin_turn("a", 50.0)
+    rotation.end_turn(50.0, 0.25)
+    assert rotation.is_due(0.75)
+    assert not rotation.is_due(0.76)
+
+
 def test_turns_that_could_not_be_taken_are_not_made_up_for():
     rotation = rotation_of("a")
     rotation.earn(1e6)

@@ -1,11 +1,20 @@
 """What follows a chunk that failed, as a table."""
 
 import errno
+import math
 from concurrent.futures import CancelledError
 
 import pytest
 
-from service.jobs.retry import MAX_COLLATERAL_LOSSES, Action, Decision, History, RetryPolicy
+from service.jobs.retry import (
+    BUCKET_SECONDS,
+    MAX_COLLATERAL_LOSSES,
+    Action,
+    Decision,
+    History,
+    RetryPolicy,
+    Tally,
+)
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
 from worker.tasks import ChunkCancelled, PredecessorMissing
@@ -13,10 +22,12 @@ from worker.tasks import ChunkCancelled, PredecessorMissing
 POLICY = RetryPolicy(chunk_tries=3, failed_chunks=8)
 
 FRESH = History()
+SECOND_TRY = History(tries=1)
 LAST_TRY = History(tries=2)
 STOPPING = History(tries=2, stopping=True)
 FATAL = History(fatal=True)
 ON_A_RAMP = History(has_predecessor=True)
+LOSSES_LEFT = History(collateral_losses=MAX_COLLATERAL_LOSSES - 2)
 LAST_LOSS = History(collateral_losses=MAX_COLLATERAL_LOSSES - 1)
 SUSPECT = History(tries=2, collateral_losses=MAX_COLLATERAL_LOSSES - 1)
 
@@ -45,10 +56,12 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (WorkerLost("gone"), FRESH, Action.COLLATERAL),
     (WorkerLost("gone"), LAST_TRY, Action.COLLATERAL),
     (WorkerLost("gone"), STOPPING, Action.COLLATERAL),
+    (WorkerLost("gone"), LOSSES_LEFT, Action.COLLATERAL),
     (WorkerLost("gone"), LAST_LOSS, Action.RETRY),
     (WorkerLost("gone"), SUSPECT, Action.GIVE_UP),
     # the chunk failed, or its worker died of it
     (ValueError("no"), FRESH, Action.RETRY),
+    (ValueError("no"), SECOND_TRY, Action.RETRY),
     (ValueError("no"), LAST_TRY, Action.GIVE_UP),
     (ValueError("no"), STOPPING, Action.REQUEUE),
     (MemoryError(), FRESH, Action.RETRY),
@@ -59,6 +72,7 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (DISK_FULL, FRESH, Action.FATAL),
     (OSError(errno.EDQUOT, "quota"), FRESH, Action.FATAL),
     (OSError(errno.EFBIG, "too big"), FRESH, Action.FATAL),
+    (DISK_FULL, LAST_TRY, Action.FATAL),
     (READ_ONLY, LAST_TRY, Action.FATAL),
     (DISK_FULL, STOPPING, Action.REQUEUE),
     (INTERRUPTED, FRESH, Action.RETRY),
@@ -96,3 +110,17 @@ def test_a_single_try_is_not_repeated():
 )
 def test_a_job_stops_after_so_many_chunks_or_a_fatal_error(given_up: int, fatal: bool, stops: bool):
     assert POLICY.stops_job(given_up, fatal) is stops
+
+
+def test_chunks_are_counted_by_what_they_took_and_by_how_they_came_back():
+    tally = Tally()
+    for seconds in (0.005, 0.01, 0.011, 1.0, 299.0, 301.0):
+        tally.add_computed(seconds)
+    assert tally.computed == 6
+    assert tally.seconds == pytest.approx(601.026)
+    counts = [2, 3, 3, 3, 4, 4, 4, 4, 4, 5, 6]
+    assert tally.by_seconds == list(zip((*BUCKET_SECONDS, math.inf), counts, strict=True))
+    tally.add_returned(Action.RETRY, ValueError("no"))
+    tally.add_returned(Action.RETRY, ValueError("again"))
+    tally.add_returned(Action.PAUSE, ClusterLost("gone"))
+    assert tally.returned == {("retry", "ValueError"): 2, ("pause", "ClusterLost"): 1}
