@@ -256,7 +256,7 @@ class Ledger:
                 free, size = (self._number(f"PRAGMA {name}") for name in ("freelist_count", "page_size"))
                 surplus = free - 2 * RESERVE // size
                 if surplus > 0:
-                    self._writer.execute(f"PRAGMA incremental_vacuum({min(surplus, pages)})").fetchall()
+                    self._writer.executescript(f"PRAGMA incremental_vacuum({min(surplus, pages)})")
             finally:
                 self._files.note_written()
         return surplus > pages

@@ -1,5 +1,6 @@
 """The ledger keeps whole transactions only, survives kills, and serves one process at a time."""
 
+import os
 import sqlite3
 import subprocess
 import sys
@@ -7,17 +8,21 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from paths import SUPPORT
 
+from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
-from service.jobs.ledger import Ledger
-from service.jobs.ledger_files import OpenFiles, lock_of
+from service.jobs import ledger as ledgers
+from service.jobs.ledger import RESERVE, Ledger
+from service.jobs.ledger_files import OpenFiles, aside, copies_of, lock_of, shm_of, size_of, wal_of
 from service.jobs.migrations import MIGRATIONS
-from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
+from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState, NewJob
+from service.jobs.transactions import VERIFIED_PAGE, DeletionStep, StoredChunk
 from worker.tasks import ChunkReport
 
 
@@ -321,3 +326,301 @@ def test_a_hundred_thousand_chunks_are_lean(ledger: Ledger, tmp_path: Path):
     assert ledger.done_mask(job).all()
     assert time.process_time() - began < 10
     assert (tmp_path / "ledger.sqlite").stat().st_size < 100_000 * 100
+
+
+# What is read and counted
+
+
+def test_of_an_owners_jobs_only_these_are_counted(ledger: Ledger):
+    with ledger.writing() as writing:
+        for letter, owner in (("a", "ann"), ("b", "ann"), ("c", None), ("d", "dan")):
+            writing.insert(replace(new_job(letter * 32), owner=owner), now=1.0)
+        writing.finish(writing.find("b" * 32), JobState.CANCELLED, 2.0)
+        assert writing.count(UNFINISHED) == 3
+        assert writing.count(UNFINISHED, "ann") == 1
+        assert writing.count([JobState.CANCELLED, JobState.QUEUED], "ann") == 2
+        assert writing.count(UNFINISHED, "nobody") == 0
+
+
+def test_totals_are_of_all_jobs_and_numbers_are_never_used_twice(ledger: Ledger):
+    with ledger.reading() as reading:
+        assert (reading.newest_seq(), reading.totals()) == (0, (0, 0))
+    one, two = accept(ledger, "a" * 32), accept(ledger, "b" * 32)
+    with ledger.writing() as writing:
+        writing.mark_done(one, reports(0, 1))
+        writing.mark_done(two, reports(3))
+        assert writing.totals() == (3, 30)
+        writing.delete(two, 5.0)
+        assert writing.newest_seq() == two.seq == 2
+
+
+def test_done_chunks_are_read_in_pages(ledger: Ledger, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(ledgers, "PAGE", 2)
+    job = accept(ledger, chunks=7)
+    with ledger.writing() as writing:
+        writing.mark_done(job, reports(0, 2, 3, 6))
+        assert sorted(writing.done_chunks(job, 2, 6)) == [2, 3]
+    assert ledger.done_mask(job).tolist() == [True, False, True, True, False, False, True]
+
+
+@pytest.mark.parametrize("checksum", ["00ff", "0Ff0", "sum", ""])
+def test_checksums_and_sizes_are_read_as_they_were_reported(ledger: Ledger, checksum: str):
+    job = accept(ledger)
+    with ledger.writing() as writing:
+        writing.mark_done(job, [replace(reports(2)[0], checksum=checksum, bytes=5), *reports(0)])
+        assert writing.stored_chunks(job, 0, 4) == [
+            StoredChunk(0, "sum 0", None),
+            StoredChunk(2, checksum.lower(), 5),
+        ]
+        assert writing.stored_chunks(job, 1, 2) == []
+
+
+def test_chunks_of_an_adaptive_map_that_were_computed_are_counted_and_uncounted(ledger: Ledger):
+    job = accept(ledger)
+    with ledger.writing() as writing:
+        writing.mark_done(job, [replace(each, computed=3 + each.index) for each in reports(0, 1, 2)])
+        writing.mark_done(job, reports(3))
+        assert writing.find(job.id).cells_computed == 12
+        assert writing.unmark(writing.find(job.id), [1, 3]) == [1, 3]
+        assert writing.find(job.id).cells_computed == 8
+
+
+def test_only_chunks_that_were_timed_tell_the_pace(ledger: Ledger):
+    one, two, untimed = (accept(ledger, letter * 32) for letter in "abc")
+    with ledger.writing() as writing:
+        writing._sql.execute("UPDATE jobs SET kernel_version = ?", [KERNEL_VERSION])
+        writing.mark_done(one, [*reports(0), replace(reports(1)[0], seconds=0.0)])
+        writing.mark_done(two, reports(0, 1))
+        writing.mark_done(untimed, [replace(reports(1)[0], seconds=0.0)])
+        paces = writing.paces(20, 14)
+        assert [(pace.job.id[0], pace.seconds, pace.cells) for pace in paces] == [
+            ("b", 1.0, 20),
+            ("a", 0.5, 10),
+        ]
+        assert [pace.job.id[0] for pace in writing.paces(2, 14)] == ["b"]  # of the last two
+        assert writing.paces(20, 13) == []
+
+
+def test_verified_chunks_are_remembered_by_the_page_until_one_is_unmarked(ledger: Ledger):
+    job = accept(ledger, chunks=2 * VERIFIED_PAGE)
+    verified = np.arange(VERIFIED_PAGE) % 3 == 0
+    with ledger.writing() as writing:
+        assert writing.verified_chunks(job, 0).tolist() == [False] * VERIFIED_PAGE
+        for page in (0, 1):
+            writing.note_verified(job, page, verified)
+            assert np.array_equal(writing.verified_chunks(job, page), verified)
+        writing.unmark(job, [VERIFIED_PAGE])
+        assert np.array_equal(writing.verified_chunks(job, 0), verified)
+        assert not writing.verified_chunks(job, 1).any()
+        writing.finish_verification(job, 7.0)
+        assert writing.find(job.id).verified == 7.0
+        writing.forget_verification(job)
+        assert writing.find(job.id).verified is None
+        assert not writing.verified_chunks(job, 0).any()
+
+
+def done_job(ledger: Ledger, chunks: int = 4) -> JobRecord:
+    job = run(ledger, accept(ledger, chunks=chunks))
+    with ledger.writing() as writing:
+        writing.mark_done(job, reports(*range(chunks)))
+        writing.finish(current(ledger), JobState.DONE, 300.0)
+    return current(ledger)
+
+
+def test_a_job_that_was_done_runs_again_when_a_chunk_is_unmarked(ledger: Ledger):
+    job = done_job(ledger)
+    with ledger.writing() as writing:
+        assert writing.unmark(job, [9]) == []
+        assert writing.find(job.id).state is JobState.DONE
+        assert writing.unmark(job, [1]) == [1]
+    assert current(ledger).state is JobState.RUNNING
+    assert current(ledger).repairing
+
+
+def test_damaged_chunks_of_an_outdated_job_are_given_up_with_the_reason(ledger: Ledger):
+    job = done_job(ledger)
+    lost = [Failure(chunk, f"chunk {chunk}", "damaged", None, 0) for chunk in (1, 9)]
+    with ledger.writing() as writing:
+        assert writing.lose(job, lost[1:]) == []
+        assert writing.find(job.id).state is JobState.DONE
+        assert writing.lose(job, lost) == [1]
+        assert writing.failures(job) == lost[:1]
+    assert (current(ledger).state, current(ledger).error) == (JobState.FAILED, "chunk 1: damaged")
+    assert current(ledger).chunks_done == 3
+
+
+def test_a_resumed_job_has_another_owner_and_no_failures(ledger: Ledger):
+    job = run(ledger, accept(ledger))
+    with ledger.writing() as writing:
+        writing.set_cancel_requested(job, True)
+        writing.note_failures(job, [Failure(1, "chunk 1", "no", None, 3)])
+        writing.finish(job, JobState.FAILED, 300.0, "because")
+        assert not writing.find(job.id).cancel_requested
+        writing.queue(writing.find(job.id), "ann")
+        assert writing.failures(job) == []
+    assert current(ledger).owner == "ann"
+
+
+@pytest.mark.parametrize(("chunks", "state"), [((0, 1, 2, 3), JobState.DONE), ((0, 3), JobState.FAILED)])
+def test_an_adopted_job_is_done_if_all_its_chunks_are(
+    ledger: Ledger, chunks: tuple[int, ...], state: JobState
+):
+    with ledger.writing() as writing:
+        writing.adopt(new_job(), reports(*chunks), "{}", 50.0, "some are missing")
+    job = current(ledger)
+    assert (job.state, job.chunks_done, job.choice) == (state, len(chunks), "{}")
+    assert (job.created, job.started, job.finished) == (50.0, 50.0, 50.0)
+    assert job.error == (None if state is JobState.DONE else "some are missing")
+
+
+# Deletions and keys
+
+
+def test_chunks_of_deleted_jobs_are_found_and_forgotten_a_few_at_a_time(ledger: Ledger):
+    kept, one, two = (accept(ledger, letter * 32, chunks=5) for letter in "abc")
+    with ledger.writing() as writing:
+        for job in (kept, one, two):
+            writing.mark_done(job, reports(*range(5)))
+            writing.note_verified(job, 0, np.ones(VERIFIED_PAGE, np.bool_))
+        assert writing.orphans() == []
+        writing.delete(one, 1.0)
+        writing.delete(two, 2.0)
+        assert writing.orphans() == [one.seq, two.seq]
+        assert [writing.forget_chunks(one.seq, 2) for _ in range(4)] == [2, 2, 1, 0]
+        assert writing.orphans() == [two.seq]
+        assert not writing.verified_chunks(one, 0).any()
+        assert writing.verified_chunks(two, 0).all()
+    assert ledger.done_mask(kept).all()
+
+
+def test_deletions_are_forgotten_from_a_step_on(ledger: Ledger):
+    jobs = [accept(ledger, letter * 32) for letter in "abc"]
+    with ledger.writing() as writing:
+        for job, created in zip(jobs, (2.0, 1.0, 3.0), strict=True):
+            writing.delete(job, created)
+        assert [deletion.seq for deletion in writing.deletions()] == [2, 1, 3]
+        writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
+        writing.advance_deletion(writing.deletions()[0], DeletionStep.FREED)
+        assert [deletion.seq for deletion in writing.deletions()] == [1, 3]
+        assert writing.forget_deletions(DeletionStep.COMPLETE) == 1
+        assert [deletion.seq for deletion in writing.deletions()] == [1, 3]
+        assert writing.forget_deletions() == 2
+        assert writing.deletions() == []
+
+
+def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
+    job = accept(ledger)
+    with ledger.writing() as writing:
+        writing._sql.execute("UPDATE jobs SET kernel_version = ?", [KERNEL_VERSION])
+        writing.remember_key("early", "body", job, 10.0)
+        writing.remember_key("late", "other", job, 20.0)
+        assert writing.key("early") == ("body", job.id)
+        writing.forget_keys(20.0)
+        assert writing.key("early") is None
+        assert writing.key("late") == ("other", job.id)
+
+
+# Space and files
+
+
+def test_free_pages_are_given_back_but_for_the_reserve(ledger: Ledger, tmp_path: Path):
+    def free() -> int:
+        return ledger._number("PRAGMA freelist_count")
+
+    assert not ledger.shrink(10)  # there is nothing but the reserve
+    with ledger.writing() as writing:
+        writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?) AS content", [8 * RESERVE])
+    with ledger.writing() as writing:
+        writing._sql.execute("DROP TABLE used")
+    reserve, before = 2 * RESERVE // ledger._number("PRAGMA page_size"), free()
+    assert before > reserve + 20
+    assert ledger.shrink(10)
+    assert free() == before - 10
+    assert not ledger.shrink(before - 10 - reserve)
+    assert free() == reserve
+    assert not ledger.shrink(10)
+    assert free() == reserve
+
+
+def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
+    assert ledger.fault() is None
+    with ledger.writing():
+        assert ledger.fault() is None  # it waits for no writer
+    ledger._writer.execute("PRAGMA busy_timeout = 10")
+    with closing(sqlite3.connect(ledger.path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(LedgerUnavailable, match="database is locked"), ledger.writing():
+            pass
+        assert ledger.fault() == "the ledger cannot be written: database is locked"
+        with pytest.raises(LedgerUnavailable, match="database is locked"):
+            ledger.check()
+        other.execute("ROLLBACK")
+    ledger.check()
+    assert ledger.fault() is None
+
+
+def test_a_writer_that_takes_too_long_is_told(ledger: Ledger, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(ledgers, "BUSY_SECONDS", 0.01)
+    with ledger.writing(), pytest.raises(LedgerUnavailable, match="other transactions take too long"):
+        ledger.check()
+    ledger.check()
+
+
+def test_copies_beside_a_ledger_have_names_of_their_own_and_come_in_the_order_of_their_times(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    copies = []
+    for age, why in ((1, "replaced"), (2, "rescued"), (3, "as-found"), (0, "replaced"), (4, "foreign")):
+        copies.append(aside(path, why))
+        assert not copies[-1].exists()
+        copies[-1].touch()
+        os.utime(copies[-1], (1e9 - age, 1e9 - age))
+    assert len(set(copies)) == 5
+    assert all(copy.name.startswith("ledger-") and copy.suffix == ".sqlite" for copy in copies)
+    assert copies_of(path) == [copies[i] for i in (2, 1, 0, 3)]
+    assert size_of(path) == 0
+
+
+def test_names_of_copies_are_numbered_where_the_time_is_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(time, "strftime", lambda _: "now")
+    names = []
+    for _ in range(3):
+        copy = aside(tmp_path / "ledger.sqlite", "rescued")
+        copy.touch()
+        names.append(copy.name)
+    assert names == [
+        "ledger-rescued-now.sqlite", "ledger-rescued-now-2.sqlite", "ledger-rescued-now-3.sqlite"
+    ]  # fmt: skip
+
+
+def test_a_ledger_is_rescued_once_and_only_where_its_folder_and_lock_are(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    for file in (path, lock_of(path), wal_of(path), shm_of(path)):
+        file.write_bytes(b"open")
+    files = OpenFiles(path)
+    assert not files.lost_wal()
+    lock_of(path).rename(tmp_path / "elsewhere")
+    assert files.rescue_path() is None
+    (tmp_path / "elsewhere").rename(lock_of(path))
+    path.rename(tmp_path / "elsewhere")
+    assert "is gone, moved or replaced" in str(files.replaced())
+    rescue = files.rescue_path()
+    assert rescue is not None
+    assert rescue.name.startswith("ledger-rescued-")
+    assert files.rescue_path() is None
+
+
+def test_a_foreign_log_is_set_aside_and_the_ledgers_own_stays(tmp_path: Path):
+    path = tmp_path / "ledger.sqlite"
+    for file in (path, lock_of(path), wal_of(path), shm_of(path)):
+        file.write_bytes(b"open")
+    files = OpenFiles(path)
+    (tmp_path / "other").write_bytes(b"foreign")
+    (tmp_path / "other").replace(wal_of(path))
+    assert files.lost_wal()
+    files.set_logs_aside()
+    assert not wal_of(path).exists()
+    assert shm_of(path).read_bytes() == b"open"
+    [foreign] = tmp_path.glob("*-foreign-*")
+    assert foreign.read_bytes() == b"foreign"

@@ -1,0 +1,464 @@
+"""What the supervisor decides, step by step: its thread is not started, and no chunk is computed."""
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Future
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from running import costing
+from scripted import DEADLINE, Held, small, sweep
+
+from service.errors import LedgerUnavailable
+from service.jobs.ledger import Ledger
+from service.jobs.manager import JobManager
+from service.jobs.model import JobRecord, JobState
+from service.jobs.supervisor import MAX_IN_FLIGHT, PASSED_SECONDS, TURN_PRIORITY, _two_digits
+from service.settings import Settings
+from worker import store
+from worker.executors.base import ClusterState
+from worker.plan import Chunk
+from worker.spec import SweepSpec
+from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport, Terms
+
+#: Between two syncs; a step that a test does not ask for would wait so long.
+HEARTBEAT = 4 * DEADLINE
+
+
+class Sent(NamedTuple):
+    """A chunk as the executor got it."""
+
+    name: str
+    chunk: Chunk
+    future: "Future[ChunkReport]"
+    seconds: float
+    priority: float
+    terms: Terms
+
+
+class Noting(Held):
+    """Notes what it gets, and computes nothing."""
+
+    def __init__(self, capacity: int = 2) -> None:
+        super().__init__(capacity)
+        self.connected, self.refused = True, tuple[str, ...]()
+        self.sent: list[Sent] = []
+        self.calls = 0
+
+    def submit(
+        self,
+        spec: SweepSpec,
+        chunk: Chunk,
+        store_url: str,
+        *,
+        seconds: float = 0.0,
+        priority: float = 0.0,
+        terms: Terms | None = None,
+        **_: Any,
+    ) -> "Future[ChunkReport]":
+        future: Future[ChunkReport] = Future()
+        assert terms is not None
+        self.sent.append(Sent(spec.name, chunk, future, seconds, priority, terms))
+        return future
+
+    def call(self, *_: Any) -> "Future[Any]":
+        self.calls += 1
+        return Future()
+
+    def state(self) -> ClusterState:
+        return ClusterState(self.connected, self.capacity, refused=self.refused)
+
+    def names(self) -> list[str]:
+        return [sent.name for sent in self.sent]
+
+
+class Steps:
+    """A job manager whose supervisor takes a step when the test says so."""
+
+    def __init__(self, ledger: Ledger, manager: JobManager, settings: Settings) -> None:
+        self.ledger, self.manager, self.settings = ledger, manager, settings
+        self.supervisor = manager._supervisor
+
+    def submit(self, spec: SweepSpec) -> JobRecord:
+        return self.manager.submit(spec).job
+
+    def job(self, job: JobRecord) -> JobRecord:
+        current = self.ledger.find(job.id)
+        assert current is not None
+        return current
+
+    def state(self, job: JobRecord) -> JobState:
+        return self.job(job).state
+
+    def sync(self) -> None:
+        """A step with a sync, as at a heartbeat."""
+        self.supervisor.wake()
+        self.step()
+
+    def step(self) -> None:
+        """Take in what has arrived."""
+        assert not self.supervisor._inbox.empty()
+        self.supervisor._messages.extend(self.supervisor._receive())
+        self.supervisor._step()
+
+    def chunk_seconds(self, job: JobRecord) -> float:
+        """Core-seconds of a chunk on average, by the cost table."""
+        return self.manager.preparer.prepare(job).core_seconds / job.chunks_total
+
+
+@contextmanager
+def stepping(folder: Path, executor: Noting, **options: Any) -> Iterator[Steps]:
+    settings = Settings(data=folder, **{"heartbeat_seconds": HEARTBEAT, "window_seconds": 0, **options})
+    with Ledger(settings.ledger_path) as ledger:
+        yield Steps(ledger, JobManager(ledger, executor, settings), settings)
+
+
+def of_cells(cells: int, **changes: Any) -> SweepSpec:
+    """A sweep of so many cells, in eight chunks; its name is their number."""
+    return sweep(str(cells), gamma={"start": 0.5, "stop": 1.2, "num": cells}, **changes)
+
+
+def report(sent: Sent, seconds: float = 0.1) -> None:
+    """The chunk comes back as if it were computed."""
+    cells = sent.chunk.cells
+    sent.future.set_result(ChunkReport(sent.chunk.index, cells, seconds, seconds, "00", (0, cells)))
+
+
+# How much is in flight
+
+
+@pytest.mark.parametrize(
+    ("workers", "connected", "chunks"), [(0, False, 0), (0, True, 2), (1, True, 2), (3, True, 6)]
+)
+def test_each_worker_has_its_window_of_chunks_and_without_workers_one_would(
+    tmp_path: Path, workers: int, connected: bool, chunks: int
+):
+    executor = Noting(workers)
+    executor.connected = connected
+    with stepping(tmp_path, executor, window=2) as steps:
+        job = steps.submit(of_cells(100))
+        steps.sync()
+        assert len(executor.sent) == steps.manager.chunks_in_flight == chunks
+        assert steps.manager.is_computing() is (chunks > 0)
+        assert steps.state(job) is (JobState.RUNNING if chunks else JobState.QUEUED)
+
+
+def test_of_short_chunks_there_are_as_many_as_make_the_windows_seconds(tmp_path: Path):
+    executor = Noting(2)
+    with stepping(tmp_path, executor, window=2, window_seconds=1e9) as steps:
+        job = steps.submit(costing(chunks=100, seconds=0.75))
+        steps.sync()
+        assert len(executor.sent) == MAX_IN_FLIGHT
+        seconds = steps.chunk_seconds(job)
+    with stepping(tmp_path / "other", again := Noting(2), window=2, window_seconds=4.75 * seconds) as steps:
+        steps.submit(costing(chunks=100, seconds=0.75))
+        steps.sync()
+        assert len(again.sent) == 10  # of two workers
+
+
+def test_all_jobs_together_have_four_times_as_many_chunks(tmp_path: Path):
+    """Each smaller job passes those before it, until there are too many at the executor."""
+    executor = Noting(1)
+    with stepping(tmp_path, executor, window=2) as steps:
+        for cells in (800, 400, 200, 100, 48):
+            steps.submit(of_cells(cells))
+            steps.sync()
+        assert executor.names() == ["800"] * 2 + ["400"] * 2 + ["200"] * 2 + ["100"] * 2
+
+
+def test_a_job_whose_model_is_being_chosen_has_its_place(tmp_path: Path):
+    executor = Noting()
+    auto = small(name="auto", model={"kind": "auto", "tolerance": 0.5}, gamma=[2.0, 2.5], omega=0.5, xi=0.26)
+    with stepping(tmp_path, executor, active_jobs=1) as steps:
+        steps.submit(auto)
+        steps.sync()
+        steps.submit(of_cells(100))
+        steps.sync()
+        assert (executor.calls, executor.names()) == (1, [])
+
+
+def test_a_lost_cluster_is_told_and_the_next_look_is_soon(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        steps.sync()
+        assert steps.manager.cluster_fault is None
+        assert HEARTBEAT / 2 < steps.supervisor._next_sync - time.monotonic() <= HEARTBEAT
+        executor.capacity = 0
+        steps.sync()
+        assert steps.manager.cluster_fault == "no workers yet; jobs wait until there are"
+        assert 0.0 < steps.supervisor._next_sync - time.monotonic() <= HEARTBEAT / 4
+        assert steps.manager.notices() == []
+        executor.refused = ("worker a: it is another",)
+        steps.sync()
+        assert steps.manager.notices()[0] == "workers refused: 1; the log names them"
+
+
+# What a chunk is sent with
+
+
+@pytest.mark.parametrize(("workers", "slice_seconds"), [(2, SLICE_SECONDS), (8, 2 * SLICE_SECONDS)])
+def test_with_many_workers_chunks_pause_less_often(tmp_path: Path, workers: int, slice_seconds: float):
+    executor = Noting(workers)
+    with stepping(tmp_path, executor) as steps:
+        steps.submit(of_cells(100))
+        steps.sync()
+        assert {sent.terms for sent in executor.sent} == {Terms(slice_seconds, begins=True)}
+
+
+def test_a_chunk_that_paused_is_sent_first_and_does_not_begin(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        steps.submit(of_cells(100))
+        steps.sync()
+        executor.sent[1].future.set_exception(ChunkPaused("paused"))
+        steps.step()
+        assert [sent.chunk.index for sent in executor.sent] == [0, 1, 2, 3, 1]
+        assert not executor.sent[-1].terms.begins
+
+
+def test_the_time_limit_is_of_the_settings_or_of_the_chunks_longest_time(tmp_path: Path):
+    spec = of_cells(100, settle_until=100_000)
+    for limit in (1e-9, 1e6):
+        folder, executor = tmp_path / f"{limit}", Noting()
+        with stepping(folder, executor, chunk_seconds=limit, chunk_slack=3.0) as steps:
+            job = steps.submit(spec)
+            steps.sync()
+            longest = steps.manager.preparer.prepare(job).longest_cell_seconds
+            cells = executor.sent[0].chunk.cells
+            assert executor.sent[0].seconds == pytest.approx(max(limit, 3.0 * cells * longest))
+
+
+@pytest.mark.parametrize("settle", [1500, 5_000_000])
+def test_a_chunk_is_passed_for_ten_seconds_or_less_if_its_job_is_short(tmp_path: Path, settle: int):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100, settle=settle))
+        seconds = steps.manager.preparer.prepare(job).core_seconds
+        assert (seconds < 1.0) == (settle == 1500)
+        waits = PASSED_SECONDS * min(seconds, 1.0)
+        before = time.monotonic()
+        steps.sync()
+        assert before + waits <= -executor.sent[0].priority <= time.monotonic() + waits + 1e-6
+
+
+# Turns
+
+
+@pytest.mark.parametrize(("workers", "jobs", "turns"), [(1, 2, 1), (3, 2, 1), (8, 2, 4), (8, 1, 0)])
+def test_turns_take_half_of_the_workers_at_most(tmp_path: Path, workers: int, jobs: int, turns: int):
+    executor = Noting(workers)
+    with stepping(tmp_path, executor, window=2) as steps:
+        for number in range(jobs):
+            steps.submit(costing(chunks=40, seconds=0.75, omega=0.5 + number / 10))
+        steps.sync()
+        assert not [sent for sent in executor.sent if sent.priority == TURN_PRIORITY]
+        for _ in range(4):
+            steps.supervisor._rotation.earn(1e6)
+            steps.sync()
+        assert len([sent for sent in executor.sent if sent.priority == TURN_PRIORITY]) == turns
+
+
+@pytest.mark.parametrize(
+    ("taken", "earned"), [(0.6, 0.2), (100.0, SLICE_SECONDS / 3)], ids=["short", "longer than a slice"]
+)
+def test_a_chunk_earns_turns_by_what_it_took(tmp_path: Path, taken: float, earned: float):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        steps.submit(of_cells(400))
+        steps.sync()
+        report(executor.sent[0], taken)
+        steps.step()
+        assert steps.supervisor._rotation.is_due(0.99 * earned)
+        assert not steps.supervisor._rotation.is_due(1.01 * earned)
+        assert (steps.manager.tally.computed, steps.manager.tally.seconds) == (1, taken)
+
+
+@pytest.mark.parametrize("error", [ChunkPaused("paused"), ValueError("no")], ids=["paused", "failed"])
+def test_a_chunk_that_paused_took_a_slice_and_one_that_failed_its_estimate(tmp_path: Path, error: Exception):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(400))
+        steps.sync()
+        executor.sent[0].future.set_exception(error)
+        steps.step()
+        taken = SLICE_SECONDS if isinstance(error, ChunkPaused) else steps.chunk_seconds(job)
+        assert steps.supervisor._rotation.is_due(0.99 * taken / 3)
+        assert not steps.supervisor._rotation.is_due(1.01 * taken / 3)
+
+
+def test_a_turn_that_took_less_leaves_its_time_to_others(tmp_path: Path):
+    executor = Noting(1)
+    with stepping(tmp_path, executor) as steps:
+        jobs = [steps.submit(of_cells(400, omega=omega)) for omega in (0.5, 0.6)]
+        steps.sync()
+        rotation = steps.supervisor._rotation
+        rotation.earn(1e6)
+        steps.sync()
+        [turn] = [sent for sent in executor.sent if sent.priority == TURN_PRIORITY]
+        left = SLICE_SECONDS - steps.chunk_seconds(jobs[0])
+        assert rotation.is_due(left * 0.999)
+        assert not rotation.is_due(left + steps.chunk_seconds(jobs[0]) / 2)
+        turn.future.cancel()
+        assert turn.chunk.index in next(iter(steps.supervisor._runs.values())).turns
+
+
+# What it asks for
+
+
+@pytest.mark.parametrize(
+    ("value", "rounded"),
+    [(0.0, 0.0), (-1.0, 0.0), (1234.0, 1300.0), (1200.0, 1200.0), (7.0, 7.0), (0.0123, 0.013), (99.1, 100.0)],
+)
+def test_numbers_are_told_in_two_digits_rounded_up(value: float, rounded: float):
+    assert _two_digits(value) == pytest.approx(rounded)
+
+
+def test_it_tells_the_executor_what_is_left_and_how_many_chunks_could_run(tmp_path: Path):
+    executor = Noting(1)
+    with stepping(tmp_path, executor, active_jobs=1) as steps:
+        first, other = steps.submit(of_cells(200)), steps.submit(of_cells(400))
+        seconds = steps.chunk_seconds(first)
+        others = other.chunks_total * steps.chunk_seconds(other)
+        steps.sync()  # both are waiting
+        assert executor.asked == (_two_digits(first.chunks_total * seconds + others), 2)
+        for sent in executor.sent[:2]:
+            report(sent)
+        steps.sync()
+        left = (first.chunks_total - 2) * seconds + others
+        assert executor.asked == (_two_digits(left), _two_digits(first.chunks_total - 2 + 1))
+        assert steps.manager.remaining_seconds == pytest.approx(left)
+        steps.manager.cancel(first.id)
+        steps.sync()
+        assert executor.asked[1] == 2 + 1  # what is in flight, and the other job
+
+
+# Cancelling
+
+
+def test_without_workers_the_chunks_of_a_stopped_job_are_taken_back(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        stopped = steps.submit(of_cells(100))
+        steps.sync()
+        other = steps.submit(of_cells(48))
+        steps.sync()
+        steps.manager.cancel(stopped.id)
+        steps.sync()
+        assert not any(sent.future.cancelled() for sent in executor.sent)  # workers may be computing them
+        executor.connected, executor.capacity = False, 0
+        steps.sync()
+        assert not any(sent.future.cancelled() for sent in executor.sent)
+        executor.connected = True
+        steps.sync()
+        assert {sent.name for sent in executor.sent if sent.future.cancelled()} == {"100"}
+        steps.step()
+        assert steps.state(stopped) is JobState.CANCELLED
+        assert steps.state(other) is JobState.RUNNING
+
+
+def test_a_cancel_flag_that_cannot_be_set_is_set_at_the_next_sync(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        steps.sync()
+        url = steps.settings.store_of(job.id)
+        steps.manager.cancel(job.id)
+        with monkeypatch.context() as patched:
+            patched.setattr(store, "set_cancelled", refusing(PermissionError("no")))
+            steps.sync()
+        assert not store.is_cancelled(url)
+        assert steps.state(job) is JobState.RUNNING
+        steps.sync()
+        assert store.is_cancelled(url)
+
+
+def test_what_killed_workers_left_is_removed_as_a_job_ends_and_as_it_begins_again(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        steps.sync()
+        partial = Path(steps.settings.store_of(job.id), ".partial", "0123456789abcdef.partial")
+        partial.write_bytes(b"half")
+        steps.manager.cancel(job.id)
+        for sent in executor.sent:
+            sent.future.set_exception(CancelledError())
+        steps.sync()
+        assert steps.state(job) is JobState.CANCELLED
+        assert not partial.exists()
+        partial.write_bytes(b"half")
+        steps.manager.resume(job.id)
+        steps.sync()
+        assert steps.state(job) is JobState.RUNNING
+        assert not partial.exists()
+
+
+# What goes wrong
+
+
+def refusing(error: Exception) -> Any:
+    """A function that raises an error, whatever it is given."""
+
+    def refuse(*_: Any) -> None:
+        refuse.calls += 1  # type: ignore[attr-defined]
+        raise error
+
+    refuse.calls = 0  # type: ignore[attr-defined]
+    return refuse
+
+
+def test_a_bucket_that_does_not_answer_is_asked_once_at_each_sync(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    executor, create = Noting(), refusing(store.UNREACHABLE[0]("no answer"))
+    with stepping(tmp_path, executor) as steps:
+        jobs = [steps.submit(of_cells(cells)) for cells in (100, 200, 400)]
+        with monkeypatch.context() as patched:
+            patched.setattr(store, "create", create)
+            steps.sync()
+            assert create.calls == 1
+            steps.sync()
+            assert create.calls == 2
+        assert {steps.state(job) for job in jobs} == {JobState.QUEUED}
+        steps.sync()
+        assert steps.state(jobs[0]) is JobState.RUNNING
+
+
+def test_a_job_whose_run_breaks_is_made_anew_and_fails_the_third_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job, other = steps.submit(of_cells(100)), steps.submit(of_cells(400))
+        monkeypatch.setattr(store, "sync_folders", refusing(KeyError("a field")))
+        for _ in range(3):
+            assert steps.state(job) is not JobState.FAILED
+            del executor.sent[:]
+            steps.sync()
+            first, *others = [sent for sent in executor.sent if sent.name == "100"]
+            report(first)
+            steps.step()
+            assert others
+            assert all(sent.future.cancelled() for sent in others)
+        assert steps.state(job) is JobState.FAILED
+        assert steps.job(job).error == "internal error: KeyError: 'a field'"
+        assert steps.state(other) is not JobState.FAILED
+
+
+def test_a_step_that_the_ledger_refuses_keeps_what_came_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        steps.sync()
+        report(executor.sent[0])
+        with monkeypatch.context() as patched:
+            patched.setattr(steps.ledger, "writing", refusing(LedgerUnavailable("locked")))
+            with pytest.raises(LedgerUnavailable):
+                steps.step()
+        assert steps.job(job).chunks_done == 0
+        steps.sync()
+        assert steps.job(job).chunks_done == 1
+        assert steps.state(job) is JobState.RUNNING
