@@ -8,22 +8,25 @@ import os
 import sqlite3
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import closing
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
 import pytest
-from running import running
+from running import Running, running
 from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 from served import service as served_service
 
 from kernel.params import KERNEL_VERSION, Outcome
-from service.errors import IllegalTransition, LedgerUnavailable, QueueFull, UnknownJob
+from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, QueueFull, UnknownJob
 from service.jobs.ledger import Ledger
+from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, JobRecord, JobState
+from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLost
@@ -707,3 +710,153 @@ def test_stopping_is_prompt(tmp_path: Path):
         began = time.monotonic()
         service.manager.stop()
         assert time.monotonic() - began < DEADLINE  # and not with the next heartbeat
+
+
+# Jobs as users change them, while nothing is computed
+
+
+@contextmanager
+def unstarted(folder: Path, **options: Any) -> Iterator[Running]:
+    """A job manager whose threads are not started."""
+    settings = Settings(data=folder, **options)
+    with Ledger(settings.ledger_path) as ledger:
+        yield Running(ledger, JobManager(ledger, Held(), settings), settings)
+
+
+def test_a_key_makes_a_repeated_request_one_request(tmp_path: Path):
+    with unstarted(tmp_path) as service:
+        first = service.manager.submit(sweep(), key="once")
+        assert first.accepted
+        assert not service.manager.submit(sweep(), key="once").accepted
+        service.manager.cancel(first.job.id)
+        again = service.manager.submit(sweep(), key="once")
+        assert (again.accepted, again.job.state) == (False, JobState.CANCELLED)
+        with pytest.raises(KeyReused, match="used for another specification less than 86400 s ago"):
+            service.manager.submit(sweep(omega=0.6), key="once")
+        assert service.manager.submit(sweep(), key="another").accepted
+        assert service.manager.submit(sweep(omega=0.6)).accepted
+    with unstarted(tmp_path, key_seconds=1e-9) as service:
+        assert not service.manager.submit(sweep(), key="another").accepted  # it is queued
+        service.manager.cancel(first.job.id)
+        assert service.manager.submit(sweep(), key="another").accepted
+
+
+def test_a_key_is_of_the_first_request_made_with_it(tmp_path: Path):
+    with unstarted(tmp_path) as service:
+        service.manager.submit(sweep(), key="once")
+        with service.ledger.reading() as ledger:
+            remembered = ledger.key("once")
+            assert ledger.key("never") is None
+        service.manager.submit(sweep(), key="once")
+        service.manager.submit(sweep(), key="twice")
+        with service.ledger.reading() as ledger:
+            assert ledger.key("once") == ledger.key("twice") == remembered
+
+
+def test_a_job_is_resumed_by_whoever_asks_and_only_if_it_ended_undone(tmp_path: Path):
+    with unstarted(tmp_path) as service:
+        job = service.manager.submit(sweep(), owner="ann").job
+        assert job.owner == "ann"
+        assert not service.manager.resume(job.id, "dan").accepted
+        assert service.job(job).owner == "ann"
+        service.manager.cancel(job.id)
+        resumed = service.manager.resume(job.id, "dan")
+        assert (resumed.accepted, resumed.job.state, resumed.job.owner) == (True, JobState.QUEUED, "dan")
+        with service.ledger.writing() as ledger:
+            ledger.run(resumed.job, 1.0)
+        assert service.manager.cancel(job.id).cancel_requested
+        assert service.manager.resume(job.id).accepted  # the cancel is taken back
+        assert not service.job(job).cancel_requested
+        assert not service.manager.resume(job.id).accepted
+        with service.ledger.writing() as ledger:
+            ledger.finish(service.job(job), JobState.DONE, 2.0)
+        with pytest.raises(IllegalTransition, match=r"nothing to resume$"):
+            service.manager.resume(job.id)
+        with service.ledger.writing() as ledger:
+            ledger._sql.execute("UPDATE jobs SET kernel_version = '0'")
+        with pytest.raises(IllegalTransition, match="submit the sweep again to compute it anew"):
+            service.manager.resume(job.id)
+
+
+def test_whatever_is_accepted_wakes_the_supervisor_and_nothing_else_does(tmp_path: Path):
+    def woken() -> bool:
+        inbox = service.manager._supervisor._inbox
+        return not inbox.empty() and bool([inbox.get() for _ in range(inbox.qsize())])
+
+    with unstarted(tmp_path) as service:
+        job = service.submit(sweep())
+        assert woken()
+        service.submit(sweep())
+        service.manager.resume(job.id)
+        assert not woken()
+        service.manager.cancel(job.id)
+        assert woken()
+        service.manager.resume(job.id)
+        assert woken()
+        service.manager.cancel(job.id)
+        woken()
+        assert not service.manager._deleter._recorded.is_set()
+        service.manager.delete(job.id)
+        assert service.manager._deleter._recorded.is_set()
+        with pytest.raises(UnknownJob):
+            service.manager.pin(job.id, True)
+
+
+def test_a_token_has_its_part_of_the_queue(tmp_path: Path):
+    omegas = iter(np.arange(0.5, 1.5, 0.01).tolist())
+
+    def submit(owner: str | None) -> JobRecord:
+        return service.manager.submit(sweep(omega=next(omegas)), owner=owner).job
+
+    with unstarted(tmp_path, max_queue=5, max_queue_per_token=2) as service:
+        first = submit("ann")
+        submit("ann")
+        with pytest.raises(
+            QueueFull, match="2 jobs of the token ann are queued or running already, at most 2"
+        ):
+            submit("ann")
+        submit("dan")
+        submit(None)
+        submit(None)
+        with pytest.raises(QueueFull, match="5 jobs are queued or running already, at most 5 may be"):
+            submit(None)
+        service.manager.cancel(first.id)
+        submit("dan")
+        with pytest.raises(QueueFull):
+            service.manager.resume(first.id, "ann")
+
+
+def test_the_study_of_an_outdated_job_is_a_new_job_that_replaces_it(tmp_path: Path):
+    with unstarted(tmp_path) as service:
+        spec = sweep()
+        old = service.submit(spec)
+        with service.ledger.writing() as ledger:
+            ledger._sql.execute(
+                "UPDATE jobs SET kernel_version = '0', id = ?, state = 'failed'", [spec.job_id("0")]
+            )
+        new, accepted = service.manager.submit(spec)
+        assert accepted
+        assert new.seq != old.seq
+        outdated = service.ledger.find(spec.job_id("0"))
+        assert outdated is not None
+        assert (outdated.outdated, outdated.replaced_by) == (True, new.id)
+        again = service.manager.resume(outdated.id, "ann")
+        assert (again.job.id, again.accepted) == (new.id, False)
+
+
+def test_an_outdated_job_that_was_to_be_cancelled_is_not_replaced(tmp_path: Path):
+    with unstarted(tmp_path) as service:
+        one, two = service.submit(sweep(omega=0.5)), service.submit(sweep(omega=0.6))
+        with service.ledger.writing() as ledger:
+            ledger.run(one, 1.0)
+            ledger.set_cancel_requested(one, True)
+            ledger._sql.execute("UPDATE jobs SET kernel_version = '0', id = 'before-' || seq")
+            ledger._sql.execute("UPDATE jobs SET spec = '{}' WHERE seq = ?", [two.seq])
+        service.manager._replace_outdated()
+        cancelled, ended = (service.ledger.find(f"before-{job.seq}") for job in (one, two))
+        assert cancelled is not None
+        assert ended is not None
+        assert (cancelled.state, cancelled.replaced_by, cancelled.error) == (JobState.CANCELLED, None, None)
+        assert (ended.state, ended.replaced_by) == (JobState.FAILED, None)
+        assert "it cannot start anew: " in str(ended.error)
+        assert service.ledger.find(one.id) is None

@@ -148,7 +148,7 @@ def test_each_worker_has_its_window_of_chunks_and_without_workers_one_would(
 def test_of_short_chunks_there_are_as_many_as_make_the_windows_seconds(tmp_path: Path):
     executor = Noting(2)
     with stepping(tmp_path, executor, window=2, window_seconds=1e9) as steps:
-        job = steps.submit(costing(chunks=100, seconds=0.75))
+        job = steps.submit(costing(chunks=200, seconds=0.75))
         steps.sync()
         assert len(executor.sent) == MAX_IN_FLIGHT
         seconds = steps.chunk_seconds(job)

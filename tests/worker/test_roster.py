@@ -1,0 +1,130 @@
+"""What is known of workers: the events of their plugin, what the cluster tells, what it is asked for."""
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from distributed import Status
+
+from worker.executors import roster as rosters
+from worker.executors.base import ClusterState
+from worker.executors.demand import HANDLER, Demand
+from worker.executors.roster import Roster
+
+
+def event(worker: str, **what: Any) -> dict[str, Any]:
+    return {"worker": worker, "host": f"host of {worker}", "process": 7, **what}
+
+
+def test_a_refused_worker_is_listed_until_it_is_admitted_or_gone(caplog: pytest.LogCaptureFixture):
+    roster = Roster()
+    roster.note(event("a", refused="its numpy is 1"))
+    roster.note(event("a", refused="its numpy is 1"))
+    assert caplog.text.count("refused: worker a") == 1
+    roster.note(event("b", refused="no kernel"))
+    assert [(one.worker, one.host, one.process, one.reason) for one in roster.refused] == [
+        ("a", "host of a", 7, "its numpy is 1"),
+        ("b", "host of b", 7, "no kernel"),
+    ]
+    assert str(roster.refused[1]) == "worker b on host of b (process 7): no kernel"
+    roster.note(event("a", refused="another reason"))
+    assert "another reason" in caplog.text
+    assert [one.reason for one in roster.refused] == ["another reason", "no kernel"]
+    roster.note(event("a", admitted=True))
+    assert [one.worker for one in roster.refused] == ["b"]
+    roster.keep({"b", "c"})
+    assert [one.worker for one in roster.refused] == ["b"]
+    roster.keep({"c"})
+    assert roster.refused == ()
+
+
+def test_a_worker_that_said_so_is_leaving_and_hosts_are_known():
+    roster = Roster()
+    roster.note(event("a", leaving=True))
+    roster.note(event("b", admitted=True))
+    assert roster.is_leaving("a")
+    assert not roster.is_leaving("b")
+    assert roster.describe("b") == "b on host of b"
+    assert roster.describe("c") == "c"
+    assert roster.refused == ()
+
+
+def test_only_the_last_workers_are_remembered(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(rosters, "_REMEMBERED", 2)
+    roster = Roster()
+    for worker in "abac":
+        roster.note(event(worker, leaving=True))
+    assert [roster.is_leaving(worker) for worker in "abc"] == [True, False, True]
+
+
+@pytest.mark.parametrize(
+    ("state", "fault", "explanation"),
+    [
+        (ClusterState(True, 1), None, None),
+        (ClusterState(True, 1, reason="was slow", refused=("worker a",)), None, None),
+        (
+            ClusterState(False, 0),
+            "the Dask scheduler does not answer; jobs wait until it does",
+            "the Dask scheduler does not answer; jobs wait until it does",
+        ),
+        (
+            ClusterState(False, 3, reason="at tcp://a"),
+            "the Dask scheduler does not answer; jobs wait until it does",
+            "the Dask scheduler does not answer; jobs wait until it does; at tcp://a",
+        ),
+        (
+            ClusterState(True, 0),
+            "no workers yet; jobs wait until there are",
+            "no workers yet; jobs wait until there are",
+        ),
+        (
+            ClusterState(True, 0, planned=0, refused=("worker a", "worker b")),
+            "no workers yet (0 asked for); jobs wait until there are; workers refused: 2",
+            "no workers yet (0 asked for); jobs wait until there are; workers refused: 2; worker a; worker b",
+        ),
+    ],
+)
+def test_why_no_chunk_is_computed(state: ClusterState, fault: str | None, explanation: str | None):
+    assert (state.fault, state.explanation) == (fault, explanation)
+
+
+# How many workers a cluster shall have
+
+
+@pytest.fixture
+def scheduler() -> SimpleNamespace:
+    """What the plugin sees of a scheduler of three workers that wants two by its tasks."""
+    statuses = (Status.running, Status.paused, Status.running)
+    workers = {number: SimpleNamespace(status=status) for number, status in enumerate(statuses)}
+    return SimpleNamespace(adaptive_target=lambda _: 2, handlers={}, workers=workers)
+
+
+def test_a_cluster_shall_have_workers_for_what_is_left(scheduler: SimpleNamespace):
+    demand = Demand()
+    asyncio.run(demand.start(scheduler))
+    target, tell = scheduler.handlers["adaptive_target"], scheduler.handlers[HANDLER]
+    assert scheduler.adaptive_target("5s") == target("5s") == 2
+    tell(client="one", seconds=20.0, tasks=100)
+    assert target("5s") == 4 + 1  # and one for that which is paused
+    assert target("4.9s") == 5 + 1
+    tell(client="one", seconds=1000.0, tasks=3)
+    assert target("5s") == 3 + 1
+    tell(client="two", seconds=11.0, tasks=100)
+    assert target("5s") == 3 + 3 + 1
+    demand.remove_client(scheduler, "one")
+    assert target("5s") == 3 + 1
+    tell(client="two", seconds=1.0, tasks=1)
+    assert target() == 1 + 1  # by the setting, of some seconds
+    scheduler.adaptive_target = None
+    demand.remove_client(scheduler, "two")
+    demand.remove_client(scheduler, "nobody")
+    assert target("5s") == 2
+
+
+def test_it_is_never_less_than_the_tasks_need(scheduler: SimpleNamespace):
+    scheduler.adaptive_target = lambda _: 9
+    demand = Demand()
+    asyncio.run(demand.start(scheduler))
+    scheduler.handlers[HANDLER](client="one", seconds=20.0, tasks=100)
+    assert scheduler.adaptive_target("5s") == 9

@@ -1,0 +1,194 @@
+"""What a connection connects to: an address, a scheduler file, or a cluster that a function makes."""
+
+import json
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from worker.executors import targets
+from worker.executors.dask import _target
+from worker.executors.errors import ClusterLost
+from worker.executors.targets import FIRST_PAUSE, REFILL_SECONDS, UNANSWERED, Fixed, Made, SchedulerFile
+
+
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time, which the test sets."""
+    now = [1000.0]
+    monkeypatch.setattr(targets, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=lambda _: None))
+    return now
+
+
+class Cluster:
+    """As a cluster object of distributed's."""
+
+    def __init__(self, workers: int = 2, status: Any = "running") -> None:
+        self.plan = self.worker_spec = range(workers)
+        self.workers = range(workers)
+        self.status, self.closed = status, 0
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_an_address_is_what_it_is():
+    assert Fixed("tcp://a:1").find() == "tcp://a:1"
+    assert Fixed("tcp://a:1").planned() is None
+    assert Fixed(Cluster(3)).planned() == 3
+
+
+def test_what_is_given_decides_what_is_connected_to(tmp_path: Path):
+    made = Made(Cluster, "mine")
+    assert _target(made, None, 1.0) is made
+    assert _target("tcp://a:1", None, 1.0).find() == "tcp://a:1"
+    (tmp_path / "file").write_text(json.dumps({"address": "tcp://b:2"}))
+    assert _target("tcp://a:1", tmp_path / "file", 1.0).find() == "tcp://b:2"
+
+
+def test_a_scheduler_file_is_waited_for_at_first_and_read_each_time(
+    tmp_path: Path, now: list[float], monkeypatch: pytest.MonkeyPatch
+):
+    file, waits = tmp_path / "scheduler.json", []
+
+    def sleep(seconds: float) -> None:
+        waits.append(seconds)
+        now[0] += 1.0
+        if len(waits) == 2:
+            file.write_text('{"address": ')  # half of it
+        if len(waits) == 4:
+            file.write_text(json.dumps({"address": "tcp://a:1"}))
+
+    monkeypatch.setattr(targets.time, "sleep", sleep)
+    target = SchedulerFile(file, timeout=4.5)
+    assert target.find() == "tcp://a:1"
+    assert len(waits) == 4
+    file.write_text(json.dumps({"address": "tcp://b:2"}))
+    assert target.find() == "tcp://b:2"
+    file.unlink()
+    now[0] += 10.0
+    with pytest.raises(ClusterLost, match="no scheduler has written its address to"):
+        target.find()
+    assert target.planned() is None
+
+
+def test_a_cluster_is_made_once_and_again_when_it_has_ended(now: list[float]):
+    made: list[Cluster] = []
+
+    def make() -> Cluster:
+        made.append(Cluster(len(made) + 1))
+        return made[-1]
+
+    target = Made(make, "mine")
+    assert target.planned() is None
+    assert target.find() is target.find() is made[0]
+    assert target.planned() == 1
+    made[0].status = SimpleNamespace(name="closing")
+    with pytest.raises(ClusterLost, match=r"no cluster from mine; made again in 1 s"):
+        target.find()
+    assert made[0].closed == 1
+    now[0] += FIRST_PAUSE
+    assert target.find() is made[1]
+    assert target.planned() == 2
+    target.close()
+    target.close()
+    assert made[1].closed == 1
+    assert target.planned() is None
+
+
+def test_a_cluster_whose_scheduler_does_not_answer_several_times_in_a_row_is_made_again(now: list[float]):
+    made: list[Cluster] = []
+
+    def make() -> Cluster:
+        made.append(Cluster())
+        return made[-1]
+
+    target = Made(make, "mine")
+    target.unanswered()
+    target.find()
+    for _ in range(UNANSWERED - 1):
+        target.unanswered()
+    assert made[0].closed == 0
+    target.unanswered()
+    assert made[0].closed == 1
+    now[0] += FIRST_PAUSE
+    target.find()
+    for _ in range(UNANSWERED - 1):
+        target.unanswered()
+    assert made[1].closed == 0
+
+
+def test_a_failure_is_told_until_the_next_try(now: list[float]):
+    results: list[Any] = [RuntimeError("the queue is closed"), Cluster()]
+
+    def make() -> Cluster:
+        result = results.pop(0)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    target = Made(make, "mine")
+    with pytest.raises(ClusterLost, match=r"^no cluster from mine: RuntimeError: the queue is closed$"):
+        target.find()
+    now[0] += 0.4
+    with pytest.raises(ClusterLost, match=r": RuntimeError: the queue is closed; made again in 1 s$"):
+        target.find()
+    now[0] += 0.6
+    assert isinstance(target.find(), Cluster)
+
+
+def test_a_cluster_that_cannot_be_closed_is_made_again_all_the_same(now: list[float]):
+    class Broken(Cluster):
+        def close(self) -> None:
+            raise OSError("gone")
+
+    target = Made(Broken, "mine")
+    first = target.find()
+    first.status = "failed"
+    with pytest.raises(ClusterLost):
+        target.find()
+    now[0] += FIRST_PAUSE
+    assert target.find() is not first
+
+
+def test_lost_workers_are_looked_for_now_and_then(now: list[float], monkeypatch: pytest.MonkeyPatch):
+    started: list[Any] = []
+
+    def run(work: Any, loop: Any) -> None:
+        work.close()
+        started.append(loop)
+
+    monkeypatch.setattr(targets.asyncio, "run_coroutine_threadsafe", run)
+    cluster: Any = Cluster(2)
+    cluster.loop = SimpleNamespace(asyncio_loop="its loop")
+    target = Made(lambda: cluster, "mine")
+    target.refill()  # there is none yet
+    target.find()
+    cluster.workers = range(1)
+    target.refill()
+    assert started == []
+    now[0] += REFILL_SECONDS
+    target.refill()
+    target.refill()
+    assert started == ["its loop"]
+    now[0] += REFILL_SECONDS
+    target.refill()
+    assert started == ["its loop"] * 2
+    cluster.workers = range(2)
+    now[0] += REFILL_SECONDS
+    target.refill()
+    assert len(started) == 2
+    del cluster.worker_spec
+    cluster.workers = range(1)
+    now[0] += 2 * REFILL_SECONDS
+    target.refill()  # it replaces them itself
+    assert len(started) == 2
+
+
+def test_the_time_is_that_of_the_system(tmp_path: Path):
+    began = time.monotonic()
+    with pytest.raises(ClusterLost):
+        SchedulerFile(tmp_path / "nothing", timeout=0.2).find()
+    assert time.monotonic() - began >= 0.2
