@@ -216,3 +216,18 @@ def test_outcomes_are_counted_as_the_task_counts_them(tmp_path: Path):
         counted = [json.loads(row[0]) for row in ledger.execute("SELECT outcomes FROM chunks")]
     assert np.sum(counted, axis=0).tolist() == np.bincount(outcomes.ravel(), minlength=len(Outcome)).tolist()
     assert job.kernel_version == KERNEL_VERSION
+
+
+@pytest.mark.parametrize(
+    ("name", "there"),
+    [(None, False), ("notes.txt", False), (f"{'a' * 32}.zarr.deleted-7", False), (f"{'a' * 32}.zarr", True)],
+)
+def test_whether_there_are_stores_beside_a_ledger(tmp_path: Path, name: str | None, there: bool):
+    if name is not None:
+        (tmp_path / "stores" / name).mkdir(parents=True)
+    assert adoption.has_stores(Settings(data=tmp_path)) is there
+
+
+def test_stores_that_cannot_be_listed_are_taken_to_be_there(tmp_path: Path):
+    (tmp_path / "stores").write_text("no folder")
+    assert adoption.has_stores(Settings(data=tmp_path))

@@ -1,0 +1,93 @@
+"""The estimated cost of a study: by the speed of earlier jobs of its kind, else by the table."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scripted import small
+
+from kernel.params import KERNEL_VERSION
+from service.jobs.cost import MIN_SECONDS, cost
+from service.jobs.model import JobRecord, JobState
+from service.jobs.prepare import JobPreparer
+from service.jobs.transactions import Pace
+from service.settings import Settings
+from worker.cost import Cost
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.studies import study_of
+
+SPEC = small()
+SOFT = small(model={"kind": "soft"})
+ADAPTIVE = small(refine={"by": "mode", "coarsest": 2}, xi=0.05)
+
+
+@pytest.fixture
+def preparer(tmp_path: Path) -> JobPreparer:
+    return JobPreparer(Settings(data=tmp_path))
+
+
+def by_table(spec: SweepSpec) -> Cost:
+    return study_of(spec).estimate(spec, make_plan(spec))
+
+
+def pace(spec: SweepSpec, seconds: float, expected: float, text: str | None = None) -> Pace:
+    """A job of which so many cells took `seconds` that the table says `expected`."""
+    plan, table = make_plan(spec), by_table(spec)
+    job = JobRecord(
+        id=spec.job_id(KERNEL_VERSION), name="", spec=text or json.dumps(spec.as_submitted()),
+        kernel_version=KERNEL_VERSION, chunk_shape=plan.chunk_shape, chunks_total=len(plan),
+        cells_total=plan.cells, seq=1, state=JobState.DONE, cancel_requested=False, error=None, created=0.0,
+        started=None, finished=None, run_started=None, run_cells=0, chunks_done=0, cells_done=0,
+        cells_settling=0, cells_computed=0, choice=None, replaced_by=None,
+    )  # fmt: skip
+    cells: Any = expected * table.cells / table.core_seconds
+    return Pace(job, seconds, cells)
+
+
+def ratio(preparer: JobPreparer, *paces: Pace, spec: SweepSpec = SPEC) -> float | None:
+    """The measured cost over that of the table; None if the cost is the table's."""
+    found, table = cost(spec, make_plan(spec), paces, preparer), by_table(spec)
+    if found.basis == "table":
+        assert found == table
+        return None
+    assert found.basis == "measured"
+    for name in ("least_core_seconds", "longest_core_seconds"):
+        known = getattr(table, name)
+        expected = None if known is None else pytest.approx(known * found.core_seconds / table.core_seconds)
+        assert getattr(found, name) == expected
+    return found.core_seconds / table.core_seconds
+
+
+def test_without_earlier_jobs_the_table_tells(preparer: JobPreparer):
+    assert ratio(preparer) is None
+
+
+def test_what_earlier_jobs_took_over_what_the_table_says_is_the_speed(preparer: JobPreparer):
+    assert ratio(preparer, pace(SPEC, 3.0, 1.5)) == pytest.approx(2.0)
+    assert ratio(preparer, pace(SPEC, 3.0, 1.0), pace(small(omega=0.9), 1.0, 7.0)) == pytest.approx(0.5)
+    assert ratio(preparer, pace(SPEC, 3.0, 1.0), spec=ADAPTIVE) == pytest.approx(3.0)
+    assert ratio(preparer, pace(SPEC, 3.0, 1.0), spec=small(settle_until=640)) == pytest.approx(3.0)
+
+
+def test_jobs_of_another_model_and_adaptive_maps_say_nothing(preparer: JobPreparer):
+    assert ratio(preparer, pace(SOFT, 3.0, 1.0)) is None
+    assert ratio(preparer, pace(ADAPTIVE, 3.0, 1.0)) is None
+    assert ratio(preparer, pace(ADAPTIVE, 3.0, 1.0), pace(SPEC, 1.0, 4.0)) == pytest.approx(0.25)
+
+
+def test_a_job_that_this_version_does_not_accept_says_nothing(preparer: JobPreparer):
+    old = pace(SPEC, 3.0, 1.0, text='{"gamma": 1.0}')
+    assert ratio(preparer, old) is None
+    assert ratio(preparer, old, pace(small(omega=0.9), 2.0, 1.0)) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("taken", "expected", "measured"),
+    [(MIN_SECONDS, 1.0, True), (0.9 * MIN_SECONDS, 1.0, False), (1.0, 0.9 * MIN_SECONDS, False)],
+)
+def test_so_few_seconds_are_no_measurement(
+    preparer: JobPreparer, taken: float, expected: float, measured: bool
+):
+    assert (ratio(preparer, pace(SPEC, taken, expected)) is not None) is measured
