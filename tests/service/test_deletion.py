@@ -13,6 +13,7 @@ from running import running
 from scripted import DEADLINE, Held, Scripted, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION
+from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobState
 from service.jobs.stores import deletion
@@ -240,3 +241,93 @@ def test_it_tells_when_a_deleted_address_is_free(done: Path):
         assert freed.wait(DEADLINE)
         deleter.stop(DEADLINE)
     assert names(done) == []
+
+
+def test_a_deletion_that_fails_is_tried_again_less_and_less_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    pauses: list[float | None] = []
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        deleter = deletion.Deleter(ledger, Settings(data=tmp_path), lambda: None)
+        complete = iter([True, *[False] * 8, True])
+
+        class Noting(threading.Event):
+            def wait(self, timeout: float | None = None) -> bool:
+                pauses.append(timeout)
+                return True
+
+        def carry_out_all() -> bool:
+            if (one := next(complete, None)) is None:
+                deleter._stopping.set()
+            return bool(one)
+
+        monkeypatch.setattr(deleter, "_recorded", Noting())
+        monkeypatch.setattr(deleter, "_carry_out_all", carry_out_all)
+        deleter._work()
+    assert pauses[:10] == [None, None, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
+    assert pauses[10] is None
+
+
+def test_all_chunks_of_deleted_jobs_are_forgotten_and_their_pages_given_back(
+    done: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Of a deleted job, and of one that a restored copy knows nothing else of."""
+    monkeypatch.setattr(deletion, "CHUNKS_FORGOTTEN", 3)
+    monkeypatch.setattr(deletion, "PAGES_FREED", 50)
+    record_deletion(done, age=0.0)
+    with Ledger(done / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            writing._sql.execute("INSERT INTO chunks SELECT 77, chunk, 1, 0, x'', '[]', 0, 0 FROM chunks")
+            writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(2000000)")
+        with ledger.writing() as writing:
+            writing._sql.execute("DROP TABLE used")
+        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
+        deleter.start()
+
+        def rows() -> int:
+            with ledger.reading() as reading:
+                return len(reading.deletions()) + len(reading.orphans())
+
+        wait_for(lambda: rows() == 0)
+        deleter.stop(DEADLINE)
+        with ledger.reading() as reading:
+            assert reading._sql.execute("SELECT count(*) FROM chunks").fetchone()[0] == 0
+        assert not ledger.shrink(1)
+
+
+def test_only_a_job_that_was_deleted_is_removed_again(done: Path):
+    with Ledger(done / "ledger.sqlite") as ledger:
+        job = ledger.find(JOB)
+        assert job is not None
+        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
+        deleter.repeat(job)
+        assert not deleter._recorded.is_set()
+        with ledger.writing() as writing:
+            writing.delete(job, 1.0)
+            writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
+        deleter.repeat(job)
+        assert deleter._recorded.is_set()
+        with ledger.reading() as reading:
+            [again] = reading.deletions()
+        assert time.time() - DEADLINE < again.created <= time.time()
+
+
+def test_a_deletion_that_the_ledger_refuses_waits(
+    done: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    record_deletion(done, age=0.0)
+    with Ledger(done / "ledger.sqlite") as ledger:
+        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
+        with monkeypatch.context() as patched:
+            patched.setattr(ledger, "check", refused)
+            assert not deleter._carry_out_all()
+        assert "cannot be removed now, it is tried again" in caplog.text
+        assert names(done) == [f"{JOB}.zarr"]
+        assert deleter._carry_out_all()
+        assert names(done) == []
+        deleter._stopping.set()
+        assert deleter._carry_out_all()  # nothing is left
+
+
+def refused() -> None:
+    raise LedgerUnavailable("another program has changed it")
