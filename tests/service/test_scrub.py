@@ -1,0 +1,199 @@
+"""The scrub: what is verified again and when, in which order, and how much of the processor it takes."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running import running
+from scripted import DEADLINE, sweep
+
+from service.jobs import transactions
+from service.jobs.ledger import Ledger
+from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
+from service.jobs.prepare import JobPreparer
+from service.jobs.stores import scrub
+from service.jobs.stores.repair import Repairer
+from service.jobs.stores.scrub import PAUSES, Scrubber, _Stopping
+from service.settings import Settings
+from worker.executors.inline import Inline
+
+DAY = 86_400.0
+#: In eight chunks.
+SPEC = sweep(gamma={"start": 0.5, "stop": 1.2, "num": 24})
+
+
+class Scrubbing:
+    """A scrubber of a data folder, without a service, and what it has computed again."""
+
+    def __init__(self, folder: Path, ledger: Ledger, computing: Callable[[], bool], **options: Any) -> None:
+        settings = Settings(data=folder, **options)
+        self.ledger, self.invalidated = ledger, list[int]()
+        preparer = JobPreparer(settings)
+        repairer = Repairer(ledger, preparer, lambda _, chunks: self.invalidated.extend(chunks))
+        self.scrubber = Scrubber(ledger, settings, preparer, repairer, computing)
+
+    def run(self) -> Scrubber:
+        """Scrub all there is."""
+        self.scrubber.start()
+        self.scrubber._thread.join(DEADLINE)
+        assert not self.scrubber._thread.is_alive()
+        return self.scrubber
+
+
+@contextmanager
+def scrubbing(folder: Path, computing: bool = False, **options: Any) -> Iterator[Scrubbing]:
+    with Ledger(folder / "ledger.sqlite") as ledger:
+        yield Scrubbing(folder, ledger, lambda: computing, **options)
+
+
+@pytest.fixture
+def done(tmp_path: Path, inline: Inline) -> JobRecord:
+    """A job that is done, in a data folder in which nothing was verified."""
+    with running(tmp_path, inline) as service:
+        service.manager._scrubber._thread.join()
+        return service.until(service.submit(SPEC), JobState.DONE)
+
+
+def outcomes(folder: Path, job: JobRecord, chunk: int) -> Path:
+    """The file of a chunk's outcomes."""
+    return folder / "stores" / f"{job.id}.zarr" / "outcome" / f"c.0.0.0.{chunk}"
+
+
+def test_damage_is_found_wherever_it_is_and_the_rest_is_read_once(
+    tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch
+):
+    """Eight chunks: sizes of three are compared at once, two are read at once."""
+    monkeypatch.setattr(scrub, "COMPARED_AT_ONCE", 3)
+    monkeypatch.setattr(scrub, "READ_AT_ONCE", 2)
+    files = [outcomes(tmp_path, done, chunk) for chunk in range(done.chunks_total)]
+    content = files[3].read_bytes()
+    files[3].write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    files[5].write_bytes(files[5].read_bytes()[:-1])
+    files[7].unlink()
+    with scrubbing(tmp_path) as scrubs:
+        scrubber = scrubs.run()
+        assert scrubs.invalidated == [5, 7, 3]
+        assert (scrubber.verified_chunks, scrubber.damaged_chunks) == (6, 3)
+        job = scrubs.ledger.find(done.id)
+        assert job is not None
+        assert (job.state, job.chunks_done) == (JobState.RUNNING, 5)
+        assert scrubber.is_verified(done.id)
+        assert not any(files[chunk].exists() for chunk in (3, 5, 7))
+
+
+def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
+    """Pages of eight chunks, of which the job has one; what one start has verified the next does not read."""
+    for module in (scrub, transactions):
+        monkeypatch.setattr(module, "VERIFIED_PAGE", 8)
+    assert done.chunks_total == 8
+    with scrubbing(tmp_path, verify_days=1e-9) as scrubs:
+        assert scrubs.run().verified_chunks == 8
+        with scrubs.ledger.reading() as reading:
+            assert reading.verified_chunks(done, 0).all()
+            assert not reading.verified_chunks(done, 1).any()
+        job = scrubs.ledger.find(done.id)
+        assert job is not None
+        assert job.verified is not None
+        with scrubs.ledger.writing() as writing:
+            writing.unmark(job, [2])  # which has its page verified again
+            writing.mark_done(job, [])
+    with scrubbing(tmp_path) as scrubs:
+        assert scrubs.run().verified_chunks == 7
+
+
+def test_a_job_is_due_unless_it_was_verified_not_long_ago(tmp_path: Path, done: JobRecord):
+    now = time.time()
+    with scrubbing(tmp_path, verify_days=2.0) as scrubs:
+        with scrubs.ledger.writing() as writing:
+            writing.finish_verification(done, 5.0)
+
+        def is_due(
+            verified: float | None, finished: float | None = 1.0, state: JobState = done.state
+        ) -> bool:
+            return scrubs.scrubber._is_due(replace(done, verified=verified, finished=finished, state=state))
+
+        assert is_due(None)
+        assert all(is_due(now, state=state) for state in UNFINISHED)
+        assert is_due(now - 100.0, finished=now - 50.0)
+        assert not is_due(now - 100.0, finished=now - 100.0)
+        assert not is_due(now - 1.9 * DAY)
+        assert not is_due(now - 1.9 * DAY, finished=None)
+        job = scrubs.ledger.find(done.id)
+        assert job is not None
+        assert job.verified == 5.0
+        assert is_due(now - 2.1 * DAY)  # then all of it is
+        job = scrubs.ledger.find(done.id)
+        assert job is not None
+        assert job.verified is None
+
+
+@pytest.mark.parametrize("computing", [True, False])
+def test_beside_jobs_it_pauses_for_longer_than_it_works(tmp_path: Path, computing: bool):
+    now, pauses = [10.0], list[float]()
+
+    class Waited:
+        stops = False
+
+        def wait(self, seconds: float) -> bool:
+            pauses.append(seconds)
+            now[0] += seconds
+            return self.stops
+
+    with scrubbing(tmp_path, computing) as scrubs:
+        scrubber, waited = scrubs.scrubber, Waited()
+        scrubber._clock, scrubber._stop = lambda: now[0], waited  # type: ignore[assignment]
+        scrubber._resumed = 10.0
+        for worked in (2.0, 0.5):
+            now[0] += worked
+            scrubber._pause()
+        assert pauses == ([2.0 * PAUSES, 0.5 * PAUSES] if computing else [0.0, 0.0])[: len(pauses)]
+        waited.stops = True
+        with pytest.raises(_Stopping):
+            scrubber._pause()
+
+
+def test_unfinished_jobs_come_first_and_then_the_last_accepted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(scrub, "JOBS_PER_PAGE", 2)
+    order: list[str] = []
+    with scrubbing(tmp_path) as scrubs:
+        with scrubs.ledger.writing() as writing:
+            for letter in "abcde":
+                writing.insert(NewJob(letter * 32, "", "{}", "1", (1,), 1, 1), 1.0)
+            for letter in "acde":
+                writing.run(writing.find(letter * 32), 2.0)
+            for letter, state in (("a", JobState.DONE), ("c", JobState.FAILED), ("e", JobState.DONE)):
+                writing.finish(writing.find(letter * 32), state, 3.0)
+
+        def noted(job: JobRecord) -> None:
+            order.append(job.id[0])
+            scrubs.scrubber._verified.add(job.id)
+
+        monkeypatch.setattr(scrubs.scrubber, "_scrub", noted)
+        assert not scrubs.scrubber.is_verified("f" * 32)
+        scrubs.run()
+        assert order == ["d", "b", "e", "c", "a"]
+        assert scrubs.scrubber.is_verified("a" * 32)
+        scrubs.scrubber._verified.clear()
+        assert not scrubs.scrubber.is_verified("e" * 32)
+        with scrubs.ledger.writing() as writing:
+            writing.insert(NewJob("f" * 32, "", "{}", "1", (1,), 1, 1), 1.0)
+        assert scrubs.scrubber.is_verified("f" * 32)  # accepted since: nothing of it can be damaged
+        assert not scrubs.scrubber.is_verified("0" * 32)
+
+
+def test_of_many_unknown_stores_some_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    monkeypatch.setattr(scrub, "MAX_NAMED", 1)
+    for number in range(3):
+        (tmp_path / "stores" / f"{number:032x}.zarr").mkdir(parents=True)
+    with scrubbing(tmp_path) as scrubs:
+        assert len(scrubs.run().unknown_stores) == 3
+    assert caplog.text.count("is unknown to the ledger and left alone") == 1
+    assert "2 more stores are unknown" in caplog.text
