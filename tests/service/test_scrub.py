@@ -33,8 +33,14 @@ class Scrubbing:
         settings = Settings(data=folder, **options)
         self.ledger, self.invalidated = ledger, list[int]()
         preparer = JobPreparer(settings)
-        repairer = Repairer(ledger, preparer, lambda _, chunks: self.invalidated.extend(chunks))
+        repairer = Repairer(ledger, preparer, self._invalidating)
         self.scrubber = Scrubber(ledger, settings, preparer, repairer, computing)
+
+    @contextmanager
+    def _invalidating(self, job_id: str) -> Iterator[list[int]]:
+        chunks: list[int] = []
+        yield chunks
+        self.invalidated.extend(chunks)
 
     def run(self) -> Scrubber:
         """Scrub all there is."""
