@@ -398,6 +398,15 @@ def test_every_response_has_the_security_headers(local: TestClient, path: str):
     assert "server" not in headers
 
 
+def test_a_connection_goes_on_after_a_request_with_one_end(local: TestClient):
+    """One with two is the last: tests/service/test_web_server.py."""
+    headers = {"Content-Type": "application/json"}
+    for content in (json.dumps(SWEEP), iter([json.dumps(SWEEP).encode()])):
+        answer = local.post("/v1/jobs", content=content, headers=headers)
+        assert answer.status_code in (200, 202)
+        assert "Connection" not in answer.headers
+
+
 def test_refusals_have_the_security_headers(local: TestClient):
     headers = local.get("/docs", headers={"Host": "evil.example"}).headers
     assert headers["X-Content-Type-Options"] == "nosniff"
@@ -428,9 +437,21 @@ def test_a_library_with_a_handler_of_its_own_writes_one_line(monkeypatch: pytest
     monkeypatch.setattr(sys, "stderr", log)
     with log_to_stderr("info"):
         logger.warning("a worker is lost")
+        logger.warning("a worker is lost")
         logger.info("a worker is there")
     (line,) = lines(log)
     assert (line["level"], line["event"]) == ("warning", "a worker is lost")
+
+
+def test_the_log_ends_with_the_service(monkeypatch: pytest.MonkeyPatch):
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    with log_to_stderr("debug"):
+        logging.getLogger("worker.of_a_test").debug("details")
+    assert [line["event"] for line in lines(log)] == ["details"]
+    logging.getLogger("worker.of_a_test").error("after the end")
+    assert len(lines(log)) == 1
+    assert (logging.getLogger("service").level, logging.getLogger("worker").level) == (0, 0)
 
 
 def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):

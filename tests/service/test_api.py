@@ -7,6 +7,7 @@ import os
 import re
 import time
 from collections.abc import Iterator
+from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -19,6 +20,7 @@ from served import FIGURE_2, computing, finished, get, occupied, service
 
 from service.errors import DataFolderBusy
 from worker.executors.dask import Dask
+from worker.spec import SweepSpec
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -45,7 +47,7 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
         view = answer.json()
         assert re.fullmatch("[0-9a-f]{32}", view["id"])
         assert answer.headers["Location"] == view["links"]["self"] == f"/v1/jobs/{view['id']}"
-        assert int(answer.headers["Retry-After"]) >= 0
+        assert answer.headers["Retry-After"] == "0"
         assert set(view) == {
             *("id", "name", "state", "progress", "error", "failures"),
             *("created", "started", "finished", "spec", "choice", "links"),
@@ -354,3 +356,74 @@ def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient
     assert "style-src 'self'" in answer.headers["Content-Security-Policy"]
     for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"omega": [', "Fields of Ramp"):
         assert text in answer.text
+
+
+class Page(HTMLParser):
+    """The tables of a page by label, as rows of texts, and the links of the page with their targets."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tables: dict[str, list[list[str]]] = {}
+        self.links, self.targets = list[str](), list[str]()
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attributes}
+        if given.get("role") == "region":
+            self.rows = self.tables[given["aria-label"]] = list[list[str]]()
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag in ("th", "td"):
+            self.rows[-1].append("")
+        self.links += [given["href"]] if tag == "a" else []
+        self.targets += [f"#{given['id']}"] if "id" in given else []
+
+    def handle_data(self, data: str) -> None:
+        if self.tables and self.rows and self.rows[-1]:
+            self.rows[-1][-1] += data
+
+
+def test_the_page_tells_every_parameter_and_field(client: TestClient):
+    page = Page(client.get("/docs").text)
+    paths = get(client, "/openapi.json")["paths"]
+    calls = [f"{method.upper()} {path}" for path, methods in paths.items() for method in methods]
+    assert [label for label in page.tables if not label.startswith("Fields of ")] == calls
+    assert {link for link in page.links if link.startswith("#")} <= set(page.targets)
+    assert len(set(page.targets)) == len(page.targets)
+    jobs, states = dict(page.tables["GET /v1/jobs"]), "queued | running | done | failed | cancelled"
+    assert (jobs["state"], jobs["pinned"]) == (states, "boolean")
+    assert jobs["order"] == "newest | oldest | finished | name | largest; default newest"
+    assert (jobs["limit"], jobs["status"]) == ("integer; default 100", "200, 422")
+    assert jobs["created_before"] == "string; as created_from; not included"
+    assert dict(page.tables["GET /v1/jobs/{job_id}/diagram"])["along"] == "gamma | omega | xi; default gamma"
+    studies = "SweepSpec or OrbitsSpec or BasinSpec or MultistabilitySpec"
+    assert dict(page.tables["POST /v1/jobs"])["body"] == f"application/json: {studies}"
+    assert dict(page.tables["POST /v1/jobs/{job_id}/refine"])["body"] == "application/json: Window"
+    assert "body" not in dict(page.tables["POST /v1/jobs/{job_id}/cancel"])
+    (*titles,), *fields = page.tables["Fields of SweepSpec"]
+    assert titles == ["field", "value", "default"]
+    sweep = {name: (value, default) for name, value, default in fields}
+    assert sweep["gamma"] == ("number or list of number or Range", "required")
+    assert sweep["protocol"] == ("Rest or Ramp", '{"kind": "rest"}')
+    assert sweep["keep"] == ("integer at least 1, at most 10000", "64")
+    assert sweep["settle_until"] == ("integer at least 1, at most 1e+07 or null", "null")
+    assert sweep["settle_early"] == ("boolean", "true")
+    tables = [label for label in page.tables if label.startswith("Fields of ")]
+    assert tables[:4] == [f"Fields of {name}" for name in ("SweepSpec", "Range", "Rest", "Ramp")]
+    assert tables[-1] == "Fields of OnCycle"  # of a ramp
+    assert page.tables["Fields of Ramp"][2:4] == [
+        ["axis", '"gamma" or "omega" or "xi"', "required"],
+        ["direction", '"up" or "down" or "both"', "required"],
+    ]  # fmt: skip
+    assert page.tables["Fields of Rest"][1] == ["kind", '"rest"', '"rest"']
+    assert page.tables["Fields of Ball"][2][1] == "number at least 0, below 1 or null"
+    assert '"name": "two frequencies",\n "gamma": {' in client.get("/docs").text
+
+
+def test_the_page_explains_in_whole_sentences(client: TestClient):
+    text = client.get("/docs").text
+    assert '<h3 id="Range">Range</h3><p>`num` values from `start` to `stop`, both included, at ' in text
+    assert 'href="#post-v1-jobs-job-id-refine">POST /v1/jobs/{job_id}/refine</a>' in text
+    about = text.partition('<h2 id="specification">')[2].partition("</p>")[0]
+    assert about.partition("<p>")[2].startswith(SweepSpec.__doc__.partition("\n")[0])  # type: ignore[union-attr]
+    assert 'Submit it with <a href="#post-v1-jobs">POST /v1/jobs</a>' in about

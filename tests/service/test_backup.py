@@ -3,19 +3,25 @@
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
+import httpx2
 import pytest
 from click.testing import CliRunner, Result
 from running import running
 from scripted import Held, Scripted, free_port, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION
+from service import address
+from service.cli import doctor
 from service.cli.main import main
 from service.errors import DataFolderBusy, LedgerUnusable
 from service.jobs import backup
 from service.jobs.ledger import Ledger
 from service.jobs.ledger_files import wal_of
 from service.jobs.model import JobState
+from service.server import embedded
+from service.settings import Settings
 from worker.executors.inline import Inline
 
 SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
@@ -65,6 +71,7 @@ def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
     answer = bounce("backup", str(folder / "no" / "such"), "--data", str(folder / "data"))
     assert answer.exit_code == 1
     assert "No such file or directory" in answer.output
+    assert "Errno" not in answer.output
     (folder / "data" / "ledger.sqlite").write_bytes(b"no ledger at all" * 999)
     answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
     assert answer.exit_code == 1
@@ -81,13 +88,18 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
     assert "1 jobs, " in answer.output
     assert "2 stores are unknown to it: bounce adopt --all" in answer.output
     [replaced] = data.glob("ledger-replaced-*.sqlite")
+    assert f"the ledger that was there is {replaced}\n" in answer.output
     assert ids(replaced) == known
     assert len(ids(data / "ledger.sqlite")) == 1
     with running(data, Held(capacity=0)) as service:
         service.manager._scrubber._thread.join()
         assert len(service.manager.unknown_stores) == 2
         assert "stores that the ledger does not know: 2" in service.manager.notices()[0]
-    assert bounce("adopt", "--all", "--data", str(data)).exit_code == 0
+    answer = bounce("adopt", "--all", "--data", str(data))
+    assert (answer.exit_code, answer.stderr) == (0, "")
+    adopted = [line.split("  ") for line in answer.stdout.splitlines()]
+    assert {job_id for job_id, *_ in adopted} == known - {SPECS[0].job_id(KERNEL_VERSION)}
+    assert [state for _, state, *_ in adopted] == ["done", "done"]
     assert ids(data / "ledger.sqlite") == known
     with closing(Scripted()) as executor, running(data, executor) as service:
         assert [service.manager.submit(spec).accepted for spec in SPECS] == [False] * 3
@@ -151,10 +163,20 @@ def test_adopt_names_what_it_cannot_take_in(folder: Path):
     known = SPECS[0].job_id(KERNEL_VERSION)
     answer = bounce("adopt", known, "--data", data)
     assert answer.exit_code == 1
-    assert "the ledger knows this job" in answer.output
+    assert (answer.stdout, "the ledger knows this job" in answer.stderr) == ("", True)
     assert bounce("adopt", "--data", data).exit_code == 2
     assert bounce("adopt", known, "--all", "--data", data).exit_code == 2
     assert bounce("adopt", "--all", "--data", str(folder / "nowhere")).exit_code == 2
+    assert bounce("adopt", "--all", "--data", data).output == ""  # there is nothing to adopt
+
+
+def test_stores_are_adopted_where_the_ledger_is_lost(folder: Path):
+    known = ids(folder / "data" / "ledger.sqlite")
+    for file in (folder / "data").glob("ledger*"):
+        file.unlink()
+    answer = bounce("adopt", "--all", "--data", str(folder / "data"))
+    assert answer.exit_code == 0, answer.output
+    assert ids(folder / "data" / "ledger.sqlite") == known
 
 
 def test_the_doctor_names_what_needs_attention(folder: Path):
@@ -162,14 +184,20 @@ def test_the_doctor_names_what_needs_attention(folder: Path):
     answer = bounce("doctor", "--data", str(data), "--url", url)
     assert answer.exit_code == 0, answer.output
     assert "3 jobs" in answer.output
+    assert f"none at {url} (ConnectError)" in answer.output
     assert "!!" not in answer.output
+    assert "copies beside it" not in answer.output
     backup.restore(data / "ledger.sqlite", folder / "backup.sqlite")
     files = {path: path.read_bytes() for path in data.glob("ledger*")}
     answer = bounce("doctor", "--data", str(data), "--url", url)
     assert answer.exit_code == 1
     assert answer.output.count("is unknown to the ledger: bounce adopt") == 2
-    (data / "ledger.sqlite").write_bytes(b"")
-    assert "ledger.sqlite is empty" in bounce("doctor", "--data", str(data), "--url", url).output
+    assert "ok  ledger            copies beside it: ledger-replaced-" in answer.output
+    for content, reason in ((b"", "ledger.sqlite is empty"), (b"none" * 999, "file is not a database")):
+        (data / "ledger.sqlite").write_bytes(content)
+        lines = bounce("doctor", "--data", str(data), "--url", url).output.splitlines()
+        (line,) = [line for line in lines if line.startswith("!!  ledger ")]
+        assert reason in line
     (data / "ledger.sqlite").write_bytes(files[data / "ledger.sqlite"])
     assert {path: path.read_bytes() for path in data.glob("ledger*")} == files
 
@@ -182,6 +210,10 @@ def test_the_doctor_names_a_kernel_cache_that_others_can_write_to(
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
     command = ("doctor", "--data", str(tmp_path / "data"), "--url", f"http://127.0.0.1:{free_port()}")
     assert f"{cache}, 0 compiled kernels" in " ".join(bounce(*command).output.split())
+    for slot in ("ready", "slot-0"):
+        (cache / "digest" / slot / "kernel").mkdir(parents=True)
+        (cache / "digest" / slot / "kernel" / "compiled.nbc").touch()
+    assert f"{cache}, 1 compiled kernels" in " ".join(bounce(*command).output.split())
     cache.chmod(0o777)
     answer = bounce(*command)
     assert answer.exit_code == 1
@@ -194,3 +226,58 @@ def test_adopt_makes_no_ledger_where_there_is_nothing_to_adopt(tmp_path: Path):
     assert result.exit_code == 2
     assert "neither a ledger nor stores" in " ".join(result.output.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_doctor_names_what_deletions_have_left(folder: Path):
+    data = folder / "data"
+    known, unknown = SPECS[0].job_id(KERNEL_VERSION), "e" * 32
+    for job_id in (known, unknown):
+        (data / "stores" / f"{job_id}.zarr.deleted-1").mkdir()
+    answer = bounce("doctor", "--data", str(data), "--url", f"http://127.0.0.1:{free_port()}")
+    assert answer.exit_code == 1
+    assert f"!!  stores            {unknown}.zarr.deleted-1 is left of a deletion" in answer.output
+    assert answer.output.count("!!") == 1
+
+
+@pytest.mark.parametrize("bytes_free", [0, 1])
+@pytest.mark.parametrize("network", [None, "nfs4"])
+def test_the_doctor_names_a_disk_that_is_full_or_of_another_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bytes_free: int, network: str | None
+):
+    free = SimpleNamespace(free=doctor.FREE_BYTES - 1 + bytes_free)
+    monkeypatch.setattr(doctor, "shutil", SimpleNamespace(disk_usage=lambda path: free))
+    monkeypatch.setattr(doctor, "network_file_system", lambda path: network)
+    answer = bounce("doctor", "--data", str(tmp_path), "--url", f"http://127.0.0.1:{free_port()}")
+    assert ("!!  disk              " + f"{tmp_path}: 1.1 GB free" in answer.output) == (not bytes_free)
+    assert ("is on a network file system (nfs4)" in answer.output) == (network is not None)
+    assert answer.output.count("!!") == 2 * (not bytes_free) + (network is not None)
+    assert answer.exit_code == (not bytes_free or network is not None)
+
+
+@pytest.mark.parametrize(
+    ("workers", "stores", "mark", "said"),
+    [
+        (1, [], "ok", "is ready"),
+        (0, [], "!!", "is not ready: no workers yet; jobs wait until there are"),
+        (1, ["f" * 32], "!!", "is ready: stores that the ledger does not know: 1"),
+    ],
+)
+def test_the_doctor_asks_the_service_on_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, stores: list[str], mark: str, said: str
+):
+    """Without the proxy that other requests may need."""
+    for store in stores:
+        (tmp_path / "stores" / f"{store}.zarr").mkdir(parents=True)
+    settings = Settings(data=tmp_path, port=0)
+    with embedded.running(settings, Held(capacity=workers)) as url, address.recorder(tmp_path) as record:
+        record(url)
+        if stores:
+            wait_for(lambda: bool(httpx2.get(f"{url}/readyz").json().get("notices")))
+        with monkeypatch.context() as patch:
+            for name in ("NO_PROXY", "no_proxy", "BOUNCE_URL"):
+                patch.delenv(name, raising=False)
+            patch.setenv("http_proxy", "http://127.0.0.1:9")
+            answer = bounce("doctor", "--data", str(tmp_path))
+    (line,) = [line for line in answer.output.splitlines() if line[4:].startswith("service")]
+    assert line.startswith(f"{mark}  service           {url} {said}")
+    assert answer.exit_code == (mark == "!!")

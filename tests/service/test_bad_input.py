@@ -18,8 +18,15 @@ from served import computing, finished, listening, service
 
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
-from service.api.problems import STATUS
-from service.errors import NotAdoptable, NotStarted, RunFailed, ServiceError
+from service.api.problems import STATUS, problem_response
+from service.errors import (
+    LedgerUnavailable,
+    NotAdoptable,
+    NotStarted,
+    RunFailed,
+    ServiceError,
+    UnknownJob,
+)
 from service.server.web_server import limited
 from service.settings import Settings
 from worker.executors.inline import Inline
@@ -219,6 +226,19 @@ def test_every_error_has_a_status():
     assert subclasses(ServiceError) - subclasses(NotStarted) - elsewhere <= set(STATUS)
 
 
+def test_what_an_operator_must_look_at_is_logged(caplog: pytest.LogCaptureFixture):
+    refusal = problem_response(UnknownJob("no job"))
+    assert (refusal.status_code, caplog.records) == (404, [])
+    locked = problem_response(LedgerUnavailable("the ledger is locked"))
+    assert (locked.status_code, [record.message for record in caplog.records]) == (
+        503,
+        ["the ledger is locked"],
+    )
+    for error, reason in ((OSError(5, "Input/output error"), "Input/output error"), (OSError(), "OSError")):
+        document = json.loads(bytes(problem_response(error).body))
+        assert document["detail"] == f"the data folder cannot be used: {reason}; see the service log"
+
+
 def test_a_full_queue_sends_retry_after(tmp_path: Any):
     with service(tmp_path, Held(), max_queue=1) as client:
         assert client.post("/v1/jobs", json={**GOOD, "xi": 0.3}).status_code == 202
@@ -358,6 +378,40 @@ def test_a_chunked_body_is_refused_at_the_limit(address: tuple[str, int]):
     chunk = b"1000\r\n" + b" " * 0x1000 + b"\r\n"
     answer = exchange(address, b"Transfer-Encoding: chunked\r\n\r\n", *[chunk] * 5)
     assert answer.startswith(b"HTTP/1.1 413 ")
+
+
+def test_a_body_may_be_as_long_as_the_limit(client: TestClient, address: tuple[str, int]):
+    full = json.dumps(GOOD).encode().ljust(MAX_BODY)
+    headers = {"Content-Type": "application/json"}
+    assert client.post("/v1/jobs", content=full, headers=headers).status_code in (200, 202)
+    check_refusal(client.post("/v1/jobs", content=full + b" ", headers=headers), 413, "longer than")
+    chunk = b"%x\r\n%s\r\n" % (MAX_BODY, full)
+    answer = exchange(
+        address, b"Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n", chunk, b"0\r\n\r\n"
+    )
+    assert answer.startswith(b"HTTP/1.1 202 ")
+
+
+def test_a_message_without_more_is_the_whole_body():
+    """As ASGI says: `more_body` is false, and `body` empty, where a server leaves them out."""
+    received: list[Any] = []
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        received.extend([await receive(), await receive()])
+
+    messages = iter([{"type": "http.request"}, {"type": "http.disconnect"}])
+
+    async def receive() -> Any:
+        return next(messages)
+
+    async def send(message: Any) -> None:
+        raise AssertionError(message)
+
+    limit = BodyLimit(app, max_bytes=100, timeout=DEADLINE)
+    asyncio.run(limit({"type": "http", "path": "/", "headers": []}, receive, send))
+    assert received == [
+        {"type": "http.request", "body": b"", "more_body": False}, {"type": "http.disconnect"}
+    ]  # fmt: skip
 
 
 def test_a_client_that_disconnects_within_its_body_reaches_no_route():

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import socket
 import threading
 from collections import Counter
@@ -11,25 +12,30 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from fastapi import Response
+from fastapi import Request, Response
 from fastapi.routing import APIRoute
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, wait_for
-from served import FIGURE_2, computing, finished, listening, service, taken
+from served import FIGURE_2, RAMP, computing, finished, listening, service, taken
 from starlette.types import Message
 
 from service.api import routers
 from service.api.app import create_app
-from service.api.capacity import PIECE, Capacity, Lease
+from service.api.capacity import CLIENT_GONE, MUCH, PIECE, Capacity, Lease, costly
 from service.errors import Busy
 from service.jobs.on_demand import Pending
 from service.render import answers
-from service.results.selection import BASE_MEMORY
+from service.render.parquet import GROUP_BYTES
+from service.results.mode_map import comparison_memory
+from service.results.selection import BASE_MEMORY, MAX_READ
 from service.server.web_server import limited
 from service.settings import Settings
+from worker.orbits import MAX_GRID
+from worker.spec import SweepSpec
 
 MB = 2**20
 
@@ -41,11 +47,11 @@ CHEAP = {
 }  # fmt: skip
 
 
-def in_loop(test: Callable[[], Awaitable[None]]) -> Callable[[], None]:
-    def run() -> None:
-        asyncio.run(asyncio.wait_for(test(), DEADLINE))
+def in_loop(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
+    @functools.wraps(test)
+    def run(**fixtures: Any) -> None:
+        asyncio.run(asyncio.wait_for(test(**fixtures), DEADLINE))
 
-    run.__name__ = test.__name__
     return run
 
 
@@ -109,17 +115,137 @@ async def test_who_has_waited_too_long_is_refused_and_leaves_nothing():
 
 @in_loop
 async def test_so_many_may_wait_and_no_more():
-    limits = capacity(slots=1, max_waiting=2)
+    limits = capacity(slots=1, max_waiting=2, timeout=DEADLINE)
     lease = await limits.acquire("read", 1)
     waiting = [asyncio.ensure_future(limits.acquire("read", 1)) for _ in range(2)]
     await asyncio.sleep(0)
+    refused = asyncio.ensure_future(limits.acquire("read", 1))
+    await asyncio.wait([refused], timeout=1.0)
     with pytest.raises(Busy):
-        await limits.acquire("read", 1)
-    waiting[0].cancel()  # its caller is gone
+        refused.result()
+    waiting.pop().cancel()  # its caller is gone, and another one may wait
     await asyncio.sleep(0)
+    waiting.append(asyncio.ensure_future(limits.acquire("read", 1)))
+    await asyncio.sleep(0)
+    assert not waiting[-1].done()
     lease.release()
-    (await waiting[1]).release()
+    for each in waiting:
+        (await each).release()
     assert limits.used == 0
+
+
+@pytest.mark.parametrize("why", ["refused", "gone"])
+def test_those_behind_one_who_waits_no_longer_get_their_turn(why: str):
+    """The first in the queue needs more memory than is free, those behind it do not."""
+
+    @in_loop
+    async def run() -> None:
+        limits = capacity(slots=9, memory=100, timeout=0.01 if why == "refused" else DEADLINE)
+        await limits.acquire("read", 60)
+        large = asyncio.ensure_future(limits.acquire("read", 50))
+        await asyncio.sleep(0)
+        limits._timeout = DEADLINE
+        small = asyncio.ensure_future(limits.acquire("read", 10))
+        await asyncio.sleep(0)
+        assert not small.done()
+        if why == "gone":
+            large.cancel()
+        with pytest.raises((Busy, asyncio.CancelledError)):
+            await large
+        await asyncio.wait_for(small, DEADLINE / 4)
+        assert limits.used == 70
+
+    run()
+
+
+@in_loop
+async def test_memory_is_returned_to_the_system_once_much_of_it_is_free(monkeypatch: pytest.MonkeyPatch):
+    returned = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr("service.api.capacity.return_memory", lambda: loop.call_soon_threadsafe(returned.set))
+    limits = capacity(memory=10 * MUCH)
+
+    async def nothing_is_returned() -> bool:
+        for _ in range(3):
+            await loop.run_in_executor(None, lambda: None)
+        return not returned.is_set()
+
+    for memory, expected in (((MUCH,), False), ((MUCH - 1, 2), True), ((1,), False), ((MUCH + 1,), True)):
+        leases = [await limits.acquire("read", each) for each in memory]
+        while len(leases) > 1:
+            leases.pop().release()
+        assert await nothing_is_returned()  # one is still there
+        leases.pop().release()
+        if expected:
+            await returned.wait()
+            returned.clear()
+        else:
+            assert await nothing_is_returned()
+
+
+async def gone() -> Message:
+    return {"type": "http.disconnect"}
+
+
+def request(receive: Callable[[], Awaitable[Message]]) -> Request:
+    return Request({"type": "http", "method": "GET", "headers": []}, receive)
+
+
+@in_loop
+async def test_a_client_that_has_left_gets_nothing_and_holds_nothing():
+    limits, computed = capacity(), []
+
+    @costly(50)
+    def endpoint(service: Any) -> Response:
+        computed.append(service)
+        return Response(b"x")
+
+    parts = SimpleNamespace(capacity=limits)
+    answer = await endpoint(request=request(gone), service=parts)
+    assert answer.status_code == CLIENT_GONE
+    assert (limits.used, computed) == (0, [])
+
+    stopped = asyncio.Event()
+
+    async def receive() -> Message:
+        try:
+            return await never()
+        finally:
+            stopped.set()
+
+    await endpoint(request=request(receive), service=parts)
+    assert computed == [parts]
+    await stopped.wait()  # nobody waits for its end while the answer is sent
+
+
+@in_loop
+async def test_the_end_of_the_service_waits_for_no_thread_and_begins_nothing():
+    limits, go, began = capacity(slots=1), threading.Event(), threading.Semaphore(0)
+
+    def hold() -> Response:
+        began.release()
+        go.wait(DEADLINE)
+        return Response(b"x")
+
+    first = asyncio.ensure_future((await limits.acquire("read", 1)).run(hold))
+    while not began.acquire(blocking=False):
+        await asyncio.sleep(0.001)
+    first.cancel()  # its turn is over, its thread still computes
+    with pytest.raises(asyncio.CancelledError):
+        await first
+    second = asyncio.ensure_future((await limits.acquire("read", 1)).run(hold))
+    await asyncio.sleep(0)
+    timer = threading.Timer(10.0, go.set)  # what waits for the thread ends, too
+    timer.start()
+    try:
+        limits.close()
+        assert not go.is_set()
+        with pytest.raises(asyncio.CancelledError):
+            await second
+    finally:
+        timer.cancel()
+        go.set()
+    assert not began.acquire(blocking=False)
 
 
 @in_loop
@@ -216,6 +342,82 @@ def test_a_costly_answer_gives_back_what_it_took(client: TestClient, path: str):
     assert client.get(f"{here}/{path}").status_code == 200
     capacity = client.app.state.service.capacity  # type: ignore[attr-defined]
     wait_for(lambda: capacity.used == 0)
+
+
+#: Studies that are queued, and what an answer of each may take beside BASE_MEMORY: per flight, cell, start or
+#: value of omega, times how many the answer may have.
+STUDIES: dict[str, dict[str, Any]] = {
+    "sweep": FIGURE_2 | {"omega": [0.5, 0.6]},
+    "ramp": RAMP,
+    "basins": FIGURE_2 | {"protocol": {"kind": "basin", "rows": 30, "columns": 20}, "gamma": 3.6},
+}
+FLIGHTS, RAMPED, HYSTERESIS = 111 * 64, 11 * 8, comparison_memory(SweepSpec.parse(RAMP))
+TAKES: list[tuple[str, str, int]] = [
+    ("sweep", "diagram?omega=0.5", FLIGHTS * 100),
+    ("sweep", "diagram?omega=0.5&every=10", 12 * 64 * 100),
+    ("sweep", "diagram?omega=0.5&format=csv", FLIGHTS * 300),
+    ("sweep", "diagram?omega=0.5&format=png", FLIGHTS * 80),
+    ("ramp", "diagram?omega=0.5&xi=0.05", RAMPED * 100),
+    ("ramp", "diagram?omega=0.5&xi=0.05&format=csv", 2 * RAMPED * 300),
+    ("ramp", "diagram?omega=0.5&xi=0.05&format=csv&direction=up", RAMPED * 300),
+    ("ramp", "threshold?xi=0.05", MAX_READ + 2 * 1_000),
+    ("sweep", "line?omega=0.5&width=50&height=40", FLIGHTS * 24 + 50 * 40 * 16),
+    ("ramp", "modes?xi=0.05", 22 * 64),
+    ("ramp", "modes?xi=0.05&min_flight=5", 22 * 64 + 2 * RAMPED * 100),
+    ("ramp", "modes?xi=0.05&hysteresis=true", 22 * 64 + HYSTERESIS),
+    ("ramp", "plane?xi=0.05", 22 * 32),
+    ("ramp", "plane?xi=0.05&min_flight=5", 22 * 32 + 2 * RAMPED * 24),
+    ("ramp", "plane?xi=0.05&hysteresis=true", 22 * 32 + HYSTERESIS),
+    ("basins", "basins", 30 * 20 * 64),
+]
+
+
+def test_an_answer_counts_as_what_it_may_take(tmp_path: Path):
+    """From the start of its computation, which is left out here."""
+    with service(tmp_path, Held(capacity=0)) as client:
+        parts = client.app.state.service  # type: ignore[attr-defined]
+        used: list[int] = []
+
+        def run(*_: object) -> Any:
+            used.append(parts.capacity.used)
+            raise Busy("enough")
+
+        parts.background.run = run
+        jobs = {
+            name: client.post("/v1/jobs", json=spec).headers["Location"] for name, spec in STUDIES.items()
+        }
+        for study, path, _ in TAKES:
+            assert client.get(f"{jobs[study]}/{path}").status_code == 429, path
+        names = [f"{study}/{path}" for study, path, _ in TAKES]
+        taken = [each - BASE_MEMORY for each in used]
+        assert dict(zip(names, taken, strict=True)) == dict(
+            zip(names, [each for *_, each in TAKES], strict=True)
+        )
+
+        def of_a_spring(query: str) -> int:
+            assert client.get(f"/v1/orbits?omega=0.6&xi=0.05&{query}").status_code == 429
+            return used.pop() - BASE_MEMORY
+
+        assert of_a_spring("modes=1-1") == 4_000 * MAX_GRID
+        assert of_a_spring("modes=1-1,1-2,1-3") == 3 * 4_000 * MAX_GRID
+
+
+def test_an_export_counts_as_several_of_its_chunks(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0)) as client:
+        parts = client.app.state.service  # type: ignore[attr-defined]
+        used: list[int] = []
+
+        def make(*_: object) -> Any:
+            used.append(parts.capacity.used - BASE_MEMORY)
+            raise Busy("enough")
+
+        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+        chunk = parts.manager.preparer.prepare(parts.ledger.find(here.rpartition("/")[2])).layout.chunk_bytes
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("service.render.export.make", make)
+            for format in ("nc", "parquet"):
+                assert client.get(f"{here}/export?format={format}").status_code == 429
+        assert used == [12 * chunk, 12 * chunk + GROUP_BYTES]
 
 
 @pytest.mark.parametrize("path", READS)
@@ -331,6 +533,9 @@ def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: P
         go.set()
         wait_for(lambda: capacity.used == 0)
         assert not began.acquire(blocking=False)
+        metrics = app.state.service.metrics
+        left = b'route="/v1/trajectories",status="499"} 19.0'
+        wait_for(lambda: left in metrics.text())
 
 
 def test_an_answer_that_nobody_reads_ends(tmp_path: Path):

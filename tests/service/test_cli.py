@@ -19,7 +19,7 @@ from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
 from service import address
-from service.cli import options
+from service.cli import local_service, options
 from service.cli.main import main
 from service.cli.output import threshold_table
 from service.client import Client
@@ -157,8 +157,8 @@ def test_cancel_and_what_follows(tmp_path: Path):
         job = client.submit(sweep("long"))
         wait_for(held.held)
         result = bounce("cancel", job.id, url=url)
-        assert result.exit_code == 0
-        assert "long: " in result.stderr
+        assert (result.exit_code, result.stdout) == (0, "")
+        assert re.search("long: running, .*, cancel requested$", result.stderr.strip())
         wait_for(held.told_to_stop)
         held.let_go_until(lambda: job.refresh().finished)
         result = bounce("wait", job.id, url=url)
@@ -350,9 +350,60 @@ def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.Monke
             result = figure_1("-o", target, "--data", settings.data, BOUNCE_URL="http://127.0.0.1:9")
     assert result.exit_code == 0, result.stderr
     assert is_picture(target)
+    assert (result.stdout, f"{target}\n" in result.stderr) == ("", True)
     if "folder" in how:
         assert result.stderr.startswith(f"using the service at {url}, which runs on ")
     assert "starting a local service" not in result.stderr
+
+
+def test_a_service_on_the_data_folder_is_used_only_with_a_token_that_it_accepts(tmp_path: Path):
+    settings = Settings(data=tmp_path, port=0, token="auto")
+    with embedded.running(settings, Held()) as url, address.recorder(settings.data) as record:
+        assert local_service._running_on(tmp_path, None) is None
+        record(url)
+        token = json.loads((tmp_path / "token.json").read_text())["token"]
+        for given in (None, "", "auto", token):
+            assert local_service._running_on(tmp_path, given) == (url, token)
+        assert local_service._running_on(tmp_path, "a-token-of-another-service") is None
+
+
+@pytest.fixture
+def hangup() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGHUP)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_local_service_and_a_second_one_does_not_interrupt_that(
+    hangup: None, number: signal.Signals
+):
+    signal.signal(signal.SIGHUP, signal.default_int_handler)
+    before = [signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGHUP)]
+    cleaned = False
+
+    def work() -> None:
+        nonlocal cleaned
+        with local_service.ended_by_signals():
+            try:
+                os.kill(os.getpid(), number)
+            finally:
+                os.kill(os.getpid(), signal.SIGTERM)
+                os.kill(os.getpid(), signal.SIGHUP)
+                cleaned = True
+
+    with pytest.raises(SystemExit) as ended:
+        work()
+    assert (ended.value.code, cleaned) == (128 + number, True)
+    assert [signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGHUP)] == before
+
+
+def test_a_hangup_that_is_ignored_ends_nothing(hangup: None):
+    """As `nohup` asks for."""
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with local_service.ended_by_signals():
+        os.kill(os.getpid(), signal.SIGHUP)
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 def test_figure_computes_in_a_temporary_folder_if_another_command_has_the_data_folder(

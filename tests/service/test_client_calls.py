@@ -17,6 +17,7 @@ from scripted import Held, sweep, wait_for
 from service.cli.main import main
 from service.cli.output import jobs_live
 from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
+from service.client.display import summary
 from service.server import embedded
 from worker.executors.inline import Inline
 
@@ -150,6 +151,7 @@ def test_the_shell_completes_commands_options_and_ids(running: Running):
     assert completions(running, "bounce thr") == ["plain,threshold"]
     assert completions(running, "bounce status --u") == ["plain,--url"]
     assert completions(running, f"bounce status {running.job.id[:4]}") == [f"plain,{running.job.id}"]
+    assert completions(running, "bounce status ") == [f"plain,{running.job.id}"]
     assert completions(running, "bounce orbits zz") == []
     assert completions(running._replace(address="http://127.0.0.1:9"), "bounce status ") == []
 
@@ -191,9 +193,13 @@ def test_resume_and_delete(idle: Running):
     with pytest.raises(Conflict, match="cancel it first"):
         job.delete()
     job.cancel()
-    assert "queued" in bounce(idle, "resume", job.id).stderr
+    resumed = bounce(idle, "resume", job.id)
+    assert (resumed.stdout, "queued" in resumed.stderr) == ("", True)
     assert bounce(idle, "delete", job.id).exit_code == 1
-    bounce(idle, "cancel", job.id)
+    cancelled = bounce(idle, "cancel", job.id)
+    assert cancelled.stdout == ""
+    assert cancelled.stderr.startswith(f"{job.id[:8]} to and fro: cancelled, ")
+    assert "requested" not in cancelled.stderr
     assert bounce(idle, "delete", job.id).exit_code == 0
     with pytest.raises(NotFound):
         job.refresh()
@@ -219,7 +225,10 @@ def test_follow_ends_with_the_job(tmp_path: Path):
         assert states[-1] == ("done", job.progress.chunks_total)
         assert states == sorted(states, key=lambda state: state[1])
         assert job.spec["gamma"]["num"] == 60
-        assert "done" in bounce(Running(address, client, job), "follow", job.id).stderr
+        followed = bounce(Running(address, client, job), "follow", job.id)
+        assert (followed.stdout, followed.stderr) == ("", f"{summary(job)}\n")
+        (line,) = output_of(Running(address, client, job), "follow", job.id, "--json").splitlines()
+        assert json.loads(line)["state"] == "done"
 
 
 # Results
@@ -292,6 +301,8 @@ def test_trajectory(running: Running, tmp_path: Path):
     assert rows[0] == "phase,plate,z1,z2,force,in_flight"
     assert len(rows) == 1 + 81
     np.testing.assert_allclose([float(row.split(",")[3]) for row in rows[1:]], dataset.z2)
+    text = output_of(running, "trajectory", *words, "--samples", "20", "--format", "json", "-o", "-")
+    np.testing.assert_allclose(json.loads(text)["z2"], dataset.z2)
     with pytest.raises(BadRequest, match="xi"):
         running.client.trajectory({"gamma": 1, "omega": 1})
 
@@ -313,7 +324,30 @@ def test_trajectory_from_a_start(running: Running, words: list[str], start: dict
 
 def test_metrics(running: Running):
     assert 'bounce_jobs{state="done"} 1.0' in running.client.metrics()
-    assert "bounce_ready" in output_of(running, "metrics")
+    printed = output_of(running, "metrics")
+    assert "bounce_ready" in printed
+    assert printed.endswith("\n")
+    assert not printed.endswith("\n\n")
+
+
+def test_pinned_jobs_are_listed_apart(idle: Running):
+    job = idle.client.submit(sweep("pinned", xi=0.6))
+    assert len(output_of(idle, "list", "--pinned").splitlines()) == 1
+    job.pin()
+    _, *rows = output_of(idle, "list", "--pinned").splitlines()
+    assert [row.split()[0] for row in rows] == [job.id]
+    assert len(output_of(idle, "list").splitlines()) > 2
+    assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
+
+
+def test_a_file_of_another_kernel_version_is_written_with_a_warning(
+    running: Running, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    words = ("modes", running.job.id, "-o", str(tmp_path / "modes.csv"))
+    assert bounce(running, *words).stderr == ""
+    old = Job.from_view(running.client._transport, {**running.job.view, "notice": "computed by version 0"})
+    monkeypatch.setattr(Client, "job", lambda self, job_id: old)
+    assert bounce(running, *words).stderr == "the job is computed by version 0\n"
 
 
 # Bad input on the command line
@@ -385,7 +419,8 @@ def test_the_thresholds_of_a_spring_are_printed(running: Running):
     plain = json.loads(output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05", "--json"))
     assert (plain["down"], plain["cause"]) == (None, "unresolved")
     assert plain["reason"] in output_of(running, "threshold", "--omega", "0.46", "--xi", "0.05")
-    assert "give --omega and --xi" in bounce(running, "threshold").stderr
+    for given in ((), ("--omega", "0.6"), ("--xi", "0.05")):
+        assert "give --omega and --xi" in bounce(running, "threshold", *given).stderr
     assert "--omega is for one spring" in bounce(running, "threshold", running.job.id, "--omega", "1").stderr
 
 
@@ -409,6 +444,9 @@ def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
         np.isnan(found.gamma[0]).sum()
     )
     assert "give --omega and --xi" in bounce(running, "orbits", "--omega", "0.6").stderr
+    assert "give --omega and --xi" in bounce(running, "orbits", "--xi", "0.05").stderr
+    for omega, xi, rule in (("0", "0.05", "omega: should be greater than 0"), ("1", "0", "xi: must be > 0")):
+        assert rule in bounce(running, "orbits", "--omega", omega, "--xi", xi).stderr
     assert "of one bounce" in bounce(running, *words[:-1], "2-2").stderr
 
 
@@ -420,6 +458,11 @@ def test_orbits_of_a_job_are_written(running: Running, tmp_path: Path):
     header, *rows = (tmp_path / "words.csv").read_text().splitlines()
     assert {"word", "flight_time_1", "gamma"} <= set(header.split(","))
     assert rows
+    found = running.job.orbits(0.5, direction="up", progress=False)
+    assert done.stderr.splitlines() == [
+        f"no branch from the cell at gamma {gamma:g}: {reason}"
+        for gamma, reason in zip(found.skipped_gamma.values, found.skipped_reason.values, strict=True)
+    ]
 
 
 def test_curves_are_printed_and_written(running: Running, tmp_path: Path):

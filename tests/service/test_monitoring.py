@@ -3,21 +3,24 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
 from paths import ROOT
 from prometheus_client.parser import text_string_to_metric_families
-from scripted import Scripted, wait_for
+from scripted import Held, Scripted, wait_for
 from served import RAMP, finished, get, service
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from service.api.middleware import access_log
 from service.api.middleware.access_log import AccessLog
 from service.api.monitoring import Metrics
+from worker.executors.base import ClusterState
 
 DASHBOARD: dict[str, Any] = json.loads((ROOT / "docs" / "grafana.json").read_text())
 
@@ -72,6 +75,45 @@ def test_workers_and_what_is_left_are_told(measured: dict[str, Any]):
     assert set(build) == {"version", "kernel_version"}
 
 
+def test_jobs_chunks_and_cells_are_counted(measured: dict[str, Any]):
+    jobs = {labels["state"]: value for labels, value in measured["bounce_jobs"]}
+    assert jobs == {"queued": 0.0, "running": 0.0, "done": 1.0, "failed": 0.0, "cancelled": 0.0}
+    assert measured["bounce_chunks_done"] == measured["bounce_chunks_computed_total"]
+    assert measured["bounce_cells_done"] == [({}, 88.0)]
+    assert measured["bounce_ready"] == [({}, 1.0)]
+
+
+class Cluster(Held):
+    """Three workers compute, one is refused, and five are planned, or nobody knows how many."""
+
+    planned: int | None = 5
+
+    def state(self) -> ClusterState:
+        return ClusterState(True, 3, planned=self.planned, refused=("an old one",))
+
+
+def test_workers_are_counted_by_what_becomes_of_them(tmp_path: Path):
+    cluster = Cluster()
+    with service(tmp_path, cluster) as client:
+        counted = {labels["state"]: value for labels, value in samples(client)["bounce_workers"]}
+        assert counted == {"computing": 3.0, "refused": 1.0, "planned": 5.0}
+        cluster.planned = None
+        assert len(samples(client)["bounce_workers"]) == 2
+
+
+def test_a_service_without_workers_is_not_ready(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0)) as client:
+        assert samples(client)["bounce_ready"] == [({}, 0.0)]
+
+
+def test_a_method_that_callers_make_up_is_no_label_of_its_own(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        client.request("BREW", "/v1/jobs")
+        client.put("/v1/jobs")
+        methods = [labels["method"] for labels, _ in samples(client)["bounce_http_requests_total"]]
+    assert sorted(methods) == ["PUT", "other"]
+
+
 def expressions() -> list[str]:
     return [target["expr"] for panel in DASHBOARD["panels"] for target in panel["targets"]]
 
@@ -116,6 +158,24 @@ def test_the_dashboard_can_be_imported():
     assert {panel["type"] for panel in DASHBOARD["panels"]} <= {"timeseries", "stat"}
     assert all(panel["title"] and panel["description"] for panel in DASHBOARD["panels"])
     assert str(Path("docs/grafana.json").name) in (ROOT / "docs" / "deployment.md").read_text()
+
+
+def test_a_request_is_logged_with_its_milliseconds(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+):
+    async def answer(request: Request) -> Response:
+        return Response()
+
+    caplog.set_level("INFO", logger="service.requests")
+    metrics = Metrics()
+    app = Starlette(routes=[Route("/v1/jobs/{job_id}", answer, methods=["X" * 99])])
+    with TestClient(AccessLog(app, metrics)) as client:
+        monkeypatch.setattr(access_log, "time", SimpleNamespace(perf_counter=iter((7.0, 7.03125)).__next__))
+        client.request("X" * 99, "/v1/jobs/" + "a" * 99)
+    [record] = caplog.records
+    fields = record.__dict__["fields"]
+    assert (fields["ms"], fields["method"], fields["job"]) == (31.2, "X" * 16, "a" * 64)
+    assert b'_seconds_sum{route="/v1/jobs/{job_id}"} 0.03125' in metrics.text()
 
 
 @pytest.mark.parametrize(("status", "level"), [(200, "DEBUG"), (399, "DEBUG"), (400, "INFO"), (503, "INFO")])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import served
 from fastapi.testclient import TestClient
 from scripted import Held, wait_for
 from served import computing, get
@@ -178,12 +179,21 @@ def test_a_plane_of_curves_is_one_range_and_one_value(service: TestClient):
     rule = "give xi, omega_start and omega_stop, or omega, xi_start and xi_stop"
     assert rule in refused(service, "/v1/curves", 422)
     assert rule in refused(service, "/v1/curves", 422, xi=0.05, omega=0.5)
+    assert f"xi: {rule}" in refused(service, "/v1/curves", 422, xi=0.05, omega_start=0.5)
+    assert f"omega: {rule}" in refused(service, "/v1/curves", 422, omega=0.5)
     backwards = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.5}
     for stop in (0.5, 0.6):
         backwards["omega_stop"] = stop
         assert "omega_stop: must be above omega_start" in refused(service, "/v1/curves", 422, **backwards)
     query = {"omega": 0.6, "xi_start": 0.05, "xi_stop": 0.06, "kinds": "bend"}
     assert "not 'bend'" in refused(service, "/v1/curves", 422, **query)
+
+
+def test_a_range_and_a_value_suffice(tmp_path: Path):
+    with served.service(tmp_path, Held()) as client:  # whose workers never answer
+        for query in ("xi=0.05&omega_start=0.6&omega_stop=0.61", "omega=0.6&xi_start=0.05&xi_stop=0.06"):
+            answer = client.get(f"/v1/curves?{query}")
+            assert (answer.status_code, answer.json()["state"]) == (202, "running")
 
 
 def test_the_client_has_labelled_datasets(client: Client):

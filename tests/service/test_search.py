@@ -1,6 +1,7 @@
 """Jobs found in the ledger and over HTTP: every condition, every order, page by page."""
 
 from collections.abc import Iterator
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +148,8 @@ def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):
 
         etag = client.get(small["links"]["self"]).headers["ETag"]
         for _ in range(2):  # pinning twice is harmless
-            assert client.post(small["links"]["pin"]).json()["pinned"] is True
+            pinned = client.post(small["links"]["pin"])
+            assert (pinned.status_code, pinned.json()["pinned"]) == (200, True)
         assert client.get(small["links"]["self"]).headers["ETag"] != etag
         assert found(pinned=True) == ["Small"]
         assert found(pinned=False, order="oldest") == ["other"]
@@ -157,11 +159,17 @@ def test_jobs_are_found_and_pinned_over_http(tmp_path: Path):
         day = small["created"][:10]
         assert found(created_from=day) == ["other", "Small"]
         assert found(created_before=day) == found(created_from="2999-01-01") == []
+        second, east = timedelta(seconds=1), timezone(timedelta(hours=9))
+        early, late = (datetime.fromisoformat(job["created"]).astimezone(east) for job in (small, other))
+        assert found(created_from=(early - second).isoformat()) == ["other", "Small"]
+        assert found(created_from=(late + second).isoformat()) == []
+        assert found(created_before=(late + second).isoformat()) == ["other", "Small"]
         page = client.get("/v1/jobs", params={"order": "name", "limit": 1}).json()
         assert (page["total"], page["jobs"][0]["id"]) == (2, other["id"])
         rest = client.get("/v1/jobs", params={"order": "name", "limit": 1, "cursor": page["next"]}).json()
         assert (rest["next"], rest["jobs"][0]["id"]) == (None, small["id"])
-        assert client.post(small["links"]["unpin"]).json()["pinned"] is False
+        unpinned = client.post(small["links"]["unpin"])
+        assert (unpinned.status_code, unpinned.json()["pinned"]) == (200, False)
         assert found(pinned=True) == []
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from service.errors import NotStarted
 from service.settings import Settings
 
 
@@ -29,6 +30,50 @@ def test_every_setting_is_described_in_one_sentence(name: str):
 def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: str):
     with pytest.raises(ValidationError, match=rule):
         Settings(**given)
+
+
+@pytest.mark.parametrize(
+    ("stores", "url", "folders"),
+    [
+        (None, "/d/stores", ["/d", "/d/stores"]),
+        ("/else/me@home", "/else/me@home", ["/d", "/else/me@home"]),
+        ("s3://bucket/prefix/", "s3://bucket/prefix", ["/d"]),
+    ],
+)
+def test_the_stores_are_in_the_data_folder_another_one_or_a_bucket(
+    stores: str | None, url: str, folders: list[str]
+):
+    settings = Settings(data=Path("/d"), stores=stores)
+    assert settings.stores_url == url
+    assert settings.store_of("a" * 32) == f"{url}/{'a' * 32}.zarr"
+    assert settings.folders == tuple(map(Path, folders))
+
+
+def test_the_addresses_of_stores_do_not_depend_on_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    for settings in (Settings(data=Path("data")), Settings(data=Path("data"), stores="data/stores")):
+        assert settings.stores_url == str(tmp_path / "data" / "stores")
+    assert settings.exports_path == tmp_path / "data" / "exports"
+
+
+def test_every_address_of_the_machine_is_no_name_that_callers_may_use():
+    token = "a-token-of-the-service"
+    assert Settings(host="0.0.0.0", token=token).hosts == Settings(host="::", token=token).hosts
+    assert Settings(host="0.0.0.0", token=token).hosts == {"localhost", "127.0.0.1", "::1"}
+    assert Settings(host="Lab.Example", token=token, allowed_hosts="b.org").hosts == {
+        *("localhost", "127.0.0.1", "::1"), "lab.example", "b.org"
+    }  # fmt: skip
+
+
+def test_a_token_that_is_still_to_be_made_lets_nobody_in():
+    assert Settings(token="auto").makes_token
+    with pytest.raises(NotStarted, match="auto is not replaced"):
+        Settings(token="auto").access_tokens()
+    assert not Settings(token="a-token-of-the-service").makes_token
+    assert Settings(token="a-token-of-the-service").access_tokens() == {"a-token-of-the-service": None}
+    assert Settings(token="").access_tokens() == {}
 
 
 def test_host_names_come_as_a_text_from_the_environment(monkeypatch: pytest.MonkeyPatch):

@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import webbrowser
 from pathlib import Path
 
 import httpx2
@@ -85,7 +86,39 @@ def test_a_missing_file_is_named_before_the_service_starts(tmp_path: Path):
     assert f"token_file: {tmp_path / 'none'}: No such file" in done.output
 
 
+def test_a_token_has_16_printable_characters_or_more():
+    assert tokens.is_valid("x" * 16)
+    assert not tokens.is_valid("x" * 15)
+    for character in (" ", "\t", "\x7f", "é"):
+        assert not tokens.is_valid("x" * 16 + character)
+
+
 # The token that a service makes
+
+
+def test_a_file_that_cannot_be_completed_leaves_nothing(tmp_path: Path):
+    def fail(file: Path) -> None:
+        assert file.parent == tmp_path
+        raise KeyboardInterrupt
+
+    def lose(file: Path) -> None:
+        file.unlink()
+        raise KeyboardInterrupt
+
+    for before in (fail, lose):
+        with pytest.raises(KeyboardInterrupt):
+            tokens.write_private(tmp_path / "token.json", "text", before_replace=before)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_token_is_looked_for_in_the_folder_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "another"))
+    token = tokens.own_token(tmp_path, port=8000)
+    assert tokens.find_token(8000, tmp_path) == token
+    assert tokens.find_token(8000) is None
+    assert tokens.data_folder() == tmp_path / "another"
+    monkeypatch.setenv("BOUNCE_DATA", "")
+    assert tokens.data_folder() == Path("bounce-data")
 
 
 def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
@@ -114,7 +147,11 @@ def test_a_token_is_found_for_its_own_port_only(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.parametrize(
-    "content", ["", "{", "[]", '{"token": "short", "port": 1}', '{"token": 5, "port": 1}']
+    "content",
+    [
+        *("", "{", "[]", '{"token": "short", "port": 1}', '{"token": 5, "port": 1}'),
+        json.dumps({"token": ANA, "port": "1"}),
+    ],
 )
 def test_a_damaged_file_counts_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str):
     monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
@@ -190,6 +227,41 @@ def test_the_pages_address_has_the_token_in_its_fragment(tmp_path: Path, monkeyp
     for other in ("http://127.0.0.1:8001", "http://192.0.2.7:8000", "https://example.org"):
         assert printed("--url", other) == f"{other}/"
     assert printed("--token", "one/of#mine&=more") == "http://127.0.0.1:8000/#token=one%2Fof%23mine%26%3Dmore"
+
+
+def test_the_page_is_opened_without_its_token_on_a_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    token, opened, opens = tokens.own_token(tmp_path, port=8000), list[str](), True
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or opens)
+
+    def printed(*options: str) -> str:
+        done = CliRunner().invoke(main, ["open", *options])
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    assert printed() == ""
+    assert opened == [(tmp_path / "open.html").as_uri()]
+    assert f"url=http://127.0.0.1:8000/#token={token}" in (tmp_path / "open.html").read_text()
+    assert stat.S_IMODE((tmp_path / "open.html").stat().st_mode) == 0o600
+    assert printed("--url", "http://127.0.0.1:8001") == ""
+    assert opened[1:] == ["http://127.0.0.1:8001/"]
+    opens = False
+    assert printed("--url", "http://127.0.0.1:8001") == "http://127.0.0.1:8001/\n"
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "missing"))
+    refused = CliRunner().invoke(main, ["open", "--token", token])
+    assert (refused.exit_code, "use --print, or set BOUNCE_DATA" in refused.stderr) == (1, True)
+
+
+def test_the_token_of_the_environment_is_there_again_after_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("BOUNCE_TOKEN", ANA)
+    with embedded.running(embedded.settings(data=tmp_path, port=0), Held()) as url:
+        assert "BOUNCE_TOKEN" not in os.environ
+        assert httpx2.get(f"{url}/v1/jobs", headers={"Authorization": f"Bearer {ANA}"}).status_code == 200
+    assert os.environ["BOUNCE_TOKEN"] == ANA
 
 
 def test_the_processes_of_a_service_do_not_inherit_its_token(tmp_path: Path):

@@ -161,16 +161,16 @@ class Slow(Inline):
 
 
 def test_a_request_before_the_end_gets_the_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(work_precision, "SETUPS", ADVISED[:2])
+    monkeypatch.setattr(work_precision, "SETUPS", ADVISED[:3])
     executor = Slow()
     with TestClient(create_app(Settings(data=tmp_path), executor), base_url="http://localhost") as client:
         first = client.get("/v1/tradeoff")
         assert (first.status_code, first.headers["Retry-After"]) == (202, "1")
         assert first.headers["Content-Type"] == "application/json"
-        progress = {"parts_done": 0, "parts_total": 2, "percent": 0.0}
+        progress = {"parts_done": 0, "parts_total": 3, "percent": 0.0}
         assert first.json() == {"state": "running", "progress": progress}
         executor.futures[0].set_result(None)
-        assert client.get("/v1/tradeoff").json()["progress"] == {**progress, "parts_done": 1, "percent": 50.0}
+        assert client.get("/v1/tradeoff").json()["progress"] == {**progress, "parts_done": 1, "percent": 33.3}
         answers = client.get("/openapi.json").json()["paths"]["/v1/tradeoff"]["get"]["responses"]
         assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
     executor.close()

@@ -61,7 +61,8 @@ def docs(request: Request) -> HTMLResponse:
         for path, methods in document["paths"].items()
         for method, operation in methods.items()
     ]
-    sweep = document["components"]["schemas"]["SweepSpec"]
+    schemas = document["components"]["schemas"]
+    sweep = schemas["SweepSpec"]
     content = _PAGE.format(
         title=escape(document["info"]["title"]),
         summary=escape(document["info"]["summary"]),
@@ -75,8 +76,8 @@ def docs(request: Request) -> HTMLResponse:
             address=escape(str(request.base_url)),
             specification=escape(json.dumps(_SPECIFICATION, indent=1), quote=False),
         ),
-        specification=_fields(sweep, document["components"]["schemas"]),
-        operations="\n".join(_operation(*operation) for operation in operations),
+        specification=_fields(sweep, schemas),
+        operations="\n".join(_operation(*operation, schemas) for operation in operations),
     )
     return HTMLResponse(content, headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"})
 
@@ -126,7 +127,7 @@ _LIMITS: Final = {
 
 def _option(schema: Mapping[str, Any]) -> str:
     if "$ref" in schema:
-        name = schema["$ref"].rpartition("/")[2]
+        name = _name(schema)
         return f'<a href="#{name}">{name}</a>'
     if "const" in schema:
         return escape(json.dumps(schema["const"]))
@@ -150,8 +151,8 @@ def _table(label: str, rows: str, columns: tuple[str, ...] = ()) -> str:
     )
 
 
-def _operation(method: str, path: str, operation: Mapping[str, Any]) -> str:
-    rows = "".join(_rows(operation))
+def _operation(method: str, path: str, operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
+    rows = "".join(_rows(operation, schemas))
     name = f"{method.upper()} {path}"
     return (
         f'<h2 id="{_anchor(method, path)}">{escape(name)}</h2>'
@@ -160,15 +161,16 @@ def _operation(method: str, path: str, operation: Mapping[str, Any]) -> str:
     )
 
 
-def _rows(operation: Mapping[str, Any]) -> Iterator[str]:
+def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[str]:
     for parameter in operation.get("parameters", []):
         schema = parameter["schema"]
         description = parameter.get("description") or schema.get("description") or ""
         default = f"default {schema['default']}" if schema.get("default") is not None else ""
-        yield _row(parameter["name"], "; ".join(filter(None, [_type(schema), default, description])))
+        yield _row(parameter["name"], "; ".join(filter(None, [_type(schema, schemas), default, description])))
     if "requestBody" in operation:
         (content,) = operation["requestBody"]["content"].values()
-        yield _row("body", f"application/json: {content['schema'].get('$ref', '').rpartition('/')[2]}")
+        models = content["schema"].get("oneOf", [content["schema"]])
+        yield _row("body", f"application/json: {' or '.join(_name(model) for model in models)}")
     yield _row("status", ", ".join(sorted(operation["responses"])))
 
 
@@ -176,8 +178,14 @@ def _row(name: str, text: str) -> str:
     return f"<tr><th scope=row>{escape(name)}</th><td>{escape(text)}</td></tr>"
 
 
-def _type(schema: Mapping[str, Any]) -> str:
+def _type(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
     """A parameter's type, or the values it may have."""
-    options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
-    first = options[0] if options else {}
-    return " | ".join(map(str, first["enum"])) if "enum" in first else str(first.get("type", ""))
+    first = next(option for option in schema.get("anyOf", [schema]) if option.get("type") != "null")
+    if "$ref" in first:
+        first = schemas[_name(first)]
+    return " | ".join(map(str, first["enum"])) if "enum" in first else str(first["type"])
+
+
+def _name(reference: Mapping[str, Any]) -> str:
+    """The name of the schema that is referred to."""
+    return str(reference["$ref"].rpartition("/")[2])

@@ -1,0 +1,36 @@
+"""What computed a job: the versions and the processor of each run."""
+
+import json
+from typing import Any
+
+import pytest
+
+from service import software
+
+
+def runs(text: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(text)
+    return found
+
+
+def test_the_first_run_of_a_job_names_its_software():
+    (run,) = runs(software.with_this_run("[]", 5.0))
+    here = software.software()
+    assert run == {
+        "release": here.release, "python": here.python, "libraries": here.libraries,
+        "processor": software.processor(), "began": 5.0,
+    }  # fmt: skip
+
+
+def test_a_run_on_the_same_software_is_not_told_again():
+    once = software.with_this_run("[]", 5.0)
+    assert software.with_this_run(once, 6.0) == once
+    (run,) = runs(once)
+    earlier = json.dumps([run, {**run, "release": "0.0.1"}])
+    assert [r["began"] for r in runs(software.with_this_run(earlier, 7.0))] == [5.0, 5.0, 7.0]
+
+
+@pytest.mark.parametrize(("known", "kept"), [(98, 99), (99, 100), (100, 100)])
+def test_the_first_hundred_runs_are_kept(known: int, kept: int):
+    earlier = json.dumps([{"release": f"0.0.{number}"} for number in range(known)])
+    assert len(runs(software.with_this_run(earlier, 1.0))) == kept
