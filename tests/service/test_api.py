@@ -364,7 +364,7 @@ class Page(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tables: dict[str, list[list[str]]] = {}
-        self.links, self.targets = list[str](), list[str]()
+        self.links, self.targets, self.in_cell = list[str](), list[str](), False
         self.feed(text)
 
     def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
@@ -375,11 +375,15 @@ class Page(HTMLParser):
             self.rows.append([])
         elif tag in ("th", "td"):
             self.rows[-1].append("")
+            self.in_cell = True
         self.links += [given["href"]] if tag == "a" else []
         self.targets += [f"#{given['id']}"] if "id" in given else []
 
+    def handle_endtag(self, tag: str) -> None:
+        self.in_cell = self.in_cell and tag not in ("th", "td")
+
     def handle_data(self, data: str) -> None:
-        if self.tables and self.rows and self.rows[-1]:
+        if self.in_cell:
             self.rows[-1][-1] += data
 
 

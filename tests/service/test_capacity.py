@@ -123,8 +123,9 @@ async def test_so_many_may_wait_and_no_more():
     await asyncio.wait([refused], timeout=1.0)
     with pytest.raises(Busy):
         refused.result()
-    waiting.pop().cancel()  # its caller is gone, and another one may wait
-    await asyncio.sleep(0)
+    left = waiting.pop()
+    left.cancel()  # its caller is gone, and another one may wait
+    await asyncio.wait([left])
     waiting.append(asyncio.ensure_future(limits.acquire("read", 1)))
     await asyncio.sleep(0)
     assert not waiting[-1].done()

@@ -220,7 +220,8 @@ def test_a_service_runs_until_a_signal(
     assert address.find(tmp_path) is None
     assert [signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGINT)] == handlers
     assert logging.getLogger("uvicorn.error").disabled  # nobody needs to know which connections end
-    assert gc.get_freeze_count() > 0
+    if number is signal.SIGTERM:
+        assert gc.get_freeze_count() > 0  # the process ends at once
 
 
 def test_a_service_says_with_which_cluster_it_computes(tmp_path: Path):

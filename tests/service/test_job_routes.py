@@ -5,6 +5,7 @@ import json
 import threading
 import time
 from collections import Counter
+from collections.abc import AsyncIterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,9 @@ from scripted import DEADLINE, Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
 
 from benchmarks.attack import streams_at_once
+from service.api import progress_stream
+from service.jobs.ledger import Ledger
+from service.jobs.model import NewJob
 from service.server import embedded
 from service.settings import Settings
 
@@ -257,6 +261,27 @@ def test_a_finished_job_sends_one_event(tmp_path: Path):
         assert answer.headers["Content-Type"].startswith("text/event-stream")
         ((name, view),) = events(answer.text)
         assert (name, view["state"], view["spec"]) == ("end", "done", None)
+
+
+def test_a_listener_asks_again_after_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """However long nothing changes: the ledger is for others, too."""
+    monkeypatch.setattr(progress_stream, "POLL_SECONDS", DEADLINE)
+    asked: list[str] = []
+
+    async def listen(changes: AsyncIterator[Any]) -> None:
+        assert (await anext(changes)).state == "queued"
+        waiting = asyncio.ensure_future(anext(changes))
+        for _ in range(20):
+            await asyncio.to_thread(lambda: None)
+        assert asked == ["a" * 32]
+        waiting.cancel()
+
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            writing.insert(NewJob("a" * 32, "", "{}", "3", (1, 1, 1), 1, 1), 1.0)
+        find = ledger.find
+        monkeypatch.setattr(ledger, "find", lambda job_id: asked.append(job_id) or find(job_id))
+        asyncio.run(listen(progress_stream.ProgressStream(ledger).changes("a" * 32)))
 
 
 def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):
