@@ -258,7 +258,7 @@ def test_the_doctor_names_a_disk_that_is_full_or_of_another_machine(
     ("workers", "stores", "mark", "said"),
     [
         (1, [], "ok", "is ready"),
-        (0, [], "!!", "is not ready: no workers yet; jobs wait until there are"),
+        (0, [], "!!", "is not ready: the Dask scheduler does not answer; jobs wait until it does"),
         (1, ["f" * 32], "!!", "is ready: stores that the ledger does not know: 1"),
     ],
 )
