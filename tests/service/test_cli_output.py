@@ -11,6 +11,7 @@ import xarray
 
 from service.cli import orbits
 from service.cli.output import (
+    as_json,
     estimate_line,
     job_report,
     job_table,
@@ -58,6 +59,10 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
     ]
 
 
+def test_json_is_indented_and_shows_every_letter():
+    assert as_json({"name": "ω"}) == '{\n  "name": "ω"\n}'
+
+
 def test_a_table_of_jobs_has_one_line_for_each():
     heading, first, second = job_table([job(), job(state="queued", percent=0.0, name="")]).splitlines()
     assert heading.split() == ["ID", "STATE", "DONE", "CELLS", "NAME"]
@@ -72,6 +77,7 @@ def test_jobs_that_are_watched_show_the_time_that_is_left():
     console.print(jobs_live([job()]))
     heading, line = console.export_text().splitlines()
     assert heading.split() == ["ID", "STATE", "DONE", "CELLS", "LEFT", "NAME"]
+    assert heading.startswith("ID")  # as wide as what is in it: a terminal may be narrow
     bar = "━" * 12
     assert line.split() == ["01234567", "running", bar, "50%", "24,000", "2", "min", "5", "s", "ω", "sweep"]
     for title, text in (("DONE", "50%"), ("CELLS", "24,000")):  # numbers end below the end of their title
