@@ -120,6 +120,7 @@ def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_p
     def bounce(*arguments: str) -> str:
         done = CliRunner().invoke(main, ["tradeoff", "--url", address, *arguments])
         assert done.exit_code == 0, done.output
+        assert done.stderr.startswith("measuring")  # it may take a minute
         return done.stdout
 
     lines = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
