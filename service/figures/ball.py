@@ -102,7 +102,7 @@ def _draw(caption: Caption, diagrams: Sequence[xarray.Dataset], titles: Sequence
     top = 1.06 * max(float(diagram.flight_time.max()) for diagram in diagrams)
     panels = area.subplots(2, 1, sharex=True, sharey=True)
     for axes, diagram, title in zip(panels, diagrams, titles, strict=True):
-        plot_flights(axes, diagram, size=0.8)
+        plot_flights(axes, diagram, markersize=1.6)
         values = diagram.gamma.values
         flight_scales(axes, float(values[0]), float(values[-1]), top)
         panel_title(axes, title)

@@ -30,6 +30,13 @@ from service.presets import BRANCH_OMEGAS, XI
 #: Γ and flight times in the frame of each panel.
 FRAMES: Final = ((0.45, 1.1, 6.6), (0.7, 1.5, 6.6), (0.45, 1.1, 6.6))
 
+#: How cycles are drawn: those of the spring, stable and unstable, and those that it does not have.
+CYCLES: Final[dict[str, dict[str, Any]]] = {
+    "stable": {"linestyle": "-", "linewidth": 2.6, "alpha": 0.5},
+    "unstable": {"linestyle": (0, (4, 2)), "linewidth": 1.1},
+    "not admissible": {"linestyle": (0, (1, 2)), "linewidth": 0.8},
+}
+
 #: Colour, marker and name of the events that are marked.
 MARKS: Final = {
     Kind.FOLD: (BLUE, "o", "fold"),
@@ -50,7 +57,7 @@ def draw(job: Job) -> Drawing:
     for axes, letter, frame, (line, events) in zip(panels, "abc", FRAMES, drawn, strict=True):
         plot_branch(axes, line)
         for direction in ("up", "down"):
-            plot_flights(axes, _along(job, line.omega, direction), size=0.6)
+            plot_flights(axes, _along(job, line.omega, direction), markersize=1.2)
         _mark(axes, events)
         start = float(threshold(line.omega, XI))
         axes.plot([start], [0], marker="^", markersize=5, color="black", clip_on=False, zorder=6)
@@ -71,17 +78,18 @@ def _along(job: Job, omega: float, direction: str) -> xarray.Dataset:
 
 def plot_branch(axes: Axes, line: Branch) -> None:
     """Stable cycles solid, unstable ones dashed, those that the spring does not have dotted."""
-    styles: tuple[tuple[NDArray[np.bool_], dict[str, Any]], ...] = (
-        (line.admissible != 0, {"linestyle": (0, (1, 2)), "linewidth": 0.8}),
-        ((line.admissible == 0) & ~line.stable, {"linestyle": (0, (4, 2)), "linewidth": 1.1}),
-        ((line.admissible == 0) & line.stable, {"linestyle": "-", "linewidth": 2.6, "alpha": 0.5}),
-    )
-    for keep, style in styles:
+    admissible = line.admissible == 0
+    kinds = {
+        "not admissible": ~admissible,
+        "unstable": admissible & ~line.stable,
+        "stable": admissible & line.stable,
+    }
+    for name, keep in kinds.items():
         # a part of the branch reaches to its neighbours' first points, so that no gap is between them
         wide = keep | np.roll(keep, 1)
         wide[0] = keep[0]
         gamma = np.where(wide, line.gamma, np.nan)
-        axes.plot(gamma, line.flight_time, color=BLUE, zorder=2, **style)
+        axes.plot(gamma, line.flight_time, color=BLUE, zorder=2, **CYCLES[name])
 
 
 def _mark(axes: Axes, events: Events) -> None:
@@ -94,17 +102,17 @@ def _mark(axes: Axes, events: Events) -> None:
 
 def _label_thresholds(axes: Axes, events: Events) -> None:
     """The names of the two folds of the S."""
-    upper, lower = (events.flight_time, events.gamma) if len(events.gamma) else (np.empty(0), np.empty(0))
     folds = np.flatnonzero((events.kind == Kind.FOLD) & (events.admissible == 0))
     for i, name, offset in zip(folds, ("jump", "down"), ((6, -3), (-30, -4)), strict=True):
         text = rf"$\Gamma_{{\mathrm{{{name}}}}}$"
-        axes.annotate(text, (lower[i], upper[i]), offset, textcoords="offset points", fontsize=8.5)
+        axes.annotate(
+            text, (events.gamma[i], events.flight_time[i]), offset, textcoords="offset points", fontsize=8.5
+        )
 
 
 def _legend(axes: Axes) -> None:
-    axes.plot([], [], color=BLUE, linewidth=2.6, alpha=0.5, label="stable")
-    axes.plot([], [], color=BLUE, linestyle=(0, (4, 2)), label="unstable")
-    axes.plot([], [], color=BLUE, linestyle=(0, (1, 2)), linewidth=0.8, label="not admissible")
+    for name, style in CYCLES.items():
+        axes.plot([], [], color=BLUE, label=name, **style)
     for colour, marker, name in MARKS.values():
         axes.plot([], [], linestyle="none", marker=marker, markersize=4, markerfacecolor="white",
                   markeredgecolor=colour, label=name)  # fmt: skip

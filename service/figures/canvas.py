@@ -175,19 +175,19 @@ def panel_title(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", pad=3)
 
 
-def plot_flights(axes: Axes, diagram: xarray.Dataset, *, colour: str = "black", size: float = 1.0) -> None:
+def plot_flights(axes: Axes, diagram: xarray.Dataset, *, colour: str = "black", markersize: float) -> None:
     """Plot a bifurcation diagram: a dot per flight over the axis of the diagram."""
     along = str(diagram.flight_time.dims[0])
     times = diagram.flight_time.values
     values = np.broadcast_to(diagram[along].values[:, None], times.shape)
     flights = np.isfinite(times)
-    plot_dots(axes, values[flights], times[flights], colour=colour, size=size)
+    plot_dots(axes, values[flights], times[flights], colour=colour, markersize=markersize)
 
 
-def plot_dots(axes: Axes, x: Any, y: Any, *, colour: str, size: float) -> None:
-    """Plot dots `size` points wide, rasterized also in an SVG."""
+def plot_dots(axes: Axes, x: Any, y: Any, *, colour: str, markersize: float) -> None:
+    """Plot dots, rasterized also in an SVG."""
     axes.plot(
-        x, y, linestyle="none", marker=".", markersize=2 * size, markeredgewidth=0, color=colour,
+        x, y, linestyle="none", marker=".", markersize=markersize, markeredgewidth=0, color=colour,
         rasterized=True, zorder=3,
     )  # fmt: skip
 

@@ -28,8 +28,7 @@ SLOW: Final = 0.5
 def draw(job: Job, lower: Job) -> Drawing:
     """Up in gray and down in black, as printed, with Eq. 25."""
     loop, from_lower = job.threshold(xi=XI), lower.threshold(xi=XI)
-    gamma = job.spec["gamma"]
-    step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
+    step = gamma_step(job.spec)
     drawing, area = new_drawing(3.1, _caption(loop, from_lower, step, job.spec))
     axes = area.subplots()
     omega = loop.omega.values
@@ -51,6 +50,12 @@ def draw(job: Job, lower: Job) -> Drawing:
     axes.legend(loc="upper left")
     minor_ticks(axes)
     return drawing
+
+
+def gamma_step(spec: Mapping[str, Any]) -> float:
+    """The step of a ramp over a range of Γ."""
+    gamma = spec["gamma"]
+    return float((gamma["stop"] - gamma["start"]) / (gamma["num"] - 1))
 
 
 def minima(values: NDArray[np.float64], depth: float) -> list[int]:

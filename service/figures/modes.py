@@ -42,8 +42,8 @@ def draw(client: Client, job: Job, ramped: Job) -> Drawing:
     drawing, area = new_drawing(5.0, _caption(diagram, up))
     above, below = split(area, 2.7, 2.3)
     axes = above.subplots()
-    plot_flights(axes, up, colour=RAMPED, size=0.9)
-    plot_flights(axes, diagram, size=0.7)
+    plot_flights(axes, up, colour=RAMPED, markersize=1.8)
+    plot_flights(axes, diagram, markersize=1.4)
     values, longest = diagram.gamma.values, max(float(each.flight_time.max()) for each in (diagram, up))
     flight_scales(axes, float(values[0]), float(values[-1]), 1.06 * longest)
     for colour, label in (("black", "from rest"), (RAMPED, r"$\Gamma$ ramped up")):

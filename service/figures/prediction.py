@@ -12,6 +12,7 @@ from kernel.threshold import threshold
 from service.client import Job
 from service.figures.canvas import BLUE, GREY, ORANGE, RED, Drawing, minor_ticks, new_drawing, styled
 from service.figures.caption import Caption, Claim, computed
+from service.figures.hysteresis import gamma_step
 from service.presets import SEEDED_STEP, XI
 
 #: Frequencies at which the thresholds are predicted.
@@ -116,8 +117,7 @@ def _on_folds(omega: NDArray[np.float64], distance: NDArray[np.float64]) -> Clai
 def _on_ramp(loop: Job) -> Claim:
     """The ramp of Fig. 9 against the prediction, wherever there is one."""
     found = loop.threshold(xi=XI)
-    gamma = loop.spec["gamma"]
-    step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
+    step = gamma_step(loop.spec)
     known = [each for each in predictions() if each.cause != UNRESOLVED]
     at = np.array([each.omega for each in known])
     near = np.abs(found.omega.values[:, None] - at).argmin(axis=1)

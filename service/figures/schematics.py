@@ -24,6 +24,10 @@ CAPTION = Caption(
 PLATE = 0.0
 RADIUS = 0.34
 
+#: The arrows of the plate and of gravity.
+BOTH_WAYS = {"arrowstyle": "<->", "linewidth": 0.8}
+ONE_WAY = {"arrowstyle": "-|>", "linewidth": 0.9, "color": "black"}
+
 
 @styled
 def draw() -> Drawing:
@@ -43,7 +47,7 @@ def draw() -> Drawing:
 
 def _plate(axes: Axes) -> None:
     axes.add_patch(Rectangle((-1.7, PLATE - 0.16), 3.4, 0.16, facecolor="black"))
-    axes.annotate("", (-1.35, -1.0), (-1.35, -0.22), arrowprops={"arrowstyle": "<->", "linewidth": 0.8})
+    axes.annotate("", (-1.35, -1.0), (-1.35, -0.22), arrowprops=BOTH_WAYS)
     axes.text(-1.15, -0.62, r"$z_p = A\,\cos\,\omega t$", va="center")
 
 
@@ -94,6 +98,5 @@ def _damper(axes: Axes, x: float, low: float, high: float) -> None:
 
 
 def _gravity(axes: Axes, height: float) -> None:
-    axes.annotate("", (1.55, height - 0.55), (1.55, height + 0.15),
-                  arrowprops={"arrowstyle": "-|>", "linewidth": 0.9, "color": "black"})  # fmt: skip
+    axes.annotate("", (1.55, height - 0.55), (1.55, height + 0.15), arrowprops=ONE_WAY)
     axes.text(1.68, height - 0.2, "$g$", va="center")

@@ -109,7 +109,7 @@ def _stack(
     panels: Sequence[Axes] = list(area.subplots(len(diagrams), 1, sharex=True, sharey=True))
     top = 1.04 * max(float(diagram.flight_time.max()) for diagram in diagrams)
     for axes, diagram, title in zip(panels, diagrams, titles, strict=True):
-        plot_flights(axes, diagram, size=0.7)
+        plot_flights(axes, diagram, markersize=1.4)
         values = diagram[str(diagram.flight_time.dims[0])].values
         flight_scales(axes, 0.0, float(values[-1]), top)
         panel_title(axes, title)
@@ -155,9 +155,10 @@ def _chaos_beyond_three(diagram: xarray.Dataset) -> Claim:
 def _chaos_at(diagram: xarray.Dataset, gamma: float) -> Claim:
     near = _near(diagram, gamma, 0.25)
     share, tori = chaotic(diagram, near), share_of(diagram, QUASI_PERIODIC, near)
-    verdict = "chaotic" if share > 0.5 else "hardly chaotic"
+    mostly = share > 0.5
+    verdict = "chaotic" if mostly else "hardly chaotic"
     return compared(
-        share > 0.5,
+        mostly,
         f"(b) is {verdict} around Γ = {gamma:g}: {percent(share)} of the cells within 0.25 are, and "
         f"{percent(tori)} are quasi-periodic",
     )
@@ -228,9 +229,10 @@ def _stops_at(diagram: xarray.Dataset) -> Claim:
 
 def _chaos_when_slow(diagram: xarray.Dataset, gamma: float) -> Claim:
     share = chaotic(diagram, diagram.omega.values < LOW)
-    verdict = "chaotic" if share > 0.5 else "not chaotic"
+    mostly = share > 0.5
+    verdict = "chaotic" if mostly else "not chaotic"
     return compared(
-        share > 0.5, f"at Γ = {gamma:g} low Ω is {verdict} ({percent(share)} of the cells below {LOW:g})"
+        mostly, f"at Γ = {gamma:g} low Ω is {verdict} ({percent(share)} of the cells below {LOW:g})"
     )
 
 

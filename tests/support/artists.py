@@ -14,7 +14,7 @@ from matplotlib.figure import FigureBase
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 from numpy.typing import NDArray
 
 #: Digits after the point of a position, in widths and heights of the figure.
@@ -83,15 +83,17 @@ def _told(artist: Artist) -> str | None:
 
 
 def _line(artist: Line2D) -> str | None:
-    marker, dashes = artist.get_marker(), artist._unscaled_dash_pattern[1]
+    marker, (offset, dashes) = artist.get_marker(), artist._unscaled_dash_pattern
     if artist.get_linestyle() == "None":
         if marker in ("None", None, ""):
             return None
         shown = f"{marker} {_hex(artist.get_markerfacecolor())} {_hex(artist.get_markeredgecolor())}"
     else:
         lengths = "" if dashes is None else "-".join(f"{length:.2f}" for length in dashes)
-        shown = f"{marker} {_hex(artist.get_color())} {lengths or 'solid'}"
-    return f"line {shown} {_where(artist, artist.get_transform().transform(artist.get_xydata()))}"
+        begins = f"{offset}+" if offset else ""
+        shown = f"{marker} {_hex(artist.get_color())} {begins}{lengths or 'solid'}"
+    clipped = "" if artist.get_clip_on() else "unclipped "
+    return f"line {shown} {clipped}{_where(artist, artist.get_transform().transform(artist.get_xydata()))}"
 
 
 def _hex(colour: Any) -> str:
@@ -118,7 +120,9 @@ def _text(artist: Text) -> str | None:
     if not artist.get_text().strip():
         return None
     box = Text.get_window_extent(artist).get_points() / _size(artist)  # of an annotation without its arrow
-    return f"text {artist.get_text()!r} {_hex(artist.get_color())} {_numbers(box)}"
+    unclipped = isinstance(artist, Annotation) and artist.get_annotation_clip() is False
+    clipped = "unclipped " if unclipped else ""
+    return f"text {artist.get_text()!r} {_hex(artist.get_color())} {clipped}{_numbers(box)}"
 
 
 def _where(artist: Artist, points: Any) -> str:
