@@ -279,7 +279,7 @@ def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dat
         counts = [[-1 if n is None else n for n in line] for line in answer["count"]]
         about = {"long_name": "attractors of the cell", "comment": "-1: not computed", "units": "1"}
         variables: dict[str, Any] = {"count": (plane, np.array(counts, np.int32), about)}
-        places = max((len(cell) for line in cells for cell in line), default=0)
+        places = max(len(cell) for line in cells for cell in line)
         shape = (len(answer["omega"]), len(answer["gamma"]), places)
         for name, (dtype, empty, attributes) in _PLACES.items():
             found = [
@@ -516,7 +516,7 @@ def _dataset(
             "title": title,
             "source": "bouncing-spring",
             "job": job_id,
-            "complete": int(answer.get("complete", False)),  # NetCDF has no booleans
+            "complete": int(answer["complete"]),  # NetCDF has no booleans
         },
     )
 

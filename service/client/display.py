@@ -100,20 +100,21 @@ class JobLines:
     def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
         self._out = out
         self._clock = clock
-        self._last: tuple[str, float] | None = None  # state and percent of the last line
-        self._written = 0.0
+        self._last: tuple[str, float, float] | None = None  # state, percent and time of the last line
 
     def __call__(self, job: JobStatus) -> None:
         """Report the status of the job."""
         if self._is_due(job):
-            self._last, self._written = (job.state, job.progress.percent), self._clock()
+            self._last = job.state, job.progress.percent, self._clock()
             print(summary(job), file=self._out, flush=True)
 
     def _is_due(self, job: JobStatus) -> bool:
-        if self._last is None or self._last[0] != job.state:
+        if self._last is None:
             return True
-        gain = job.progress.percent - self._last[1]
-        return gain >= LINE_PERCENT or (gain > 0 and self._clock() - self._written >= LINE_SECONDS)
+        state, percent, written = self._last
+        gain = job.progress.percent - percent
+        waited = self._clock() - written >= LINE_SECONDS
+        return state != job.state or gain >= LINE_PERCENT or (gain > 0 and waited)
 
 
 def summary(job: JobStatus) -> str:

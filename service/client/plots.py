@@ -4,7 +4,7 @@ Colours are those of the service's pictures. Nothing is shown or saved: that is 
 `xarray.Dataset.plot`.
 """
 
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from kernel.labels import LABELS
 if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
 Kind = Literal["diagram", "modes", "threshold"]
 
@@ -26,6 +27,11 @@ OTHERS: Final = {
     "at_rest": "#e8e8e8", "aperiodic": "#d55e00", "quasi-periodic": "#cc79a7", "chaotic": "#7f2704",
     "settling": "#bdbdbd", "unresolved": "#525252", "diverged": "#000000", "missing": "#ffffff",
 }  # fmt: skip
+
+#: Styles of cycles: those of the spring, stable and unstable, and those that cannot happen.
+STABLE: Final = {"linestyle": "-", "linewidth": 1.4}
+UNSTABLE: Final = {"linestyle": "--", "linewidth": 1.0}
+NOT_ADMISSIBLE: Final = {"linestyle": ":", "linewidth": 0.6}
 
 AXES: Final = {
     "gamma": r"plate acceleration over gravity $\Gamma$",
@@ -58,10 +64,13 @@ def draw_branches(ax: "Axes", branches: "xarray.Dataset") -> None:
         branch = branches.isel(branch=i)
         gamma, flight = branch.gamma.values, branch.flight_time.values
         stable, admissible = branch.stable.values.astype(bool), branch.admissible.values == 0
-        for shown, style, width in (
-            (stable & admissible, "-", 1.4), (~stable & admissible, "--", 1.0), (~admissible, ":", 0.6)
-        ):  # fmt: skip
-            ax.plot(np.where(shown, gamma, np.nan), flight, style, color="black", linewidth=width)
+        styles: tuple[tuple[NDArray[np.bool_], dict[str, Any]], ...] = (
+            (stable & admissible, STABLE),
+            (~stable & admissible, UNSTABLE),
+            (~admissible, NOT_ADMISSIBLE),
+        )
+        for shown, style in styles:
+            ax.plot(np.where(shown, gamma, np.nan), flight, color="black", **style)
 
 
 def draw_modes(ax: "Axes", modes: "xarray.Dataset") -> None:

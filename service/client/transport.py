@@ -289,13 +289,13 @@ def _split_credentials(url: str) -> tuple[str, str]:
 
 
 def _hide_credentials(url: str) -> str:
-    return re.sub(r"(?<=//)[^/?#]*@", "", url, count=1)
+    return re.sub(r"^([^/]*//)[^/?#]*@", r"\1", url)
 
 
 def _hide_all_before_at(text: str) -> str:
     """A text that is no address, without what may be a password in it."""
-    before, at, after = text.rpartition("@")
-    return f"...@{after}" if at else before + after
+    _, at, after = text.rpartition("@")
+    return f"...@{after}" if at else text
 
 
 def _is_loopback(url: str) -> bool:

@@ -1,5 +1,6 @@
 """`dataset.bounce`: flights as a table, and plots of results that are Datasets already."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,40 @@ def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
     assert mesh.get_array().shape == (2, 9)
 
 
+def test_axes_of_the_caller_or_of_a_new_figure(sweep: xarray.Dataset, monkeypatch: pytest.MonkeyPatch):
+    given = Figure().subplots()
+    assert sweep.bounce.plot(direction="up", ax=given) is given
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot", raising=False)
+    made = sweep.bounce.plot(direction="up")
+    assert made is not given
+    assert len(made.collections) == 1
+
+
+def test_a_map_lies_the_same_way_however_it_is_stored(sweep: xarray.Dataset):
+    part = sweep.sel(direction="up").squeeze("xi").transpose("gamma", "omega", ...)
+    ax = part.bounce.plot(ax=Figure().subplots())
+    (mesh,) = ax.collections
+    assert mesh.get_array().shape == (2, 9)
+
+
+def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset):
+    grid = ("branch", "point")
+    values = {"gamma": [[0.6, 1.0]], "flight_time": [[1.0, 2.0]], "stable": [[1, 1]], "admissible": [[0, 0]]}
+    branches = xarray.Dataset({name: (grid, np.array(each)) for name, each in values.items()})
+    line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
+    assert len(line.bounce.plot(ax=Figure().subplots()).lines) == 1
+    assert len(line.bounce.plot(ax=Figure().subplots(), branches=branches).lines) == 4
+
+
+def test_thresholds_are_drawn_as_thresholds():
+    names = ("analytic", "predicted_down", "up", "down")
+    values = {name: ("omega", np.array([0.5, 0.6])) for name in names}
+    thresholds = xarray.Dataset(values, {"omega": [0.5, 0.6], "xi": 0.05})
+    given = Figure().subplots()
+    assert thresholds.bounce.plot(ax=given) is given
+    assert len(given.lines) == len(names)
+
+
 @pytest.mark.parametrize(
     ("where", "message"),
     [
@@ -71,6 +106,7 @@ def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
         ({"omega": 0.6}, r"select of direction \(2 values\), gamma"),
         ({"direction": "sideways"}, "direction must be one of up, down, not 'sideways'"),
         ({"speed": 1.0}, "speed is no axis"),
+        ({"omega": 0.6, "direction": "up", "xi": 0.05, "gamma": 1.0}, "select of $"),
     ],
 )
 def test_what_to_select_is_said(sweep: xarray.Dataset, where: dict[str, Any], message: str):
@@ -78,9 +114,16 @@ def test_what_to_select_is_said(sweep: xarray.Dataset, where: dict[str, Any], me
         sweep.bounce.plot(**where)
 
 
-def test_other_datasets_are_not_drawn():
+def test_other_datasets_are_not_drawn(sweep: xarray.Dataset):
     with pytest.raises(BounceError, match="plot: is of a diagram"):
         xarray.Dataset().bounce.plot()
+    line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
+    with pytest.raises(BounceError, match=r"select of gamma \(9 values\)"):
+        line.drop_vars(["flight_time", "takeoff_phase"]).bounce.plot()
+    with pytest.raises(BounceError, match="omega is selected already"):
+        line.bounce.plot(omega=0.6)
+    with pytest.raises(BounceError, match="to_dataframe: is of a diagram"):
+        line.isel(flight=0).bounce.to_dataframe()
 
 
 def test_a_store_on_disk_is_asked_alike(tmp_path: Path):

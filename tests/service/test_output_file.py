@@ -1,6 +1,7 @@
 """Output files: complete or not at all; links, pipes and permissions."""
 
 import os
+import resource
 import stat
 import threading
 from pathlib import Path
@@ -32,6 +33,21 @@ def test_what_fails_leaves_the_old_file(tmp_path: Path):
     path.write_bytes(b"old")
     with pytest.raises(TypeError), complete_file(path) as file:
         file.writelines([b"half", None])  # type: ignore[list-item]
+    assert path.read_bytes() == b"old"
+    assert files(tmp_path) == {"out.nc"}
+
+
+def test_a_file_that_cannot_be_written_to_its_end_replaces_nothing(tmp_path: Path):
+    """What is small reaches the disk when the file is closed."""
+    path = tmp_path / "out.nc"
+    path.write_bytes(b"old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"), complete_file(path) as file:
+            file.write(b"longer than four bytes")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == b"old"
     assert files(tmp_path) == {"out.nc"}
 

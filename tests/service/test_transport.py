@@ -1,5 +1,6 @@
 """The client against a scripted HTTP server: what it sends, when, and what it makes of the answers."""
 
+import gc
 import io
 import json
 import os
@@ -10,22 +11,33 @@ import threading
 import time
 import traceback
 from base64 import b64encode
-from collections.abc import Iterator
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import parse_qsl
 
+import httpx2
 import pytest
+from answering import ID, LOST, Answer, scripted, view
 from scripted import DEADLINE, wait_for
 
 from service.client import (
+    BadRequest,
     BounceError,
     Busy,
     Client,
+    Conflict,
+    FieldProblem,
+    InvalidSpecification,
+    Job,
+    JobFailed,
     NotComputedYet,
     NotFound,
+    Problem,
     Refused,
     ServiceError,
     ServiceUnreachable,
@@ -33,78 +45,9 @@ from service.client import (
     TooLarge,
     Unauthorized,
     UnexpectedAnswer,
+    WaitTimeout,
 )
 from service.client.display import display_parts
-
-ID = "0123456789abcdef" * 2
-LOST = None  # the connection is closed instead of an answer
-
-
-def view(state: str = "running", done: int = 0) -> dict[str, Any]:
-    progress = {
-        "chunks_done": 0,
-        "chunks_total": 1,
-        "cells_done": done,
-        "cells_total": 10,
-        "percent": 10.0 * done,
-    }
-    return {"id": ID, "name": "", "state": state, "progress": progress | {"eta_seconds": None}, "error": None}
-
-
-class Answer:
-    """One answer, as written in a script."""
-
-    def __init__(self, status: int = 200, body: Any = None, **headers: str) -> None:
-        self.status, self.headers = status, {name.replace("_", "-"): value for name, value in headers.items()}
-        self.body = (
-            body if isinstance(body, bytes) else json.dumps(body).encode() if body is not None else b""
-        )
-
-
-class Server(HTTPServer):
-    """Gives the answers of a script one by one, and records the requests."""
-
-    script: list[Answer | None]
-    requests: list[tuple[str, str, dict[str, str]]]
-    when: list[float]
-
-
-class Handler(BaseHTTPRequestHandler):
-    server: Server
-
-    def answer(self) -> None:
-        self.rfile.read(int(self.headers.get("Content-Length", 0)))
-        self.server.requests.append((self.command, self.path, dict(self.headers)))
-        self.server.when.append(time.monotonic())
-        answer = self.server.script.pop(0)
-        if answer is LOST:
-            self.connection.shutdown(socket.SHUT_RDWR)
-            return
-        self.send_response(answer.status)
-        for name, value in answer.headers.items():
-            self.send_header(name, value)
-        self.end_headers()
-        self.wfile.write(answer.body)
-
-    do_GET = do_POST = do_DELETE = answer  # noqa: N815 - the names http.server looks for
-
-    def log_message(self, *_: object) -> None: ...
-
-
-@contextmanager
-def scripted(*script: Answer | None) -> Iterator[tuple[Server, Client]]:
-    """A server that gives these answers, all of which must be used at the end, and a client."""
-    with Server(("127.0.0.1", 0), Handler) as server:
-        server.script, server.requests, server.when = list(script), [], []
-        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            with Client(f"http://127.0.0.1:{server.server_port}/") as client:
-                yield server, client
-        finally:
-            server.shutdown()
-            thread.join()
-        assert server.script == []
 
 
 @pytest.fixture
@@ -155,6 +98,23 @@ def test_what_is_done_to_a_job_may_be_repeated(call: str):
         assert [method for method, _, _ in server.requests] == ["GET", "POST", "POST"]
 
 
+@pytest.mark.parametrize("call", ["estimate", "trajectory"])
+def test_what_changes_nothing_may_be_repeated(call: str):
+    with scripted(LOST, Answer(body={})) as (server, client), pytest.raises(UnexpectedAnswer):
+        getattr(client, call)({"xi": 1})
+    assert [method for method, _, _ in server.requests] == ["POST", "POST"]
+
+
+def test_a_repeated_request_waits_before_each_attempt(monkeypatch: pytest.MonkeyPatch):
+    from service.client import transport as module
+
+    pauses: list[float] = []
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
+    with scripted(LOST, LOST, Answer(body=view())) as (_, client):
+        client.job(ID)
+    assert tuple(pauses) == module.RETRY_DELAYS
+
+
 def test_a_deletion_is_not_repeated():
     """Of two, the second would tell of no such job."""
     with scripted(Answer(body=view()), LOST) as (_, client), pytest.raises(ServiceUnreachable):
@@ -168,13 +128,80 @@ def test_a_silent_service_is_unreachable():
             client.job(ID)
 
 
-def test_no_proxy_is_used_for_loopback(monkeypatch: pytest.MonkeyPatch, unused_address: str):
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_no_proxy_is_used_for_loopback(monkeypatch: pytest.MonkeyPatch, unused_address: str, host: str):
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
         monkeypatch.setenv(name, unused_address)
     for name in ("NO_PROXY", "no_proxy"):
         monkeypatch.delenv(name, raising=False)
-    with scripted(Answer(body=view())) as (_, client):
-        assert client.job(ID).id == ID
+    with (
+        scripted(Answer(body=view())) as (_, client),
+        Client(client.url.replace("127.0.0.1", host)) as named,
+    ):
+        assert named.job(ID).id == ID
+
+
+@pytest.mark.parametrize("host", ["service.invalid", "192.0.2.1"])
+def test_a_proxy_is_used_for_other_machines(monkeypatch: pytest.MonkeyPatch, host: str):
+    for name in ("NO_PROXY", "no_proxy", "ALL_PROXY", "all_proxy"):
+        monkeypatch.delenv(name, raising=False)
+    with scripted(Answer(body=view())) as (server, client):
+        for name in ("HTTP_PROXY", "http_proxy"):
+            monkeypatch.setenv(name, client.url)
+        with Client(f"http://{host}:8000") as far:
+            assert far.job(ID).id == ID
+        assert [path for _, path, _ in server.requests] == [f"http://{host}:8000/v1/jobs/{ID}"]
+
+
+@pytest.mark.parametrize(
+    ("url", "finds"),
+    [
+        ("http://127.0.0.1:8000", True),
+        ("http://localhost:8000/", True),
+        ("http://[::1]:8000", True),
+        ("http://127.0.0.1", False),
+        ("http://192.0.2.1:8000", False),
+        ("http://service.invalid:8000", False),
+        ("http://me:secret@127.0.0.1:8000", False),
+    ],
+)
+def test_the_token_of_ones_own_service_is_sent_to_it_alone(
+    monkeypatch: pytest.MonkeyPatch, url: str, finds: bool
+):
+    from service.client import transport as module
+
+    monkeypatch.setattr(module, "find_token", lambda port: f"own-token-of-{port}")
+    for token in (None, "", "auto"):
+        with Client(url, token) as client:
+            assert client.page.endswith("/#token=own-token-of-8000" if finds else "/")
+    with Client(url, "given/token") as client:
+        assert client.page == f"{client.url}/#token=given%2Ftoken"
+
+
+def test_a_client_closes_its_own_connections_alone():
+    with httpx2.Client() as shared:
+        with Client("http://127.0.0.1:1", http=shared) as client:
+            pass
+        assert client._transport._http is shared
+        assert not shared.is_closed
+    with Client("http://127.0.0.1:1") as client:
+        assert not client._transport._http.is_closed
+    assert client._transport._http.is_closed
+
+
+def test_a_pickled_job_has_connections_of_its_own():
+    with scripted(Answer(body=view()), Answer(body=view("done", 10))) as (server, client):
+        with Client(client.url, "s3cret") as known:
+            copy = pickle.loads(pickle.dumps(known.job(ID)))
+        assert copy.refresh().state == "done"
+        assert server.requests[1][2]["Authorization"] == "Bearer s3cret"
+        connections = copy._transport._http
+        copy._transport.close()
+        assert connections.is_closed
+    again = pickle.loads(pickle.dumps(known._transport))
+    connections = again._http
+    del again
+    wait_for(lambda: bool(gc.collect() >= 0 and connections.is_closed))  # nobody else closes them
 
 
 def test_the_token_goes_with_every_call():
@@ -224,10 +251,13 @@ def test_an_empty_token_is_none():
 @pytest.mark.parametrize(
     ("status", "kind"),
     [
+        (400, BadRequest),
         (401, Unauthorized),
         (403, Unauthorized),
         (404, NotFound),
+        (409, Conflict),
         (413, TooLarge),
+        (422, BadRequest),
         (418, Refused),
         (429, Busy),
         (500, ServiceError),
@@ -248,6 +278,57 @@ def test_every_status_has_its_error(status: int, kind: type[Refused]):
     assert caught.value.problem.title == "No"
     assert caught.value.fields == (("xi", "is odd"),)
     assert str(caught.value) == "because\n  xi: is odd"
+
+
+@pytest.mark.parametrize(
+    ("document", "expected"),
+    [
+        ({}, Problem(400, "Bad Request")),
+        (
+            {"title": "No", "detail": "because", "type": "/problems/no", "instance": "/v1/jobs/1"},
+            Problem(400, "No", "because", "/problems/no", "/v1/jobs/1"),
+        ),
+    ],
+)
+def test_a_problem_document_is_read_member_by_member(document: dict[str, str], expected: Problem):
+    with scripted(Answer(400, document)) as (_, client), pytest.raises(BadRequest) as caught:
+        client.job(ID)
+    assert caught.value.problem == expected
+    assert str(caught.value) == (expected.detail or expected.title)
+
+
+def test_a_rule_that_the_detail_tells_is_not_told_twice():
+    fields = (FieldProblem("xi", "is odd"), FieldProblem("omega", "is even"))
+    assert str(Problem(400, "No", "xi: is odd", fields=fields)) == "xi: is odd\n  omega: is even"
+
+
+@pytest.mark.parametrize("status", [400, 413, 422])
+def test_only_a_submission_has_an_invalid_specification(status: int):
+    with scripted(Answer(status, {}), Answer(status, {}), Answer(status, {})) as (_, client):
+        for call, invalid in ((client.submit, True), (client.estimate, True), (client.trajectory, False)):
+            with pytest.raises(Refused) as caught:
+                call({})
+            assert isinstance(caught.value, InvalidSpecification) is (invalid and status != 413)
+
+
+@pytest.mark.parametrize(
+    ("given", "seconds"),
+    [("0", 0.0), ("2.5", 2.5), ("-1", None), ("inf", None), ("nan", None), ("Wed, 21 Oct 2026", None)],
+)
+def test_retry_after_is_seconds_or_nothing(given: str, seconds: float | None):
+    with scripted(Answer(503, {}, Retry_After=given)) as (_, client), pytest.raises(Busy) as caught:
+        client.job(ID)
+    assert caught.value.retry_after == seconds
+
+
+def test_a_download_that_is_refused_says_why(tmp_path: Path):
+    script = (Answer(body=view()), Answer(404, {"detail": "not here"}), LOST)
+    with scripted(*script) as (_, client):
+        job = client.job(ID)
+        for error, text in ((NotFound, "not here"), (ServiceUnreachable, client.url)):
+            with pytest.raises(error, match=text):
+                job.export(tmp_path / "sweep.nc")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_busy_carries_retry_after():
@@ -360,18 +441,22 @@ def computing(done: int) -> Answer:
     )
 
 
-def test_an_answer_of_the_workers_is_polled_until_it_is_computed():
+def test_an_answer_of_the_workers_is_polled_until_it_is_computed(monkeypatch: pytest.MonkeyPatch):
+    from service.client import transport as module
+
     reported: list[tuple[int, int]] = []
     script = (
         computing(0),
         Answer(429, {"detail": "full"}, Retry_After="0.1"),
-        computing(3),
+        Answer(202, {"progress": {"parts_done": 3, "parts_total": 4}}),
         Answer(body={"rows": []}),
     )
-    with scripted(*script) as (server, client):
+    with scripted(*script) as (_, client):
+        pauses: list[float] = []
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
         assert client.tradeoff(progress=lambda *parts: reported.append(parts)) == {"rows": []}
         assert reported == [(0, 4), (3, 4)]
-        assert server.when[1] - server.when[0] >= 0.2
+        assert pauses == [0.2, 0.1, 1.0]  # where the service names no time, a second
 
 
 def test_a_timeout_of_the_workers_answer_reports_their_progress():
@@ -385,6 +470,8 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
         client.tradeoff(timeout=-1.0, progress=False)
     with scripted(Answer(202, {"state": "running"})) as (_, client), pytest.raises(UnexpectedAnswer):
         client.tradeoff(progress=False)
+    with scripted(Answer(429, {"detail": "full"})) as (_, client), pytest.raises(Busy):
+        client.tradeoff(timeout=-1.0, progress=False)
 
 
 def test_progress_of_the_workers_answer_is_written_in_lines(capsys: pytest.CaptureFixture[str]):
@@ -406,6 +493,194 @@ def test_a_list_goes_on_to_its_last_page():
         assert "state=running" in server.requests[1][1]
     with scripted(Answer(body={"rows": []})) as (_, client), pytest.raises(UnexpectedAnswer):
         list(client.jobs())
+
+
+def asked(call: Callable[[Client], Any]) -> str:
+    """What a call on a client asks for: the path, and the query after it."""
+    with scripted(Answer(body={})) as (server, client), suppress(UnexpectedAnswer):
+        call(client)
+    ((_, path, _),) = server.requests
+    return path
+
+
+def of_job(method: str, *given: Any, **options: Any) -> str:
+    path = asked(lambda client: getattr(Job.from_view(client._transport, view()), method)(*given, **options))
+    return path.removeprefix(f"/v1/jobs/{ID}/")
+
+
+def test_a_switch_is_sent_if_it_is_on():
+    assert of_job("modes") == "modes"
+    assert of_job("modes", mask=True) == "modes?mask=true"
+    assert of_job("modes", hysteresis=True) == "modes?hysteresis=true"
+    quiet = {"progress": False}
+    assert of_job("orbits", **quiet) == "orbits"
+    assert of_job("orbits", energy=True, **quiet) == "orbits?energy=true"
+    assert of_job("picture") == "diagram?along=gamma&format=png"
+    assert of_job("picture", caption=False) == "diagram?along=gamma&format=png&caption=false"
+    spring = "/v1/orbits?omega=0.6&xi=0.05&modes=1-1%2C1-2"
+    assert asked(lambda client: client.orbits(0.6, 0.05)) == spring
+    assert asked(lambda client: client.orbits(0.6, 0.05, energy=True)) == f"{spring}&energy=true"
+
+
+def test_a_range_and_a_value_are_sent_as_such():
+    for axis, other in (("omega", "xi"), ("xi", "omega")):
+        ranges: dict[str, Any] = {axis: (0.25, 0.5), other: 1.0}
+        path = asked(lambda client, ranges=ranges: client.curves(**ranges, progress=False))
+        query = dict(parse_qsl(path.partition("?")[2]))
+        assert query == {"modes": "1-1,1-2", f"{axis}_start": "0.25", f"{axis}_stop": "0.5", other: "1.0"}
+
+
+def test_times_of_a_list_are_sent_as_they_are_written():
+    when = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)
+    path = asked(lambda client: list(client.jobs(created_from=when, created_before="2026-02")))
+    query = dict(parse_qsl(path.partition("?")[2]))
+    assert query["created_from"] == "2026-01-02T03:04:00+00:00"
+    assert query["created_before"] == "2026-02"
+
+
+def test_an_export_names_its_layout_unless_it_is_the_usual_one(tmp_path: Path):
+    assert of_job("export", tmp_path / "a.nc") == "export?format=nc"
+    assert (
+        of_job("export", tmp_path / "a.parquet", layout="flights") == "export?format=parquet&layout=flights"
+    )
+
+
+def test_a_submission_is_json_with_its_key():
+    with scripted(Answer(202, view()), Answer(202, view())) as (server, client):
+        client.submit({"xi": 1}, key="once")
+        client.submit({"xi": 1})
+    keyed, plain = (headers for _, _, headers in server.requests)
+    assert keyed["Content-Type"] == plain["Content-Type"] == "application/json"
+    assert keyed["Idempotency-Key"] == "once"
+    assert "Idempotency-Key" not in plain
+
+
+# Jobs
+
+
+def test_a_status_is_what_the_service_says_of_a_job():
+    told = {
+        "name": "mine", "error": "broke", "repairing": True, "pinned": True, "core_seconds": 1.5,
+        "notice": "of old", "replaced_by": "1" * 32, "owner": "me", "links": {"self": "/v1/jobs/1"},
+    }  # fmt: skip
+    nothing = {
+        "name": "", "error": None, "repairing": False, "pinned": False, "core_seconds": 0.0, "notice": None,
+        "replaced_by": None, "owner": None, "links": {},
+    }  # fmt: skip
+    with Client("http://127.0.0.1:9") as client:
+        plain = {name: value for name, value in view().items() if name not in told}
+        for description, expected in ((view() | told, told), (plain, nothing)):
+            job = Job.from_view(client._transport, description)
+            assert {name: getattr(job, name) for name in expected} == expected
+
+
+def test_what_is_done_to_a_job_is_what_the_service_says():
+    calls = ("cancel", "pin", "unpin", "resume")
+    script = [Answer(body=view() | {"pinned": call == "pin"}, Retry_After="0.5") for call in calls]
+    with scripted(*script) as (server, client):
+        job = Job.from_view(client._transport, view("done"))
+        for call in calls:
+            assert getattr(job, call)() is job
+            assert (job.state, job.pinned, job.pause(9.0)) == ("running", call == "pin", 0.5)
+        assert [path.rpartition("/")[2] for _, path, _ in server.requests] == list(calls)
+
+
+def test_a_refined_job_is_another_one():
+    other = view() | {"id": "f" * 32}
+    with scripted(Answer(202, other)) as (_, client):
+        job = Job.from_view(client._transport, view("done"))
+        assert (job.refine().id, job.id) == ("f" * 32, ID)
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one(several: bool):
+    replaced = view("failed") | {"replaced_by": "f" * 32}
+    script = (Answer(200, replaced, ETag='"a"'), Answer(body=view("done", 10) | {"id": "f" * 32}))
+    with scripted(*script) as (server, client):
+        job = client.job(ID)
+        assert (client.wait_all([job], progress=False) == [job]) if several else job.wait(progress=False)
+        assert (job.id, job.state) == ("f" * 32, "done")
+        assert "If-None-Match" not in server.requests[1][2]  # that is of the other job
+
+
+def test_a_job_that_is_done_is_not_replaced():
+    with scripted(Answer(body=view("done", 10) | {"replaced_by": "f" * 32})) as (_, client):
+        assert client.job(ID).wait(progress=False).id == ID
+
+
+def test_as_completed_asks_each_job_less_and_less_often(monkeypatch: pytest.MonkeyPatch):
+    """Many jobs share the rate of requests that one of them would have."""
+    from service.client import job as module
+
+    now, pauses = [0.0], []
+
+    def sleep(seconds: float) -> None:
+        pauses.append(round(seconds, 9))
+        now[0] += seconds
+
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    script = [Answer(200, view("running")) for _ in range(40)]
+    with scripted(*script, Answer(200, view("done", 10))) as (_, client):
+        (job,) = client.as_completed([Job.from_view(client._transport, view())])
+    assert job.state == "done"
+    assert (pauses[0], pauses[1], pauses[-1]) == (0.0, module.FIRST_DELAY, module.MAX_DELAY)
+    assert pauses == sorted(pauses)
+    pauses.clear()
+    with scripted(*script[:10], *[Answer(200, view("done", 10))] * 10) as (_, client):
+        jobs = [Job.from_view(client._transport, view()) for _ in range(10)]
+        assert len(list(client.as_completed(jobs))) == 10
+    # Ten jobs, the first of which is asked again after the time of nine others.
+    assert pauses[10] == pytest.approx(9 * module.REQUEST_DELAY)
+
+
+def test_a_wait_for_several_ends_at_its_timeout(monkeypatch: pytest.MonkeyPatch):
+    from service.client import job as module
+
+    now = [0.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=lambda seconds: now.append(now.pop() + seconds))
+    monkeypatch.setattr(module, "time", clock)
+    with scripted(Answer(body=view())) as (_, client):
+        job = Job.from_view(client._transport, view())
+        with pytest.raises(WaitTimeout, match=r"is running at 0% after 0\.01 s") as caught:
+            list(client.as_completed([job], timeout=0.01))
+        assert caught.value.job is job
+        assert now == [0.01]
+
+
+def test_ended_jobs_are_returned_however_they_ended():
+    with Client("http://127.0.0.1:9") as client:
+        jobs = [Job.from_view(client._transport, view(state)) for state in ("failed", "done", "cancelled")]
+        assert list(client.as_completed(jobs)) == jobs
+        assert list(client.as_completed([])) == []
+        seen: list[tuple[int, int]] = []
+        with pytest.raises(JobFailed):
+            client.wait_all(jobs, progress=lambda *count: seen.append(count))
+        assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_specifications_are_mapped_one_at_a_time():
+    taken: list[int] = []
+
+    def specs() -> Iterator[dict[str, int]]:
+        for n in range(3):
+            taken.append(n)
+            yield {"xi": n}
+
+    with scripted(*[Answer(200, view("done"))] * 6) as (_, client):
+        jobs = client.map(specs(), at_once=1)
+        counts = [len(taken) for _ in jobs]
+        assert counts == [1, 2, 3]
+        taken.clear()
+        assert [len(taken) for _ in client.map(specs(), at_once=2)] == [2, 3, 3]
+
+
+def test_some_of_the_ids_that_begin_alike_are_named():
+
+    ids = [f"aaaa{n}" + "0" * 27 for n in range(7)]
+    with scripted(Answer(body={"jobs": [view() | {"id": id} for id in ids]})) as (_, client):
+        with pytest.raises(NotFound) as caught:
+            client.job("aaaa")
+        assert str(caught.value).endswith(f"7 jobs have ids that begin with aaaa, as {', '.join(ids[:5])}")
 
 
 # Showing progress

@@ -1,5 +1,6 @@
 """The zarr store over HTTP: ranges of bytes, pages of other origins, dask arrays, and its own address."""
 
+import asyncio
 import json
 import pickle
 from collections.abc import Iterator
@@ -11,13 +12,16 @@ import httpx2
 import numpy as np
 import pytest
 import xarray
+from answering import Answer, scripted
 from fastapi.testclient import TestClient
 from pydantic import ValidationError
 from served import RAMP, computing, finished
+from zarr.abc.store import OffsetByteRequest, RangeByteRequest, SuffixByteRequest
+from zarr.core.buffer import default_buffer_prototype
 
 from service.api.app import create_app
-from service.client import Client
-from service.client.zarr_store import HTTPStore
+from service.client import BadRequest, Client, UnexpectedAnswer
+from service.client.zarr_store import HTTPStore, store_url
 from service.server import embedded
 from service.settings import Settings
 from worker import schema
@@ -197,6 +201,88 @@ def test_the_store_is_read_directly_where_it_is_the_same(job: Any, tmp_path: Pat
     assert not store_of(job).reads_directly
 
 
+def test_a_store_is_read_only(job: Any):
+    buffer = default_buffer_prototype().buffer.from_bytes(b"")
+    for store in (store_of(job), store_of(job, job.store_url)._direct):
+        assert store is not None
+        assert store.read_only
+    store = store_of(job)
+    assert (store.supports_writes, store.supports_deletes, store.supports_listing) == (False,) * 3
+    for change in (lambda: store.set("zarr.json", buffer), lambda: store.delete("zarr.json")):
+        with pytest.raises(PermissionError, match="read only"):
+            asyncio.run(change())
+
+
+def test_stores_are_the_same_where_they_read_the_same(job: Any):
+    store = store_of(job)
+    assert store == store_of(job)
+    assert hash(store) == hash(store_of(job))
+    assert str(store) == f"{job._transport.url}/v1/jobs/{job.id}/zarr"
+    other = HTTPStore(job._transport, "/v1/jobs/other/zarr")
+    assert store != other
+    assert store != (store._transport, store._path)
+    assert len({store, store_of(job), other}) == 2
+
+
+#: Parts of a value, and what they are of ten bytes.
+PARTS = (
+    (None, slice(None)),
+    (RangeByteRequest(2, 5), slice(2, 5)),
+    (RangeByteRequest(4, 4), slice(4, 4)),
+    (OffsetByteRequest(7), slice(7, None)),
+    (SuffixByteRequest(3), slice(-3, None)),
+)
+
+
+async def read(store: HTTPStore, key: str) -> tuple[bytes | None, list[bytes | None], bool]:
+    """A key's value, its PARTS, and whether there is one."""
+    prototype = default_buffer_prototype()
+    value = await store.get(key, prototype)
+    parts = await store.get_partial_values(prototype, [(key, part) for part, _ in PARTS])
+    contents = [None if part is None else part.to_bytes() for part in parts]
+    return None if value is None else value.to_bytes(), contents, await store.exists(key)
+
+
+def test_a_part_of_a_value_is_that_part(job: Any):
+    whole = Path(job.store_url, "outcome", "c.0.0.0.0").read_bytes()
+    for address in (None, job.store_url):
+        content, parts, exists = asyncio.run(read(store_of(job, address), "outcome/c.0.0.0.0"))
+        assert (content, exists) == (whole, True)
+        assert parts == [whole[part] for _, part in PARTS]
+    behind = OffsetByteRequest(len(whole))
+    store = store_of(job)
+    found = asyncio.run(store.get("outcome/c.0.0.0.0", default_buffer_prototype(), behind))
+    assert found is not None
+    assert found.to_bytes() == b""
+
+
+def test_what_is_not_there_has_no_value(job: Any):
+    for key in ("outcome/c.9.9.9.9", "outcome/.zarray", ".zgroup"):
+        assert asyncio.run(read(store_of(job), key)) == (None, [None] * len(PARTS), False)
+
+
+def test_a_service_that_sends_all_bytes_has_their_part_taken(job: Any):
+    """As one of an earlier release does."""
+    content = b"0123456789"
+    answers = [Answer(200, content) for _ in (None, *PARTS, None)]
+    with scripted(*answers) as (server, client):
+        store = HTTPStore(client._transport, "/zarr")
+        value, parts, exists = asyncio.run(read(store, "gamma/c.0"))
+    assert (value, exists) == (content, True)
+    assert parts == [content[part] for _, part in PARTS]
+    asked = [headers.get("Range") for _, _, headers in server.requests]
+    assert asked == [None, None, "bytes=2-4", None, "bytes=7-", "bytes=-3", None]
+
+
+def test_what_a_store_refuses_is_told(job: Any):
+    with scripted(Answer(400, {"detail": "no"}), Answer(body={})) as (_, client):
+        store = HTTPStore(client._transport, "/zarr")
+        with pytest.raises(BadRequest, match="no"):
+            store._read("gamma/c.0")
+        with pytest.raises(UnexpectedAnswer, match="does not tell where it has its stores"):
+            store_url(client._transport, "/zarr", "0" * 32)
+
+
 def test_reading_directly_asks_the_service_for_metadata_alone(job: Any, monkeypatch: pytest.MonkeyPatch):
     asked: list[str] = []
     real = type(job._transport).get
@@ -207,8 +293,15 @@ def test_reading_directly_asks_the_service_for_metadata_alone(job: Any, monkeypa
 
     monkeypatch.setattr(type(job._transport), "get", get)
     directly = job.open(direct=True).load()
-    assert asked
-    assert all(path.endswith("/zarr.json") for path in asked)
+    # Where the store is, whether it is the same there, and what it holds: of the service each time.
+    assert [path.rpartition("/zarr/")[2] for path in asked] == ["zarr.json"] * 3
+    asked.clear()
+    for given, elsewhere in (({"chunks": {}}, False), ({}, True), ({"chunks": {}, "direct": False}, True)):
+        job.open(**given).outcome.load()
+        assert any("/c." in path for path in asked) is elsewhere
+        asked.clear()
+    job.open()
+    assert [path.rpartition("/zarr/")[2] for path in asked] == ["zarr.json"]  # of all arrays at once
     asked.clear()
     xarray.testing.assert_identical(job.open(chunks={}, direct=False).load(), directly)
     assert any("/c." in path for path in asked)
