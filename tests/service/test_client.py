@@ -465,3 +465,4 @@ def test_every_error_is_exported_and_descends_from_one():
     assert declared <= set(package.__all__)
     assert all(name in (module.__doc__ or "") for name in declared)
     assert package.__all__ == sorted(package.__all__)
+    assert set(package.__all__) <= set(dir(package))

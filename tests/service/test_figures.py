@@ -34,6 +34,7 @@ if __name__ == "__main__":
 
 from artists import difference, read_back
 from click.testing import CliRunner
+from matplotlib.ticker import AutoMinorLocator
 from paths import CACHE, GOLDEN, ROOT
 from PIL import Image
 from scripted import DEADLINE
@@ -106,6 +107,7 @@ class Made:
     content: bytes
     caption: Caption
     drawn: list[str]
+    minor_ticks: list[bool]  # whether each of its axes has them
 
 
 class Pictures(UserDict[int | str, Made]):
@@ -126,7 +128,14 @@ class Pictures(UserDict[int | str, Made]):
             (picture,) = catalogue.make([figure], self._client, "png", progress=False)
         (drawing,) = drawings
         with mpl.rc_context(canvas.STYLE):
-            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure))
+            minor = [
+                all(
+                    isinstance(axis.get_minor_locator(), AutoMinorLocator)
+                    for axis in (axes.xaxis, axes.yaxis)
+                )
+                for axes in drawing.figure.axes
+            ]
+            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure), minor)
         return self[number]
 
 
@@ -192,6 +201,20 @@ def test_a_figure_draws_and_says_what_it_did(pictures: Pictures, number: int | s
     golden = json.loads(DRAWN.read_text())["figures"][str(number)]
     assert str(pictures[number].caption).splitlines() == golden["caption"]
     assert difference(pictures[number].drawn, golden["drawn"]) == ""
+
+
+@pytest.mark.parametrize("number", [*SMALL, *catalogue.EXPLANATIONS])
+def test_axes_have_minor_ticks(pictures: Pictures, number: int | str):
+    """But for those of the schematics, which are not shown, and of the four motions."""
+    found = pictures[number].minor_ticks
+    assert found == {1: [False] * 2, 2: [True] + [False] * 4}.get(number, [True] * max(len(found), 1))
+
+
+def test_the_sweeps_of_all_figures_are_submitted_before_one_is_drawn(client: Client):
+    later = {"name": "submitted early", "gamma": [1.0], "omega": 0.5, "xi": 0.26}
+    selected = [SMALL_FIGURES[1], replace(SMALL_FIGURES[6], sweeps=(later,))]
+    next(catalogue.make(selected, client, "svg", progress=False))
+    assert [job.name for job in client.jobs(search="submitted early")] == ["submitted early"]
 
 
 @pytest.mark.parametrize("number", SMALL)

@@ -204,6 +204,10 @@ def test_axes_are_those_of_the_caller_of_pyplot_or_new(job: Job, ax: Axes, monke
 
 def test_what_is_drawn_by_default(job: Job, client: Client):
     assert job.plot().get_ylabel() == AXES["omega"]
+    two = client.submit(RAMP | {"omega": [0.6, 0.7]}).wait(progress=False)
+    assert two.plot().get_ylabel() == AXES["omega"]
+    one = client.submit(RAMP | {"omega": 0.6, "gamma": 1.4, "protocol": {"kind": "rest"}})
+    assert one.wait(progress=False).plot().get_xlabel() == AXES["gamma"]
     single = client.submit(RAMP | {"omega": 0.6}).wait(progress=False)
     assert single.plot(direction="down").get_ylabel() == "flight time (rad)"
     over_omega = client.submit(
@@ -211,6 +215,7 @@ def test_what_is_drawn_by_default(job: Job, client: Client):
     ).wait(progress=False)
     assert over_omega.plot().get_xlabel() == AXES["omega"]
     assert over_omega.plot(along="omega").get_xlabel() == AXES["omega"]
+    assert job.plot("diagram", along="omega", gamma=1.5).get_xlabel() == AXES["omega"]
     assert job.plot(along="gamma", omega=0.6).get_ylabel() == FLIGHT
     assert len(job.plot("diagram", omega=0.6, ax=Figure().subplots()).lines) == 1
     with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold"):

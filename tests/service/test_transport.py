@@ -417,10 +417,13 @@ def test_an_unchanged_job_is_requested_by_its_etag():
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
     from service.client import job as module
 
+    pauses: list[float] = []
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
     monkeypatch.setattr(module, "MAX_OUTAGE", DEADLINE)
     gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
+    assert pauses == [0.05, 1.0, 1.0]
 
 
 def test_a_wait_ends_if_the_service_stays_away(monkeypatch: pytest.MonkeyPatch):
@@ -472,6 +475,15 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
         client.tradeoff(progress=False)
     with scripted(Answer(429, {"detail": "full"})) as (_, client), pytest.raises(Busy):
         client.tradeoff(timeout=-1.0, progress=False)
+
+
+def test_a_plot_reports_no_progress(capsys: pytest.CaptureFixture[str]):
+    spec = {"gamma": 1.0, "omega": 0.5, "xi": 0.26}
+    with scripted(computing(1)) as (_, client):
+        job = Job.from_view(client._transport, view("done") | {"spec": spec})
+        with pytest.raises(NotComputedYet):
+            job.plot("threshold", timeout=-1.0)
+    assert capsys.readouterr().err == ""
 
 
 def test_progress_of_the_workers_answer_is_written_in_lines(capsys: pytest.CaptureFixture[str]):

@@ -301,7 +301,7 @@ def test_reading_directly_asks_the_service_for_metadata_alone(job: Any, monkeypa
         assert any("/c." in path for path in asked) is elsewhere
         asked.clear()
     job.open()
-    assert [path.rpartition("/zarr/")[2] for path in asked] == ["zarr.json"]  # of all arrays at once
+    assert len([path for path in asked if path.endswith("/zarr.json")]) == 1  # of all arrays at once
     asked.clear()
     xarray.testing.assert_identical(job.open(chunks={}, direct=False).load(), directly)
     assert any("/c." in path for path in asked)
