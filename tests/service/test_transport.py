@@ -231,6 +231,12 @@ def test_a_password_in_an_address_appears_nowhere(url: str):
         assert "s3cr" not in repr(client) + client.url
 
 
+def test_only_what_stands_before_the_host_is_a_password():
+    for path in ("/a@b", "//a@b"):
+        with Client(f"http://me:s3cr@t@127.0.0.1:1{path}") as client:
+            assert client.url == f"http://127.0.0.1:1{path}"
+
+
 def test_a_password_in_an_address_is_sent():
     with scripted(Answer(body=view())) as (server, client):
         with Client(client.url.replace("//", "//me:s3cr%40t@")) as known:
