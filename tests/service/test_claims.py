@@ -86,9 +86,9 @@ def test_diagrams_differ_little_where_most_modes_and_times_are_the_same(
     ("last", "verdict"), [(3.72, AGREES), (3.67, AGREES), (3.79, CONTRADICTS), (3.65, CONTRADICTS)]
 )
 def test_a_mode_ends_where_the_balls_does_or_not(last: float, verdict: Verdict):
-    spring = diagram([1.0, last, 5.0, 6.0], bounces=[1, 1, 2, 1], periods=[1, 1, 1, 2])
-    claim = ball._ends(spring, (1, 1), 3.72419)
-    assert (claim.verdict, claim.text) == (verdict, f"(1, 1) ends at Γ = {last:.2f} (the ball's: 3.72419)")
+    spring = diagram([1.0, last, 5.0, 6.0], bounces=[1, 1, 2, 1], periods=[2, 2, 2, 1])
+    claim = ball._ends(spring, (1, 2), 3.72419)
+    assert (claim.verdict, claim.text) == (verdict, f"(1, 2) ends at Γ = {last:.2f} (the ball's: 3.72419)")
 
 
 def test_a_mode_that_the_spring_is_never_in():
@@ -178,7 +178,8 @@ def test_chaos_begins_nowhere_if_too_few_cells_follow():
     ("chaotic", "others", "verdict"), [(1, 1, CONTRADICTS), (2, 1, AGREES), (1, 2, CONTRADICTS)]
 )
 def test_more_than_half_of_the_cells_are_chaotic(chaotic: int, others: int, verdict: Verdict):
-    near = labelled(chaotic, others, gamma=np.linspace(3.75, 4.25, chaotic + others))
+    around = [*np.linspace(3.75, 4.25, chaotic + others), 4.5]  # the last is not near
+    near = labelled(chaotic, others + 1, gamma=around)
     at = sections._chaos_at(near, 4.0)
     assert at.verdict is verdict
     assert f"(b) is {'chaotic' if verdict is AGREES else 'hardly chaotic'} around Γ = 4" in at.text
