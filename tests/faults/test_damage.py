@@ -227,14 +227,14 @@ def test_of_every_study_only_damaged_chunks_are_computed_again(
     with running(tmp_path) as service:
         here = service.submit(spec)
         intact = files(service.store(here))
-        assert len(service.executor.tried) > 2
+        assert len(set(service.executor.tried)) > 2
     addresses = chance.sample(sorted(path for path in intact if path.startswith(f"{array}/c.")), 2)
     for address, harm in zip(addresses, (flip, delete), strict=True):
         harm(service.store(here) / address, chance)
     with running(tmp_path) as service:
         wait_for(lambda: files(service.store(here)) == intact)
         service.wait(here)
-        assert len(service.executor.tried) == 2
+        assert len(set(service.executor.tried)) == 2  # perhaps in several slices
 
 
 def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
