@@ -13,6 +13,7 @@ from fastapi.testclient import TestClient
 from scripted import wait_for
 from served import computing, finished, get, service
 
+import worker.analysis.prediction
 import worker.analysis.thresholds
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -21,7 +22,7 @@ from service.client import BadRequest, Client, Job
 from service.server.embedded import running
 from service.settings import Settings
 from worker import store
-from worker.analysis.prediction import predict, predict_each
+from worker.analysis.prediction import predict, predict_each, predict_from_cells
 from worker.analysis.thresholds import Refined, Status, _patient, refine
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
@@ -207,6 +208,24 @@ def test_what_has_no_closed_form_is_unresolved_and_says_why():
     one, two = predict_each((0.6, 0.62), 0.05)
     assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
     assert one.cause == "fold (1,1)"
+
+
+@pytest.mark.parametrize(("direction", "read"), [("up", 0), ("down", 0), ("both", 1)])
+def test_words_are_those_of_the_way_down_where_there_is_one(
+    monkeypatch: pytest.MonkeyPatch, direction: str, read: int
+):
+    asked = []
+
+    def lowest_words(_: Any, url: str, *where: Any) -> tuple[list[Any], float]:
+        asked.append((url, *where))
+        return [], np.inf
+
+    monkeypatch.setattr(worker.analysis.prediction, "lowest_words", lowest_words)
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": direction}
+    spec = SweepSpec(gamma=[0.9, 1.1], omega=[0.26, 0.6], xi=[0.01, 0.02], protocol=ramp)
+    unresolved, resolved = predict_from_cells(spec, "a.zarr", 1, (0, 1), True)
+    assert asked == [("a.zarr", read, 1, 0, True)]
+    assert (unresolved.cause, resolved.cause) == ("unresolved", "fold (1,1)")
 
 
 # Through the service
