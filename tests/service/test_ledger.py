@@ -624,3 +624,21 @@ def test_a_foreign_log_is_set_aside_and_the_ledgers_own_stays(tmp_path: Path):
     assert shm_of(path).read_bytes() == b"open"
     [foreign] = tmp_path.glob("*-foreign-*")
     assert foreign.read_bytes() == b"foreign"
+
+
+def test_the_check_of_a_large_ledger_ends_when_its_time_is_over(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    path = tmp_path / "ledger.sqlite"
+    with Ledger(path):
+        pass
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("CREATE TABLE much (name TEXT UNIQUE)")
+        connection.executemany("INSERT INTO much VALUES (?)", ((str(i),) for i in range(50_000)))
+        connection.commit()
+        ledgers.check(connection, path, seconds=60.0)
+        assert caplog.messages == []
+        ledgers.check(connection, path, seconds=-1.0)
+        assert caplog.messages == [f"{path} is large: its check ended after -1 s"]
+        # The limit is the check's alone.
+        assert connection.execute("SELECT count(*) FROM much WHERE name LIKE '%9'").fetchone() == (5000,)
