@@ -259,6 +259,25 @@ def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
     assert np.array_equal(source[computed], np.flatnonzero(computed))
 
 
+def test_blocks_of_the_tile_lie_in_it_whole_and_those_that_matter_have_a_cell_of_it():
+    margin = Refine(by="mode", coarsest=4, margin=True)
+    tile = Refinement((9, 9), margin, (8, 8, 8, 8))
+    rows, columns = (range(span.start, span.stop) for span in tile.inside)
+    edges = range(0, 17, 2)
+    blocks = np.array([(top, top + 2, left, left + 2) for top in edges for left in edges])
+    within = [
+        {top, bottom} <= set(rows) and {left, right} <= set(columns) for top, bottom, left, right in blocks
+    ]
+    touching = [
+        top <= rows[-1] and bottom >= rows[0] and left <= columns[-1] and right >= columns[0]
+        for top, bottom, left, right in blocks
+    ]
+    assert sum(within) == 16
+    assert sum(touching) == 36
+    assert tile._within(blocks).tolist() == within
+    assert tile._touching(blocks).tolist() == touching
+
+
 def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
     outcome = np.array(
         [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
