@@ -14,7 +14,8 @@ picture or reads a text can judge is not changed: colours, sizes, fonts, texts, 
 
 FOLDER keeps the copy, what is measured, and the results. Called again, the program goes on where it was: the
 copy keeps its sources, so that a sample stays the same; test files that changed are copied and measured anew.
-`--again` tries the changes of this sample again that were not noticed, `--minutes` ends after so long.
+`--again` tries the changes of this sample again that were not noticed; with `--further 300` it runs other
+tests of the line, too, five minutes of them at most. `--minutes` ends after so long.
 """
 
 import argparse
@@ -37,6 +38,7 @@ from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from benchmarks.tables import table
@@ -393,9 +395,11 @@ class Coverage(NamedTuple):
     seconds: dict[str, float]
     breadth: Counter[str]  # lines that each test runs
 
-    def nearest(self, change: Change) -> list[str]:
+    def nearest(self, change: Change, further_seconds: float) -> list[str]:
         """Tests that run the changed line: those that run few lines and take little time, and, in turn with
         them, those that run most of the changed file. Threads of a service run lines in every test beside it.
+
+        MOST_TESTS of them, and then as many as take `further_seconds`.
         """
         tests = self.tests[change.file, change.line]
         short = [name for name in tests if self.seconds.get(name, 0.0) <= LONGEST] or list(tests)
@@ -406,8 +410,9 @@ class Coverage(NamedTuple):
                 depth.update(names)
         narrow = sorted(short, key=lambda name: cost[name])
         deep = sorted(short, key=lambda name: (-depth[name], cost[name]))
-        both = dict.fromkeys(name for pair in zip(narrow, deep, strict=True) for name in pair)
-        return list(both)[:MOST_TESTS]
+        both = list(dict.fromkeys(name for pair in zip(narrow, deep, strict=True) for name in pair))
+        spent = np.cumsum([self.seconds.get(name, 0.0) for name in both[MOST_TESTS:]])
+        return both[: MOST_TESTS + np.searchsorted(spent, further_seconds)]
 
     def stages(self, tests: Sequence[str]) -> list[list[str]]:
         """The first tests, which together take little time, and the others."""
@@ -439,14 +444,14 @@ def coverage_in(folder: Path) -> Coverage:
 class Trials:
     """Tries changes in the copy, with what is measured, and remembers which tests pass without a change."""
 
-    def __init__(self, folder: Path, keep: Path) -> None:
-        self.folder, self.keep = folder, keep
+    def __init__(self, folder: Path, keep: Path, further_seconds: float) -> None:
+        self.folder, self.keep, self.further_seconds = folder, keep, further_seconds
         self.measured = coverage_in(keep / "lines")
         self._fails_unchanged: dict[str, bool] = {}
 
     def noticed(self, change: Change) -> str | None:
         """The test that fails after the change, or "does not end"; None if all pass."""
-        tests = self.measured.nearest(change)
+        tests = self.measured.nearest(change, self.further_seconds)
         while True:
             result = self._try(change, tests)
             if result not in tests or not self._fails(result):
@@ -517,6 +522,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1200.0, help="for one test file to be measured")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin nothing after so long")
     parser.add_argument("--again", action="store_true", help="first try again what was not noticed")
+    parser.add_argument(
+        "--further", type=float, default=0.0, metavar="SECONDS", help="run other tests of the line, too"
+    )
     parser.add_argument("--measure-only", action="store_true")
     options = parser.parse_args()
     deadline = time.monotonic() + 60.0 * options.minutes
@@ -538,7 +546,7 @@ def main() -> None:
             if time.monotonic() < deadline:
                 record(folder, file, keep / "lines" / f"{file.replace('/', '.')}.json", options.seconds)
         if not options.measure_only:
-            _try_sample(Trials(folder, keep), options, deadline)
+            _try_sample(Trials(folder, keep, options.further), options, deadline)
 
 
 def _try_sample(trials: Trials, options: argparse.Namespace, deadline: float) -> None:
