@@ -368,7 +368,7 @@ def test_a_cancel_flag_that_cannot_be_set_is_set_at_the_next_sync(
         url = steps.settings.store_of(job.id)
         steps.manager.cancel(job.id)
         with monkeypatch.context() as patched:
-            patched.setattr(store, "set_cancelled", refusing(PermissionError("no")))
+            patched.setattr(store, "set_cancelled", Refusing(PermissionError("no")))
             steps.sync()
         assert not store.is_cancelled(url)
         assert steps.state(job) is JobState.RUNNING
@@ -399,21 +399,21 @@ def test_what_killed_workers_left_is_removed_as_a_job_ends_and_as_it_begins_agai
 # What goes wrong
 
 
-def refusing(error: Exception) -> Any:
+class Refusing:
     """A function that raises an error, whatever it is given."""
 
-    def refuse(*_: Any) -> None:
-        refuse.calls += 1  # type: ignore[attr-defined]
-        raise error
+    def __init__(self, error: Exception) -> None:
+        self.error, self.calls = error, 0
 
-    refuse.calls = 0  # type: ignore[attr-defined]
-    return refuse
+    def __call__(self, *_: Any) -> None:
+        self.calls += 1
+        raise self.error
 
 
 def test_a_bucket_that_does_not_answer_is_asked_once_at_each_sync(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    executor, create = Noting(), refusing(store.UNREACHABLE[0]("no answer"))
+    executor, create = Noting(), Refusing(store.UNREACHABLE[0]("no answer"))
     with stepping(tmp_path, executor) as steps:
         jobs = [steps.submit(of_cells(cells)) for cells in (100, 200, 400)]
         with monkeypatch.context() as patched:
@@ -433,7 +433,7 @@ def test_a_job_whose_run_breaks_is_made_anew_and_fails_the_third_time(
     executor = Noting()
     with stepping(tmp_path, executor) as steps:
         job, other = steps.submit(of_cells(100)), steps.submit(of_cells(400))
-        monkeypatch.setattr(store, "sync_folders", refusing(KeyError("a field")))
+        monkeypatch.setattr(store, "sync_folders", Refusing(KeyError("a field")))
         for _ in range(3):
             assert steps.state(job) is not JobState.FAILED
             del executor.sent[:]
@@ -455,7 +455,7 @@ def test_a_step_that_the_ledger_refuses_keeps_what_came_back(tmp_path: Path, mon
         steps.sync()
         report(executor.sent[0])
         with monkeypatch.context() as patched:
-            patched.setattr(steps.ledger, "writing", refusing(LedgerUnavailable("locked")))
+            patched.setattr(steps.ledger, "writing", Refusing(LedgerUnavailable("locked")))
             with pytest.raises(LedgerUnavailable):
                 steps.step()
         assert steps.job(job).chunks_done == 0
