@@ -172,7 +172,9 @@ def test_an_adaptive_cluster_of_a_gateway_computes_a_sweep(recipe: Recipe):
         assert ended["progress"]["cells_done"] == ended["progress"]["cells_total"]
         assert 2 <= most <= 3
         assert addresses == {"127.0.0.1"}
-        assert sum(recipe.metrics("bounce_chunks_returned_total").values()) == 0
+        returned = recipe.metrics("bounce_chunks_returned_total")
+        # On a slow machine a chunk may outlast its time slice, and goes on; none fails.
+        assert all('action="continue"' in label for label in returned if returned[label]), returned
         wait_for(lambda: recipe.metrics("bounce_workers")['state="computing"'] == 0, recipe.log, PATIENCE)
 
 
