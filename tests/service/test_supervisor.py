@@ -16,6 +16,7 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.supervisor import MAX_IN_FLIGHT, PASSED_SECONDS, TURN_PRIORITY, _two_digits
+from service.jobs.transactions import DeletionStep
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState
@@ -193,6 +194,22 @@ def test_a_lost_cluster_is_told_and_the_next_look_is_soon(tmp_path: Path):
         executor.refused = ("worker a: it is another",)
         steps.sync()
         assert steps.manager.notices()[0] == "workers refused: 1; the log names them"
+
+
+def test_a_job_at_the_address_of_a_deleted_one_waits_until_its_results_are_removed(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        steps.manager.cancel(job.id)
+        steps.manager.delete(job.id)
+        job = steps.submit(of_cells(100))
+        steps.sync()
+        assert (steps.state(job), executor.sent) == (JobState.QUEUED, [])
+        with steps.ledger.writing() as writing:
+            [deletion] = writing.deletions()
+            writing.advance_deletion(deletion, DeletionStep.FREED)
+        steps.sync()
+        assert (steps.state(job), len(executor.sent) > 0) == (JobState.RUNNING, True)
 
 
 # What a chunk is sent with
