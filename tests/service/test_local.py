@@ -95,6 +95,14 @@ def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
     assert again.attrs["job"] == SweepSpec.parse(SPEC).job_id(KERNEL_VERSION)
 
 
+def test_a_run_is_looked_at_a_few_times_a_second(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(local, "LOOK_SECONDS", 0.2)
+    looks: list[float] = []
+    local.run(LONG | {"gamma": 2.0}, progress=lambda _: looks.append(time.monotonic()))
+    assert len(looks) > 2
+    assert min(np.diff(looks)) >= 0.2
+
+
 def test_progress_is_reported_to_a_function():
     seen: list[tuple[str, float]] = []
     local.run(SPEC, progress=lambda job: seen.append((job.state, job.progress.percent)))

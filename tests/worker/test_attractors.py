@@ -289,10 +289,11 @@ def test_a_cycle_of_many_flights_joins_the_distribution_that_it_has():
     assert searched([0, 1, 1], other, CHAOS)[0].ids.tolist() == [2, 1, 1]
 
 
-def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle():
+@pytest.mark.parametrize("starts", [1, 2])
+def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle(starts: int):
     flights = np.linspace(1.0, 2.0, 90).tolist()
     closing = turning(2000, CHAOS, cycle(*flights, periods=70))
-    found, _ = searched([0, 0], closing)
+    found, _ = searched([0] * starts, closing)
     (attractor,) = found.attractors
     assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.PERIODIC, 90, 70)
     assert attractor.flights.tolist() == flights

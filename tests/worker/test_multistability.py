@@ -13,6 +13,7 @@ import xarray
 from kernel.branches.events import Kind, fold_events
 from kernel.params import Outcome, empty_line
 from worker import store, studies
+from worker.basins.attractors import CYCLE_FLIGHTS
 from worker.basins.multistability import (
     _ARRAYS,
     CYCLE,
@@ -34,6 +35,8 @@ from worker.basins.multistability import (
 )
 from worker.basins.schema import empty_record, sizes_of_attractors
 from worker.basins.spec import MultistabilitySpec
+from worker.basins.starts import starts_of
+from worker.basins.steps import line_run
 from worker.cost import cell_seconds, period_seconds
 from worker.plan import TARGET_SECONDS
 from worker.spec import SpecError
@@ -116,6 +119,20 @@ def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
     assert int(cell.next_down[bounce]) == int(cell.next_down[rest]) != 0
     below = line.isel(gamma=first - 1)
     assert int(below.attractor_outcome[int(cell.next_down[bounce]) - 1]) == Outcome.AT_REST
+
+
+def test_what_drops_reach_runs_on_and_is_stored_as_it_is_after_a_second_window(tmp_path: Path):
+    spec = multistability(gamma=[1.5], omega=0.5, rows=1, columns=1, height=3.0, settle=12, observe=8)
+    stored = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0, id=0)
+    cell = tuple(np.array([value]) for value in (1.5, 0.5, 0.26))
+    window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
+    states = starts_of(spec, 1.0, 1.0, 0.0)
+    for is_last in (False, True):
+        run = line_run(spec, cell, states, keep=CYCLE_FLIGHTS, **window)
+        assert run.advance()
+        [end] = _reached(_reduced(run.line, spec.micro_flight, spec.keep))
+        states = end.state[None]
+        assert (stored.attractor_state.values == end.state).all() == is_last
 
 
 def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path):
