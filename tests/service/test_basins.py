@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from matplotlib import image
-from served import computing, get
+from served import computing, get, occupied
 
 from service.api import schemas
 from service.client import BadRequest, Client, Job
@@ -54,6 +55,13 @@ def test_the_basin_of_a_cell(service: TestClient, job: Job):
     assert answer["complete"]
     assert answer["undecided"] == 0.0
     assert 0.0 < answer["basin_entropy"] <= answer["boundary_entropy"] < np.log(2.0)
+
+
+def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
+    with occupied(tmp_path) as service:
+        job = service.post("/v1/jobs", json=SPEC).json()
+        answer = get(service, f"/v1/jobs/{job['id']}/basins", gamma=1.25)
+        assert (answer["complete"], answer["attractors"]) == (False, [])
 
 
 def test_rest_is_an_attractor(service: TestClient, job: Job):

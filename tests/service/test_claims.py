@@ -174,6 +174,13 @@ def test_chaos_begins_nowhere_if_too_few_cells_follow():
         assert (claim.verdict, claim.text) == (CONTRADICTS, f"(a) is chaotic beyond Γ ≈ {text}")
 
 
+def test_the_range_beyond_a_cell_holds_its_last_cell():
+    gamma = np.arange(1.0, 5.01, 0.25)
+    label = np.where(np.isin(gamma, [3.0, 3.25]), CHAOTIC, Outcome.PERIODIC)
+    claim = sections._chaos_beyond_three(diagram(gamma, label=label))
+    assert (claim.verdict, claim.text) == (CONTRADICTS, "(a) is chaotic beyond Γ ≈ inf")
+
+
 @pytest.mark.parametrize(
     ("chaotic", "others", "verdict"), [(1, 1, CONTRADICTS), (2, 1, AGREES), (1, 2, CONTRADICTS)]
 )

@@ -281,6 +281,13 @@ def test_what_seems_to_settle_joins_the_distribution_that_it_has():
     assert asked[-2:] == [(2, 0, 20, 256, 0), (1, 0, 20, 8, 0)]
 
 
+def test_what_settles_near_a_cycle_is_not_looked_at_again_for_the_sake_of_aperiodic_starts():
+    slow = always(Outcome.SETTLING, (1.01, 1.99))
+    found, asked = searched([0, 1, 2], cycle(1.0, 2.0), slow, CHAOS)
+    assert found.ids.tolist() == [1, 1, 2]
+    assert (1, 0, 20, 256, 0) not in asked
+
+
 def test_a_cycle_of_many_flights_joins_the_distribution_that_it_has():
     long, short = (cycle(*(1.0 + (np.arange(n) + 0.5) / n).tolist()) for n in (20, 19))
     found, _ = searched([0, 1, 2, 2], long, short, CHAOS)

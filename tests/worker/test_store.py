@@ -449,6 +449,21 @@ def test_no_store_is_said(tmp_path):
     assert not Path(nowhere).exists()
 
 
+def test_of_a_bucket_the_form_of_a_store_is_remembered_for_a_moment(url, monkeypatch):
+    reads, read = [], zarr_store.forms_of
+    monkeypatch.setattr(zarr_store, "forms_of", lambda root: reads.append(root) or read(root))
+    for number in (1, 2):
+        assert reader.OUTCOME in zarr_store._forms(url)
+        assert len(reads) == number
+    monkeypatch.setattr(zarr_store, "in_bucket", lambda _: True)
+    for _ in range(3):
+        assert reader.OUTCOME in zarr_store._forms(url)
+        assert len(reads) == 3
+    monkeypatch.setattr(zarr_store, "REMEMBERED_SECONDS", -1.0)
+    assert reader.OUTCOME in zarr_store._forms(url)
+    assert len(reads) == 4
+
+
 def test_only_folders_and_buckets_can_hold_a_store(spec, plan):
     with pytest.raises(store.StoreError, match="only folders and s3://"):
         store.create("gs://bucket/sweep.zarr", layout(spec, plan.chunk_shape))
