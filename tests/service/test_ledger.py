@@ -523,6 +523,11 @@ def test_keys_are_remembered_until_they_are_forgotten(ledger: Ledger):
 # Space and files
 
 
+def test_the_folder_of_a_ledger_is_made_and_those_above_it(tmp_path: Path):
+    with Ledger(tmp_path / "new" / "data" / "ledger.sqlite") as ledger, ledger.reading() as reading:
+        assert reading.newest(None, 1) == []
+
+
 def test_free_pages_are_given_back_but_for_the_reserve(ledger: Ledger, tmp_path: Path):
     def free() -> int:
         return ledger._number("PRAGMA freelist_count")
@@ -536,7 +541,9 @@ def test_free_pages_are_given_back_but_for_the_reserve(ledger: Ledger, tmp_path:
     assert before > reserve + 20
     assert ledger.shrink(10)
     assert free() == before - 10
-    assert not ledger.shrink(before - 10 - reserve)
+    assert ledger.shrink(before - 11 - reserve)
+    assert free() == reserve + 1
+    assert not ledger.shrink(10)
     assert free() == reserve
     assert not ledger.shrink(10)
     assert free() == reserve

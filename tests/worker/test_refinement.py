@@ -14,7 +14,7 @@ from worker import schema, store, tasks
 from worker.cost import check_size, computed_shares, estimate
 from worker.executors.base import Executor
 from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
-from worker.refinement import Refinement, classes
+from worker.refinement import Refinement, _cuts, classes
 from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecInvalid, SpecTooLarge
@@ -257,6 +257,19 @@ def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
     assert computed.shape == shape
     assert computed.flat[source].all()
     assert np.array_equal(source[computed], np.flatnonzero(computed))
+
+
+@pytest.mark.parametrize(
+    ("tile", "cells", "spans"),
+    [
+        ((0, 8), 9, [(0, 4), (4, 8)]),
+        ((3, 9), 12, [(0, 3), (3, 7), (7, 9), (9, 11)]),
+        ((1, 4), 6, [(0, 1), (1, 4), (4, 5)]),  # one cell before, one beyond
+        ((2, 2), 3, [(0, 2), (2, 2)]),  # a tile of one cell
+    ],
+)
+def test_spans_reach_from_the_first_cell_to_the_last(tile, cells, spans):
+    assert _cuts(*tile, cells, 4) == spans
 
 
 def test_blocks_of_the_tile_lie_in_it_whole_and_those_that_matter_have_a_cell_of_it():
