@@ -287,7 +287,7 @@ def test_a_chunk_damaged_before_the_start_is_given_up(folder: Path):
         job = get(client, DONE)
         assert job["error"].startswith("chunk 0 (rest, gamma 1 to 3, omega 0.5 to 1, xi 0.26): its")
         assert NOTICE in job["error"]
-        assert [failure["chunk"] for failure in job["failures"]] == [0]
+        assert [(failure["chunk"], failure["tries"]) for failure in job["failures"]] == [(0, 0)]
         assert job["progress"]["cells_done"] == 0
         line = get(client, f"{DONE}/diagram", omega=0.5)
         assert not line["complete"]

@@ -238,6 +238,17 @@ def test_a_page_that_is_damaged_while_the_service_runs_is_told(data: Path, inlin
         refused(client, "ledger.sqlite is damaged")
 
 
+def test_damage_is_told_before_any_request_meets_it(data: Path):
+    with Ledger(data / "ledger.sqlite") as ledger:
+        assert ledger.fault() is None
+        ledger._writer.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        for page in range(1, (data / "ledger.sqlite").stat().st_size // PAGE):
+            overwrite_page(data / "ledger.sqlite", page)
+        ledger._files.note_written()  # a disk does not change the time of the last write
+        ledger._reader.execute("PRAGMA shrink_memory")
+        assert "ledger.sqlite is damaged" in str(ledger.fault())
+
+
 def test_a_lost_log_is_noticed_and_nothing_of_it_is_lost(data: Path, inline: Inline):
     """The log of another ledger lies in its place."""
     with service(data, inline) as client:

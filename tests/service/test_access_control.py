@@ -267,6 +267,12 @@ def test_the_operator_can_allow_hosts(guarded: TestClient, tmp_path: Path):
     assert "192.0.2.7" in Settings(host="192.0.2.7", token=TOKEN).hosts
 
 
+def test_the_operator_can_allow_every_host(tmp_path: Path):
+    app = create_app(Settings(data=tmp_path, allowed_hosts="*"), Held())
+    for host in ("bounce.example.org", "localhost"):
+        assert TestClient(app).get("/healthz", headers={"Host": host}).status_code == 200
+
+
 def test_allowed_hosts_come_from_the_environment(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("BOUNCE_ALLOWED_HOSTS", "a.org,b.org")
     assert Settings().allowed_hosts == {"a.org", "b.org"}
@@ -387,6 +393,18 @@ def test_no_page_of_another_origin_may_read(local: TestClient):
     answer = local.options("/v1/jobs", headers=preflight)
     assert answer.status_code == 405
     assert not [name for name in answer.headers if name.startswith("access-control-")]
+
+
+@pytest.mark.parametrize(
+    ("method", "asked"), [("OPTIONS", {}), ("GET", {"Access-Control-Request-Method": "GET"})]
+)
+def test_what_is_no_preflight_needs_a_token(tmp_path: Path, method: str, asked: dict[str, str]):
+    """Also from a page that may read: tests/service/test_zarr_access.py."""
+    origin = "https://viewer.example"
+    app = create_app(Settings(data=tmp_path, token=TOKEN, cors_origins=origin), Held())
+    browser = {"Origin": origin, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
+    answer = TestClient(app, base_url="http://localhost").request(method, "/v1/jobs", headers=browser | asked)
+    assert answer.status_code == 401
 
 
 @pytest.mark.parametrize("path", ["/docs", "/v1/jobs", "/v1/jobs/none", "/nowhere", "/healthz"])

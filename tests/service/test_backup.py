@@ -1,7 +1,9 @@
 """Backups and their commands: whole copies beside a running service; restoring loses nothing."""
 
+import os
+import shutil
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -79,6 +81,52 @@ def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
     assert (folder / "backup.sqlite").read_bytes() == before
 
 
+def test_what_contradicts_itself_is_neither_backed_up_nor_restored(folder: Path):
+    ledger, earlier, copy = (
+        folder / "data" / "ledger.sqlite",
+        folder / "backup.sqlite",
+        folder / "copy.sqlite",
+    )
+    with closing(sqlite3.connect(ledger, isolation_level=None)) as connection:
+        connection.execute("DELETE FROM chunks WHERE chunk = 0")
+    shutil.copyfile(ledger, copy)
+    before = {path: path.read_bytes() for path in (ledger, earlier, copy)}
+    with pytest.raises(LedgerUnusable, match="contradicts itself"):
+        backup.backup(ledger, earlier)
+    with pytest.raises(LedgerUnusable, match="contradicts itself"):
+        backup.restore(ledger, copy)
+    assert {path: path.read_bytes() for path in before} == before
+    assert sorted(path.name for path in folder.iterdir()) == ["backup.sqlite", "copy.sqlite", "data"]
+
+
+def test_a_backup_takes_the_place_of_one_that_was_interrupted(folder: Path):
+    partial = folder / "later.sqlite.partial"
+    partial.write_bytes(b"half of a backup" * 999)
+    assert backup.backup(folder / "data" / "ledger.sqlite", folder / "later.sqlite").jobs == 3
+    assert not partial.exists()
+
+
+def test_copies_are_on_the_disk_and_leave_no_file_open(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    ledger, file = folder / "data" / "ledger.sqlite", folder / "later.sqlite"
+    synced: list[str] = []
+    real = os.fsync
+
+    def noted(descriptor: int) -> None:
+        synced.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    backup.backup(ledger, file)
+    assert synced == [str(file)]
+    backup.restore(ledger, file)
+    assert synced[1:] == [f"{ledger}.partial", str(ledger.parent)]  # the contents before the name
+    opened = []
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # of the listing itself
+            opened.append(str(descriptor.readlink()))
+    assert [path for path in opened if path.startswith(str(folder))] == []
+
+
 def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Path):
     data = folder / "data"
     stores = {path: path.stat().st_mtime_ns for path in (data / "stores").rglob("*")}
@@ -91,6 +139,7 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
     assert f"the ledger that was there is {replaced}\n" in answer.output
     assert ids(replaced) == known
     assert len(ids(data / "ledger.sqlite")) == 1
+    assert (data / "ledger.sqlite").stat().st_mode & 0o777 == 0o600
     with running(data, Held(capacity=0)) as service:
         service.manager._scrubber._thread.join()
         assert len(service.manager.unknown_stores) == 2
@@ -116,6 +165,37 @@ def test_a_log_that_is_not_of_the_backup_is_set_aside(folder: Path):
     assert wal_of(restored.replaced).read_bytes() == b"of the ledger before"
     assert not wal_of(ledger).exists()
     assert len(ids(ledger)) == 1
+
+
+def test_a_log_that_has_lost_its_ledger_is_removed(folder: Path):
+    ledger = folder / "data" / "ledger.sqlite"
+    ledger.unlink()
+    wal_of(ledger).write_bytes(b"of the ledger before")
+    assert backup.restore(ledger, folder / "backup.sqlite").replaced is None
+    assert not wal_of(ledger).exists()
+    assert len(ids(ledger)) == 1
+
+
+def test_a_ledger_is_restored_to_a_new_folder(folder: Path):
+    ledger = folder / "another" / "machine" / "ledger.sqlite"
+    restored = backup.restore(ledger, folder / "backup.sqlite")
+    assert (restored.contents.jobs, restored.replaced) == (1, None)
+    assert list(ledger.parent.glob("*.sqlite*")) == [ledger]
+
+
+def test_a_backup_that_cannot_be_changed_is_not_restored(folder: Path):
+    """Its deletions must be forgotten."""
+    data, file = folder / "data", folder / "backup.sqlite"
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        connection.execute("INSERT INTO deletions VALUES ('a', 9, 1.0, 0)")
+        connection.execute(
+            "CREATE TRIGGER kept BEFORE DELETE ON deletions BEGIN SELECT RAISE(ABORT, 'no'); END"
+        )
+    before = sorted(path.name for path in data.iterdir())
+    with pytest.raises(LedgerUnusable, match=r"backup\.sqlite cannot be restored: no"):
+        backup.restore(data / "ledger.sqlite", file)
+    assert sorted(path.name for path in data.iterdir()) == before
+    assert len(ids(data / "ledger.sqlite")) == 3
 
 
 def test_nothing_is_restored_under_a_running_service(folder: Path):
@@ -156,6 +236,19 @@ def test_deletions_of_a_backup_are_forgotten(folder: Path):
         service.manager._scrubber._thread.join()
         assert [Path(url).stem for url in service.manager.unknown_stores] == [job.id]
         assert Path(service.settings.store_of(job.id)).exists()
+
+
+def test_known_are_the_jobs_of_a_ledger_and_the_deleted_ones(folder: Path):
+    """A ledger of an earlier release knows of no deletions."""
+    path = folder / "data" / "ledger.sqlite"
+    known = ids(path)
+    with Ledger(path) as ledger, ledger.writing() as writing:
+        deleted = writing.newest(None, 1)[0]
+        writing.delete(deleted, 1e12)
+    assert backup.known_ids(path) == known
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("DROP TABLE deletions")
+    assert backup.known_ids(path) == known - {deleted.id}
 
 
 def test_adopt_names_what_it_cannot_take_in(folder: Path):

@@ -8,14 +8,17 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import httpx2
 import pytest
+from fastapi import FastAPI, Query
 from fastapi.testclient import TestClient
+from pydantic import BaseModel, model_validator
 from scripted import DEADLINE, Held, wait_for
 from served import computing, finished, listening, service
 
+from service.api import problems
 from service.api.app import create_app
 from service.api.middleware.body_limit import BodyLimit
 from service.api.problems import STATUS, problem_response
@@ -163,6 +166,7 @@ REQUESTS = {
     "a direction not there": ("GET", "{job}/diagram?omega=0.5&direction=up", 422, "direction: must be"),
     "a negative flight": ("GET", "{job}/diagram?omega=0.5&min_flight=-1", 422, "min_flight: should be"),
     "an unknown format": ("GET", "{job}/diagram?omega=0.5&format=gif", 422, "format: should be 'json'"),
+    "a motion too long": ("GET", "{job}/trajectory?gamma=1&omega=0.5&periods=1000", 413, "200,001 samples"),
     "thresholds off the grid": ("GET", "{job}/threshold?xi=9", 422, "xi: must be within the sweep"),
     "thresholds of nobody": ("GET", "/v1/jobs/nobody/threshold", 404, "no job has the id"),
     "Eq. 25 nowhere": ("GET", "/v1/threshold", 422, "omega: is required; xi: is required"),
@@ -214,6 +218,29 @@ def test_errors_name_the_field_and_the_rule(client: TestClient):
     problem = client.post("/v1/jobs", json={**GOOD, "omega": -1, "keep": 0}).json()
     assert [error["field"] for error in problem["errors"]] == ["omega", "keep"]
     assert [error["rule"].startswith("must be") for error in problem["errors"]] == [True, True]
+
+
+def test_a_rule_of_several_parameters_is_refused_without_naming_one():
+    class Range(BaseModel):
+        low: float
+        high: float
+
+        @model_validator(mode="after")
+        def _check(self) -> Self:
+            if self.low > self.high:
+                raise ValueError("low must not be above high")
+            return self
+
+    app = FastAPI()
+    problems.install(app)
+
+    @app.get("/between")
+    def between(query: Annotated[Range, Query()]) -> Range:
+        return query
+
+    with TestClient(app) as client:
+        assert client.get("/between?low=1&high=2").status_code == 200
+        check_refusal(client.get("/between?low=2&high=1"), 422, "query: low must not be above high")
 
 
 def test_every_error_has_a_status():

@@ -25,8 +25,8 @@ from starlette.types import Message
 
 from service.api import routers
 from service.api.app import create_app
-from service.api.capacity import CLIENT_GONE, MUCH, PIECE, Capacity, Lease, costly
-from service.errors import Busy
+from service.api.capacity import CLIENT_GONE, MUCH, PIECE, Capacity, Lease, ListenerLimit, costly
+from service.errors import Busy, TooManyListeners
 from service.jobs.on_demand import Pending
 from service.render import answers
 from service.render.parquet import GROUP_BYTES
@@ -312,6 +312,16 @@ async def test_an_error_gives_everything_back():
     assert limits.used == 0
 
 
+def test_a_listener_that_leaves_makes_room_for_one():
+    limit = ListenerLimit(2)
+    for _ in range(2):
+        with limit.slot():
+            with limit.slot(), pytest.raises(TooManyListeners, match="at most 2 at a time"), limit.slot():
+                pass
+            with limit.slot(), pytest.raises(TooManyListeners), limit.slot():
+                pass
+
+
 async def never() -> Message:
     return await asyncio.Future()
 
@@ -401,6 +411,23 @@ def test_an_answer_counts_as_what_it_may_take(tmp_path: Path):
 
         assert of_a_spring("modes=1-1") == 4_000 * MAX_GRID
         assert of_a_spring("modes=1-1,1-2,1-3") == 3 * 4_000 * MAX_GRID
+
+
+def test_numbers_count_up_to_their_limit_and_pictures_whole(tmp_path: Path):
+    """A picture shows a line of any length."""
+    with service(tmp_path, Held(capacity=0), max_points=1_000) as client:
+        parts = client.app.state.service  # type: ignore[attr-defined]
+        used: list[int] = []
+
+        def run(*_: object) -> Any:
+            used.append(parts.capacity.used - BASE_MEMORY)
+            raise Busy("enough")
+
+        parts.background.run = run
+        here = client.post("/v1/jobs", json=FIGURE_2).headers["Location"]
+        for format in ("json", "csv", "png"):
+            assert client.get(f"{here}/diagram?format={format}").status_code == 429
+        assert used == [1_000 * 100, 1_000 * 300, FLIGHTS * 80]
 
 
 def test_an_export_counts_as_several_of_its_chunks(tmp_path: Path):

@@ -176,6 +176,7 @@ def test_a_store_made_after_its_deletion_stays(done: Path, inline: Inline):
         wait_for(lambda: service.pending_deletions() == 0)
         service.manager._scrubber._thread.join()
         assert [Path(url).name for url in service.manager.unknown_stores] == [f"{JOB}.zarr"]
+        assert service.manager._deleter.kept == [service.settings.store_of(JOB)]
     assert names(done) == [f"{JOB}.zarr"]
 
 
@@ -239,8 +240,25 @@ def test_it_tells_when_a_deleted_address_is_free(done: Path):
         deleter = deletion.Deleter(ledger, Settings(data=done), freed.set)
         deleter.start()
         assert freed.wait(DEADLINE)
+        assert not deleter._recorded.is_set()  # it waits for the next deletion
         deleter.stop(DEADLINE)
+        assert not deleter._thread.is_alive()
     assert names(done) == []
+
+
+def test_a_complete_deletion_is_remembered_until_the_next_start(done: Path):
+    with Ledger(done / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            job = writing.newest(None, 1)[0]
+            writing.delete(job, 1.0)
+            writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
+            assert writing.repeat_deletion(job, 1.0)
+            writing.advance_deletion(writing.deletions()[0], DeletionStep.COMPLETE)
+        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
+        deleter.start()
+        deleter.stop(DEADLINE)
+        with ledger.writing() as writing:
+            assert not writing.repeat_deletion(job, 2.0)
 
 
 def test_a_deletion_that_fails_is_tried_again_less_and_less_often(
@@ -323,10 +341,15 @@ def test_a_deletion_that_the_ledger_refuses_waits(
             assert not deleter._carry_out_all()
         assert "cannot be removed now, it is tried again" in caplog.text
         assert names(done) == [f"{JOB}.zarr"]
+        deleter._stopping.set()
+        assert not deleter._carry_out_all()  # the next start removes it
+        assert names(done) == [f"{JOB}.zarr"]
+        deleter._stopping.clear()
         assert deleter._carry_out_all()
         assert names(done) == []
         deleter._stopping.set()
         assert deleter._carry_out_all()  # nothing is left
+    assert not deleter._carry_out_all()  # the ledger is closed, and there may be more
 
 
 def refused() -> None:

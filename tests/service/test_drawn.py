@@ -118,6 +118,15 @@ def test_the_axes_span_the_cells_and_the_longest_flight_of_all_directions():
     assert axes.get_xscale() == "linear"
 
 
+def test_a_cell_alone_has_an_axis_around_it():
+    arrays = {name: array[1:2] for name, array in cells().arrays.items()}
+    axes = drawn(cells(values=np.array([1.5]), arrays=arrays))
+    left, right = axes.get_xlim()
+    assert left < 1.5 < right
+    (dots,) = points(axes)
+    assert dots.get_xydata().tolist() == [[1.5, 4.0]]
+
+
 @pytest.mark.parametrize(("longest", "step"), [(6.0, 1.0), (8.2, 2.0), (30.0, 5.0), (60.0, 10.0)])
 def test_the_axis_of_flights_has_at_most_nine_ticks_at_round_numbers(longest: float, step: float):
     axes = drawn(cells(arrays={"flight_time": cells().flight_time * longest / 6.0}))
@@ -178,6 +187,7 @@ def test_the_threshold_is_a_line_where_the_axis_has_it():
         assert onsets(drawn(cells(values=np.array(values)))) == pytest.approx([onset])
     for values in ([onset + 0.01, 2, 3, 4], [0.1, 0.2, 0.3, onset - 0.01]):
         assert onsets(drawn(cells(values=np.array(values)))) == []
+    assert r"$\Gamma_{\mathrm{th}}$" in texts(drawn(cells()))
     along_omega = cells(along="omega", fixed={"gamma": 2.0, "xi": 0.26})
     assert onsets(drawn(along_omega)) == []
     other = drawn(cells(fixed={"omega": 0.7, "xi": 0.05}))

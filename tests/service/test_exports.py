@@ -70,6 +70,7 @@ def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
     answer = done.client.get(f"{done.here}/export?format=nc")
     assert answer.status_code == 200
     assert answer.headers["Content-Disposition"].endswith('.nc"')
+    assert int(answer.headers["Content-Length"]) == len(answer.content)
     assert answer.headers["Bounce-Complete"] == "true"
     (tmp_path / "sweep.nc").write_bytes(answer.content)
     with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
@@ -468,6 +469,17 @@ def test_parquet_holds_a_row_for_every_flight_of_an_attractor(attractors: Done):
     for row in rows:
         place = {axis: row[axis] for axis in ("gamma", "omega", "xi", "id")}
         assert row["flight_time"] == times.sel(place).values[row["flight"]]
+
+
+def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, tmp_path: Path):
+    spec = get(attractors.client, attractors.here)["spec"]
+    path = {"basin": "basins?gamma=0.6", "multistability": "multistability"}[spec["protocol"]["kind"]]
+    answer = attractors.client.get(f"{attractors.here}/{path}")
+    assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "true")
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=spec).headers["Location"]
+        answer = client.get(f"{here}/{path}")
+        assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "false")
 
 
 @pytest.mark.parametrize("format", ["nc", "parquet"])

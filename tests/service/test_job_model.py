@@ -117,6 +117,11 @@ def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(f
     assert (progress.cells_computed, progress.cells_needed) == (40, needed)
 
 
+def test_an_adaptive_map_of_one_chunk_needs_all_of_its_first_round():
+    progress = record(first_cells=100, chunks_total=1, chunks_done=0, cells_computed=0).progress(104.0)
+    assert (progress.cells_computed, progress.cells_needed) == (0, 100)
+
+
 def test_a_job_of_another_kernel_says_so_and_what_replaces_it():
     assert record().notice is None
     assert not record().outdated

@@ -3,13 +3,14 @@
 import json
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from scripted import Held, sweep
-from served import service
+from scripted import Held, sweep, wait_for
+from served import get, service
 
 from kernel.params import KERNEL_VERSION
 from service.api.conditional import job_headers
@@ -83,6 +84,22 @@ def test_the_tag_changes_with_what_is_shown(change: dict[str, Any]):
     assert before["Cache-Control"] == "no-cache"
     assert job_headers(record()) == before
     assert job_headers(**{"job": record(), **change})["ETag"] != before["ETag"]
+
+
+def test_the_tag_changes_with_the_text_of_the_notice():
+    told = [job_headers(record(), notice=notice)["ETag"] for notice in ("no workers yet", "no scheduler")]
+    assert told[0] != told[1]
+
+
+def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=sweep().as_submitted()).headers["Location"]
+        manager = client.app.state.service.manager  # type: ignore[attr-defined]
+        wait_for(lambda: manager.cluster_fault is not None)
+        assert get(client, here)["notice"] == manager.cluster_fault
+        client.post(f"{here}/cancel")
+        wait_for(lambda: bool(get(client, here)["state"] == "cancelled"))
+        assert get(client, here)["notice"] is None
 
 
 # When to ask again

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
 from service.jobs import ledger as ledgers
 from service.jobs.ledger import RESERVE, Ledger
-from service.jobs.ledger_files import OpenFiles, aside, copies_of, lock_of, shm_of, size_of, wal_of
+from service.jobs.ledger_files import OpenFiles, as_found, aside, copies_of, lock_of, shm_of, size_of, wal_of
 from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState, NewJob
 from service.jobs.transactions import VERIFIED_PAGE, DeletionStep, StoredChunk
@@ -133,6 +133,16 @@ def test_an_illegal_step_changes_nothing(ledger: Ledger):
     assert current(ledger) == job
 
 
+def test_a_failed_job_is_not_started_unless_it_is_resumed(ledger: Ledger):
+    job = run(ledger, accept(ledger))
+    with ledger.writing() as writing:
+        writing.finish(job, JobState.FAILED, 300.0)
+    failed = current(ledger)
+    with pytest.raises(IllegalTransition):
+        run(ledger, failed)
+    assert current(ledger) == failed
+
+
 def test_chunks_are_marked_once(ledger: Ledger):
     job = run(ledger, accept(ledger))
     for chunks in (reports(0, 2), reports(2, 3)):
@@ -212,12 +222,13 @@ def test_threads_do_not_lose_each_others_marks(ledger: Ledger):
     assert ledger.done_mask(job).all()
 
 
-def test_it_survives_closing(tmp_path: Path):
+def test_it_survives_closing(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     path = tmp_path / "folder" / "ledger.sqlite"
     with Ledger(path) as ledger:
         accept(ledger)
     with Ledger(path) as ledger:
         assert current(ledger).name == "a name"
+    assert "no copy of" not in caplog.text  # there was no log to apply
     with closing(sqlite3.connect(path)) as reader:
         assert reader.execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
 
@@ -458,7 +469,7 @@ def test_a_resumed_job_has_another_owner_and_no_failures(ledger: Ledger):
         assert not writing.find(job.id).cancel_requested
         writing.queue(writing.find(job.id), "ann")
         assert writing.failures(job) == []
-    assert current(ledger).owner == "ann"
+    assert (current(ledger).owner, current(ledger).cancel_requested) == ("ann", False)
 
 
 @pytest.mark.parametrize(("chunks", "state"), [((0, 1, 2, 3), JobState.DONE), ((0, 3), JobState.FAILED)])
@@ -528,6 +539,14 @@ def test_the_folder_of_a_ledger_is_made_and_those_above_it(tmp_path: Path):
         assert reading.newest(None, 1) == []
 
 
+def test_the_reserve_of_an_earlier_release_is_removed(tmp_path: Path):
+    """Release 0.1.0 kept a file beside the ledger; now the reserve is inside."""
+    reserve = tmp_path / "ledger.reserve"
+    reserve.write_bytes(bytes(RESERVE))
+    with Ledger(tmp_path / "ledger.sqlite"):
+        assert not reserve.exists()
+
+
 def test_free_pages_are_given_back_but_for_the_reserve(ledger: Ledger, tmp_path: Path):
     def free() -> int:
         return ledger._number("PRAGMA freelist_count")
@@ -539,14 +558,47 @@ def test_free_pages_are_given_back_but_for_the_reserve(ledger: Ledger, tmp_path:
         writing._sql.execute("DROP TABLE used")
     reserve, before = 2 * RESERVE // ledger._number("PRAGMA page_size"), free()
     assert before > reserve + 20
+    ledger._writer.execute("PRAGMA wal_autocheckpoint = 1")  # each change goes to the main file at once
     assert ledger.shrink(10)
     assert free() == before - 10
     assert ledger.shrink(before - 11 - reserve)
     assert free() == reserve + 1
-    assert not ledger.shrink(10)
+    assert not ledger.shrink(1)
     assert free() == reserve
     assert not ledger.shrink(10)
     assert free() == reserve
+    ledger.check()  # the file got smaller by the service's own doing
+
+
+def test_a_change_from_outside_stays_one_whatever_gives_or_takes_pages(ledger: Ledger):
+    os.utime(ledger.path, (1e9, 1e9))
+    ledger.keep_reserve()
+    with pytest.raises(LedgerUnavailable, match="another program has changed it"):
+        ledger.shrink(1)
+    with pytest.raises(LedgerUnavailable, match="another program has changed it"):
+        ledger.check()
+
+
+def use_up(ledger: Ledger, content: int) -> None:
+    with ledger.writing() as writing:
+        writing._sql.execute("CREATE TABLE used AS SELECT zeroblob(?) AS content", [content])
+
+
+def test_where_no_space_is_left_the_log_goes_to_the_main_file(ledger: Ledger):
+    """From then on the log is written from its beginning again."""
+    job = accept(ledger)
+    assert job.id.encode() not in ledger.path.read_bytes()
+    ledger._writer.execute(f"PRAGMA max_page_count = {ledger._number('PRAGMA page_count')}")
+    with pytest.raises(LedgerUnavailable, match="full"):
+        use_up(ledger, 8 * RESERVE)
+    assert job.id.encode() in ledger.path.read_bytes()
+
+
+def test_a_reserve_that_has_no_space_keeps_nobody_from_writing(ledger: Ledger):
+    use_up(ledger, RESERVE)
+    ledger._writer.execute(f"PRAGMA max_page_count = {ledger._number('PRAGMA page_count')}")
+    ledger.keep_reserve()
+    assert accept(ledger).state is JobState.QUEUED
 
 
 def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
@@ -563,6 +615,8 @@ def test_a_ledger_that_can_be_written_has_no_fault(ledger: Ledger):
             ledger.check()
         other.execute("ROLLBACK")
     ledger.check()
+    assert ledger.fault() is None
+    accept(ledger)
     assert ledger.fault() is None
 
 
@@ -631,6 +685,43 @@ def test_a_foreign_log_is_set_aside_and_the_ledgers_own_stays(tmp_path: Path):
     assert shm_of(path).read_bytes() == b"open"
     [foreign] = tmp_path.glob("*-foreign-*")
     assert foreign.read_bytes() == b"foreign"
+
+
+def open_nothing(path: Path, error: BaseException | None) -> None:
+    with as_found(path):
+        if error is not None:
+            raise error
+
+
+@pytest.mark.parametrize(
+    ("error", "kept"), [(None, 0), (KeyboardInterrupt(), 0), (LedgerUnusable("it is damaged"), 1)]
+)
+def test_a_ledger_with_a_log_is_kept_as_it_was_found_only_if_it_is_unusable(
+    tmp_path: Path, error: BaseException | None, kept: int
+):
+    path = tmp_path / "ledger.sqlite"
+    for file in (path, wal_of(path)):
+        file.write_bytes(file.name.encode())
+    with nullcontext() if error is None else pytest.raises(type(error)):
+        open_nothing(path, error)
+    copies = copies_of(path)
+    assert [copy.read_bytes() for copy in copies] == [b"ledger.sqlite"] * kept
+    assert [wal_of(copy).read_bytes() for copy in copies] == [b"ledger.sqlite-wal"] * kept
+    assert len(list(tmp_path.iterdir())) == 2 + 2 * kept
+
+
+def test_a_ledger_that_cannot_be_copied_is_opened_and_leaves_half_a_copy_nowhere(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    path = tmp_path / "ledger.sqlite"
+    path.write_bytes(b"the ledger")
+    wal_of(path).mkdir()
+    (wal_of(path) / "file").touch()
+    open_nothing(path, None)
+    assert "is made before its log is applied" in caplog.text
+    assert sorted(tmp_path.iterdir()) == [path, wal_of(path)]
+    with pytest.raises(LedgerUnusable, match=r"^it is damaged$"):
+        open_nothing(path, LedgerUnusable("it is damaged"))
 
 
 def test_the_check_of_a_large_ledger_ends_when_its_time_is_over(

@@ -24,6 +24,9 @@ from service.client import Client
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
 from service.errors import DataFolderBusy, InvalidRequest
+from service.jobs.stores.adoption import open_ledger
+from worker import tasks
+from worker.executors import inline
 from worker.executors.inline import Inline
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
@@ -147,13 +150,61 @@ def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
             assert b"<svg" in content
 
 
-def test_a_line_that_the_sweep_does_not_have_is_told_and_nothing_is_written(tmp_path: Path):
-    with pytest.raises(InvalidRequest, match="omega"):
-        local.run_to_file(SPEC, tmp_path / "a.png", "png", {"along": "gamma"}, progress=False)
+@pytest.mark.parametrize(
+    ("line", "field"), [({"along": "gamma"}, "omega"), ({"omega": 0.6, "direction": "up"}, "direction")]
+)
+def test_a_line_that_the_sweep_does_not_have_is_told_and_nothing_is_written(
+    tmp_path: Path, line: dict[str, Any], field: str
+):
+    with pytest.raises(InvalidRequest, match=field):
+        local.run_to_file(SPEC, tmp_path / "a.png", "png", line, progress=False)
     assert not list(tmp_path.iterdir())  # and nothing was computed
 
 
+def test_threads_are_as_many_as_are_asked_for_or_cores(monkeypatch: pytest.MonkeyPatch):
+    begun: list[int] = []
+
+    class Counted(Inline):
+        def __init__(self, workers: int) -> None:
+            begun.append(workers)
+            super().__init__(workers)
+
+    monkeypatch.setattr(inline, "Inline", Counted)
+    monkeypatch.setattr(local, "cores", lambda: 3)
+    for workers in (2, None):
+        local.run(SPEC | {"gamma": 2.0}, workers=workers, progress=False)
+    assert begun == [2, 3]
+
+
+def test_cores_are_those_that_the_process_may_use_where_the_system_tells(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 2, 5} if process == 0 else {0})
+    assert local.cores() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    for told, cores in ((4, 4), (None, 1)):
+        monkeypatch.setattr(os, "cpu_count", lambda told=told: told)
+        assert local.cores() == cores
+
+
+def test_the_folder_of_a_run_is_closed_to_others_from_the_beginning(tmp_path: Path, caplog):
+    with local.computed(SPEC | {"gamma": 2.0}, tmp_path / "a.partial", progress=False):
+        assert (tmp_path / "a.partial").stat().st_mode & 0o7777 == 0o700
+    assert "was open to other users" not in caplog.text
+
+
 # Errors
+
+
+def test_an_error_of_the_compiler_ends_a_run_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def failing(_: SweepSpec) -> None:
+        raise ValueError("no compiler")
+
+    monkeypatch.setattr(tasks, "compile_for", failing)
+    with pytest.raises(ValueError, match="no compiler"):
+        local.run(SPEC, tmp_path / "a.zarr", progress=False)
+    assert not list(tmp_path.glob("*.partial/stores/*"))
+    assert not (tmp_path / "a.zarr").exists()
 
 
 def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path: Path):
@@ -177,6 +228,11 @@ def test_what_is_there_is_not_replaced(tmp_path: Path):
     with pytest.raises(FileExistsError, match="not the store of this study"):
         local.run(SPEC, file, progress=False)
     assert file.read_text() == "mine"
+    link = tmp_path / "link.zarr"
+    link.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(FileExistsError, match="not the store of this study"):
+        local.run(SPEC, link, progress=False)
+    assert link.is_symlink()
     local.run(SPEC, tmp_path / "b.zarr", progress=False)
     with pytest.raises(FileExistsError, match="not the store of this study"):
         local.run(SPEC | {"settle": 31}, tmp_path / "b.zarr", progress=False)
@@ -262,6 +318,19 @@ def test_an_interrupted_run_goes_on_where_it_stopped(
     local.run(spec, tmp_path / "whole.zarr", progress=False)
     assert files(tmp_path / "long.zarr") == files(tmp_path / "whole.zarr")
     assert not (tmp_path / "long.zarr.partial").exists()
+
+
+def test_a_run_whose_progress_cannot_be_shown_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(local, "CANCEL_SECONDS", 60.0)
+
+    def broken(job: JobStatus) -> None:
+        raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        local.run(LONG, tmp_path / "long.zarr", workers=1, progress=broken)
+    with open_ledger(local._settings(tmp_path / "long.zarr.partial")) as ledger, ledger.reading() as reading:
+        (job,) = reading.newest(None, 2)
+    assert job.state == "cancelled"
 
 
 def test_another_study_does_not_take_over_an_interrupted_one(tmp_path: Path):

@@ -26,6 +26,7 @@ from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, Queu
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import UNFINISHED, JobRecord, JobState
+from service.jobs.stores import scrub
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState
@@ -98,7 +99,9 @@ def test_a_stopped_service_goes_on_where_it_was(tmp_path: Path, inline: Inline):
             wait_for(held.held)
             held.let_go()
         wait_for(lambda: service.job(job).chunks_done == 2)
+        url = service.settings.store_of(job.id)
     assert all(future.cancelled() for future, *_ in held.chunks)
+    assert store.is_cancelled(url)  # for those that workers have begun
     rest = Scripted()
     with closing(rest), running(tmp_path, rest) as service:
         job = service.until(job, JobState.DONE)
@@ -329,8 +332,9 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
 def test_its_threads_end_with_the_service(tmp_path: Path):
     before = set(threading.enumerate())
     with served_service(tmp_path, Held()):
-        names = {thread.name for thread in set(threading.enumerate()) - before}
-        assert {"supervisor", "deleter"} <= names
+        daemons = {thread.name: thread.daemon for thread in set(threading.enumerate()) - before}
+        assert daemons["supervisor"]  # a bucket that hangs does not keep the process from ending
+        assert daemons["deleter"]
     left = {thread.name for thread in set(threading.enumerate()) - before}
     assert not left & {"supervisor", "deleter"}
 
@@ -704,12 +708,21 @@ def test_waiting_takes_no_processor_time(tmp_path: Path):
         assert spent() - before < 0.2
 
 
-def test_stopping_is_prompt(tmp_path: Path):
+def test_stopping_is_prompt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    """Each thread ends at once, and not with the next heartbeat."""
+
+    def refused(*_: Any) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(scrub, "find_unknown", refused)
     with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
-        began = time.monotonic()
+        wait_for(lambda: "scrub failed; starting again" in caplog.text)
         service.manager.stop()
-        assert time.monotonic() - began < DEADLINE  # and not with the next heartbeat
+        parts = (service.manager._supervisor, service.manager._deleter, service.manager._scrubber)
+        assert not any(part._thread.is_alive() for part in parts)
 
 
 # Jobs as users change them, while nothing is computed
@@ -842,6 +855,21 @@ def test_the_study_of_an_outdated_job_is_a_new_job_that_replaces_it(tmp_path: Pa
         assert (outdated.outdated, outdated.replaced_by) == (True, new.id)
         again = service.manager.resume(outdated.id, "ann")
         assert (again.job.id, again.accepted) == (new.id, False)
+
+
+def test_a_job_keeps_its_chunks_though_it_would_be_cut_otherwise_today(tmp_path: Path):
+    with unstarted(tmp_path) as service:
+        spec = sweep()
+        job, outdated = service.submit(spec), service.submit(sweep(omega=0.6))
+        with service.ledger.writing() as ledger:
+            ledger._sql.execute("UPDATE jobs SET chunk_shape = '[1, 1, 60]', chunks_total = 1")
+            ledger._sql.execute(
+                "UPDATE jobs SET kernel_version = '0', spec = ?, id = ?, state = 'failed' WHERE seq = ?",
+                [job.spec, spec.job_id("0"), outdated.seq],
+            )
+        for again in (service.manager.submit(spec), service.manager.resume(spec.job_id("0"))):
+            assert (again.accepted, again.job.id, again.job.chunk_shape) == (False, job.id, (1, 1, 60))
+            assert len(service.manager.preparer.prepare(again.job).plan) == 1
 
 
 def test_an_outdated_job_that_was_to_be_cancelled_is_not_replaced(tmp_path: Path):

@@ -5,6 +5,7 @@ import io
 import itertools
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from served import computing, get
 from kernel.params import Outcome
 from service.api import schemas
 from service.client import BadRequest, Client, Job
-from service.errors import InvalidRequest, TooLarge
+from service.errors import InvalidRequest, OutdatedJob, TooLarge
 from service.render.multistability import multistability_csv, multistability_json
 from service.results import multistability
 from service.results.multistability import Event, Multistability, _joined, plane
@@ -182,6 +183,7 @@ def test_branches_join_by_most_votes_unless_they_share_a_cell():
     assert owner.tolist() == [0, 1, 1, 1, 1]
     assert _joined(branch, {}).tolist() == [0, 1, 2, 3, 4]
     assert _joined(branch, {(0, 2): 3, (1, 2): 2}).tolist() == [0, 1, 0, 3, 4]
+    assert _joined(branch, {(1, 2): 1, (0, 2): 1}).tolist() == [0, 1, 0, 3, 4]  # of as many, the first
 
 
 # From a store that was written by hand
@@ -321,6 +323,12 @@ def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
     assert lost.complete
 
 
+def test_a_computed_cell_without_an_attractor_counts_among_the_computed(tmp_path: Path):
+    found = plane(written(tmp_path, [[[Known(ONE), Known(TWO)], [], None]]), None)
+    assert found.count.tolist() == [[2, 0, -1]]
+    assert (found.several, found.several_by_drops) == (0.5, 0.5)
+
+
 def test_a_line_of_a_plane_has_its_own_attractors_and_events(tmp_path: Path):
     lines: Lines = [
         [[Known(REST, 0.0)], [Known(ONE, 3.0)]],
@@ -365,6 +373,8 @@ def test_the_motion_of_an_attractor_begins_at_its_state(tmp_path: Path):
     for number in (0, 3):
         with pytest.raises(InvalidRequest, match="attractor: must be from 1 to 2"):
             of_attractor(job, {"gamma": 1.0, "omega": 0.5}, number, 3, 8)
+    with pytest.raises(OutdatedJob, match="computed by kernel version 1"):
+        of_attractor(replace(job, kernel_version="1"), {"gamma": 1.0, "omega": 0.5}, 1, 3, 8)
 
 
 def test_a_plane_of_too_many_cells_is_refused_and_its_memory_bounded(

@@ -159,6 +159,20 @@ def test_closing_cancels_what_is_being_computed():
     assert all(future.cancelled() for future in pool.futures)
 
 
+def test_what_is_cancelled_while_it_waits_is_not_begun(monkeypatch: pytest.MonkeyPatch):
+    for name, value in {"LOOK_SECONDS": 0.01, "SHARE": 0.0, "CREDIT_SECONDS": 0.0}.items():
+        monkeypatch.setattr(on_demand, name, value)
+    pool, jobs = Pool(), [True]
+    cache = OnDemandCache(pool, timeout=0.01, jobs_compute=lambda: jobs[0])
+    with pytest.raises(Pending):
+        cache.get("cancelled", submit)
+    cache.close()
+    jobs[0] = False
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    assert len(pool.futures) == 2
+
+
 @pytest.mark.parametrize(("workers", "share"), [(0, 1), (1, 1), (2, 1), (5, 2), (8, 4)])
 def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers: int, share: int):
     pool = Pool()

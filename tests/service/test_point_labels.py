@@ -130,6 +130,22 @@ def test_a_label_without_a_place_is_left_out():
     assert len(axes.texts) == 0
 
 
+def test_without_points_nothing_is_written():
+    axes = empty()
+    assert labelled(axes) == []
+    assert len(axes.texts) == 0
+
+
+def test_a_label_that_is_just_beside_its_point_has_no_line():
+    """A panel in which there is room to the right alone, beyond another point."""
+    axes = empty(2.0, 0.25)
+    (box,) = labelled(axes, (20.0, 9.0, "twelve"), (28.0, 9.0, ""))
+    assert beside(box, (20.0, 9.0)) == pytest.approx(BESIDE, abs=0.01)
+    (text,) = axes.texts
+    assert isinstance(text, Annotation)
+    assert text.arrow_patch is None
+
+
 def test_places_go_round_the_point_nearer_ones_first():
     """A text of 20 by 6 points: its box touches the border of a box about the marker's."""
     offsets = list(point_labels._offsets(20.0, 6.0))

@@ -23,6 +23,7 @@ from worker.analysis.model_selection import ModelChoice
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
+from worker.studies import study_of
 
 
 @pytest.fixture
@@ -159,7 +160,9 @@ def test_many_at_once_get_one_value(preparer: JobPreparer, calls: Counter[str]):
     assert calls == {"parsed": 1, "planned": 1}
 
 
-@pytest.mark.parametrize(("limit", "value"), [("MAX_JOBS", 3), ("MAX_SPEC_CHARS", 3 * 400)])
+@pytest.mark.parametrize(
+    ("limit", "value"), [("MAX_JOBS", 3), ("MAX_SPEC_CHARS", 3 * 400), ("MAX_SPEC_CHARS", 4 * 400 - 1)]
+)
 def test_only_the_jobs_used_last_are_kept(
     preparer: JobPreparer, calls: Counter[str], monkeypatch: pytest.MonkeyPatch, limit: str, value: int
 ):
@@ -175,6 +178,38 @@ def test_only_the_jobs_used_last_are_kept(
     assert calls["parsed"] == 4
     preparer.prepare(jobs[1])
     assert calls["parsed"] == 5
+
+
+def test_one_job_is_kept_however_long_its_specification_is(
+    preparer: JobPreparer, calls: Counter[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(prepare, "MAX_SPEC_CHARS", 1)
+    one, two = record(small()), record(small(), seq=2)
+    for job, parsed in ((one, 1), (one, 1), (two, 2), (one, 3)):
+        preparer.prepare(job)
+        assert calls["parsed"] == parsed
+
+
+@pytest.mark.parametrize("settle_until", [None, 640])
+def test_a_cell_takes_its_part_of_the_time_or_as_long_as_it_may(
+    preparer: JobPreparer, settle_until: int | None
+):
+    spec = small(settle_until=settle_until)
+    prepared, cost = preparer.prepare(record(spec)), study_of(spec).estimate(spec, make_plan(spec))
+    longest = cost.core_seconds if settle_until is None else cost.longest_core_seconds
+    assert longest is not None
+    assert (longest > cost.core_seconds) == (settle_until is not None)
+    assert prepared.cell_seconds == pytest.approx(cost.core_seconds / 60)
+    assert prepared.longest_cell_seconds == pytest.approx(longest / 60)
+
+
+def test_of_an_outdated_job_fields_are_read_that_are_refused_today(preparer: JobPreparer):
+    bounded = {"name": "x" * 201, "settle_tolerance": 1e3}
+    job = replace(record(small()), spec=json.dumps(small().as_submitted() | bounded))
+    with pytest.raises(SpecError):
+        preparer.prepare(job)
+    submitted = preparer.prepare(replace(job, kernel_version="0")).submitted
+    assert {name: getattr(submitted, name) for name in bounded} == bounded
 
 
 def test_a_specification_of_an_older_version_raises(preparer: JobPreparer):

@@ -1,5 +1,6 @@
 """The scrub: what is verified again and when, in which order, and how much of the processor it takes."""
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,17 +10,20 @@ from typing import Any
 
 import pytest
 from running import running
-from scripted import DEADLINE, sweep
+from scripted import DEADLINE, sweep, wait_for
 
+from service.errors import LedgerUnavailable
 from service.jobs import transactions
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord, JobState, NewJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores import scrub
-from service.jobs.stores.repair import Repairer
+from service.jobs.stores.repair import Repair, Repairer
 from service.jobs.stores.scrub import PAUSES, Scrubber, _Stopping
 from service.settings import Settings
+from worker import store
 from worker.executors.inline import Inline
+from worker.tasks import ChunkReport
 
 DAY = 86_400.0
 #: In eight chunks.
@@ -33,8 +37,8 @@ class Scrubbing:
         settings = Settings(data=folder, **options)
         self.ledger, self.invalidated = ledger, list[int]()
         preparer = JobPreparer(settings)
-        repairer = Repairer(ledger, preparer, self._invalidating)
-        self.scrubber = Scrubber(ledger, settings, preparer, repairer, computing)
+        self.repairer = Repairer(ledger, preparer, self._invalidating)
+        self.scrubber = Scrubber(ledger, settings, preparer, self.repairer, computing)
 
     @contextmanager
     def _invalidating(self, job_id: str) -> Iterator[list[int]]:
@@ -111,6 +115,33 @@ def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeyp
         assert scrubs.run().verified_chunks == 7
 
 
+def test_between_reads_it_pauses(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(scrub, "COMPARED_AT_ONCE", 3)
+    monkeypatch.setattr(scrub, "READ_AT_ONCE", 2)
+    events: list[str] = []
+    real = store.find_corrupt
+
+    def noted(*given: Any) -> Any:
+        events.append("read")
+        return real(*given)
+
+    monkeypatch.setattr(store, "find_corrupt", noted)
+    with scrubbing(tmp_path) as scrubs:
+        monkeypatch.setattr(scrubs.scrubber, "_pause", lambda: events.append("pause"))
+        assert scrubs.run().verified_chunks == 8
+        assert scrubs.scrubber._clock is time.monotonic  # reading from a disk takes time from others
+    assert events.count("read") == 3 + 4
+    reads = [i for i, event in enumerate(events) if event == "read"]
+    assert [events[i - 1] for i in reads] == ["pause"] * len(reads)
+
+
+def test_what_was_verified_not_long_ago_counts_as_verified(tmp_path: Path, done: JobRecord):
+    for chunks in (8, 0):
+        with scrubbing(tmp_path) as scrubs:
+            assert scrubs.run().verified_chunks == chunks
+            assert scrubs.scrubber.is_verified(done.id)
+
+
 def test_a_job_is_due_unless_it_was_verified_not_long_ago(tmp_path: Path, done: JobRecord):
     now = time.time()
     with scrubbing(tmp_path, verify_days=2.0) as scrubs:
@@ -131,7 +162,7 @@ def test_a_job_is_due_unless_it_was_verified_not_long_ago(tmp_path: Path, done: 
         job = scrubs.ledger.find(done.id)
         assert job is not None
         assert job.verified == 5.0
-        assert is_due(now - 2.1 * DAY)  # then all of it is
+        assert is_due(now - 2.0 * DAY - 0.1)  # then all of it is
         job = scrubs.ledger.find(done.id)
         assert job is not None
         assert job.verified is None
@@ -191,6 +222,51 @@ def test_unfinished_jobs_come_first_and_then_the_last_accepted(
             writing.insert(NewJob("f" * 32, "", "{}", "1", (1,), 1, 1), 1.0)
         assert scrubs.scrubber.is_verified("f" * 32)  # accepted since: nothing of it can be damaged
         assert not scrubs.scrubber.is_verified("0" * 32)
+        assert [job.id[0] for job in scrubs.scrubber._all()] == ["e", "d", "c", "b", "a"]
+
+
+@pytest.mark.parametrize("fate", ["verified", "done", "deleted"])
+def test_an_unfinished_job_is_passed_over_if_it_is_not_one_to_verify_when_its_turn_comes(
+    tmp_path: Path, fate: str
+):
+    with scrubbing(tmp_path) as scrubs:
+        with scrubs.ledger.writing() as writing:
+            for letter in "ab":
+                writing.insert(NewJob(letter * 32, "", "{}", "1", (1,), 1, 1), 1.0)
+                writing.run(writing.find(letter * 32), 2.0)
+            scrubs.scrubber._newest = writing.newest_seq()
+        jobs = scrubs.scrubber._unfinished()
+        assert next(jobs).id == "a" * 32
+        with scrubs.ledger.writing() as writing:
+            if fate == "verified":
+                scrubs.scrubber._verified.add("b" * 32)
+            elif fate == "done":
+                writing.finish(writing.find("b" * 32), JobState.DONE, 3.0)
+            else:
+                writing.delete(writing.find("b" * 32), 3.0)
+        assert list(jobs) == []
+
+
+def test_a_scrub_that_fails_starts_again(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "stores").write_text("no folder")
+    with scrubbing(tmp_path, heartbeat_seconds=0.01) as scrubs:
+        scrubs.scrubber.start()
+        assert scrubs.scrubber._thread.daemon
+        wait_for(lambda: "scrub failed; starting again" in caplog.text)
+        (tmp_path / "stores").unlink()
+        (tmp_path / "stores" / f"{'a' * 32}.zarr").mkdir(parents=True)
+        scrubs.scrubber._thread.join(DEADLINE)
+        assert [Path(url).stem for url in scrubs.scrubber.unknown_stores] == ["a" * 32]
+
+
+def test_a_scrub_that_waits_ends_with_the_service(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "stores").write_text("no folder")
+    with scrubbing(tmp_path, heartbeat_seconds=60.0) as scrubs:
+        scrubs.scrubber.start()
+        wait_for(lambda: "scrub failed; starting again" in caplog.text)
+        scrubs.scrubber.stop(DEADLINE)
+        assert not scrubs.scrubber._thread.is_alive()
+    assert caplog.text.count("scrub failed") == 1
 
 
 def test_of_many_unknown_stores_some_are_named(
@@ -203,3 +279,57 @@ def test_of_many_unknown_stores_some_are_named(
         assert len(scrubs.run().unknown_stores) == 3
     assert caplog.text.count("is unknown to the ledger and left alone") == 1
     assert "2 more stores are unknown" in caplog.text
+
+
+# Repair
+
+
+def test_a_report_describes_three_damaged_chunks_and_counts_the_others(tmp_path: Path, done: JobRecord):
+    with scrubbing(tmp_path) as scrubs:
+        three, four = (
+            scrubs.repairer.report(done.id, [(0, 0, 0, chunk) for chunk in chunks])
+            for chunks in (range(3), range(3, 7))
+        )
+        assert scrubs.invalidated == list(range(7))
+        for repair, last, end in ((three, 2, ")"), (four, 5, ") and 1 more")):
+            assert repair.detail.startswith("stored results are damaged and computed again: chunk ")
+            assert repair.detail.count("chunk ") == 3
+            assert f"; chunk {last} (" in repair.detail
+            assert repair.detail.endswith(end)
+            assert not repair.lasting
+        assert scrubs.repairer.report("0" * 32, [(0, 0, 0, 0)]) == Repair("the job was deleted")
+
+
+def test_nothing_of_a_deleted_job_is_invalidated_nor_of_one_accepted_again(tmp_path: Path, done: JobRecord):
+    with scrubbing(tmp_path) as scrubs:
+        with scrubs.ledger.writing() as writing:
+            writing.delete(done, 1.0)
+        scrubs.repairer.invalidate(done, [0])
+        again = NewJob(
+            done.id, done.name, done.spec, done.kernel_version, done.chunk_shape, done.chunks_total,
+            done.cells_total,
+        )  # fmt: skip
+        with scrubs.ledger.writing() as writing:
+            writing.insert(again, 2.0)
+            writing.mark_done(writing.find(done.id), [ChunkReport(0, 1, 0.5, 0.5, "sum", (0, 1))])
+        scrubs.repairer.invalidate(done, [0])
+        job = scrubs.ledger.find(done.id)
+        assert job is not None
+        assert (job.seq, job.chunks_done) == (done.seq + 1, 1)
+        assert scrubs.invalidated == []
+        assert outcomes(tmp_path, done, 0).exists()
+
+
+def test_nothing_is_repaired_while_the_ledger_cannot_be_written(tmp_path: Path, done: JobRecord):
+    root = tmp_path / "stores" / f"{done.id}.zarr" / "zarr.json"
+    intact = root.read_bytes()
+    root.write_text("{")
+    with scrubbing(tmp_path) as scrubs:
+        os.utime(scrubs.ledger.path, (1e9, 1e9))  # as another program leaves it
+        with pytest.raises(LedgerUnavailable):
+            scrubs.repairer.report(done.id, [])
+        assert root.read_text() == "{"
+    with scrubbing(tmp_path) as scrubs:
+        repair = scrubs.repairer.report(done.id, [])
+        assert repair == Repair("stored results are damaged and computed again: the store's metadata")
+        assert root.read_bytes() == intact

@@ -1,5 +1,8 @@
 """Jobs found in the ledger and over HTTP: every condition, every order, page by page."""
 
+import base64
+import json
+import math
 from collections.abc import Iterator
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -125,6 +128,42 @@ WRONG_CURSORS = (
 def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
     with pytest.raises(InvalidCursor):
         JobSearch(order=order).read_cursor(cursor)
+
+
+@pytest.mark.parametrize("order", [JobOrder.NEWEST, JobOrder.OLDEST])
+def test_a_cursor_of_accepted_jobs_is_a_number_within_those_of_the_ledger(order: JobOrder):
+    largest = 10**18 - 1
+    assert JobSearch(order=order).read_cursor(str(largest)) == (largest, largest)
+    with pytest.raises(InvalidCursor):
+        JobSearch(order=order).read_cursor(str(largest + 1))
+
+
+LARGEST = 1 << 62
+
+#: For each kind of order: places that a cursor stands for, and contents of none.
+PLACES: dict[str, tuple[list[Any], list[Any]]] = {
+    "number": (
+        [(0, 1), (0.5, 1), (LARGEST, LARGEST), (-LARGEST, -LARGEST)],
+        [(LARGEST + 1, 1), (-LARGEST - 1, 1), (math.inf, 1), (math.nan, 1), (None, 1), ("name", 1), ([], 1)],
+    ),
+    "name": ([("", 1), ("Ω", LARGEST)], [(1, 1), (None, 1), (["name"], 1)]),
+}
+
+
+@pytest.mark.parametrize("order", [JobOrder.NAME, JobOrder.LARGEST, JobOrder.FINISHED])
+def test_a_cursor_of_another_order_stands_for_a_value_and_a_number(order: JobOrder):
+    search = JobSearch(order=order)
+    places, others = PLACES["name" if order is JobOrder.NAME else "number"]
+    value = places[0][0]
+
+    def cursor(*contents: Any) -> str:
+        return base64.urlsafe_b64encode(json.dumps(contents).encode()).decode().rstrip("=")
+
+    for place in places:
+        assert search.read_cursor(cursor(order, *place)) == place
+    for other in (*others, *((value, seq) for seq in (LARGEST + 1, -LARGEST - 1, 1.0, True, None, "1"))):
+        with pytest.raises(InvalidCursor):
+            search.read_cursor(cursor(order, *other))
 
 
 def _report(index: int, seconds: float) -> ChunkReport:

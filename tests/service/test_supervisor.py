@@ -1,5 +1,6 @@
 """What the supervisor decides, step by step: its thread is not started, and no chunk is computed."""
 
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
@@ -16,10 +17,11 @@ from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.supervisor import MAX_IN_FLIGHT, PASSED_SECONDS, TURN_PRIORITY, _two_digits
-from service.jobs.transactions import DeletionStep
 from service.settings import Settings
 from worker import store
+from worker.analysis.model_selection import ModelChoice
 from worker.executors.base import ClusterState
+from worker.executors.errors import ClusterLost
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport, Terms
@@ -46,7 +48,7 @@ class Noting(Held):
         super().__init__(capacity)
         self.connected, self.refused = True, tuple[str, ...]()
         self.sent: list[Sent] = []
-        self.calls = 0
+        self.called: list[Future[Any]] = []
 
     def submit(
         self,
@@ -65,14 +67,24 @@ class Noting(Held):
         return future
 
     def call(self, *_: Any) -> "Future[Any]":
-        self.calls += 1
-        return Future()
+        self.called.append(Future())
+        return self.called[-1]
 
     def state(self) -> ClusterState:
         return ClusterState(self.connected, self.capacity, refused=self.refused)
 
     def names(self) -> list[str]:
         return [sent.name for sent in self.sent]
+
+    def turns(self) -> list[str]:
+        """The names of the jobs whose turns were sent."""
+        return [sent.name for sent in self.sent if sent.priority == TURN_PRIORITY]
+
+    def lose(self) -> None:
+        """All chunks come back: the cluster is lost."""
+        for sent in self.sent:
+            if not sent.future.done():
+                sent.future.set_exception(ClusterLost("gone"))
 
 
 class Steps:
@@ -109,6 +121,9 @@ class Steps:
         return self.manager.preparer.prepare(job).core_seconds / job.chunks_total
 
 
+AUTO = small(name="auto", model={"kind": "auto", "tolerance": 0.5}, gamma=[2.0, 2.5], omega=0.5, xi=0.26)
+
+
 @contextmanager
 def stepping(folder: Path, executor: Noting, **options: Any) -> Iterator[Steps]:
     settings = Settings(data=folder, **{"heartbeat_seconds": HEARTBEAT, "window_seconds": 0, **options})
@@ -131,14 +146,15 @@ def report(sent: Sent, seconds: float = 0.1) -> None:
 
 
 @pytest.mark.parametrize(
-    ("workers", "connected", "chunks"), [(0, False, 0), (0, True, 2), (1, True, 2), (3, True, 6)]
+    ("workers", "connected", "window", "chunks"),
+    [(0, False, 2, 0), (0, True, 2, 2), (1, True, 2, 2), (3, True, 2, 6), (1, True, 1, 1)],
 )
 def test_each_worker_has_its_window_of_chunks_and_without_workers_one_would(
-    tmp_path: Path, workers: int, connected: bool, chunks: int
+    tmp_path: Path, workers: int, connected: bool, window: int, chunks: int
 ):
     executor = Noting(workers)
     executor.connected = connected
-    with stepping(tmp_path, executor, window=2) as steps:
+    with stepping(tmp_path, executor, window=window) as steps:
         job = steps.submit(of_cells(100))
         steps.sync()
         assert len(executor.sent) == steps.manager.chunks_in_flight == chunks
@@ -171,13 +187,89 @@ def test_all_jobs_together_have_four_times_as_many_chunks(tmp_path: Path):
 
 def test_a_job_whose_model_is_being_chosen_has_its_place(tmp_path: Path):
     executor = Noting()
-    auto = small(name="auto", model={"kind": "auto", "tolerance": 0.5}, gamma=[2.0, 2.5], omega=0.5, xi=0.26)
     with stepping(tmp_path, executor, active_jobs=1) as steps:
-        steps.submit(auto)
+        steps.submit(AUTO)
         steps.sync()
         steps.submit(of_cells(100))
         steps.sync()
-        assert (executor.calls, executor.names()) == (1, [])
+        assert (len(executor.called), executor.names()) == (1, [])
+
+
+def test_a_job_goes_on_as_soon_as_its_model_is_chosen(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(AUTO)
+        steps.sync()
+        choice = ModelChoice(model="rigid", reason="because", tolerance=0.5, table=())
+        executor.called[0].set_result(choice)
+        steps.step()
+        assert steps.state(job) is JobState.RUNNING
+        assert set(executor.names()) == {"auto"}
+
+
+def test_before_its_first_look_nothing_is_known_to_be_wrong_or_left(tmp_path: Path):
+    with stepping(tmp_path, Noting(0)) as steps:
+        steps.submit(of_cells(100))
+        assert (steps.manager.cluster_fault, steps.manager.remaining_seconds) == (None, 0.0)
+        steps.sync()
+        assert steps.manager.cluster_fault is not None
+        assert steps.manager.remaining_seconds > 0.0
+
+
+def test_a_busy_job_keeps_its_place_and_an_idle_one_leaves_it_to_a_smaller_one(tmp_path: Path):
+    executor = Noting(1)
+    with stepping(tmp_path, executor, window=2, active_jobs=1) as steps:
+        large = steps.submit(of_cells(400))
+        steps.sync()
+        small = steps.submit(of_cells(48))
+        steps.sync()
+        assert (set(executor.names()), steps.state(small)) == ({"400"}, JobState.QUEUED)
+        executor.lose()
+        steps.sync()
+        assert steps.state(small) is JobState.RUNNING
+        steps.step()  # which finds the other one waiting
+        seconds = sum(job.chunks_total * steps.chunk_seconds(job) for job in (large, small))
+        assert steps.manager.remaining_seconds == pytest.approx(seconds)
+
+
+def test_an_idle_job_does_not_leave_its_place_to_one_with_as_much_left(tmp_path: Path):
+    executor = Noting(1)
+    with stepping(tmp_path, executor, window=2, active_jobs=1) as steps:
+        earlier = steps.submit(of_cells(100, omega=0.6))
+        steps.manager.cancel(earlier.id)
+        job = steps.submit(of_cells(100))
+        assert steps.chunk_seconds(job) == steps.chunk_seconds(earlier)
+        steps.sync()
+        executor.lose()
+        steps.manager.resume(earlier.id)
+        steps.sync()
+        assert (steps.state(job), steps.state(earlier)) == (JobState.RUNNING, JobState.QUEUED)
+
+
+def test_a_job_that_ends_leaves_its_place_to_the_next_at_once(tmp_path: Path):
+    executor = Noting(4)
+    with stepping(tmp_path, executor, window=2, active_jobs=1) as steps:
+        first, second = steps.submit(of_cells(48)), steps.submit(of_cells(100))
+        steps.sync()
+        for sent in executor.sent:
+            report(sent)
+        steps.step()
+        assert (steps.state(first), steps.state(second)) == (JobState.DONE, JobState.QUEUED)
+        steps.step()
+        assert steps.state(second) is JobState.RUNNING
+
+
+def test_a_job_whose_chunks_are_all_marked_already_is_done(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        plan = steps.manager.preparer.prepare(job).plan
+        reports = [ChunkReport(chunk.index, chunk.cells, 0.1, 0.1, "00", (0, 0)) for chunk in plan.chunks]
+        with steps.ledger.writing() as ledger:
+            ledger.run(job, 1.0)
+            ledger.mark_done(job, reports)
+        steps.sync()
+        assert (steps.state(job), executor.sent) == (JobState.DONE, [])
 
 
 def test_a_lost_cluster_is_told_and_the_next_look_is_soon(tmp_path: Path):
@@ -205,10 +297,8 @@ def test_a_job_at_the_address_of_a_deleted_one_waits_until_its_results_are_remov
         job = steps.submit(of_cells(100))
         steps.sync()
         assert (steps.state(job), executor.sent) == (JobState.QUEUED, [])
-        with steps.ledger.writing() as writing:
-            [deletion] = writing.deletions()
-            writing.advance_deletion(deletion, DeletionStep.FREED)
-        steps.sync()
+        assert steps.manager._deleter._carry_out_all()
+        steps.step()
         assert (steps.state(job), len(executor.sent) > 0) == (JobState.RUNNING, True)
 
 
@@ -274,7 +364,67 @@ def test_turns_take_half_of_the_workers_at_most(tmp_path: Path, workers: int, jo
         for _ in range(4):
             steps.supervisor._rotation.earn(1e6)
             steps.sync()
-        assert len([sent for sent in executor.sent if sent.priority == TURN_PRIORITY]) == turns
+        assert len(executor.turns()) == turns
+
+
+@pytest.mark.parametrize(
+    ("earned", "active_jobs", "turns"), [(0.99, 2, []), (1.01, 2, ["800"]), (1.01, 1, [])]
+)
+def test_a_turn_of_a_job_that_waits_is_taken_when_it_is_earned_and_there_is_room(
+    tmp_path: Path, earned: float, active_jobs: int, turns: list[str]
+):
+    executor = Noting(1)
+    with stepping(tmp_path, executor, window=2, active_jobs=active_jobs) as steps:
+        job = steps.submit(of_cells(800))
+        steps.submit(of_cells(400))
+        steps.sync()
+        assert executor.names() == ["400"] * 2
+        steps.supervisor._rotation.earn(3 * earned * steps.chunk_seconds(job))  # turns get a third
+        steps.sync()
+        assert executor.turns() == turns
+        assert steps.state(job) is (JobState.RUNNING if turns else JobState.QUEUED)
+
+
+def test_an_idle_job_leaves_its_place_to_one_whose_turn_it_is(tmp_path: Path):
+    executor = Noting(1)
+    with stepping(tmp_path, executor, window=2, active_jobs=1) as steps:
+        jobs = [steps.submit(of_cells(cells)) for cells in (800, 400)]
+        steps.sync()
+        for sent in executor.sent:
+            report(sent)
+        steps.supervisor._rotation.earn(1e6)
+        steps.step()
+        assert executor.turns() == ["800"]
+        assert [steps.job(job).chunks_done for job in jobs] == [0, 2]
+
+
+@pytest.mark.parametrize(
+    "first",
+    [of_cells(100, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"}), AUTO],
+    ids=["no chunk is ready", "its model is being chosen"],
+)
+def test_a_job_that_cannot_take_its_turn_leaves_it_to_the_next(tmp_path: Path, first: SweepSpec):
+    executor = Noting(8)
+    with stepping(tmp_path, executor, window=1) as steps:
+        steps.submit(first)
+        steps.submit(costing("other", chunks=40, seconds=0.75, omega=0.7))
+        steps.sync()
+        for _ in range(4):
+            steps.supervisor._rotation.earn(1e6)
+            steps.sync()
+        assert executor.turns() == ["other"] * 4
+        assert not any(sent.future.cancelled() for sent in executor.sent)
+
+
+def test_without_a_cluster_no_turn_is_taken_either(tmp_path: Path):
+    executor = Noting()
+    executor.connected = False
+    with stepping(tmp_path, executor) as steps:
+        for omega in (0.5, 0.6):
+            steps.submit(of_cells(100, omega=omega))
+        steps.supervisor._rotation.earn(1e6)
+        steps.sync()
+        assert executor.sent == []
 
 
 @pytest.mark.parametrize(
@@ -317,8 +467,13 @@ def test_a_turn_that_took_less_leaves_its_time_to_others(tmp_path: Path):
         left = SLICE_SECONDS - steps.chunk_seconds(jobs[0])
         assert rotation.is_due(left * 0.999)
         assert not rotation.is_due(left + steps.chunk_seconds(jobs[0]) / 2)
-        turn.future.cancel()
         assert turn.chunk.index in next(iter(steps.supervisor._runs.values())).turns
+        chunk = steps.chunk_seconds(jobs[0])
+        report(turn, chunk / 2)
+        steps.step()
+        assert len(executor.turns()) == 2  # the next one has begun
+        assert rotation.is_due(left - 0.6 * chunk)
+        assert not rotation.is_due(left - 0.4 * chunk)
 
 
 # What it asks for
@@ -387,8 +542,12 @@ def test_a_cancel_flag_that_cannot_be_set_is_set_at_the_next_sync(
         with monkeypatch.context() as patched:
             patched.setattr(store, "set_cancelled", Refusing(PermissionError("no")))
             steps.sync()
+        sent = len(executor.sent)
+        report(executor.sent[0])
+        steps.step()
         assert not store.is_cancelled(url)
-        assert steps.state(job) is JobState.RUNNING
+        assert (steps.state(job), steps.job(job).chunks_done) == (JobState.RUNNING, 1)
+        assert len(executor.sent) == sent  # the job sends no more, flag or not
         steps.sync()
         assert store.is_cancelled(url)
 
@@ -444,6 +603,71 @@ def test_a_bucket_that_does_not_answer_is_asked_once_at_each_sync(
         assert steps.state(jobs[0]) is JobState.RUNNING
 
 
+def test_a_lost_cluster_gets_nothing_until_the_next_sync(tmp_path: Path):
+    executor = Noting(1)
+    with stepping(tmp_path, executor, window=2) as steps:
+        steps.submit(of_cells(100))
+        steps.sync()
+        executor.lose()
+        steps.step()
+        assert len(executor.sent) == 2
+        steps.sync()
+        assert len(executor.sent) == 4
+
+
+def test_a_job_that_cannot_be_prepared_fails_at_once_though_there_is_enough_to_compute(tmp_path: Path):
+    with stepping(tmp_path, Noting()) as steps:
+        first, other = steps.submit(of_cells(100)), steps.submit(of_cells(400))
+        with steps.ledger.writing() as ledger:
+            ledger._sql.execute("UPDATE jobs SET spec = '{}' WHERE seq = ?", [other.seq])
+    with stepping(tmp_path, executor := Noting()) as steps:
+        steps.sync()
+        assert (steps.state(first), steps.state(other)) == (JobState.RUNNING, JobState.FAILED)
+        assert str(steps.job(other).error).startswith("the job cannot start: SpecInvalid: ")
+        assert set(executor.names()) == {"100"}
+
+
+@pytest.mark.parametrize("error", [None, ValueError("no")], ids=["made", "not made"])
+@pytest.mark.parametrize("change", ["cancelled", "deleted", "accepted again"])
+def test_a_job_that_ends_while_its_store_is_made_stays_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str, error: Exception | None
+):
+    real, executor = store.create, Noting()
+
+    def create(*given: Any) -> None:
+        real(*given)
+        steps.manager.cancel(job.id)
+        if change != "cancelled":
+            steps.manager.delete(job.id)
+        if change == "accepted again":
+            steps.submit(of_cells(100))
+        if error is not None:
+            raise error
+
+    monkeypatch.setattr(store, "create", create)
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        steps.sync()
+        assert executor.sent == []
+        found = steps.ledger.find(job.id)
+        left = None if found is None else (found.state, found.error)
+        states = {"cancelled": JobState.CANCELLED, "accepted again": JobState.QUEUED}
+        assert left == (None if change == "deleted" else (states[change], None))
+
+
+def test_no_run_begins_while_anybody_has_chunks_of_the_job_computed_again(tmp_path: Path):
+    executor = Noting()
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        with steps.supervisor.invalidating(job.id):
+            with steps.supervisor.invalidating(job.id):
+                pass
+            steps.sync()
+            assert (steps.state(job), executor.sent) == (JobState.QUEUED, [])
+        steps.step()
+        assert steps.state(job) is JobState.RUNNING
+
+
 def test_a_job_whose_run_breaks_is_made_anew_and_fails_the_third_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -479,3 +703,76 @@ def test_a_step_that_the_ledger_refuses_keeps_what_came_back(tmp_path: Path, mon
         steps.sync()
         assert steps.job(job).chunks_done == 1
         assert steps.state(job) is JobState.RUNNING
+
+
+def test_a_job_that_is_resumed_may_break_as_often_as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    executor = Noting()
+
+    def break_run() -> None:
+        with monkeypatch.context() as patched:
+            patched.setattr(store, "sync_folders", Refusing(KeyError("a field")))
+            del executor.sent[:]
+            steps.sync()
+            report(executor.sent[0])
+            steps.step()
+        assert steps.job(job).chunks_done == 0
+
+    with stepping(tmp_path, executor) as steps:
+        job = steps.submit(of_cells(100))
+        break_run()
+        break_run()
+        steps.manager.cancel(job.id)
+        steps.sync()
+        assert steps.state(job) is JobState.CANCELLED
+        steps.manager.resume(job.id)
+        break_run()
+        assert steps.state(job) is JobState.RUNNING
+
+
+class Waits(threading.Event):
+    """Notes how long it is waited for, and does not wait."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.noted: list[float | None] = []
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.noted.append(timeout)
+        return False
+
+
+@pytest.mark.parametrize("error", [LedgerUnavailable("locked"), KeyError("a field")])
+def test_a_step_that_fails_is_tried_again_after_a_heartbeat(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+):
+    """Nothing is begun before the ledger is found to be the one it was."""
+    executor, tries = Noting(), 0
+
+    def check() -> None:
+        nonlocal tries
+        tries += 1
+        if tries == 3:
+            stop.set()
+        raise error
+
+    def state() -> ClusterState:
+        stop.set()
+        return ClusterState(False, 0)
+
+    with stepping(tmp_path, executor) as steps:
+        steps.supervisor._stop = stop = Waits()
+        monkeypatch.setattr(steps.ledger, "check", check)
+        monkeypatch.setattr(executor, "state", state)
+        steps.supervisor._work()
+    assert stop.noted == [HEARTBEAT] * 3
+
+
+def test_a_sync_makes_good_what_the_ledgers_reserve_has_lost(tmp_path: Path):
+    with stepping(tmp_path, Noting()) as steps:
+        pages = steps.ledger._number("PRAGMA freelist_count")
+        assert pages > 0
+        with steps.ledger.writing() as ledger:
+            ledger._sql.execute("CREATE TABLE used AS SELECT zeroblob(200000)")
+        assert steps.ledger._number("PRAGMA freelist_count") < pages
+        steps.sync()
+        assert steps.ledger._number("PRAGMA freelist_count") >= pages

@@ -21,6 +21,7 @@ from service.results.trajectory import TrajectorySpec, check_cost
 from worker.basins.spec import BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.steps import line_run
+from worker.cost import period_seconds
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -232,6 +233,7 @@ def test_a_rest_length_is_drawn_as_given(client: TestClient):
     assert path["rest_length"] == pytest.approx(80.0 * 0.5**2 / 2.3)
 
 
+UNDAMPED: dict[str, Any] = {"kind": "soft", "restitution": 1, "penetration": 1e-8}
 BAD: dict[str, tuple[Any, int, str]] = {
     "not JSON": (b"{", 400, "not JSON"),
     "a list": ([1], 422, "must be an object"),
@@ -249,6 +251,11 @@ BAD: dict[str, tuple[Any, int, str]] = {
     "half a period": ({**CELL, "periods": 0.5}, 422, "periods: must be a whole number"),
     "a model not there": ({**CELL, "model": {"kind": "stone"}}, 422, "model.kind: must be"),
     "too many samples": ({**CELL, "periods": 200, "samples": 200}, 413, "the limit is 20,000"),
+    "no end of the settling": (
+        {**CELL, "gamma": 1.5, "omega": 0.8, "xi": 0, "settle": 2, "model": UNDAMPED},
+        422,
+        "settle: the cell is unresolved before the first sample",
+    ),
     "too long to settle": (
         {**CELL, "settle": 1_000_000, "model": {"kind": "stepped", "penetration": 1e-2}},
         413,
@@ -279,7 +286,9 @@ def test_a_refusal_names_the_periods_that_fit():
     with pytest.raises(TooLarge, match=r"the limit for one answer is 0\.01 s") as error:
         check_cost(TrajectorySpec(**CELL | {"settle": 1_000_000}), 0.01)
     periods = int(str(error.value).split("settle for ")[1].split(" ")[0].replace(",", ""))
-    check_cost(TrajectorySpec(**CELL | {"settle": periods - CELL["periods"]}), 0.01)
+    fitting = TrajectorySpec(**CELL | {"settle": periods - CELL["periods"]})
+    assert periods == int(0.01 / period_seconds(fitting.sweep(), alone=True))
+    check_cost(fitting, 0.01)
     with pytest.raises(TooLarge, match=rf"settle: {periods + 1:,} periods"):
         check_cost(TrajectorySpec(**CELL | {"settle": periods + 1 - CELL["periods"]}), 0.01)
 
@@ -290,6 +299,7 @@ def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(c
     assert balance["plate_contact"] + balance["plate_impact"] == pytest.approx(
         balance["dashpot"] + balance["impact"], abs=1e-9
     )
+    assert trajectory(client, **rigid, periods=3)["energy"] == pytest.approx(balance, abs=1e-6)
     longer = {"gamma": 3.6, "model": {"kind": "rigid"}, "settle": 0, "periods": 6}
     cycle = trajectory(client, **longer, start={"periods": 2})
     assert cycle["cycle"]["periods"] == 2
@@ -299,6 +309,7 @@ def test_only_a_settled_cycle_of_one_bounce_without_restitution_has_its_energy(c
     )
     for changes in (
         {"settle": 0},  # from rest, not settled yet
+        {"settle": 0, "periods": 100},  # but for the last flights
         {"periods": 1},  # one take-off does not show a cycle
         {"gamma": 0.5},  # none
         {"gamma": 2.3},  # (2,2)

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,12 +24,15 @@ from scripted import DEADLINE, Held, free_port, sweep, wait_for
 from served import listening
 
 from service.api.app import create_app
+from service.background import InThisProcess
 from service.client import Client
 from service.errors import DataFolderBusy
 from service.jobs.ledger import Ledger
+from service.render import answers
 from service.server import embedded
 from service.server.logging import JsonLines, OncePerSecond
 from service.server.web_server import (
+    ACCEPTED_AT_A_TIME,
     MOST_FILES,
     OTHER_FILES,
     WebServer,
@@ -151,6 +154,49 @@ def test_its_start_and_its_end_are_told(tmp_path: Path, listener: socket.socket)
     server.should_exit = True
     thread.join()
     assert told == [url, "ends"]
+
+
+def test_more_connections_than_are_accepted_at_a_time_wait(tmp_path: Path):
+    """While the service does something else: here, while it tells its start."""
+    settings, connected = Settings(data=tmp_path), list[socket.socket]()
+    with ExitStack() as held:
+        listener = held.enter_context(socket.create_server(("127.0.0.1", 0), backlog=1))
+
+        def connect(_: str) -> None:
+            with suppress(TimeoutError):
+                for _ in range(4 * ACCEPTED_AT_A_TIME):
+                    connection = socket.create_connection(listener.getsockname(), timeout=5.0)
+                    connected.append(held.enter_context(connection))
+
+        server = WebServer(create_app(settings, Held()), settings, listener, connect)
+        thread = threading.Thread(target=server.serve_until_stopped)
+        thread.start()
+        server.wait_until_started()
+        server.should_exit = True
+        thread.join()
+    assert len(connected) == 4 * ACCEPTED_AT_A_TIME
+
+
+def test_a_service_whose_data_folder_is_taken_while_it_starts_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    settings, told = Settings(data=tmp_path, port=0), list[str]()
+
+    @contextmanager
+    def computing(*_: object) -> Iterator[Held]:
+        with Ledger(settings.ledger_path):
+            yield Held()
+
+    monkeypatch.setattr(embedded, "_computing", computing)
+    monkeypatch.setattr(embedded, "Processes", lambda _: InThisProcess())
+    monkeypatch.setattr(answers, "warm", lambda: None)
+    interval = sys.getswitchinterval()
+    try:
+        with pytest.raises(DataFolderBusy):
+            embedded.serve(settings, told.append)
+    finally:
+        sys.setswitchinterval(interval)
+    assert told == []
 
 
 def test_an_error_of_the_startup_is_raised_where_it_is_waited_for(tmp_path: Path, listener: socket.socket):
@@ -308,6 +354,30 @@ def test_the_process_may_open_as_many_files_as_the_system_allows():
             assert connections_allowed() == connections
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.parametrize(
+    ("limits", "raised", "connections"),
+    [
+        ((1_024, 4_096), (4_096, 4_096), 1_024 - OTHER_FILES),
+        ((1_024, resource.RLIM_INFINITY), (MOST_FILES, resource.RLIM_INFINITY), 1_024 - OTHER_FILES),
+        ((MOST_FILES + 1, MOST_FILES + 9), None, MOST_FILES - OTHER_FILES),
+        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), None, MOST_FILES - OTHER_FILES),
+    ],
+)
+def test_a_limit_of_files_is_raised_and_never_lowered(
+    limits: tuple[int, int],
+    raised: tuple[int, int] | None,
+    connections: int,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Of limits that this process cannot have, or not give back."""
+    changed: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limit: changed.append(limit))
+    raise_file_limit()
+    assert changed == ([] if raised is None else [raised])
+    assert connections_allowed() == connections
 
 
 def test_a_message_of_a_library_is_logged_once_a_second(monkeypatch: pytest.MonkeyPatch):

@@ -149,6 +149,19 @@ def test_what_settles_to_the_end_belongs_to_the_cycle_that_its_flights_are_near(
     ]
 
 
+def test_what_settles_may_be_near_a_cycle_of_one_flight_but_not_near_rest():
+    found, _ = searched([0, 1, 2], REST, cycle(1.0), always(Outcome.SETTLING, (1.01, 0.99)))
+    assert found.ids.tolist() == [2, 1, 1]
+
+
+@pytest.mark.parametrize(("until", "last"), [(980, [(2, 0, 20, 256, 0)]), (979, [])])
+def test_starts_go_on_while_there_is_a_whole_window_left(until: int, last: list[Asked]):
+    """And no longer, where none is known to end."""
+    found, asked = searched([0, 0], always(Outcome.SETTLING, (1.0,)), until=until, extends=True)
+    assert found.ids.tolist() == [0, 0]
+    assert asked == [(2, 100, 20, 256, 0), *((2, n, n, 256, 0) for n in (60, 120, 240)), *last]
+
+
 def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
     """One of two seems to be on the cycle of the other for 500 plate periods."""
     leaving = turning(500, cycle(1.0, 2.0), cycle(4.0))
@@ -267,6 +280,29 @@ def test_motion_that_ends_is_followed_once_more_if_that_is_worth_it():
     ]  # fmt: skip
 
 
+def test_motion_is_followed_beyond_the_end_only_after_the_last_window():
+    _, asked = searched([0, 0, 0, 1], turning(500, CHAOS, cycle(4.0)), CHAOS, until=980, extends=True)
+    assert (1, 0, 20, 256, 0) in asked  # to 980
+
+
+def test_motion_that_first_ends_after_the_end_has_the_lifetime_of_two_windows():
+    """Of three that are left at 1200, one is on a cycle 40 plate periods later."""
+    found, _ = searched([0, 1, 2, 2], LEAVING, turning(1210, CHAOS, cycle(5.0)), CHAOS)
+    assert found.ids.tolist() == [2, 1, 1, 1]
+    assert found.attractors[0].lifetime == pytest.approx(40 * 2.5)
+
+
+def test_motion_that_ends_is_worth_following_to_a_thousandth_of_all_starts():
+    def worth(starts: int, lifetime: float) -> int:
+        search = attractors._Search(np.zeros((2000, len(STATE_FIELDS))), RULES, lambda *_: {})
+        return search._worth(starts, 1.0 / lifetime)
+
+    assert worth(2000, 100.0) == 691  # ln 1000 lifetimes
+    assert worth(4, 100.0) == 70
+    assert worth(2, 100.0) == worth(1, 100.0) == 0
+    assert worth(2000, 700.0) == 0  # 4836 plate periods of all starts are more than 4 * 1200
+
+
 def test_motion_that_ends_is_left_where_following_it_costs_too_much():
     """Of 8 starts 7 remain: 0.875 * ln 875 lifetimes of 1800 are more than 4 * 1200."""
     found, asked = searched([0, *[1] * 7], LEAVING, CHAOS, extends=True)
@@ -312,6 +348,12 @@ def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle(starts: int):
 def test_aperiodic_starts_of_which_nothing_remains_are_undecided(outcome: Outcome):
     found, _ = searched([0, 0], turning(2000, CHAOS, always(outcome, spread(1.0, 2.0))))
     assert (found.ids.tolist(), found.attractors) == ([0, 0], ())
+
+
+@pytest.mark.parametrize(("flights", "ids"), [((1.5,), [0, 0]), ((1.5, 1.6), [1, 1])])
+def test_two_flights_are_a_distribution(flights: tuple[float, ...], ids: list[int]):
+    found, _ = searched([0, 0], turning(2000, CHAOS, always(Outcome.APERIODIC, flights)))
+    assert found.ids.tolist() == ids
 
 
 # Parts
@@ -377,7 +419,13 @@ def test_distances_are_those_of_kolmogorov_and_smirnov():
 
 @pytest.mark.parametrize(
     ("flights", "distance"),
-    [((0.5, 9.0, 9.0, 9.0), 0.75), ((1.5, 1.5, 1.5, 9.0), 0.5), ((0.0, 0.0, 0.0, 1.5), 0.75), ((9.0,), 1.0)],
+    [
+        ((0.5, 9.0, 9.0, 9.0), 0.75),
+        ((1.5, 1.5, 1.5, 9.0), 0.5),
+        ((0.0, 0.0, 0.0, 1.5), 0.75),
+        ((9.0,), 1.0),
+        ((0.0,), 1.0),
+    ],
 )
 def test_distances_are_looked_for_on_both_sides(flights: tuple[float, ...], distance: float):
     rows, pool = np.array([flights]), np.array([1.0, 1.25, 1.75, 2.0])
@@ -410,10 +458,26 @@ def test_distributions_agree_within_what_two_halves_differ_by():
 
     x = np.arange(32.0)
     shifted = {n: features(np.concatenate([x[n:], x[:n] + 100.0])) for n in (1, 2, 3)}
-    for n, noise, agree in [(1, 0.0, True), (2, 0.0, False), (2, 0.05, True), (3, 0.05, False)]:
+    for n, noise, agree in [
+        (1, 0.0, True),
+        (2, 0.0, False),
+        (2, 0.05, True),
+        (3, 0.05, False),
+        (3, 0.0625, True),
+    ]:
         assert attractors._agree(features(x), shifted[n], noise, 0.0) is agree
         assert attractors._agree(features(x), shifted[n], 0.0, noise) is agree
     assert not attractors._agree((x, x, x), (x, x, x + 100.0), 0.0, 0.0)
+
+
+def test_samples_are_linked_if_the_halves_of_one_differ_as_much():
+    def linked(*flights: list[float]) -> list[list[int]]:
+        samples = [attractors._Sample(np.array(x), np.zeros(12), np.zeros(6), (0, 0)) for x in flights]
+        return attractors._linked(samples)
+
+    alike, other = [1.0, 1.0, 1.0, 1.0, 2.0, 2.0] * 2, [1.0, 1.0, 1.0, 2.0, 2.0, 2.0] * 2
+    assert linked(alike, other) == [[0], [1]]
+    assert linked(sorted(alike), other) == [[0, 1]]
 
 
 def test_the_key_of_an_attractor_tells_mode_and_longest_flights():

@@ -192,7 +192,7 @@ def test_the_time_of_creation_is_that_of_the_root(url: str, tmp_path: Path):
 
 
 def test_a_flag_is_set_and_cleared(tmp_path: Path):
-    flag = str(tmp_path / "deep" / "flag")
+    flag = str(tmp_path / "deep" / "deeper" / "flag")
     assert backend.has_flag(flag) is False
     for _ in range(2):
         backend.put_flag(flag)
@@ -268,6 +268,12 @@ def test_a_checkpoint_that_was_changed_is_none(url: str, at: int):
     content = bytearray(file.read_bytes())
     content[at] ^= 1
     file.write_bytes(content)
+    assert store.read_checkpoint(url, 7) is None
+
+
+def test_a_checkpoint_of_objects_is_none(url: str):
+    """Its arrays would be unpickled, and that can run any code."""
+    store.write_checkpoint(url, 7, {"lines": np.array([{}], object)})
     assert store.read_checkpoint(url, 7) is None
 
 

@@ -218,6 +218,14 @@ def test_entropies_of_known_maps():
     assert entropies(np.zeros((8, 8), np.uint8)) == (0.0, 0.0)
 
 
+def test_one_start_of_a_box_counts():
+    lone = np.ones((8, 8), np.uint8)
+    lone[0, 0] = 2
+    expected = -(math.log(1 / 64) + 63 * math.log(63 / 64)) / 64
+    assert entropies(lone) == pytest.approx((expected, expected))
+    assert entropies(lone // 2) == (0.0, 0.0)  # the others undecided
+
+
 def test_rows_and_columns_beyond_whole_boxes_do_not_count():
     ids = np.ones((17, 23), np.uint8)
     ids[16:], ids[:, 16:] = 2, 3
@@ -368,6 +376,13 @@ def test_as_many_starts_as_a_cell_may_have():
         studies.parse(SPEC | {"protocol": {"kind": "multistability", "rows": 2, "columns": 1025}})
 
 
+def test_a_chunk_without_a_store_is_not_begun(tmp_path: Path):
+    spec = basin()
+    with pytest.raises(store.StoreMissing):
+        run_chunk(spec, BASINS.plan(spec)[0], str(tmp_path / "none.zarr"), 0.0)
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     spec, url = basin(), str(tmp_path / "a.zarr")
     plan = BASINS.plan(spec)
@@ -454,6 +469,11 @@ def test_cost_is_that_of_every_start_without_exponents():
         ([2.01, 0.99], True),
         ([2.01, np.nan], True),
         ([2.1, 1.0], False),
+        ([0.51], True),
+        ([2.99], True),
+        ([0.49, 3.01], True),
+        ([0.47], False),
+        ([3.03], False),
         ([np.nan], False),
     ],
 )

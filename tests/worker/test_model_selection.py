@@ -57,7 +57,7 @@ def test_a_stiff_contact_without_rebound_is_a_rigid_plate():
     assert choice.reason.startswith(
         "rigid: the cheapest within 0.0001 rad of exact soft in 95% of the cells (48"
     )
-    assert all(row.measured > 0.0 for row in choice.table)
+    assert all(0.0 < row.measured == round(row.measured, 3) for row in choice.table)
 
 
 def test_what_only_the_exact_contact_tells_takes_the_exact_contact():
@@ -72,6 +72,12 @@ def test_where_everything_rests_a_ball_will_do():
     assert choice.model == "ball"
     assert [row.resting for row in choice.table] == [20] * 3
     assert "(20 cells, 20 of them at rest, in closed form; 95th" in choice.reason
+
+
+def test_the_median_of_three_cells_is_that_of_the_second():
+    ball = choose(sweep(1e-2, gamma=[1.2, 1.5, 2.3])).table[0]
+    assert ball.cells == 3
+    assert 0.0 < ball.median < ball.percentile_95
 
 
 def test_what_rests_is_counted_by_each_model():

@@ -178,6 +178,13 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(tmp_path: Path
         assert data[name].values.tobytes() == content, name
 
 
+def test_a_chunk_without_a_store_is_not_begun(tmp_path: Path):
+    spec = multistability()
+    with pytest.raises(store.StoreMissing):
+        run_chunk(spec, MULTISTABILITY.plan(spec)[0], str(tmp_path / "none.zarr"), 0.0)
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     spec, url = multistability(), str(tmp_path / "a.zarr")
     plan = MULTISTABILITY.plan(spec)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
+import worker.orbits
 from kernel.branches.events import POINTS, Kind, branch_and_events, flight_times
 from kernel.params import Outcome
 from worker import store, studies
@@ -131,6 +132,26 @@ def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
     assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
 
 
+def test_a_chunk_that_cannot_be_stored_is_not_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    computing: list[Any] = []
+    monkeypatch.setattr(worker.orbits, "branch_and_events", lambda *given: computing.append(given))
+    spec = OrbitsSpec.parse(SPEC)
+    with pytest.raises(store.StoreMissing):
+        ORBITS.task(spec, ORBITS.plan(spec)[0], str(tmp_path / "a.zarr"))
+    assert computing == []
+
+
+def test_what_lies_at_gamma_max_is_stored(tmp_path: Path):
+    branch, events = branch_and_events(0.6, 0.05, 1)
+    one = {"omega": 0.6, "xi": 0.05, "modes": ["1-1"], "events": 100}
+    for i, most in enumerate((events.gamma.min(), branch.gamma.min())):
+        cell = computed(
+            str(tmp_path / f"{i}.zarr"), OrbitsSpec.parse(SPEC | one | {"gamma_max": float(most)})
+        )
+        assert int(cell.event_count[0, 0]) == np.count_nonzero(events.gamma <= most)
+        assert np.isfinite(cell.gamma).sum() == np.count_nonzero(branch.gamma <= most)
+
+
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
@@ -159,6 +180,8 @@ def test_the_least_omega_that_is_named_works():
     least = float(str(caught.value).split("at least ")[1].split()[0])
     spec = OrbitsSpec.parse(SPEC | {"omega": least})
     assert grid_points(spec.axis_values("omega"), 2, 0)[0] <= 2000
+    with pytest.raises(SpecError, match=f"at least {least:g}"):
+        OrbitsSpec.parse(SPEC | {"omega": least - 0.001})
 
 
 def test_as_many_modes_and_periods_as_there_may_be():
@@ -196,6 +219,14 @@ def test_a_chunk_takes_about_a_second_of_rows_along_omega():
     assert make_plan(costly).chunk_shape == (max(1, cells // row), row)
     few = OrbitsSpec.parse(SPEC | {"omega": axis(1.0, 2.0, 5), "xi": axis(0.1, 1.0, 13)})
     assert make_plan(few).chunk_shape == (1, 5)  # at least about 8 chunks: of 9 cells, whole rows
+    more = OrbitsSpec.parse(SPEC | {"omega": axis(1.0, 2.0, 5), "xi": axis(0.1, 1.0, 16)})
+    assert make_plan(more).chunk_shape == (2, 5)
+    long = [f"1-{k}" for k in range(13 - MAX_MODES, 13)]
+    with pytest.raises(SpecError) as caught:
+        OrbitsSpec.parse(SPEC | {"modes": long, "omega": 0.01})
+    least = float(str(caught.value).split("at least ")[1].split()[0])
+    longest = OrbitsSpec.parse(SPEC | {"modes": long, "omega": [least, 2 * least]})
+    assert make_plan(longest).chunk_shape == (1, 1)
 
 
 def test_kinds_of_protocol_are_those_of_the_studies():
@@ -233,3 +264,7 @@ def test_what_is_kept_of_a_branch_with_two_parts():
     assert _kept(inside, 4).tolist() == [1, 2, -1, 5]
     assert _kept(np.ones(9, bool), 5).tolist() == [0, 2, 4, 6, 8]
     assert _kept(np.zeros(9, bool), 5).tolist() == []
+    # Of five parts of four rows each, those left out are spread over what is between the ends.
+    parts = np.array(([True] * 4 + [False]) * 5)
+    assert _kept(parts, 10).tolist() == [0, -1, 5, -1, 10, 13, -1, 18, -1, 23]
+    assert _kept(parts, 14).tolist() == [0, 2, -1, 5, 7, -1, 11, 12, -1, 16, 18, -1, 21, 23]

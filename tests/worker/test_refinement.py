@@ -18,7 +18,7 @@ from worker.refinement import Refinement, _cuts, classes
 from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecInvalid, SpecTooLarge
-from worker.spec.refine import COARSEST, MAX_COARSEST, Refine
+from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, Refine
 from worker.tasks import ChunkPaused, run_chunk
 
 #: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
@@ -301,6 +301,9 @@ def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
     by_mode = classes(MODE, outcome, bounces, periods)
     assert len(set(by_mode.tolist())) == 4
     assert by_mode[3] == by_mode[4]  # longer cycles and none are one class
+    periods = np.array([MAX_MODE_PERIODS, MAX_MODE_PERIODS + 1])
+    longest, longer = classes(MODE, np.full(2, Outcome.PERIODIC), np.ones(2, int), periods)
+    assert longest != longer == by_mode[4]
 
 
 @pytest.mark.parametrize("by", ["mode", "bouncing"])

@@ -1,6 +1,7 @@
 """The store: opens with plain xarray, reads back what was written, never returns damaged bytes as data."""
 
 import json
+import math
 import os
 import shutil
 import threading
@@ -27,7 +28,7 @@ from worker.plan import Chunk, Plan, make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecError
-from worker.store import backend, reader
+from worker.store import backend, cancel_flag, reader
 from worker.store import chunks as stored
 from worker.store import store as zarr_store
 
@@ -224,6 +225,21 @@ def test_creation_raises_no_warning_while_other_threads_change_the_filters(tmp_p
     finally:
         stop.set()
         thread.join()
+
+
+def test_the_root_is_written_once_all_else_is_there(tmp_path, spec, plan, monkeypatch):
+    """A store whose root has the metadata of all arrays is complete."""
+    named, real = [], os.replace
+    monkeypatch.setattr(os, "replace", lambda *given: (real(*given), named.append(Path(given[1])))[0])
+    url = tmp_path / "new.zarr"
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    assert len(named) == len(set(named)) > 7
+    assert named[-1] == url / "zarr.json"
+    named.clear()
+    for name in ("zarr.json", "outcome/zarr.json"):
+        (url / name).unlink()
+    assert store.repair_metadata(str(url), layout(spec, plan.chunk_shape))[-1] == "zarr.json"
+    assert named == [url / "outcome" / "zarr.json", url / "zarr.json"]
 
 
 def test_creating_it_again_changes_nothing(url, spec, plan):
@@ -546,6 +562,29 @@ def test_cancel_flag_before_there_is_a_store(tmp_path, spec, plan):
     assert store.is_cancelled(url)
 
 
+def test_in_a_bucket_a_flag_that_is_not_set_is_remembered_for_a_moment(monkeypatch):
+    flags, asked = set(), []
+    monkeypatch.setattr(cancel_flag, "_unset", {})
+    monkeypatch.setattr(cancel_flag, "MOST_REMEMBERED", 2)
+    monkeypatch.setattr(cancel_flag, "REMEMBERED_SECONDS", 600.0)
+    monkeypatch.setattr(backend, "put_flag", flags.add)
+    monkeypatch.setattr(backend, "has_flag", lambda url: asked.append(url) or url in flags)
+    first, second, third = (f"s3://bucket/{name}.zarr" for name in "abc")
+    for url in (first, second, first, second):
+        assert store.is_cancelled(url) is False
+    assert asked == [f"{first}.cancelled", f"{second}.cancelled"]
+    store.set_cancelled(first)  # by this process, which need not wait
+    for _ in range(2):
+        assert store.is_cancelled(first) is True
+    assert len(asked) == 4
+    assert store.is_cancelled(third) is False
+    assert list(cancel_flag._unset) == [second, third]
+    monkeypatch.setattr(cancel_flag, "REMEMBERED_SECONDS", -1.0)
+    assert store.is_cancelled(third) is False
+    assert asked[4:] == [f"{third}.cancelled"] * 2
+    assert list(cancel_flag._unset) == [third]  # no more than two are remembered
+
+
 # How chunks are stored
 
 
@@ -819,6 +858,20 @@ def test_shards_hold_the_same_values_in_as_many_files_as_chunks(sharded, spec):
             for name, values in record_of(spec, chunk).items():
                 np.testing.assert_array_equal(dataset[name].values[chunk.slices][0], values)
                 np.testing.assert_array_equal(store.read_chunk(url, chunk, [name])[name], values)
+
+
+def test_a_shard_at_the_end_of_the_grid_has_no_parts_beyond_it(sharded):
+    url, plan = sharded
+    (last,) = (chunk for chunk in plan if (*chunk.omega, *chunk.gamma, chunk.direction) == (2, 3, 8, 10, 1))
+    lengths = [span.stop - span.start for span in last.slices]
+    sharded_arrays = {name: form for name, form in zarr_store._forms(url).items() if form.sharded}
+    assert "flights" in sharded_arrays
+    for name, form in sharded_arrays.items():
+        within = [*lengths, *form.chunks[len(lengths) :]]
+        parts = math.prod(-(-n // size) for n, size in zip(within, form.inner, strict=True))
+        content = (Path(url) / name / f"c.1.0.1.1{'.0' * (len(form.dims) - 4)}").read_bytes()
+        offsets = np.frombuffer(content[-form.index_bytes : -4], "<u8")[::2]
+        assert np.count_nonzero(offsets != 2**64 - 1) == parts < len(offsets), name
 
 
 def test_any_part_of_a_shard_reads_as_zarr_reads_it(sharded):

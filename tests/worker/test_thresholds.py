@@ -147,6 +147,26 @@ def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path)
         assert (outcome[0] == 3, outcome[1] == 3) == (True, False)
 
 
+def test_a_refinement_ends_as_soon_as_it_holds_the_tolerance(tmp_path: Path):
+    """The threshold is 0.872; what brackets it here is exact in binary."""
+    spec, url = computed(tmp_path / "rest", gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
+    assert thresholds(spec, url, 0.25).up == (1.0,)
+    assert thresholds(spec, url, 0.24).up == (0.875,)
+    spec, url = computed(tmp_path / "ramp", gamma=[0.5, 1.0], omega=[0.5], xi=0.26, protocol=ramp("up"))
+    assert thresholds(spec, url, 0.5).up == (1.0,)
+
+
+def test_a_bisection_ends_where_no_number_is_between(tmp_path: Path):
+    spec, url = computed(tmp_path, gamma=[0.75, 1.0], omega=[0.5], xi=0.26)
+    found = thresholds(spec, url, 0.0)
+    assert found.up_status == (Status.FOUND,)
+    beside = computed(
+        tmp_path / "beside", gamma=[np.nextafter(found.up[0], 0.0), found.up[0]], omega=0.5, xi=0.26
+    )
+    outcome = store.read_slice(beside[1], ("outcome",))["outcome"].ravel()
+    assert (outcome == Outcome.AT_REST).tolist() == [True, False]
+
+
 @pytest.mark.parametrize(
     ("gamma", "protocol", "up", "down"),
     [

@@ -36,6 +36,29 @@ def test_a_doubled_cycle_ends_where_it_is_the_single_one_twice():
     assert len(above.stable) == len(above.multiplier) == 5
 
 
+@pytest.mark.parametrize(
+    ("cycle", "part"),
+    [((4.95, 5.1), slice(5)), ((5.05, 4.9), slice(5, None))],
+    ids=["last below", "first above"],
+)
+def test_the_cycles_beside_a_flip_belong_to_their_own_side(cycle: tuple[float, float], part: slice):
+    branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
+    assert _up_to_shorter(branch, settled(*cycle)).gamma.tolist() == branch.gamma[part].tolist()
+
+
+def test_a_flip_may_be_a_point_of_the_branch_or_near_only_one_of_two():
+    at_a_point = np.arange(-4, 5) / 10
+    branch = doubled(5.0 + at_a_point, 5.0 - 2.0 * at_a_point)
+    assert _up_to_shorter(branch, settled(5.3, 4.4)).gamma.tolist() == branch.gamma[5:].tolist()
+    assert _up_to_shorter(branch, settled(4.7, 5.6)).gamma.tolist() == branch.gamma[:5].tolist()
+    for apart in (
+        np.array([-0.35, -0.25, -0.15, 0.05, 0.15, 0.25]),
+        np.array([-0.25, -0.15, -0.05, 0.15, 0.25, 0.35]),
+    ):
+        branch = doubled(5.0 + apart, 5.0 - 2.0 * apart)
+        assert len(_up_to_shorter(branch, settled(5.25, 4.5)).gamma) == 3
+
+
 def test_flights_of_a_word_that_repeats_nothing_may_be_equal_anywhere():
     branch = doubled(5.0 + APART, 5.0 - APART, word="sl")
     assert len(_up_to_shorter(branch, settled(5.35, 4.65)).gamma) == 10
@@ -117,7 +140,8 @@ def test_a_cycle_on_a_branch_lies_between_two_of_its_points(change: dict, lies: 
 
 def test_a_branch_that_stands_still_in_gamma_has_the_cycles_of_its_points():
     branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)._replace(gamma=np.full(10, 2.5))
-    assert _lies_on(settled(5.05, 4.9), branch)
+    for times in ((4.55, 5.9), (5.05, 4.9)):  # of the first point, and of one between others
+        assert _lies_on(settled(*times), branch)
     assert not _lies_on(settled(5.2, 4.6), branch)
 
 
