@@ -344,7 +344,7 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
     for chunk in plan:
         while True:
             try:
-                run_chunk(spec, chunk, str(url), 0.002)
+                run_chunk(spec, chunk, str(url), 0.01)
             except ChunkPaused:
                 pauses += 1
                 assert pauses < 10_000

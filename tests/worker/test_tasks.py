@@ -273,7 +273,7 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
     ],
 )
 def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes):
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 37)
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 101)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
     spec = small_spec(**changes)
     plan, whole = stored(tmp_path / "whole", spec)
