@@ -214,8 +214,8 @@ ORBITS: dict[str, Any] = {
     ("spec", "array"),
     [
         (ORBITS, "event_gamma"),
-        (BASINS, "attractor"),
-        (MULTISTABILITY, "attractor_state"),
+        (BASINS | {"protocol": {"kind": "basin", "rows": 24, "columns": 32}}, "attractor"),
+        (MULTISTABILITY | {"omega": {"start": 0.4, "stop": 0.6, "num": 24}}, "attractor_state"),
         (ADAPTIVE, "flight_time"),
     ],
     ids=["orbits", "basins", "multistability", "adaptive"],

@@ -12,6 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from fastapi.testclient import TestClient
 from running import running
@@ -251,11 +252,17 @@ def test_damage_is_told_before_any_request_meets_it(data: Path):
 
 def test_a_lost_log_is_noticed_and_nothing_of_it_is_lost(data: Path, inline: Inline):
     """The log of another ledger lies in its place."""
+
+    def opened() -> int:
+        return [file.path for file in psutil.Process().open_files()].count(str(data / "ledger.sqlite"))
+
     with service(data, inline) as client:
         here = finished(client, FIGURE_2)
+        before = opened()
         wal_of(data / "ledger.sqlite").unlink()
         wal_of(data / "ledger.sqlite").write_bytes(b"of another ledger")
         works(client)
+        assert opened() == before > 0
         shutil.copytree(data, data.parent / "killed", ignore=shutil.ignore_patterns("stores"))
         assert get(client, here)["state"] == "done"
     [foreign] = data.glob("*-foreign-*")
@@ -324,12 +331,12 @@ def test_the_type_of_a_file_system_is_that_of_the_innermost_mount(tmp_path: Path
     mounts.write_text(
         "22 1 8:1 / / rw shared:1 - ext4 /dev/root rw\n"
         "23 22 0:50 / /srv/shared\\040data rw - nfs4 host:/export rw\n"
-        "24 23 0:51 / /srv/shared\\040data/local rw - xfs /dev/sdb rw\n"
+        "24 23 0:51 / /srv/shared\\040data/local rw - btrfs /dev/sdb rw\n"
     )
     for folder, kind, network in (
         ("/srv/other", "ext4", None),
         ("/srv/shared data/bounce", "nfs4", "nfs4"),
-        ("/srv/shared data/local/bounce", "xfs", None),
+        ("/srv/shared data/local/bounce", "btrfs", None),
     ):
         assert ledger_files.file_system(Path(folder), mounts) == kind
         assert ledger_files.network_file_system(Path(folder), mounts) == network

@@ -286,6 +286,15 @@ def test_density_is_compressed_where_the_client_accepts_it(client: TestClient, l
     assert len(gzip.compress(plain.content, 1)) < len(plain.content) / 5
 
 
+@pytest.mark.parametrize(("path", "encoding"), [("plane", "gzip"), ("line?omega=0.5", None)])
+def test_a_mode_map_is_compressed_and_points_are_not(
+    client: TestClient, line: str, path: str, encoding: str | None
+):
+    response = client.get(f"{line}/{path}", headers={"Accept-Encoding": "gzip"})
+    assert response.status_code == 200
+    assert response.headers.get("content-encoding") == encoding
+
+
 @pytest.mark.parametrize(
     ("query", "field"),
     [

@@ -11,10 +11,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from distributed import LocalCluster, Security
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 
 from service.api.app import create_app
+from service.api.middleware.access_log import AccessLog
+from service.api.monitoring import Metrics
 from service.cli.main import main
 from service.client import Client
 from service.errors import NotStarted
@@ -481,6 +484,13 @@ def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     assert line["ms"] >= 0
 
 
+def test_what_the_log_tells_of_a_request_is_short(logged: io.StringIO):
+    scope = {"method": "X" * 99, "path_params": {"job_id": "y" * 99}}
+    AccessLog(app=FastAPI(), metrics=Metrics())._record(scope, "id", 404, 1.23456)
+    (line,) = lines(logged)
+    assert (line["method"], line["job"], line["ms"]) == ("X" * 16, "y" * 64, 1234.6)
+
+
 def test_a_terminal_shows_only_requests_that_failed(local: TestClient, monkeypatch: pytest.MonkeyPatch):
     terminal = io.StringIO()
     terminal.isatty = lambda: True  # type: ignore[method-assign]
@@ -488,8 +498,8 @@ def test_a_terminal_shows_only_requests_that_failed(local: TestClient, monkeypat
     with log_to_stderr("info"):
         local.get("/v1/jobs")
         local.get("/v1/jobs/nowhere")
-    (line,) = [line for line in lines(terminal) if line["event"] == "request"]
-    assert line["status"] == 404
+        local.post("/v1/jobs", content=b"{", headers={"Content-Type": "application/json"})
+    assert [line["status"] for line in lines(terminal) if line["event"] == "request"] == [404, 400]
 
 
 def test_libraries_are_silent_once_the_service_stops(monkeypatch: pytest.MonkeyPatch):

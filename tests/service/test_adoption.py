@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
 from running import Running, running
 from scripted import Held, Scripted, small, sweep, wait_for
 
@@ -87,9 +88,10 @@ def test_only_whole_chunks_are_adopted_and_resuming_computes_the_others(tmp_path
     content = bytearray(flights.read_bytes())
     content[len(content) // 2] ^= 1
     flights.write_bytes(content)
+    (url / "flight_time" / f"{chunks[3].name}.0").unlink()
     forget(tmp_path)
     job = adopt(tmp_path, job_id)
-    assert (job.state, job.chunks_done) == (JobState.FAILED, job.chunks_total - 2)
+    assert (job.state, job.chunks_done) == (JobState.FAILED, job.chunks_total - 3)
     assert job.error == (
         f"adopted: {job.chunks_done} of {job.chunks_total} chunks were found whole in its store; "
         "resume it for the rest"
@@ -97,7 +99,7 @@ def test_only_whole_chunks_are_adopted_and_resuming_computes_the_others(tmp_path
     with closing(Scripted()) as executor, running(tmp_path, executor) as service:
         service.manager.resume(job_id)
         service.until(job, JobState.DONE)
-        assert len(executor.tried) == 2
+        assert len(executor.tried) == 3
     assert files(url) == stored
 
 
@@ -112,6 +114,16 @@ def test_a_chunk_without_outcomes_is_not_whole(tmp_path: Path):
     forget(tmp_path)
     adopted = adopt(tmp_path, job.id)
     assert (adopted.state, adopted.chunks_done) == (JobState.FAILED, 1)
+
+
+@pytest.mark.parametrize("outcome", [Outcome.MISSING, 99])
+def test_a_chunk_with_a_cell_of_no_outcome_is_not_whole(tmp_path: Path, outcome: int):
+    [job_id] = compute(tmp_path, sweep())
+    stored = zarr.open_array(tmp_path / "stores" / f"{job_id}.zarr" / "outcome", mode="r+")
+    stored[(0,) * stored.ndim] = outcome
+    forget(tmp_path)
+    job = adopt(tmp_path, job_id)
+    assert (job.state, job.chunks_done) == (JobState.FAILED, job.chunks_total - 1)
 
 
 def test_adopted_chunks_say_nothing_of_the_speed(tmp_path: Path):

@@ -5,6 +5,7 @@ import inspect
 import json
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -197,6 +198,7 @@ def test_a_wait_shows_each_status_at_the_interval_of_the_service(monkeypatch: py
     first, asked_for, *later = pauses
     assert (first, asked_for, later[-1]) == (0.05, 0.5, 2.0)
     assert later == sorted(later)
+    assert all(after <= 1.2 * before for before, after in pairwise(later))  # an end is soon seen
 
 
 def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one():

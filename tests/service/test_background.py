@@ -1,8 +1,10 @@
 """Processes that compute answers: what they return and raise, their priority, and their end."""
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +16,7 @@ import pytest
 from paths import ROOT
 from scripted import DEADLINE, wait_for
 
-from service.background import NICER, InThisProcess, Processes
+from service.background import NICER, InThisProcess, Processes, _bytes_held
 from service.errors import InvalidRequest, NotComputed
 from worker.store import StoreDamaged
 
@@ -43,6 +45,8 @@ def test_a_result_comes_back(processes: Processes):
     assert processes.run(divmod, 17, 5) == (3, 2)
     assert processes.run(os.getpid) != os.getpid()
     assert processes.run(os.nice, 0) == os.nice(0) + NICER
+    assert processes.run(os.sched_getscheduler, 0) == os.SCHED_BATCH
+    assert all(process._process.daemon for process in processes._started)
     assert InThisProcess().run(divmod, 17, 5) == (3, 2)
 
 
@@ -93,13 +97,44 @@ def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
         assert not psutil.pid_exists(first)
 
 
+def test_memory_that_an_answer_has_freed_is_given_back(processes: Processes):
+    """Of 120 MB the C library would keep all that is below the last piece."""
+    before = processes.run(_bytes_held)
+    processes.run(exec, "import sys; sys.last = [b'x' * 60_000 for _ in range(2_000)].pop()")
+    assert processes.run(_bytes_held) < before + (60 << 20)
+
+
 def test_processes_without_work_end_but_one():
-    with closing(Processes(3, idle_seconds=0.2)) as processes:
-        with ThreadPoolExecutor(3) as pool:
-            pids = set(pool.map(processes.run, [_sleep_and_tell] * 3))
-        assert len(pids) == 3
+    with closing(Processes(2, idle_seconds=0.2)) as processes:
+        with ThreadPoolExecutor(2) as pool:
+            pids = set(pool.map(processes.run, [_sleep_and_tell] * 2))
+        assert len(pids) == 2
         wait_for(lambda: sum(map(psutil.pid_exists, pids)) == 1)
         assert processes.run(os.getpid) in pids
+
+
+def test_what_waits_to_end_processes_does_not_keep_the_service_from_ending():
+    before = set(threading.enumerate())
+    Processes(2, idle_seconds=DEADLINE)._end_later()
+    [timer] = set(threading.enumerate()) - before
+    assert timer.daemon
+    assert isinstance(timer, threading.Timer)
+    timer.cancel()
+
+
+def test_who_waits_for_a_process_that_dies_gets_another(tmp_path: Path):
+    begun, told = tmp_path / "begun", tmp_path / "told"
+    os.mkfifo(told)
+    computation = f"import os, pathlib; open({str(begun)!r}, 'w'); open({str(told)!r}).read(); os._exit(1)"
+    with ThreadPoolExecutor(2) as pool, closing(Processes(1)) as processes:
+        dying = pool.submit(processes.run, exec, computation)
+        wait_for(begun.exists)
+        waiting = pool.submit(processes.run, divmod, 17, 5)
+        wait_for(lambda: bool(processes._changed._waiters))  # type: ignore[attr-defined]
+        told.write_text("")
+        assert waiting.result(DEADLINE) == (3, 2)
+        with pytest.raises(NotComputed):
+            dying.result(DEADLINE)
 
 
 def _sleep_and_tell() -> int:
@@ -117,10 +152,18 @@ def test_they_end_when_closed_also_while_computing(tmp_path: Path):
         processes.close()
         with pytest.raises(NotComputed):
             waiting.result(DEADLINE)
+        with pytest.raises(NotComputed):
+            processes.run(os.getpid)
     child.wait(DEADLINE)
 
 
-def test_they_end_with_the_service_that_is_killed(tmp_path: Path):
+def blocks_interrupts(pid: int) -> bool:
+    status = Path(f"/proc/{pid}/status").read_text()
+    [blocked] = [line.split()[1] for line in status.splitlines() if line.startswith("SigBlk:")]
+    return bool(int(blocked, 16) >> (signal.SIGINT - 1) & 1)
+
+
+def test_they_end_with_the_service_that_is_killed_and_not_with_ctrl_c(tmp_path: Path):
     script = tmp_path / "main.py"
     script.write_text(
         "import os, signal\nfrom service.background import Processes\n"
@@ -131,5 +174,6 @@ def test_they_end_with_the_service_that_is_killed(tmp_path: Path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
         assert process.stdout
         child = psutil.Process(int(process.stdout.readline()))
+        assert (blocks_interrupts(process.pid), blocks_interrupts(child.pid)) == (False, True)
         process.kill()
     child.wait(DEADLINE)

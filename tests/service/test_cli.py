@@ -1,5 +1,6 @@
 """The command `bounce` against a real service, in this process and as processes of its own."""
 
+import errno
 import json
 import os
 import pty
@@ -18,12 +19,13 @@ import xarray
 from click.testing import CliRunner, Result
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
 
-from service import address
+from service import address, local
 from service.cli import local_service, options
 from service.cli.main import main
 from service.cli.output import threshold_table
-from service.client import Client
+from service.client import Client, Job
 from service.client.client import DEFAULT_URL
+from service.figures import catalogue
 from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
@@ -180,6 +182,20 @@ def test_a_wait_has_a_timeout(tmp_path: Path):
         result = bounce("wait", client.submit(sweep()).id, "--timeout", "0.2", url=url)
     assert result.exit_code == 1
     assert "the job continues" in result.stderr
+
+
+def interrupted(*_: object, **__: object) -> None:
+    """As Ctrl-C ends it."""
+    raise KeyboardInterrupt
+
+
+def test_a_wait_that_is_interrupted_says_that_the_job_continues(
+    url: str, job: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(Job, "wait", interrupted)
+    result = bounce("wait", job, url=url)
+    assert (result.exit_code, result.stdout) == (130, "")
+    assert result.stderr == f"stopped waiting; the job continues (cancel it with: bounce cancel {job})\n"
 
 
 # Thresholds
@@ -356,6 +372,43 @@ def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.Monke
     assert "starting a local service" not in result.stderr
 
 
+def test_all_figures_are_made_in_a_folder_that_is_there_already(
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(catalogue, "FIGURES", {1: catalogue.FIGURES[1]})
+    result = CliRunner().invoke(main, ["figure", "all", "-o", str(tmp_path), "--url", url])
+    assert result.exit_code == 0, result.stderr
+    assert is_picture(tmp_path / "figure-1.png")
+
+
+def test_signals_end_a_command_that_uses_a_running_service_too(tmp_path: Path):
+    settings = Settings(data=tmp_path, port=0)
+    with embedded.running(settings, Held()) as url, address.recorder(settings.data) as record:
+        record(url)
+        with local_service.persistent_service(None, str(tmp_path), None) as used:
+            assert used.url == url
+            assert signal.getsignal(signal.SIGTERM) is local_service._end
+    assert signal.getsignal(signal.SIGTERM) is not local_service._end
+
+
+def test_run_computes_a_sweep_without_a_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    small = SPEC | {"gamma": [1.2, 1.3, 1.4], "settle": 20}
+    file, whole, line = tmp_path / "sweep.json", tmp_path / "a.zarr", tmp_path / "a.json"
+    file.write_text(json.dumps(small))
+    with monkeypatch.context() as patch:
+        patch.setattr(local, "_wait", interrupted)
+        result = bounce("run", file, "-o", whole)
+        assert (result.exit_code, result.stdout, whole.exists()) == (130, "", False)
+        assert result.stderr.endswith(f"interrupted; the same command goes on in {whole}.partial\n")
+    assert bounce("run", file, "-o", whole, "--workers", 1).exit_code == 0
+    with xarray.open_zarr(whole, chunks=None) as stored:
+        assert stored.gamma.values.tolist() == [1.2, 1.3, 1.4]
+    for every, cells in (((), [1.2, 1.3, 1.4]), (("--every", 2), [1.2, 1.4])):
+        result = bounce("run", "-", "-o", line, "--omega", 0.5, *every, input=json.dumps(small))
+        assert (result.exit_code, result.stdout) == (0, "")
+        assert json.loads(line.read_text())["values"] == cells
+
+
 def test_a_service_on_the_data_folder_is_used_only_with_a_token_that_it_accepts(tmp_path: Path):
     settings = Settings(data=tmp_path, port=0, token="auto")
     with embedded.running(settings, Held()) as url, address.recorder(settings.data) as record:
@@ -463,6 +516,25 @@ def test_an_error_is_one_message_and_an_exit_code(words: list[str], code: int, m
     assert message in result.stderr
     assert result.stdout == ""
     assert "Traceback" not in result.stderr
+
+
+def test_an_error_of_the_file_system_names_the_file(url: str, job: str, tmp_path: Path):
+    result = bounce("diagram", job, "--omega", 0.5, "-o", tmp_path / f"{'a' * 250}.png", url=url)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert re.fullmatch(f"Error: {tmp_path}/.*: File name too long\n", result.stderr)
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.ENOSPC, "No space left"), "No space left"),
+        (OSError("odd"), "odd"),
+        (BrokenPipeError(errno.EPIPE, "Broken pipe"), None),
+        (ValueError("a defect"), None),
+    ],
+)
+def test_an_error_that_is_no_defect_has_a_message(error: Exception, message: str | None):
+    assert options._message(error) == message
 
 
 def test_a_bad_specification_names_field_and_rule(url: str, tmp_path: Path):

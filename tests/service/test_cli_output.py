@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from service.cli import orbits
+from service.cli import orbits, results
 from service.cli.output import (
     as_json,
     estimate_line,
@@ -225,6 +225,44 @@ def test_a_motion_is_a_row_for_each_sample():
         "rest_length": 1e4, "complete": True, "phase": [0.0, 0.1], "plate": [0.0, 1.0], "z1": [2.0, None],
         "z2": [1.0, None], "force": [0.5, None], "in_flight": [True, False], "flights": flights,
     }  # fmt: skip
+
+
+# Attractors
+
+
+def test_the_attractors_of_a_cell_are_a_line_each():
+    columns = {
+        "fraction": [0.75, 0.25], "longest_flight": [7.9559, 11.24674], "lifetime": [np.inf, 1234.5],
+        "label": ["(3,4)", "aperiodic"],
+    }  # fmt: skip
+    numbers = {"undecided": 0.0625, "basin_entropy": 0.5, "boundary_entropy": NAN}
+    cell = xarray.Dataset(
+        {name: ("id", values) for name, values in columns.items()} | numbers, {"id": [1, 2]}
+    )
+    assert results._attractors(cell).splitlines() == [
+        " ID     SHARE  LONGEST FLIGHT    LIFETIME  ATTRACTOR",
+        "  1    0.7500       7.9559000           -  (3,4)",
+        "  2    0.2500      11.2467400        1234  aperiodic",
+        "undecided 0.0625, basin entropy 0.5000, boundary entropy nan",
+    ]
+
+
+def test_the_attractors_over_a_grid_are_a_line_each():
+    plane = xarray.Dataset(
+        {
+            "cells": ("attractor", [10, 2]), "attractor_label": ("attractor", ["(1,2)", "rest"]),
+            "kind": ("event", ["mode", "birth", "mode", "mode", "death", "death"]),
+        },
+        {"attractor": [1, 2]},
+        {"several": 0.25, "several_by_drops": 0.125},
+    )  # fmt: skip
+    assert results._over_a_grid(plane).splitlines() == [
+        "  ID    CELLS  MOSTLY",
+        "   1       10  (1,2)",
+        "   2        2  rest",
+        "cells with two attractors or more: 0.2500, reached by drops 0.1250",
+        "births 1, deaths 2, changes of mode 3",
+    ]
 
 
 # Cycles in closed form

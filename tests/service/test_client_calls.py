@@ -1,6 +1,9 @@
 """Every call of client and command line against the real service."""
 
 import json
+import re
+import threading
+import time
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
@@ -15,7 +18,7 @@ from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 
 from service.cli.main import main
-from service.cli.output import jobs_live
+from service.cli.output import jobs_live, threshold_view
 from service.client import BadRequest, BounceError, Client, Conflict, Job, NotFound, Unauthorized
 from service.client.display import summary
 from service.server import embedded
@@ -170,6 +173,30 @@ def test_watch_without_a_terminal_is_one_table(idle: Running):
     assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
 
 
+def test_a_terminal_shows_jobs_that_end_meanwhile_until_ctrl_c(
+    idle: Running, monkeypatch: pytest.MonkeyPatch
+):
+    job = idle.client.submit(sweep("ends meanwhile", xi=0.7))
+    ends, looking, real = [job.cancel], threading.current_thread(), time.sleep
+
+    def sleep(seconds: float) -> None:
+        """The command's pause: in the first one the job ends, in the second one comes Ctrl-C."""
+        if threading.current_thread() is not looking:
+            real(seconds)
+        elif ends:
+            ends.pop()()
+        else:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    environment = {"BOUNCE_URL": idle.address, "FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "150"}
+    done = CliRunner().invoke(main, ["watch", "--interval", "0.5"], env=environment)
+    assert (done.exit_code, done.stderr) == (130, "\n")
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", done.stdout)
+    rows = [line.split() for line in text.splitlines() if line.startswith(job.id[:8])]
+    assert [row[1] for row in rows][:2] == ["queued", "cancelled"]
+
+
 def test_watched_jobs_have_bars(idle: Running):
     from rich.console import Console
 
@@ -256,6 +283,61 @@ def test_modes(running: Running, tmp_path: Path):
         running.job.modes(direction="sideways")
 
 
+def test_thresholds_as_json_are_those_of_the_client(running: Running):
+    printed = json.loads(output_of(running, "threshold", running.job.id, "--json"))
+    assert printed == json.loads(json.dumps(threshold_view(running.job.threshold())))
+    assert printed["omega"] == [0.5, 0.7]
+
+
+CELL: dict[str, Any] = {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
+BASIN: dict[str, Any] = {**CELL, "protocol": {"kind": "basin", "rows": 4, "columns": 4}}
+ATTRACTORS: dict[str, Any] = {**CELL, "gamma": [1.2, 1.4], "protocol": {"kind": "multistability"}}
+
+
+def test_the_basins_of_a_cell_are_printed_and_drawn(running: Running, tmp_path: Path):
+    job = running.client.submit(BASIN).wait(progress=False)
+    found = job.basins()
+    heading, *rows, numbers = output_of(running, "basins", job.id, "--gamma", "1.2").splitlines()
+    assert heading.split() == ["ID", "SHARE", "LONGEST", "FLIGHT", "LIFETIME", "ATTRACTOR"]
+    assert [row.split()[0] for row in rows] == [str(id) for id in found.id.values]
+    assert [row.split()[-1] for row in rows] == found.label.values.tolist()
+    assert numbers.startswith(f"undecided {found.undecided.item():.4f}, basin entropy ")
+    done = bounce(running, "basins", job.id, "-o", str(tmp_path / "a.svg"))
+    assert (done.exit_code, done.output) == (0, "")
+    assert (tmp_path / "a.svg").read_bytes() == job.basin_picture("svg")
+
+
+def test_the_attractors_over_a_grid_are_printed_and_drawn(running: Running, tmp_path: Path):
+    job = running.client.submit(ATTRACTORS).wait(progress=False)
+    found = job.multistability()
+    heading, *rows, shares, events = output_of(running, "multistability", job.id).splitlines()
+    assert heading.split() == ["ID", "CELLS", "MOSTLY"]
+    assert [row.split() for row in rows] == [
+        [str(id), str(cells), label]
+        for id, cells, label in zip(
+            found.attractor.values, found.cells.values, found.attractor_label.values, strict=True
+        )
+    ]
+    assert shares.startswith(f"cells with two attractors or more: {found.attrs['several']:.4f}, ")
+    assert events.startswith("births ")
+    done = bounce(running, "multistability", job.id, "--omega", "0.5", "-o", str(tmp_path / "a.csv"))
+    assert (done.exit_code, done.output) == (0, "")
+    assert (tmp_path / "a.csv").read_bytes() == job.multistability_picture("csv", omega=0.5)
+
+
+@pytest.mark.parametrize(
+    ("command", "spec", "consequence"),
+    [("basins", BASIN, "the basin may be incomplete"), ("multistability", ATTRACTORS, "the plane may be")],
+)
+def test_attractors_that_are_not_computed_yet_are_told_to_be_missing(
+    idle: Running, command: str, spec: dict[str, Any], consequence: str
+):
+    job = idle.client.submit(spec)
+    done = bounce(idle, command, job.id)
+    assert (done.exit_code, len(done.stdout.splitlines())) == (0, 2 if command == "basins" else 3)
+    assert done.stderr.startswith(f"the job is queued at 0%: {consequence}")
+
+
 @pytest.mark.parametrize("ending", ["nc", "parquet"])
 def test_export(running: Running, tmp_path: Path, ending: str):
     by_client = running.job.export(tmp_path / f"client.{ending}")
@@ -273,7 +355,8 @@ def test_export(running: Running, tmp_path: Path, ending: str):
 def test_an_export_that_is_refused_leaves_no_file(running: Running, tmp_path: Path):
     with pytest.raises(BounceError, match=r"ends in \.nc or \.parquet"):
         running.job.export(tmp_path / "sweep.xls")
-    assert bounce(running, "export", running.job.id, "-o", str(tmp_path / "sweep.xls")).exit_code != 0
+    for target in ("sweep.xls", "nowhere/sweep.nc"):  # before the service is asked
+        assert bounce(running, "export", running.job.id, "-o", str(tmp_path / target)).exit_code == 2
     assert bounce(running, "export", "0" * 32, "-o", str(tmp_path / "sweep.nc")).exit_code == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -323,7 +406,9 @@ def test_trajectory_from_a_start(running: Running, words: list[str], start: dict
 
 
 def test_metrics(running: Running):
-    assert 'bounce_jobs{state="done"} 1.0' in running.client.metrics()
+    done = sum(job.state == "done" for job in running.client.jobs())
+    assert done > 0
+    assert f'bounce_jobs{{state="done"}} {done}.0' in running.client.metrics()
     printed = output_of(running, "metrics")
     assert "bounce_ready" in printed
     assert printed.endswith("\n")
@@ -340,10 +425,19 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
     assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
 
 
+@pytest.mark.parametrize(
+    ("command", "name", "place"),
+    [("modes", "modes.csv", ()), ("export", "a.parquet", ()), ("diagram", "a.csv", ("--omega", "0.5"))],
+)
 def test_a_file_of_another_kernel_version_is_written_with_a_warning(
-    running: Running, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    running: Running,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    name: str,
+    place: tuple[str, ...],
 ):
-    words = ("modes", running.job.id, "-o", str(tmp_path / "modes.csv"))
+    words = (command, running.job.id, *place, "-o", str(tmp_path / name))
     assert bounce(running, *words).stderr == ""
     old = Job.from_view(running.client._transport, {**running.job.view, "notice": "computed by version 0"})
     monkeypatch.setattr(Client, "job", lambda self, job_id: old)

@@ -180,6 +180,21 @@ def test_a_store_made_after_its_deletion_stays(done: Path, inline: Inline):
     assert names(done) == [f"{JOB}.zarr"]
 
 
+def test_a_store_as_old_as_its_deletion_goes_and_a_later_one_stays(done: Path):
+    created = store.created_at(str(done / "stores" / f"{JOB}.zarr"))
+    assert created is not None
+    with Ledger(done / "ledger.sqlite") as ledger:
+        job = ledger.find(JOB)
+        assert job is not None
+        deleter = deletion.Deleter(ledger, Settings(data=done), lambda: None)
+        for earlier, left in ((0.1, [f"{JOB}.zarr"]), (0.0, [])):
+            with ledger.writing() as writing:
+                writing.delete(job, created - earlier)
+                deleter._inherited = set(writing.deletions())
+            assert deleter._carry_out_all()  # there is nothing to try again
+            assert names(done) == left
+
+
 def test_a_deletion_is_repeated_only_if_it_is_recorded(done: Path):
     with Ledger(done / "ledger.sqlite") as ledger:
         job = ledger.find(JOB)

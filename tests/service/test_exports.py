@@ -1,5 +1,6 @@
 """A sweep as a file, as a mode map, and as the store itself over HTTP: the same numbers everywhere."""
 
+import errno
 import io
 import json
 import shutil
@@ -26,9 +27,10 @@ from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
 from service import formats
 from service.api import schemas
-from service.errors import NoSpace, TooLarge
+from service.background import InThisProcess
+from service.errors import ExportFailed, NoSpace, TooLarge
 from service.jobs.model import JobState
-from service.render import export
+from service.render import export, netcdf, netcdf_writer
 from service.render import parquet as parquet_file
 from service.render.blocks import Block
 from service.results import provenance
@@ -235,6 +237,60 @@ def test_a_block_is_written_if_it_fits_on_the_disk_beside_what_is_spared(monkeyp
     free -= 1
     with pytest.raises(NoSpace, match="less than 16,777,216 bytes would stay free"):
         list(export._while_there_is_room([block], Path()))
+
+
+@pytest.fixture
+def whole(done: Done) -> export.Export:
+    """The sweep of `done` as a table."""
+    job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+    url = done.client.app.state.service.settings.store_of(job.id)  # type: ignore[attr-defined]
+    spec = SweepSpec(**RAMP)
+    return export.Export(Sweep(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
+
+
+def test_files_are_written_where_this_user_alone_finds_them(whole: export.Export, tmp_path: Path):
+    folder = tmp_path / "deep" / "exports"
+    open_before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(20):
+        with export.make(InThisProcess(), whole, folder) as file:
+            assert file.read(4) == b"PAR1"
+        assert list(folder.iterdir()) == []
+    assert folder.stat().st_mode & 0o7777 == 0o700
+    assert len(list(Path("/proc/self/fd").iterdir())) < open_before + 10
+
+
+def test_only_a_full_disk_is_told_as_one(whole: export.Export, tmp_path: Path):
+    (tmp_path / "full").symlink_to("/dev/full")
+    with pytest.raises(NoSpace, match=r"^no space left for the export file: "):
+        export.write(whole, tmp_path / "full")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError):
+        export.write(whole, tmp_path / "folder")
+
+
+def test_why_a_file_of_netcdf_could_not_be_written():
+    """The process that writes it reports an error, or has died."""
+    netcdf._check(b"null", 0)
+    with pytest.raises(ExportFailed, match=r"the process that writes the file has died \(-11\)"):
+        netcdf._check(b"", -11)
+    with pytest.raises(OSError, match="No space left on device") as full:
+        netcdf._check(json.dumps({"errno": errno.ENOSPC, "text": "OSError: it is full"}).encode(), 0)
+    assert full.value.errno == errno.ENOSPC
+    with pytest.raises(ExportFailed, match=r"^RuntimeError: it is broken$"):
+        netcdf._check(json.dumps({"errno": None, "text": "RuntimeError: it is broken"}).encode(), 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "number"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC),
+        (RuntimeError("Can't write data (file write failed: errno = 28, error message = ...)"), 28),
+        (OSError("Unable to create file (errno = 13)"), 13),
+        (ValueError("no such thing"), None),
+    ],
+)
+def test_the_number_of_an_error_may_be_in_its_text_alone(error: Exception, number: int | None):
+    assert netcdf_writer.number(error) == number
 
 
 def test_the_history_of_results_that_are_repaired_has_no_end(done: Done):

@@ -5,9 +5,11 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,7 +25,8 @@ from service import local
 from service.client import Client
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
-from service.errors import DataFolderBusy, InvalidRequest
+from service.errors import DataFolderBusy, InvalidRequest, RunFailed
+from service.jobs.model import JobState
 from service.jobs.stores.adoption import open_ledger
 from worker import tasks
 from worker.executors import inline
@@ -99,11 +102,11 @@ def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
 
 
 def test_a_run_is_looked_at_a_few_times_a_second(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(local, "LOOK_SECONDS", 0.2)
+    monkeypatch.setattr(local, "LOOK_SECONDS", 0.02)
     looks: list[float] = []
-    local.run(LONG | {"gamma": 2.0}, progress=lambda _: looks.append(time.monotonic()))
+    local.run(LONG | {"omega": 0.6}, progress=lambda _: looks.append(time.monotonic()))
     assert len(looks) > 2
-    assert min(np.diff(looks)) >= 0.2
+    assert min(np.diff(looks)) >= 0.02
 
 
 def test_progress_is_reported_to_a_function():
@@ -207,6 +210,36 @@ def test_an_error_of_the_compiler_ends_a_run_before_anything_is_computed(
     assert not (tmp_path / "a.zarr").exists()
 
 
+@pytest.mark.parametrize("progress", [True, False])
+def test_it_is_told_what_is_compiled_where_progress_is(monkeypatch: pytest.MonkeyPatch, progress: bool):
+    """If it takes long, which the thread that tells it waits for."""
+    compiled: list[tuple[str, bool]] = []
+
+    def compile_for(spec: SweepSpec) -> None:
+        telling = any(thread.name == "elapsed" for thread in threading.enumerate())
+        compiled.append((spec.model.kind, telling))
+
+    monkeypatch.setattr(tasks, "compile_for", compile_for)
+    for kind in ("rigid", "auto"):  # of which the contact is not known yet
+        local._compile(SweepSpec.parse(SPEC | {"model": {"kind": kind}}), progress)
+    assert compiled == [("rigid", progress)]
+
+
+def test_a_run_that_does_not_end_well_says_why(tmp_path: Path):
+    with local.computed(SPEC | {"gamma": 2.0}, tmp_path / "a.partial", progress=False) as (done, _):
+        pass
+    assert local._wait(lambda _: done, done.id, progress=False) is done
+    for state, error, reason in (
+        (JobState.FAILED, "the roof fell in", "the roof fell in"),
+        (JobState.CANCELLED, None, "the study was cancelled"),
+    ):
+        ended = replace(done, state=state, error=error)
+        with pytest.raises(RunFailed, match=f"^{reason}$"):
+            local._wait(lambda _, ended=ended: ended, done.id, progress=False)
+    with pytest.raises(RunFailed, match="the folder of the run was changed"):
+        local._wait(lambda _: None, done.id, progress=False)
+
+
 def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path: Path):
     with pytest.raises(SpecError, match=r"gamma.num"):
         local.run(SPEC | {"gamma": {"start": 1, "stop": 2, "num": 0}}, tmp_path / "a.zarr", progress=False)
@@ -215,11 +248,16 @@ def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path
     assert not list(tmp_path.iterdir())
 
 
-def test_a_sweep_beyond_the_limits_is_refused_before_anything_is_made(tmp_path: Path):
+def test_a_sweep_beyond_the_limits_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     axis = {"start": 1, "stop": 2, "num": 10**5}
     huge = SPEC | {"gamma": axis, "omega": axis}
+    compiled: list[SweepSpec] = []
+    monkeypatch.setattr(tasks, "compile_for", compiled.append)
     with pytest.raises(SpecError, match="cells"):
         local.run(huge, tmp_path / "a.zarr", progress=False)
+    assert not compiled
 
 
 def test_what_is_there_is_not_replaced(tmp_path: Path):

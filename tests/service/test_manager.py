@@ -755,12 +755,18 @@ def test_a_key_makes_a_repeated_request_one_request(tmp_path: Path):
 
 
 def test_a_key_is_of_the_first_request_made_with_it(tmp_path: Path):
+    def times() -> list[float]:
+        with service.ledger.reading() as ledger:
+            return [row[0] for row in ledger._sql.execute("SELECT created FROM keys")]
+
     with unstarted(tmp_path) as service:
         service.manager.submit(sweep(), key="once")
+        before = times()
         with service.ledger.reading() as ledger:
             remembered = ledger.key("once")
             assert ledger.key("never") is None
         service.manager.submit(sweep(), key="once")
+        assert times() == before  # it is forgotten as early
         service.manager.submit(sweep(), key="twice")
         with service.ledger.reading() as ledger:
             assert ledger.key("once") == ledger.key("twice") == remembered

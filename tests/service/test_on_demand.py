@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from scripted import wait_for
+from scripted import DEADLINE, wait_for
 
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
@@ -171,6 +171,18 @@ def test_what_is_cancelled_while_it_waits_is_not_begun(monkeypatch: pytest.Monke
     with pytest.raises(Pending):
         cache.get("key", submit)
     assert len(pool.futures) == 2
+
+
+def test_what_waits_for_its_share_does_not_keep_the_process_from_ending(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(on_demand, "CREDIT_SECONDS", 0.0)
+    monkeypatch.setattr(on_demand, "LOOK_SECONDS", DEADLINE)
+    cache = OnDemandCache(Pool(), timeout=0.01, jobs_compute=lambda: True)
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    later = cache._workers._later
+    assert later is not None
+    assert later.daemon
+    later.cancel()
 
 
 @pytest.mark.parametrize(("workers", "share"), [(0, 1), (1, 1), (2, 1), (5, 2), (8, 4)])

@@ -634,6 +634,7 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Swee
     for direction in ("up", "down"):
         found = mode_map.modes(both_ways, None, direction, 1000, hysteresis=True)
         assert found.arrays["hysteresis"].tolist() == expected.tolist()
+        assert found.complete
     assert set(expected.ravel().tolist()) == {0, 1, 2}
     window = mode_map.modes_between(both_ways, None, "up", (0.6, 1.0), (0.59, 0.7), 1000, hysteresis=True)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]

@@ -73,26 +73,44 @@ def outcomes(folder: Path, job: JobRecord, chunk: int) -> Path:
     return folder / "stores" / f"{job.id}.zarr" / "outcome" / f"c.0.0.0.{chunk}"
 
 
+@pytest.mark.parametrize(("short", "gone", "changed"), [(5, 7, 3), (0, 6, 1)])
 def test_damage_is_found_wherever_it_is_and_the_rest_is_read_once(
-    tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch, short: int, gone: int, changed: int
 ):
     """Eight chunks: sizes of three are compared at once, two are read at once."""
     monkeypatch.setattr(scrub, "COMPARED_AT_ONCE", 3)
     monkeypatch.setattr(scrub, "READ_AT_ONCE", 2)
     files = [outcomes(tmp_path, done, chunk) for chunk in range(done.chunks_total)]
-    content = files[3].read_bytes()
-    files[3].write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    files[5].write_bytes(files[5].read_bytes()[:-1])
-    files[7].unlink()
+    content = files[changed].read_bytes()
+    files[changed].write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    files[short].write_bytes(files[short].read_bytes()[:-1])
+    files[gone].unlink()
     with scrubbing(tmp_path) as scrubs:
         scrubber = scrubs.run()
-        assert scrubs.invalidated == [5, 7, 3]
+        assert scrubs.invalidated == [short, gone, changed]
         assert (scrubber.verified_chunks, scrubber.damaged_chunks) == (6, 3)
         job = scrubs.ledger.find(done.id)
         assert job is not None
         assert (job.state, job.chunks_done) == (JobState.RUNNING, 5)
         assert scrubber.is_verified(done.id)
-        assert not any(files[chunk].exists() for chunk in (3, 5, 7))
+        assert not any(files[chunk].exists() for chunk in (short, gone, changed))
+
+
+@pytest.mark.parametrize(
+    ("store_format", "state", "left"),
+    [(1, JobState.DONE, set()), (2, JobState.DONE, {"old"}), (2, JobState.RUNNING, {"old", "new"})],
+)
+def test_what_killed_writers_left_is_removed_where_their_release_left_it(
+    tmp_path: Path, done: JobRecord, store_format: int, state: JobState, left: set[str]
+):
+    """Releases before 0.2.0 left it in every folder. An unfinished job is swept as it starts."""
+    url = tmp_path / "stores" / f"{done.id}.zarr"
+    files = {"old": url / "outcome" / "c.0.partial", "new": url / ".partial" / "0123456789abcdef.partial"}
+    for file in files.values():
+        file.write_bytes(b"half")
+    with scrubbing(tmp_path) as scrubs:
+        scrubs.scrubber._verify(replace(done, store_format=store_format, state=state, chunks_done=0))
+    assert {name for name, file in files.items() if file.exists()} == left
 
 
 def test_each_page_of_a_job_is_verified(tmp_path: Path, done: JobRecord, monkeypatch: pytest.MonkeyPatch):
@@ -298,6 +316,32 @@ def test_a_report_describes_three_damaged_chunks_and_counts_the_others(tmp_path:
             assert repair.detail.endswith(end)
             assert not repair.lasting
         assert scrubs.repairer.report("0" * 32, [(0, 0, 0, 0)]) == Repair("the job was deleted")
+
+
+def test_damaged_chunks_of_an_outdated_job_are_given_up_and_its_metadata_stay(
+    tmp_path: Path, done: JobRecord
+):
+    with scrubbing(tmp_path) as scrubs:
+        with scrubs.ledger.writing() as writing:
+            writing._sql.execute("UPDATE jobs SET kernel_version = '0'")
+        repair = scrubs.repairer.report(done.id, [(0, 0, 0, 2)])
+        assert repair.detail.startswith("stored results are damaged and missing from now on: chunk 2 (")
+        assert not repair.lasting
+        assert not outcomes(tmp_path, done, 2).exists()
+        job = scrubs.ledger.find(done.id)
+        assert job is not None
+        assert (job.state, job.chunks_done) == (JobState.FAILED, 7)
+        with scrubs.ledger.reading() as reading:
+            [failure] = reading.failures(job)
+        assert (failure.chunk, failure.traceback, failure.tries) == (2, None, 0)
+        assert failure.error.endswith("resume the job to compute all of it anew")
+        root = tmp_path / "stores" / f"{done.id}.zarr" / "zarr.json"
+        root.write_text("{")
+        repair = scrubs.repairer.report(done.id, [])
+        assert repair.detail.startswith("stored results are damaged: the store's metadata (")
+        assert repair.lasting
+        assert root.read_text() == "{"
+        assert scrubs.invalidated == []
 
 
 def test_nothing_of_a_deleted_job_is_invalidated_nor_of_one_accepted_again(tmp_path: Path, done: JobRecord):

@@ -21,6 +21,7 @@ def test_every_setting_is_described_in_one_sentence(name: str):
     ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_file"),
     ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
     ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
+    ({"host": "lab.example"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
     ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
     ({"stores": "ftp://somewhere"}, "stores"),
     ({"cluster": "no colon"}, "cluster"),
@@ -30,6 +31,19 @@ def test_every_setting_is_described_in_one_sentence(name: str):
 def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: str):
     with pytest.raises(ValidationError, match=rule):
         Settings(**given)
+
+
+@pytest.mark.parametrize("given", [
+    {"host": "LocalHost"},
+    {"host": "::1"},
+    {"scheduler": "tcp://127.0.0.1:1"},
+    {"scheduler_file": Path("scheduler.json")},
+    {"cluster": "module:make"},
+    {name: Path("file.pem") for name in ("scheduler_ca", "scheduler_cert", "scheduler_key")},
+])  # fmt: skip
+def test_a_setting_that_can_be_used_is_taken(given: dict[str, Any]):
+    settings = Settings(**given)
+    assert {name: getattr(settings, name) for name in given} == given
 
 
 @pytest.mark.parametrize(

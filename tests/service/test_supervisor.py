@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, NamedTuple
 
 import pytest
@@ -16,7 +17,14 @@ from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
-from service.jobs.supervisor import MAX_IN_FLIGHT, PASSED_SECONDS, TURN_PRIORITY, _two_digits
+from service.jobs.supervisor import (
+    MAX_IN_FLIGHT,
+    PASSED_SECONDS,
+    TURN_PRIORITY,
+    ChunksInvalidated,
+    Sync,
+    _two_digits,
+)
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice
@@ -765,6 +773,65 @@ def test_a_step_that_fails_is_tried_again_after_a_heartbeat(
         monkeypatch.setattr(executor, "state", state)
         steps.supervisor._work()
     assert stop.noted == [HEARTBEAT] * 3
+
+
+class Inbox(SimpleQueue[Any]):
+    """Notes how long it is waited for, and does not wait."""
+
+    def __init__(self) -> None:
+        self.noted: list[float | None] = []
+
+    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+        self.noted.append(timeout)
+        return super().get(block=False)
+
+
+def test_a_sync_that_is_due_is_not_waited_for(tmp_path: Path):
+    with stepping(tmp_path, Noting()) as steps:
+        supervisor, inbox = steps.supervisor, Inbox()
+        supervisor._inbox = inbox
+        for due in (-5.0, 5.0):
+            supervisor._next_sync = time.monotonic() + due
+            assert supervisor._receive() == [Sync()]
+        late, early = inbox.noted
+        assert late == 0.0
+        assert early is not None
+        assert 0.0 < early <= 5.0
+
+
+def test_a_message_that_comes_as_a_sync_is_due_is_taken_in_with_it(tmp_path: Path):
+    with stepping(tmp_path, Noting()) as steps:
+        supervisor, message = steps.supervisor, ChunksInvalidated("a" * 32, [0])
+        for due, received in ((5.0, [message, message]), (-5.0, [message, message, Sync()])):
+            supervisor._next_sync = time.monotonic() + due
+            for _ in range(2):
+                supervisor._inbox.put(message)
+            assert supervisor._receive() == received
+
+
+def test_stopping_waits_for_the_step_under_way(tmp_path: Path):
+    class Slow(Noting):
+        ended = False
+
+        def state(self) -> ClusterState:
+            begun.set()
+            assert steps.supervisor._stop.wait(DEADLINE)
+            threading.Event().wait(0.1)
+            self.ended = True
+            return super().state()
+
+    begun, executor = threading.Event(), Slow()
+    with stepping(tmp_path, executor) as steps:
+        steps.supervisor.start()
+        assert begun.wait(DEADLINE)
+        steps.manager.stop()
+        assert executor.ended
+
+
+def test_what_was_not_started_can_be_stopped(tmp_path: Path):
+    """As by a service that fails to start."""
+    with stepping(tmp_path, Noting()) as steps:
+        steps.manager.stop()
 
 
 def test_a_sync_makes_good_what_the_ledgers_reserve_has_lost(tmp_path: Path):

@@ -14,7 +14,9 @@ from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -65,6 +67,7 @@ def test_an_unreachable_service_is_reported_with_what_to_do(unused_address: str)
     with Client(unused_address) as client, pytest.raises(ServiceUnreachable, match="bounce serve") as caught:
         client.job(ID)
     assert unused_address in str(caught.value)
+    assert "refused" in str(caught.value)  # the reason, as the system tells it
     assert caught.value.url == unused_address
 
 
@@ -405,6 +408,7 @@ def test_without_retry_after_a_wait_polls_less_and_less_often(monkeypatch: pytes
         client.submit({}).wait(progress=False)
     assert (pauses[0], pauses[-1]) == (0.05, 2.0)
     assert pauses == sorted(pauses)
+    assert all(later <= 1.2 * earlier for earlier, later in pairwise(pauses))  # an end is soon seen
 
 
 def test_an_unchanged_job_is_requested_by_its_etag():
@@ -621,6 +625,17 @@ def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one(several: bool):
         assert "If-None-Match" not in server.requests[1][2]  # that is of the other job
 
 
+def test_a_job_that_is_followed_keeps_the_specification_that_changes_leave_out():
+    changes = [view("running", 3) | {"spec": None}, view("done", 10) | {"spec": {"xi": 2.0}}]
+    stream = b"".join(b"data: " + json.dumps(change).encode() + b"\n\n" for change in changes)
+    with scripted(Answer(body=view() | {"spec": {"xi": 1.0}}), Answer(200, stream)) as (server, client):
+        assert [(now.state, now.spec) for now in client.job(ID).follow()] == [
+            ("running", {"xi": 1.0}),
+            ("done", {"xi": 2.0}),
+        ]
+        assert len(server.requests) == 2
+
+
 def test_a_job_that_is_done_is_not_replaced():
     with scripted(Answer(body=view("done", 10) | {"replaced_by": "f" * 32})) as (_, client):
         assert client.job(ID).wait(progress=False).id == ID
@@ -643,6 +658,7 @@ def test_as_completed_asks_each_job_less_and_less_often(monkeypatch: pytest.Monk
     assert job.state == "done"
     assert (pauses[0], pauses[1], pauses[-1]) == (0.0, module.FIRST_DELAY, module.MAX_DELAY)
     assert pauses == sorted(pauses)
+    assert all(later <= 1.2 * earlier for earlier, later in pairwise(pauses[1:]))  # an end is soon seen
     pauses.clear()
     with scripted(*script[:10], *[Answer(200, view("done", 10))] * 10) as (_, client):
         jobs = [Job.from_view(client._transport, view()) for _ in range(10)]
@@ -651,7 +667,8 @@ def test_as_completed_asks_each_job_less_and_less_often(monkeypatch: pytest.Monk
     assert pauses[10] == pytest.approx(9 * module.REQUEST_DELAY)
 
 
-def test_a_wait_for_several_ends_at_its_timeout(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("several", [False, True])
+def test_a_wait_ends_at_its_timeout(monkeypatch: pytest.MonkeyPatch, several: bool):
     from service.client import job as module
 
     now = [0.0]
@@ -659,8 +676,9 @@ def test_a_wait_for_several_ends_at_its_timeout(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(module, "time", clock)
     with scripted(Answer(body=view())) as (_, client):
         job = Job.from_view(client._transport, view())
+        wait: Callable[..., object] = partial(client.wait_all, [job]) if several else job.wait
         with pytest.raises(WaitTimeout, match=r"is running at 0% after 0\.01 s") as caught:
-            list(client.as_completed([job], timeout=0.01))
+            wait(timeout=0.01, progress=False)
         assert caught.value.job is job
         assert now == [0.01]
 

@@ -5,7 +5,7 @@ from typing import Any, Final
 _RIGID: Final = {"xi": 0.26, "model": {"kind": "rigid"}}
 
 BASINS: Final[dict[str, Any]] = _RIGID | {
-    "protocol": {"kind": "basin", "rows": 48, "columns": 64},
+    "protocol": {"kind": "basin", "rows": 32, "columns": 48},
     "gamma": {"start": 1.0, "stop": 4.0, "num": 12},
     "omega": [0.5, 0.6],
     "exponents": 1,
@@ -13,11 +13,11 @@ BASINS: Final[dict[str, Any]] = _RIGID | {
 MULTISTABILITY: Final[dict[str, Any]] = _RIGID | {
     "protocol": {"kind": "multistability"},
     "gamma": {"start": 3.0, "stop": 4.0, "num": 12},
-    "omega": {"start": 0.4, "stop": 0.6, "num": 48},
+    "omega": {"start": 0.4, "stop": 0.6, "num": 32},
 }
 ADAPTIVE: Final[dict[str, Any]] = _RIGID | {
-    "gamma": {"start": 0.4, "stop": 4.4, "num": 300},
-    "omega": {"start": 0.4, "stop": 1.0, "num": 300},
+    "gamma": {"start": 0.4, "stop": 4.4, "num": 260},
+    "omega": {"start": 0.4, "stop": 1.0, "num": 260},
     "settle": 600,
     "observe": 60,
     "keep": 8,

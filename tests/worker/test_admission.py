@@ -6,6 +6,8 @@ import re
 import shutil
 import signal
 import socket
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from functools import partial
@@ -23,9 +25,10 @@ from scripted import wait_for
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
 from worker import store
+from worker.executors import admission
 from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
 from worker.executors.dask import Dask
-from worker.executors.errors import WorkerRefused
+from worker.executors.errors import ClusterLost, WorkerRefused
 from worker.kernel_cache import warm
 from worker.tasks import ChunkCancelled, ChunkPaused
 
@@ -260,6 +263,26 @@ def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, proce
         executor.close()
 
 
+def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(tmp_path: Path):
+    """No others will join. Here their cache is open to all users."""
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o777)
+
+    def running() -> set[object]:
+        """Worker processes, and threads that keep a connection."""
+        children = psutil.Process().children(recursive=True)
+        workers = {process.pid for process in children if "spawn_main" in " ".join(process.cmdline())}
+        return workers | {thread for thread in threading.enumerate() if thread.name == "scheduler"}
+
+    before = running()
+    with pytest.raises(
+        ClusterLost,
+        match=r"^no worker can compute: it cannot load the kernel: CacheRefused: the kernel cache",
+    ):
+        Dask(workers=1, kernel_cache=tmp_path / "cache")
+    assert running() <= before
+
+
 def test_what_a_process_is_judged_by(tmp_path: Path):
     url = str(tmp_path / "stores")
     content = store.write_probe(url)
@@ -276,3 +299,52 @@ def test_what_a_process_is_judged_by(tmp_path: Path):
         assert "4 threads" in Requirements(here).judge(4)
     finally:
         Requirements(here).judge(1)  # this process computes for other tests
+
+
+def test_a_process_is_prepared_only_if_nothing_else_is_wrong():
+    here, prepared = facts(), []
+
+    def broken() -> None:
+        raise ImportError("no\n  libnumba.so")
+
+    try:
+        assert Requirements(here).judge(1, lambda: prepared.append(1)) == ""
+        assert prepared == [1]
+        reason = Requirements(here).judge(1, broken)
+        assert reason == "it cannot load the kernel: ImportError: no libnumba.so"
+        assert str(run_if_admitted(b"")) == reason
+        wrong = Requirements(here | {"numpy": "1.0"}).judge(2, lambda: prepared.append(2))
+        assert wrong == (
+            f"its numpy is {here['numpy']}, the service's 1.0; it has 2 threads: start it with --nthreads 1"
+        )
+        assert prepared == [1]
+    finally:
+        Requirements(here).judge(1)  # this process computes for other tests
+    assert run_if_admitted(pickle.dumps((len, "abc"))) == 3
+
+
+def test_releases_of_python_are_alike_whatever_their_last_number():
+    assert facts()["Python"] == f"{sys.version_info.major}.{sys.version_info.minor}"
+
+
+def test_a_package_is_known_by_its_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """By their names and contents, wherever the package is and whenever it was copied there."""
+
+    def digest(place: str, **sources: str) -> str:
+        for name, content in sources.items():
+            source = tmp_path / place / "springs" / name.replace("__", "/").replace("_py", ".py")
+            source.parent.mkdir(parents=True, exist_ok=True)
+            source.write_text(content)
+        with monkeypatch.context() as patched:
+            patched.syspath_prepend(tmp_path / place)
+            return admission._digest("springs")
+
+    one = digest("one", a_py="1", sub__b_py="2")
+    assert digest("copy", a_py="1", sub__b_py="2", notes="not a source") == one
+    others = [
+        digest("changed", a_py="1", sub__b_py="3"),
+        digest("renamed", a_py="1", sub__c_py="2"),
+        digest("moved", a_py="1", b_py="2"),
+        digest("more", a_py="1", sub__b_py="2", c_py=""),
+    ]
+    assert len({one, *others}) == 5

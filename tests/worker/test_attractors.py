@@ -196,6 +196,11 @@ def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, .
     assert set(found.ids.tolist()) == set(range(1, count + 1))
 
 
+def test_cycles_whose_flights_differ_by_just_a_ten_thousandth_are_one():
+    found, _ = searched([0, 1], cycle(1e-4), cycle(2e-4), micro_flight=0.0)
+    assert found.ids.tolist() == [1, 1]
+
+
 def test_cycles_with_the_same_sum_and_extremes_are_told_apart():
     found, _ = searched([0, 1], cycle(1.0, 2.0, 4.0, 5.0), cycle(1.0, 2.0 + 7e-4, 4.0 - 7e-4, 5.0))
     assert sorted(found.ids.tolist()) == [1, 2]
@@ -229,6 +234,12 @@ def test_aperiodic_starts_do_not_go_on_where_none_leaves():
         (3, 20, 2000, 2048, 0),  # their distribution
         (1, 0, 20, 8, 0),
     ]
+
+
+def test_motion_that_settles_before_it_is_aperiodic_does_not_end():
+    found, _ = searched([0, 0], turning(400, always(Outcome.SETTLING, (1.5,)), CHAOS))
+    assert found.ids.tolist() == [1, 1]
+    assert np.isinf(found.attractors[0].lifetime)
 
 
 def test_two_distributions_are_two_attractors():
@@ -446,6 +457,7 @@ def test_starts_on_cycles_are_grouped_by_flights_within_the_same_step():
 
     assert grouped((1.0,), (1.0 + 1.8e-4,), (1.0 + 0.9e-4,)) == [[0, 1, 2]]
     assert grouped((1.0,), (1.0 + 1.2e-4,)) == [[0], [1]]
+    assert grouped((1e-4,), (2e-4,)) == [[0, 1]]
     assert grouped((1.0, 2.0), (3.0,), (1.0, 2.0)) == [[0, 2], [1]]
     sums = [(0.1, 0.2 + step, 0.4 - step, 0.5) for step in (0.0, 8e-4, 10e-4)]  # squares differ by 0.4 step
     assert grouped(sums[0], sums[1]) == [[0, 1]]

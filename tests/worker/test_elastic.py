@@ -92,6 +92,7 @@ def test_a_job_for_one_worker_starts_one(tmp_path: Path, made: list[LocalCluster
 def test_a_cancelled_job_ends_while_there_are_no_workers(tmp_path: Path, made: list[LocalCluster]):
     made.append(local_cluster(0))
     executor = Dask(made[0], kernel_cache=CACHE)
+    client = executor._connection.client
     try:
         with running(tmp_path, executor) as service:
             job = service.submit(costing())
@@ -100,6 +101,7 @@ def test_a_cancelled_job_ends_while_there_are_no_workers(tmp_path: Path, made: l
             service.until(job, JobState.CANCELLED)
     finally:
         executor.close()
+    assert (client.status, made[0].status.name) == ("closed", "running")
 
 
 def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalCluster]):

@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
 from types import SimpleNamespace
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 from distributed import KilledWorker
-from scripted import wait_for
+from scripted import DEADLINE, wait_for
 
 from worker.executors.dask import Dask, _lacks_project, _Task
 from worker.executors.errors import ClusterLost, WorkerDied, WorkerLeft, WorkerLost
@@ -136,6 +137,9 @@ def test_the_workers_that_are_there_are_counted(cluster: Dask):
         chunk = ("a store of this test", 7)
         cluster._quarantine.failed(chunk, second)
         assert cluster._others(chunk) is None  # the other is of no use
+        cluster._roster.note({"worker": second, "host": "", "process": 1, "refused": "of this test"})
+        assert not cluster.ready()
+        assert (cluster.workers(), cluster.state().connected) == (0, True)
     finally:
         cluster._roster.keep(set())
     assert cluster.ready()
@@ -157,6 +161,7 @@ def test_what_a_lost_client_has_not_told_is_lost(cluster: Dask):
     tasks[0].set_result(5)
     assert cancelled.cancel()
     assert tasks[1].cancelled()
+    assert cluster._unfinished[lost] == {waiting}  # nothing is kept of the others
     cluster._on_lost(lost)
     assert ended.result(0) == 5
     with pytest.raises(ClusterLost, match="the connection to the scheduler was lost"):
@@ -165,3 +170,45 @@ def test_what_a_lost_client_has_not_told_is_lost(cluster: Dask):
         cluster._until_lost(lost, Future()).result(0)
     tasks[2].set_result(6)  # too late
     assert waiting.exception() is not None
+
+
+def test_what_is_left_to_compute_is_told_when_it_changes(cluster: Dask, monkeypatch: pytest.MonkeyPatch):
+    connection, told = cluster._connection, []
+    client = connection.client
+
+    async def tell(*what: Any) -> None:
+        told.append(what)
+
+    async def nothing() -> None: ...
+
+    monkeypatch.setattr(connection, "_asked", None)
+    monkeypatch.setattr(connection, "_tell", tell)
+    for seconds, tasks in ((3.5, 2), (3.5, 2), (3.5, 1), (4.5, 1), (3.5, 2)):
+        cluster.ask_for(seconds, tasks)
+    connection.ask_for(0.0, 0)
+    with monkeypatch.context() as patched:
+        patched.setattr(connection, "_takes_demand", False)
+        cluster.ask_for(7.0, 7)
+    client.sync(nothing)
+    expected = [(3.5, 2), (3.5, 1), (4.5, 1), (3.5, 2), (0.0, 0)]
+    assert told == [(client, seconds, tasks) for seconds, tasks in expected]
+
+
+def test_a_scheduler_that_replaced_the_last_one_gets_nothing_until_it_is_prepared(
+    cluster: Dask, monkeypatch: pytest.MonkeyPatch
+):
+    connection, looked = cluster._connection, threading.Event()
+    scheduler = connection._scheduler_id
+    assert cluster.ready()
+    with monkeypatch.context() as patched:
+        patched.setattr(connection, "_reconnect_if_lost", looked.set)  # not yet
+        assert looked.wait(DEADLINE)
+        connection._scheduler_id = ""
+        with pytest.raises(ClusterLost, match=r"^not connected to a scheduler: running$"):
+            cluster.call(len, "abc")
+        connection._scheduler_id = "another"
+        assert not cluster.ready()
+        assert "does not answer" in str(cluster.state().fault)
+    wait_for(lambda: connection._scheduler_id == scheduler)
+    wait_for(cluster.ready)
+    assert cluster.call(len, "abc").result(DEADLINE) == 3

@@ -325,6 +325,14 @@ def test_flights_beyond_those_kept_and_short_ones_are_not_compared():
     assert between(none, none, 0.1) == 0.0
 
 
+def test_of_a_cycle_of_one_period_the_last_round_is_compared():
+    exact, other = (
+        written(*[first] * 10, *[1.0] * 10, outcome=Outcome.PERIODIC, bounces=1, periods=1)
+        for first in (1.0, 3.0)
+    )
+    assert between(exact, other) == 0.0
+
+
 @pytest.mark.parametrize(("periods", "deviation"), [(LONGEST_CYCLE, 2.0), (LONGEST_CYCLE + 1, 0.0)])
 def test_the_longest_cycles_are_compared_by_their_distribution(periods: int, deviation: float):
     """One flight of a hundred differs."""

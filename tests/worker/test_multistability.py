@@ -1,6 +1,5 @@
 """Multistability: the attractors that drops find, followed along gamma, however the work is cut."""
 
-import functools
 import itertools
 import json
 from pathlib import Path
@@ -11,8 +10,10 @@ import pytest
 import xarray
 
 from kernel.branches.events import Kind, fold_events
+from kernel.cell import rescale
 from kernel.params import Outcome, empty_line
-from worker import store, studies
+from worker import store, studies, tasks
+from worker.basins import steps
 from worker.basins.attractors import CYCLE_FLIGHTS
 from worker.basins.multistability import (
     _ARRAYS,
@@ -147,34 +148,73 @@ def test_an_attractor_that_no_drop_reaches_is_found_by_following(tmp_path: Path)
     assert modes == {(3, 4), (1, 2)}
 
 
-@functools.cache
-def _whole(folder: Path) -> dict[str, bytes]:
-    data = computed(str(folder / "whole.zarr"), multistability())
+def test_what_no_drop_has_found_is_stored_as_it_is_after_a_second_window(tmp_path: Path):
+    spec = multistability(gamma=[3.5, 3.6], omega=0.5, rows=1, columns=1, height=9.0, settle=20, observe=40)
+    line = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0)
+    assert int(line.next_up[0, 0]) == 2
+    assert float(line.fraction[1, 1]) == 0.0  # no drop has found it
+    state = line.attractor_state.values[0, 0].copy()
+    rescale(state, 3.5, 1.0, 3.6, 1.0)
+    cell = tuple(np.array([value]) for value in (3.6, 0.5, 0.26))
+    window = {"settle": spec.settle, "observe": spec.observe, "settle_until": spec.until}
+    for is_last in (False, True):
+        run = line_run(spec, cell, state[None], keep=CYCLE_FLIGHTS, **window)
+        assert run.advance()
+        state = run.line.end_state[0].copy()
+        assert (line.attractor_state.values[1, 1] == state).all() == is_last
+
+
+@pytest.mark.parametrize(
+    ("columns", "undecided", "outcome"), [(1, 1.0, Outcome.UNRESOLVED), (2, 0.5, Outcome.PERIODIC)]
+)
+def test_drops_that_still_settle_are_undecided(
+    tmp_path: Path, columns: int, undecided: float, outcome: Outcome
+):
+    """Without a single attractor the cell is unresolved."""
+    spec = multistability(
+        gamma=[2.3], omega=0.5, rows=1, columns=columns, settle=3, observe=10, settle_until=23
+    )
+    cell = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0)
+    assert (float(cell.undecided), int(cell.outcome)) == (undecided, outcome)
+    assert int(cell.attractor_count) == columns - 1
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    data = computed(str(tmp_path_factory.mktemp("whole") / "a.zarr"), multistability())
     return {name: data[name].values.tobytes() for name in data.data_vars}
 
 
-def test_lines_in_one_chunk_or_in_several_are_the_same_bytes(tmp_path: Path):
-    whole = _whole(tmp_path)
+def test_lines_in_one_chunk_or_in_several_are_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]):
     for i, shape in enumerate(((1, 1, 3), (1, 2, 3))):
         data = computed(str(tmp_path / f"{i}.zarr"), multistability(), shape)
         for name, content in whole.items():
             assert data[name].values.tobytes() == content, (name, shape)
 
 
-def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(tmp_path: Path):
+def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
+):
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 16_411)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
     spec, url = multistability(), str(tmp_path / "paused.zarr")
     plan = MULTISTABILITY.plan(spec, (1, 2, 3))
     store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
+    done: list[int] = []
     for attempt in itertools.count():
         assert attempt < 5000
         try:
             run_chunk(spec, plan[0], url, 0.0)
             break
         except ChunkPaused:
-            continue
+            kept = store.read_checkpoint(url, plan[0].index)
+            assert kept is not None
+            done.append(int(kept["steps_done"]))
     assert attempt > 4
+    assert done == sorted(done)
+    assert done[-1] > 2  # what is done is not computed again
     data = xarray.open_zarr(url, chunks=None).load()
-    for name, content in _whole(tmp_path).items():
+    for name, content in whole.items():
         assert data[name].values.tobytes() == content, name
 
 
@@ -183,6 +223,16 @@ def test_a_chunk_without_a_store_is_not_begun(tmp_path: Path):
     with pytest.raises(store.StoreMissing):
         run_chunk(spec, MULTISTABILITY.plan(spec)[0], str(tmp_path / "none.zarr"), 0.0)
     assert not any(tmp_path.iterdir())
+
+
+def test_a_chunk_that_the_store_does_not_have_is_not_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    spec, url = multistability(), str(tmp_path / "a.zarr")
+    store.create(url, MULTISTABILITY.variables(spec, (1, 1, 3)))
+    monkeypatch.setattr(steps, "LineRun", None)
+    with pytest.raises(store.StoreConflict, match="spans omega 0 to 2, but chunks here are 1 long"):
+        run_chunk(spec, MULTISTABILITY.plan(spec, (1, 2, 3))[0], url)
 
 
 def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
@@ -254,7 +304,8 @@ def test_a_chunk_is_as_many_lines_as_take_a_second():
     lines = TARGET_SECONDS / (2 * cell_cost(spec))
     assert 1 < lines < 300
     assert make_plan(spec).chunk_shape == (1, int(lines), 2)
-    assert make_plan(multistability(rows=32, columns=32, settle=3000)).chunk_shape == (1, 1, 3)
+    costly = multistability(xi=[0.1, 0.26], rows=32, columns=32, settle=3000)
+    assert make_plan(costly).chunk_shape == (1, 1, 3)
     assert make_plan(multistability(rows=1, columns=1, settle=0, observe=1)).chunk_shape == (1, 2, 3)
 
 

@@ -96,6 +96,7 @@ def test_events_are_those_of_the_kernel_padded_and_counted(stored: xarray.Datase
 
 
 def test_a_spring_without_branches_is_unresolved(stored: xarray.Dataset):
+    assert stored.xi.attrs["long_name"] == "damping ratio of the spring"
     cell = stored.sel(xi=0.0, omega=1.0)
     assert int(cell.outcome) == Outcome.UNRESOLVED
     assert np.isnan(cell.gamma.values).all()
@@ -200,11 +201,11 @@ def test_flight_times_are_about_as_many_as_a_branch_takes(periods: int):
 
 
 def test_cost_is_that_of_every_branch(stored: xarray.Dataset):
-    spec = OrbitsSpec.parse(SPEC | {"omega": [0.1, 0.3]})
-    squares = sum((grid_points(np.array([0.1, 0.3]), k, POINTS) ** 2).sum() for k in (1, 2))
+    spec = OrbitsSpec.parse(SPEC | {"omega": [0.1, 0.3, 0.5]})
+    squares = sum((grid_points(np.array([0.1, 0.3, 0.5]), k, POINTS) ** 2).sum() for k in (1, 2))
     assert estimate_seconds(spec) == pytest.approx(SECONDS * 2 * squares)
     cost = ORBITS.estimate(spec, ORBITS.plan(spec, (1, 1)))
-    assert (cost.cells, cost.chunks, cost.core_seconds) == (4, 4, estimate_seconds(spec))
+    assert (cost.cells, cost.chunks, cost.core_seconds) == (6, 6, estimate_seconds(spec))
     assert bytes_per_cell(OrbitsSpec.parse(SPEC)) == sum(x.nbytes for x in stored.data_vars.values()) / 6
 
 
@@ -225,6 +226,8 @@ def test_a_chunk_takes_about_a_second_of_rows_along_omega():
     with pytest.raises(SpecError) as caught:
         OrbitsSpec.parse(SPEC | {"modes": long, "omega": 0.01})
     least = float(str(caught.value).split("at least ")[1].split()[0])
+    with pytest.raises(SpecError, match=f"at least {least:g} for 1-12"):
+        OrbitsSpec.parse(SPEC | {"modes": long, "omega": round(least - 0.001, 3)})
     longest = OrbitsSpec.parse(SPEC | {"modes": long, "omega": [least, 2 * least]})
     assert make_plan(longest).chunk_shape == (1, 1)
 

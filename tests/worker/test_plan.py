@@ -300,7 +300,7 @@ def test_blocks_from_rest_are_balanced(grid, cells, shape):
 @pytest.mark.parametrize(("lines", "at_once"), [(4 * LANES - 1, LANES // 2), (4 * LANES, LANES)])
 def test_lanes_are_filled_from_so_many_lines_on(lines, at_once):
     spec = sweep(omega=50, gamma=lines, ramp=("omega", "both"))
-    assert make_plan(spec, chunk_cells=50 * at_once).chunk_shape[2] == at_once
+    assert make_plan(spec, chunk_cells=75 * at_once).chunk_shape[2] == at_once
 
 
 def test_a_chunk_that_is_long_in_bytes_can_be_halved():
@@ -315,6 +315,8 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
     assert make_plan(kept, chunk_cells=21 * 21).chunk_shape == (1, 20, 20)
     assert make_plan(kept, chunk_cells=11 * 11).chunk_shape == (1, 10, 10)
     assert make_plan(kept, chunk_cells=41 * 41).chunk_shape == (1, 41, 41)
+    assert make_plan(sweep(omega=54, gamma=54, keep=10_000), chunk_cells=27 * 27).chunk_shape == (1, 24, 24)
+    assert make_plan(sweep(omega=6, gamma=100, keep=10_000), chunk_cells=300).chunk_shape == (1, 3, 100)
 
 
 @pytest.mark.parametrize(
@@ -330,6 +332,7 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
         (200, 64, 65),
         (200, 128, 80),
         (1000, 3, 34),
+        (1000, 7, 36),
         (1000, 16, 33),
         (1000, 64, 36),
     ],
@@ -338,6 +341,10 @@ def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     """What is computed of a map depends on them: a map in other tiles is another one."""
     spec = sweep(xi=2, omega=300, gamma=300, keep=keep, refine={"by": "mode", "coarsest": coarsest})
     assert tile_shape(spec, coarsest) == make_plan(spec).chunk_shape == (1, side, side)
+
+
+def test_a_chunk_of_a_ramp_may_be_one_cell():
+    assert make_plan(sweep(omega=9, gamma=9, ramp=("gamma", "up")), chunk_cells=1).chunk_shape == (1, 1, 1)
 
 
 def test_parts_are_as_equal_as_can_be():

@@ -1,10 +1,12 @@
 """A worker that fails what others compute: retries go elsewhere, and it gets nothing for a while."""
 
 import errno
+import os
 import socket
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from harm import leave
 from paths import CACHE
@@ -79,6 +81,23 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
         executor.close()
 
 
+def test_a_cluster_that_is_closed_leaves_nothing_behind(tmp_path: Path):
+    """No process, no thread that would connect again, no file; `stores` are not asked for on one machine."""
+    warm(CACHE)
+    executor = Dask(workers=1, kernel_cache=CACHE, stores=str(tmp_path / "stores"))
+    try:
+        connection, workers = executor._connection, executor._workers
+        client, monitor, scratch = connection.client, connection._monitor, workers._scratch.folder
+        assert (client.status, monitor.is_alive(), scratch.is_dir()) == ("running", True, True)
+        processes = client.run(os.getpid).values()
+        assert all(map(psutil.pid_exists, processes))
+    finally:
+        executor.close()
+    assert not any(map(psutil.pid_exists, processes))
+    assert (client.status, monitor.is_alive(), scratch.exists()) == ("closed", False, False)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_chunk_that_fails_everywhere_is_a_mark_against_nobody():
     quarantine = Quarantine()
     for worker in ("a", "b", "c"):
@@ -116,3 +135,11 @@ def test_failures_of_so_many_chunks_are_remembered_and_no_more(monkeypatch: pyte
     for chunk in range(4):
         quarantine.failed(chunk, "bad")
     assert [bool(quarantine.failed_on(chunk)) for chunk in range(4)] == [False, True, True, True]
+
+
+def test_a_chunk_that_fails_again_is_remembered_longer(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("worker.executors.quarantine._REMEMBERED", 2)
+    quarantine = Quarantine()
+    for chunk in "abac":
+        quarantine.failed(chunk, "bad")
+    assert [bool(quarantine.failed_on(chunk)) for chunk in "abc"] == [True, False, True]

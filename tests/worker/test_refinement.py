@@ -14,7 +14,7 @@ from worker import schema, store, tasks
 from worker.cost import check_size, computed_shares, estimate
 from worker.executors.base import Executor
 from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
-from worker.refinement import Refinement, _cuts, classes
+from worker.refinement import NOTHING, Beyond, Refinement, _cuts, classes, first_round
 from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecInvalid, SpecTooLarge
@@ -138,27 +138,39 @@ def island(rows: int, columns: int) -> np.ndarray:
     return kinds
 
 
-#: By, margin, coarsest; rounds and hash.
-CHOSEN: list[tuple[str, bool, int, list[Any]]] = [
-    ("mode", False, 8, [[32, 42, 68, 30, 7, 13, 7, 13, 6, 5, 7, 2], "1d8fbc77ccadbaad"]),
-    ("mode", True, 8, [[32, 54, 82, 80, 14], "1bbe081958e42c1b"]),
-    ("bouncing", False, 5, [[59, 10, 12, 2], "157fc858dbe73877"]),
-    ("bouncing", True, 16, [[13, 8, 8, 15, 7], "66d2bbd7133bc68f"]),
+#: By, margin, coarsest, cells beyond; rounds and hash.
+CHOSEN: list[tuple[str, bool, int, Beyond, list[Any]]] = [
+    ("mode", False, 8, NOTHING, [[32, 42, 68, 30, 7, 13, 7, 13, 6, 5, 7, 2], "1d8fbc77ccadbaad"]),
+    ("mode", True, 8, NOTHING, [[32, 54, 82, 80, 14], "1bbe081958e42c1b"]),
+    ("bouncing", False, 5, NOTHING, [[59, 10, 12, 2], "157fc858dbe73877"]),
+    ("bouncing", True, 16, NOTHING, [[13, 8, 8, 15, 7], "66d2bbd7133bc68f"]),
+    ("mode", True, 16, (16, 16, 16, 16), [[41, 8], "27d162c970728889"]),
+    ("mode", True, 20, (20, 20, 20, 20), [[32, 26, 15], "56b616c555b1d4d0"]),
 ]
 
 
-@pytest.mark.parametrize(("by", "margin", "coarsest", "expected"), CHOSEN)
-def test_the_same_tile_is_always_refined_the_same_way(by: str, margin: bool, coarsest: int, expected: list):
+@pytest.mark.parametrize(("by", "margin", "coarsest", "beyond", "expected"), CHOSEN)
+def test_the_same_tile_is_always_refined_the_same_way(
+    by: str, margin: bool, coarsest: int, beyond: Beyond, expected: list
+):
     """Stored maps depend on it: rounds, computed cells, and a hash of all cells' sources."""
-    kinds = island(21, 27)
+    above, below, left, right = beyond
+    kinds = island(above + 21 + below, left + 27 + right)
     outcomes = np.array([0, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, Outcome.AT_REST])[kinds]
-    tile = Refinement(kinds.shape, Refine(by=by, margin=margin, coarsest=coarsest))
+    tile = Refinement((21, 27), Refine(by=by, margin=margin, coarsest=coarsest), beyond)
     rounds = []
     while tile.cells.size:
         rounds.append(len(tile.cells))
         tile.split(outcomes, kinds, kinds % 2 + 1)
-    sources = tile.sources(outcomes).astype("<i8")
+    sources = tile.sources(outcomes[tile.inside]).astype("<i8")
     assert [rounds, hashlib.sha256(sources.tobytes()).hexdigest()[:16]] == expected
+
+
+def test_the_first_rounds_of_a_map_are_those_of_its_tiles():
+    plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=TILE)
+    cells = [Refinement((chunk.shape[1], chunk.shape[2]), MODE).cells.size for chunk in plan]
+    assert len(plan) == 24
+    assert first_round(plan.grid, plan.chunk_shape, MODE) == sum(cells)
 
 
 def test_where_aperiodic_and_settling_cells_mix_aperiodic_ones_stand_for_all():
@@ -336,7 +348,7 @@ def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_pa
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
     spec = adaptive(margin=margin)
     compute(spec, tmp_path / "whole.zarr")
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 512)
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 16384)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 0.0))
     plan, url = make_plan(spec, chunk_shape=TILE), tmp_path / "paused.zarr"
     store.create(str(url), layout(spec, plan.chunk_shape))
@@ -344,7 +356,7 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
     for chunk in plan:
         while True:
             try:
-                run_chunk(spec, chunk, str(url), 0.01)
+                run_chunk(spec, chunk, str(url), 0.002)
             except ChunkPaused:
                 pauses += 1
                 assert pauses < 10_000

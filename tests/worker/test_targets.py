@@ -7,8 +7,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from distributed import WorkerPlugin
 
 from worker.executors import targets
+from worker.executors.connection import SchedulerConnection
 from worker.executors.dask import _target
 from worker.executors.errors import ClusterLost
 from worker.executors.targets import FIRST_PAUSE, REFILL_SECONDS, UNANSWERED, Fixed, Made, SchedulerFile
@@ -192,3 +194,17 @@ def test_the_time_is_that_of_the_system(tmp_path: Path):
     with pytest.raises(ClusterLost):
         SchedulerFile(tmp_path / "nothing", timeout=0.2).find()
     assert time.monotonic() - began >= 0.2
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://"])
+def test_a_target_is_told_when_nobody_answers(address: str):
+    class Told(Fixed):
+        times = 0
+
+        def unanswered(self) -> None:
+            self.times += 1
+
+    target, plugin = Told(address), WorkerPlugin()
+    with pytest.raises(ClusterLost, match=f"^no scheduler answers at {address}: "):
+        SchedulerConnection(target, plugin, print, print, print, timeout=60)
+    assert target.times == 1

@@ -241,15 +241,16 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
         run_chunk(spec, make_plan(spec, chunk_shape=(2, 3, 2))[0], url)
 
 
-#: Chunks whose lines and cells are many, for pauses at any place.
+#: Chunks whose lines and cells are many; and steps between two pauses, so few that every chunk pauses
+#: within lines, too.
 PAUSING = {
-    "in lanes": {"model": {"kind": "rigid"}},
-    "ramp in lanes": {"model": {"kind": "rigid"}, "protocol": ramp("gamma", "both")},
-    "soft ramp in lanes": {"model": {"kind": "soft"}, "protocol": ramp("gamma", "both")},
-    "settling": {"model": {"kind": "soft"}, "settle_until": 640},
-    "exponents": {"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2},
-    "ball": {"model": {"kind": "ball", "restitution": 0.3}, "protocol": ramp("gamma", "up")},
-    "stepped": {"model": {"kind": "stepped"}, "protocol": ramp("xi", "up")},
+    "in lanes": ({"model": {"kind": "rigid"}}, 2003),
+    "ramp in lanes": ({"model": {"kind": "rigid"}, "protocol": ramp("gamma", "both")}, 4001),
+    "soft ramp in lanes": ({"model": {"kind": "soft"}, "protocol": ramp("gamma", "both")}, 8009),
+    "settling": ({"model": {"kind": "soft"}, "settle_until": 640}, 16001),
+    "exponents": ({"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2}, 401),
+    "ball": ({"model": {"kind": "ball", "restitution": 0.3}, "protocol": ramp("gamma", "up")}, 211),
+    "stepped": ({"model": {"kind": "stepped"}, "protocol": ramp("xi", "up")}, 211),
 }
 
 
@@ -263,17 +264,9 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
             pauses += 1
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [  # settling and soft ramps pause thousands of times: about a minute each
-        pytest.param(
-            changes, id=name, marks=[pytest.mark.long] if name in ("settling", "soft ramp in lanes") else []
-        )
-        for name, changes in PAUSING.items()
-    ],
-)
-def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes):
-    monkeypatch.setattr(tasks, "FIRST_STEPS", 101)
+@pytest.mark.parametrize(("changes", "steps"), PAUSING.values(), ids=PAUSING.keys())
+def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes, steps):
+    monkeypatch.setattr(tasks, "FIRST_STEPS", steps)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
     spec = small_spec(**changes)
     plan, whole = stored(tmp_path / "whole", spec)

@@ -1,5 +1,7 @@
 """Warming a kernel cache in this process: who compiles, and who copies what others have compiled."""
 
+import os
+import time
 from pathlib import Path
 
 import pytest
@@ -43,6 +45,19 @@ def test_the_first_process_compiles_for_the_others(slot: Slot):
     assert (slot.compiled, slot.found) == (1, [])
     assert slot.files(slot.ready) == ["1.nbc"]
     assert (slot.folder.parent / "compiling").exists()  # others wait for it
+
+
+def test_the_first_process_forgets_caches_that_were_not_used_for_long(slot: Slot, tmp_path: Path):
+    """But for its own."""
+    long_ago = time.time() - 15 * 24 * 3600
+    for name, last_used in (("digest", long_ago), ("old", long_ago), ("recent", time.time())):
+        lock = tmp_path / name / "slot-0" / "held"
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        lock.touch()
+        os.utime(lock, (last_used, last_used))
+    warm()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["digest", "recent"]
+    assert slot.files(slot.ready) == ["1.nbc"]
 
 
 def test_others_copy_what_it_has_compiled_and_wait_for_nobody(slot: Slot):

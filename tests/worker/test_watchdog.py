@@ -50,6 +50,7 @@ def test_a_chunk_may_take_its_time_and_no_longer(tmp_path: Path, monkeypatch: py
         (LIMIT, LIMIT, True),
         (int(0.91 * LIMIT), LIMIT, True),
         (int(0.89 * LIMIT), LIMIT, False),
+        (int(0.9 * LIMIT), LIMIT, False),
         (LIMIT, None, False),
         (LIMIT, 0, False),
     ],
@@ -98,8 +99,10 @@ def watching() -> bool:
 def test_it_looks_again_and_again_and_ends_with_its_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(watchdog, "CHECK_SECONDS", 0.001)
     looks, whys, process = [0], [], Process(limit=LIMIT)
+    background: set[bool] = set()
 
     def memory() -> int:
+        background.add(threading.current_thread().daemon)
         looks[0] += 1
         return LIMIT if looks[0] > 3 else 0
 
@@ -110,6 +113,7 @@ def test_it_looks_again_and_again_and_ends_with_its_block(tmp_path: Path, monkey
         wait_for(lambda: bool(whys))
     wait_for(lambda: not watching())
     assert all("of memory" in why for why in whys)
+    assert background == {True}  # the process may end meanwhile
 
 
 def test_nothing_is_ended_whose_chunk_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -251,10 +255,11 @@ def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: p
 def test_a_job_cancelled_while_its_kernel_is_compiled_does_not_begin(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ):
-    compiled, begun = threading.Event(), []
+    compiled, begun, background = threading.Event(), [], []
     monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
 
     def compile_for(_: Any) -> None:
+        background.append(threading.current_thread().daemon)
         store.set_cancelled(watched.url)
         assert compiled.wait(DEADLINE)
 
@@ -264,6 +269,7 @@ def test_a_job_cancelled_while_its_kernel_is_compiled_does_not_begin(
         compiled.set()
     assert isinstance(answer, ChunkCancelled)
     assert begun == []
+    assert background == [True]  # the process may end before it is compiled
 
 
 def test_compiling_goes_on_while_the_store_is_out_of_reach(watched: Watched, monkeypatch: pytest.MonkeyPatch):

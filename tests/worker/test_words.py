@@ -1,13 +1,29 @@
 """Words continued from cells: which part of a branch belongs to the cycle that a cell settled to."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import worker.analysis.words
 from kernel.branches.events import Events, Kind
 from kernel.branches.words import WordBranch
 from kernel.params import Outcome
-from worker.analysis.words import Skipped, _Cycle, _cycles, _lies_on, _once, _round, _up_to_shorter
-from worker.schema import COMPUTED
+from worker import store
+from worker.analysis.words import (
+    Skipped,
+    _Cycle,
+    _cycles,
+    _lies_on,
+    _once,
+    _round,
+    _up_to_shorter,
+    continue_words,
+)
+from worker.plan import make_plan
+from worker.schema import COMPUTED, layout
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
 
 
 def doubled(first: np.ndarray, second: np.ndarray, word: str = "ss") -> WordBranch:
@@ -68,6 +84,8 @@ def test_a_leap_of_the_flights_is_not_a_flip():
     """They change their order without being equal in between."""
     apart = np.repeat([-0.4, 0.4], 5)
     assert len(_up_to_shorter(doubled(5.0 + apart, 5.0 - apart), settled(5.4, 4.6)).gamma) == 10
+    apart = np.repeat([-0.3, 0.3], 5)
+    assert len(_up_to_shorter(doubled(apart, np.zeros(10)), settled(0.3, 0.0)).gamma) == 10
 
 
 def test_a_word_of_four_flights_may_be_one_of_two_gone_through_twice():
@@ -104,6 +122,7 @@ def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
         ([1, 1.0011], [0, 0], 1, 0),
         ([1, 1.0009], [0, 0], 1, 1),
         ([1, 1], [0, 0.0011], 1, 0),
+        ([1e-3, 2e-3], [0, 0], 1, 0),
     ],
 )
 def test_a_round_is_the_fewest_flights_that_repeat(
@@ -146,17 +165,17 @@ def test_a_branch_that_stands_still_in_gamma_has_the_cycles_of_its_points():
 
 
 def test_an_event_found_twice_is_told_once():
-    kinds = [Kind.FLIP, Kind.FOLD, Kind.FLIP, Kind.FLIP, Kind.FOLD]
-    gamma = np.array([2.0, 2.0, 3.0, 2.0 - 5e-10, 2.0 + 5e-9])
-    rows = np.arange(5)
+    kinds = [Kind.FLIP, Kind.FOLD, Kind.FLIP, Kind.FLIP, Kind.FOLD, Kind.FOLD, Kind.FOLD]
+    gamma = np.array([2.0, 2.0, 3.0, 2.0 - 5e-10, 2.0 + 5e-9, 0.0, 1e-9])
+    rows = np.arange(7)
     events = Events(
         kind=np.array([str(kind) for kind in kinds]), omega=rows / 10, xi=rows / 10, bounces=rows,
-        periods=rows, flight_time=rows / 1.0, gamma=gamma, multiplier=np.zeros((5, 2), complex),
+        periods=rows, flight_time=rows / 1.0, gamma=gamma, multiplier=np.zeros((7, 2), complex),
         admissible=rows,
     )  # fmt: skip
     once = _once(events)
-    assert once.bounces.tolist() == [0, 1, 2, 4]
-    assert once.gamma.tolist() == gamma[[0, 1, 2, 4]].tolist()
+    assert once.bounces.tolist() == [0, 1, 2, 4, 5, 6]
+    assert once.gamma.tolist() == gamma[[0, 1, 2, 4, 5, 6]].tolist()
 
 
 def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
@@ -183,3 +202,22 @@ def test_cycles_are_those_of_periodic_cells_that_show_two_rounds():
     assert [c.gamma for c in adaptive] == [1.5]
     more_flights_than_kept = {**arrays, "flights": np.array([4, 2_000, 4, 2])}
     assert len(list(_cycles(gamma, more_flights_than_kept, []))) >= 1
+
+
+@pytest.mark.parametrize(("most", "followed"), [(2, 2), (1, 1)])
+def test_cells_beyond_as_many_branches_as_are_followed_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int, followed: int
+):
+    """(1,1) twice, on one branch, and its double beyond the flip."""
+    spec = SweepSpec(
+        gamma=[1.5, 1.6, 2.3], omega=0.5, xi=0.26, model={"kind": "rigid"}, settle=200, observe=40, keep=16
+    )
+    url, plan = str(tmp_path / "a.zarr"), make_plan(spec)
+    store.create(url, layout(spec, plan.chunk_shape))
+    run_chunk(spec, plan[0], url)
+    monkeypatch.setattr(worker.analysis.words, "MAX_WORDS", most)
+    monkeypatch.setattr(worker.analysis.words, "POINTS", 60)
+    words = continue_words(spec, url, 0, 0, 0, 4.0, True)
+    assert len(words.branches) == len(words.events) == followed
+    reason = f"{most} branches were followed before it, the limit"
+    assert words.skipped == ((2.3, 2, 2, reason),)[: 2 - followed]

@@ -1,0 +1,34 @@
+"""Chunks computed in threads of this process."""
+
+import threading
+
+import pytest
+from scripted import DEADLINE, wait_for
+
+from worker.executors.base import ClusterState
+from worker.executors.inline import Inline
+
+
+def test_what_has_not_begun_is_cancelled_at_the_end_and_nothing_begins_any_more():
+    executor, begun, over = Inline(), threading.Event(), threading.Event()
+
+    def task() -> bool:
+        begun.set()
+        return over.wait(DEADLINE)
+
+    running, waiting = executor.call(task), executor.call(len, "abc")
+    assert begun.wait(DEADLINE)
+    assert (executor.ready(), executor.workers()) == (True, 1)
+    assert executor.state() == ClusterState(connected=True, workers=1)
+    closing = threading.Thread(target=executor.close)
+    closing.start()
+    try:
+        wait_for(waiting.cancelled)
+    finally:
+        over.set()
+        closing.join()
+    assert running.result(0) is True
+    assert (executor.ready(), executor.workers()) == (False, 0)
+    assert executor.state() == ClusterState(connected=False, workers=0)
+    with pytest.raises(RuntimeError):
+        executor.call(len, "abc")
