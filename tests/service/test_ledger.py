@@ -710,6 +710,20 @@ def test_a_ledger_with_a_log_is_kept_as_it_was_found_only_if_it_is_unusable(
     assert len(list(tmp_path.iterdir())) == 2 + 2 * kept
 
 
+@pytest.mark.parametrize("log", [None, b""])
+def test_a_ledger_without_a_log_is_not_copied(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, log: bytes | None
+):
+    path = tmp_path / "ledger.sqlite"
+    path.write_bytes(b"the ledger")
+    if log is not None:
+        wal_of(path).write_bytes(log)
+    with pytest.raises(LedgerUnusable, match=r"^it is damaged$"):
+        open_nothing(path, LedgerUnusable("it is damaged"))
+    assert copies_of(path) == []
+    assert caplog.messages == []
+
+
 def test_a_ledger_that_cannot_be_copied_is_opened_and_leaves_half_a_copy_nowhere(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):

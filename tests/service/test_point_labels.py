@@ -107,6 +107,16 @@ def test_a_text_and_a_legend_that_are_there_are_not_covered():
         assert not box.overlaps(other)
 
 
+def test_a_label_leaves_the_place_beside_its_point_to_a_legend():
+    axes = empty()
+    axes.scatter([0], [0], label="points")
+    legend = axes.legend(loc="center left", bbox_to_anchor=(105 / 288, 80 / 216), borderaxespad=0.0)
+    (box,) = labelled(axes, (100.0, 80.0, "twelve"))
+    covered = legend.get_window_extent(FigureCanvasAgg(axes.figure).get_renderer()).get_points() / PIXEL  # type: ignore[arg-type]
+    assert not box.overlaps(Bbox(covered))
+    assert middle(box)[0] < 105.0
+
+
 def test_a_label_rather_goes_where_no_line_is():
     axes = empty()
     axes.plot([100.0, 200.0], [80.0, 80.0])  # to the right

@@ -339,6 +339,7 @@ def test_a_request_with_two_ends_is_the_last_of_its_connection(address: tuple[st
         connection.sendall(f"{first}0\r\n\r\n{smuggled}".encode())
         answer = received(connection)
     assert answer.count(b"HTTP/1.1 ") == 1
+    assert answer.startswith(b"HTTP/1.1 200 " if path == "/healthz" else b"HTTP/1.1 404 ")
     assert b"connection: close" in answer.lower()
 
 
