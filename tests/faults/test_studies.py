@@ -39,7 +39,7 @@ def submitted(service: Running, spec: dict[str, Any]) -> JobRecord:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "spec",
-    [  # that of basins takes more than a minute; tests/faults/test_damage.py computes one on workers, too
+    [  # that of basins takes longest; tests/faults/test_damage.py computes one on workers, too
         pytest.param(spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
         for name, spec in STUDIES.items()
     ],

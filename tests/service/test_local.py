@@ -333,7 +333,7 @@ def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> sub
     [
         pytest.param(signal.SIGINT, LONG, id="sweep, Ctrl-C"),
         *(
-            # That of basins takes half a minute.
+            # That of basins takes longest.
             pytest.param(signal.SIGKILL, spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
             for name, spec in ({"sweep": LONG, "orbits": ORBITS} | STUDIES).items()
         ),
