@@ -13,7 +13,7 @@ from kernel.interface import contact, flies, flight, replay, rest
 from kernel.modes import find_cycle, find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, NON_FINITE, ROOT, Phase
-from kernel.numerics.jit import compilable, inlined, jit
+from kernel.numerics.jit import allocating, compilable, inlined, jit
 from kernel.params import Line, Outcome, periods_followed
 from kernel.repetition import CHECK, find_repetition, repeat_flights
 
@@ -224,7 +224,7 @@ def record(run: Progress, p: Phase, window: Window, flights: Flights, first: int
     )  # fmt: skip
 
 
-@jit
+@allocating
 def end_settling(before: Progress, run: Progress, window: Window, flights: Flights, first: int) -> Progress:
     """`run`, with its settling ended if its last flights repeat within window.settle_tolerance.
 
@@ -254,7 +254,7 @@ def may_repeat(before: Progress, run: Progress, window: Window) -> bool:
     return window.settle_early and enough and run.ending == ROOT and run.end - run.settle == window.observe
 
 
-@jit
+@allocating
 def skip_cycles(run: Progress, flights: Flights, first: int) -> Progress:
     """`run`, at a landing, moved on by the cycles left before its end, if its last flights surely repeat.
 
@@ -393,7 +393,7 @@ def store_state(run: Progress, state: Any) -> None:
     state[2], state[3], state[4], state[5] = run.gap, run.gap1, run.q, run.q1
 
 
-@jit
+@allocating
 def classify(run: Progress, flights: Flights, first: int, window: Window) -> tuple[int, int, int]:
     """Outcome, bounces and plate periods of a cell whose run has ended (docs/model.md, section 4)."""
     if run.ending != HORIZON:
@@ -445,7 +445,7 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int) -> bool:
     return still > max(0.5 * (run.end - run.settle), QUIET)
 
 
-@jit
+@allocating
 def _counted(
     flights: Flights, first: int, recorded: int, last: int, micro_flight: float
 ) -> tuple[Any, Any, Any]:
@@ -470,7 +470,6 @@ def _counted(
     return time[:count], phase[:count], period[:count]
 
 
-@jit
 def allocate_flights(keep: int, lanes: int) -> Flights:
     """Ring buffers for `lanes` cells at a time, of which `keep` flights are stored."""
     size = max(keep, KEPT_FLIGHTS)

@@ -8,13 +8,13 @@ of a contact or flight; a horizon is the time at which it is cut off, a budget t
 a phase function it may use.
 """
 
-import functools
+
 from typing import Any
 
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import by_type, jit
 
-inline_by_type = functools.partial(by_type, inline=True)
+
 
 
 @by_type
@@ -74,12 +74,12 @@ def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> An
 # holds the next phase of a run (`cell.Progress`). A model without these is computed cell by cell.
 
 
-@inline_by_type
+@by_type
 def advance_lanes(plate: Any, table: Any, used: int) -> None:
     """Evaluate the phase functions of the first `used` lanes once and move their searches on."""
 
 
-@inline_by_type
+@by_type
 def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, horizon: float) -> bool:  # type: ignore[empty-body]
     """Put the run's next phase into lane k; False if it must be computed by `contact` or `flight`.
 
@@ -87,7 +87,7 @@ def load_lane(cell: Any, table: Any, k: int, run: Any, sin: float, cos: float, h
     """
 
 
-@inline_by_type
+@by_type
 def unload_lane(cell: Any, table: Any, k: int, run: Any) -> tuple[Phase, float, float]:  # type: ignore[empty-body]
     """The run's phase, which has ended in lane k, with sin and cos of the plate's phase at its end."""
 

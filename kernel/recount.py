@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kernel.modes import find_mode, is_settling
 from kernel.numerics.elementary import TWO_PI
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import allocating, jit
 from kernel.params import Outcome
 
 PERIODIC: Final = int(Outcome.PERIODIC)
@@ -62,7 +62,7 @@ def recount(
     return result
 
 
-@jit
+@allocating
 def _recount(
     flight_time: Any, takeoff_phase: Any, before: Any, now: Any,
     outcome: Any, bounces: Any, periods: Any, new_outcome: Any, new_bounces: Any, new_periods: Any,
@@ -82,7 +82,7 @@ def _recount(
         new_outcome[cell], new_bounces[cell], new_periods[cell] = PERIODIC, b, p
 
 
-@jit
+@allocating
 def _select(flight_time: Any, takeoff_phase: Any, counts: Any) -> tuple[Any, Any, Any, Any]:
     """Times, take-off phases and periods of a cell's flights that count, and their places among all."""
     keep = len(flight_time)

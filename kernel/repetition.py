@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from kernel.numerics.elementary import TWO_PI
-from kernel.numerics.jit import jit
+from kernel.numerics.jit import allocating, jit
 
 #: Flights repeat when their times and take-off phases agree within this, rad. They may also drift by no more
 #: than this until the run's end.
@@ -85,7 +85,7 @@ def _drift(
     return older * (min(turns, ratio / (1.0 - ratio)) if ratio < 1.0 else turns)
 
 
-@jit
+@allocating
 def repeat_flights(
     time: Any, phase: Any, period: Any, first: int, size: int, recorded: int, flights: int, periods: int,
     turns: int, settle: int, begun: bool,

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
 from service.errors import NotComputed
-from worker.kernel_cache import claim_cache
+from worker.kernel_cache import use_cache
 
 Result = TypeVar("Result")
 
@@ -182,7 +182,7 @@ def _compute(connection: Connection) -> None:
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: they do not interrupt a worker that runs
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    claim_cache()  # before anything imports a kernel
+    use_cache()
     trimmed = 0
     while True:
         try:

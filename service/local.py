@@ -27,7 +27,7 @@ from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import InvalidRequest, NotStarted, RunFailed
 from service.formats import EXPORTS, DiagramFormat, ExportFormat
-from worker.kernel_cache import CacheRefused, claim_cache
+from worker.kernel_cache import CacheRefused, use_cache
 from worker.temporary import temporary_folder
 
 if TYPE_CHECKING:
@@ -169,7 +169,6 @@ def computed(
 ) -> "Iterator[tuple[JobRecord, PreparedJob]]":
     """The job of a study, done, in the data folder `folder`, which is made and kept. Raises as `run`."""
     claim_kernels()
-    # Not at the top of the module: kernels are declared here, with the cache that was just claimed.
     from service.jobs.manager import JobManager
     from service.jobs.stores.adoption import open_ledger
     from worker.executors.inline import Inline
@@ -219,12 +218,12 @@ def _settings(folder: Path) -> "Settings":
 
 
 def claim_kernels() -> None:
-    """Choose this process's cache of compiled kernels; must run before anything that declares kernels.
+    """Use the cache of compiled kernels in this process.
 
     Raises NotStarted if other users could have written it.
     """
     try:
-        claim_cache()
+        use_cache()
     except CacheRefused as error:
         raise NotStarted(str(error)) from error
 

@@ -118,7 +118,7 @@ def state_after(p: Flight, tau: float) -> tuple[float, float, float, float]:
 
 
 @terms.register(Flight)
-@jit
+@inlined
 def flight_terms(p: Flight, tau: float) -> Terms:
     """The gap as a phase function. For short times a power series keeps its digits."""
     sin, cos = sincos(p.phi + tau)
@@ -154,7 +154,7 @@ def flight_terms(p: Flight, tau: float) -> Terms:
     )
 
 
-@jit
+@inlined
 def _power_series(p: Flight, tau: float) -> tuple[float, float, float]:
     """gap, gap' and a bound on the gap's rounding error at tau, by the power series about tau = 0.
 

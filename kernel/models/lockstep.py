@@ -37,7 +37,7 @@ from kernel.interface import advance_lanes, contact, flight, load_lane, prepare,
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import ROOT, Phase
-from kernel.numerics.jit import inlined, jit
+from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import LANES, STATE_FIELDS, Line
 
 #: Up to so many lines are computed one by one, more in a vector.
@@ -88,7 +88,7 @@ def allocate_lanes() -> Lanes:
     return Lanes(table, runs, index, counts, np.zeros(LANES, dtype=np.bool_), ends)
 
 
-@jit
+@allocating
 def run_lockstep(
     plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
     flights: Flights, lanes: Lanes, steps: int,
@@ -100,7 +100,7 @@ def run_lockstep(
     returns whether all is done. The next call goes on from `flights` and `lanes`.
     """
     table, index, counts, followed = lanes.table, lanes.index, lanes.counts, lanes.followed
-    springs = [prepare(plate, i, gamma[i], omega[i], xi[i]) for i in np.maximum(index, 0)]
+    springs = [prepare(plate, max(i, 0), gamma[i], omega[i], xi[i]) for i in index]
     runs = [load_run(lanes.runs[k]) for k in range(LANES)]
     state = np.zeros(len(STATE_FIELDS))
     lines = len(gamma) // length
@@ -180,7 +180,7 @@ def lanes_used(lines: int) -> int:
     return LANES // 2 if lines <= LANES // 2 else LANES
 
 
-@jit
+@allocating
 def _store_runs(runs: list[Progress], numbers: Any) -> None:
     for k in range(LANES):
         store_run(runs[k], numbers[k])

@@ -419,7 +419,7 @@ def liftoff_function(s: SoftSpring, m: ModalState, phi: float) -> LiftoffFunctio
 
 
 @terms.register(LiftoffFunction)
-@jit
+@inlined
 def _liftoff_terms(p: LiftoffFunction, tau: float) -> Terms:
     """The static and driven parts and the slower mode are smooth, the faster mode rings."""
     sin, cos = sincos(p.phi + tau)

@@ -154,7 +154,7 @@ def _of_remainder(r: float, quadrant: np.int64, sign: float) -> tuple[float, flo
     )
 
 
-@jit
+@inlined
 def sincos(x: float) -> tuple[float, float]:
     """(sin x, cos x) for any x in rad; NaN where x is not finite."""
     return sincos_small(x) if abs(x) < _REDUCTION_LIMIT else _sincos_large(x)

@@ -103,7 +103,7 @@ def departure_step(f2: float, f3: float, f4: float) -> float:
     return 0.5 * (half + math.sqrt(max(half * half + 12.0 * max(f2, 0.0) / f4, 0.0)))
 
 
-@jit
+@inlined
 def safe_step(f0: float, f1: float, f2: float, f3: float, f4: float, guess: float) -> float:
     """How far (rad) f0 + f1 s + f2 s^2/2 + f3 s^3/6 - f4 s^4/24 surely stays positive; f0, f4 >= 0.
 
@@ -204,7 +204,7 @@ def polish_step(
     return low, high, step, done
 
 
-@jit
+@inlined
 def polish(phase: Any, low: float, high: float, tau: float, budget: int) -> tuple[float, int, int]:
     """The zero in [low, high] where F falls from positive to negative, from a first guess `tau`.
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from numba import types
 from numba.extending import intrinsic, overload
 
+from kernel.numerics.compilation import Inner
 from kernel.numerics.jit import inlined
 
 #: IEEE double: the bits of the fraction, below the exponent, and the exponent's bias.
@@ -50,7 +51,7 @@ def _declare_power_of_two(typing: Any, k: Any) -> Any:
 
 _fma: Final[Any] = intrinsic(_declare_fma)
 _power_of_two: Final[Any] = intrinsic(_declare_power_of_two)
-_INLINED: Final[Any] = {"forceinline": True}
+_INLINED: Final[Any] = {"forceinline": True, "pipeline_class": Inner}
 # numba requires a Python function as the implementation, not the intrinsic itself
 overload(fma, jit_options=_INLINED)(lambda a, b, c: lambda a, b, c: _fma(a, b, c))  # noqa: PLW0108
 overload(power_of_two, jit_options=_INLINED)(lambda k: lambda k: _power_of_two(k))  # noqa: PLW0108

@@ -1,10 +1,6 @@
-"""How kernel functions are compiled, and how one is chosen by the type of its first argument.
+"""How kernel functions are declared, and how one is chosen by the type of its first argument.
 
-Compiled code is cached on disk only if NUMBA_CACHE_DIR is set. Numba looks at the file of the outermost
-function alone to decide whether a cached one is stale, so the folder must be named after the kernel's
-sources, as `worker.kernel_cache` does; a cache beside the sources would outlive a change in an inner
-file.
-
+A function is compiled into its callers (`kernel.numerics.compilation`), and on its own when Python calls it.
 Every function also runs without compilation (NUMBA_DISABLE_JIT=1), for coverage and debugging.
 """
 
@@ -14,41 +10,80 @@ from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
 import numba
+from numba import types
+from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import overload, register_jitable
 
+from kernel.numerics.compilation import Entry, Inner
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+#: Plain `numba.njit`, should numba's internals change: see `kernel.numerics.compilation`.
+PLAIN: Final = bool(os.environ.get("BOUNCE_PLAIN_NJIT"))
 
 # No "contract": which products are fused with sums would depend on how LLVM inlines, and code read from the
 # cache would differ in the last digit from code just compiled. Functions that gain by fused multiply-adds
 # write them out: see `kernel.numerics.intrinsics`.
-_OPTIONS: Final[Any] = {"nogil": True, "error_model": "numpy"}
+#
+# Every option is stated: numba hands "forceinline" and "_nrt" down from the function that happens to be
+# compiling, so that otherwise the order of compilation would decide.
+#
+# "_nrt": without numba's runtime no array is counted up and down as it passes through a function, which was
+# a tenth to a fifth of the time in lanes.
+_ALLOCATING: Final[Any] = {"nogil": True, "error_model": "numpy", "forceinline": False, "_nrt": True}
+_OPTIONS: Final[Any] = {**_ALLOCATING, "_nrt": False}
+_INLINED: Final[Any] = {**_OPTIONS, "forceinline": True}
 
-# Without numba's runtime: no array is counted up and down as it passes through an inlined function, which was
-# a tenth to a fifth of the time in lanes. Such a function must not make arrays or use lists.
-_INLINED: Final[Any] = {**_OPTIONS, "forceinline": True, "_nrt": False}
+
+class _Kernel(CPUDispatcher):
+    """A function that is compiled into its callers; for Python it is compiled as an entry of its own."""
+
+    @functools.cached_property
+    def entry(self) -> Any:
+        """The function for Python."""
+        return Entry(self.py_func, _ALLOCATING)
+
+    def __call__(self, *args: Any) -> Any:
+        return self.entry(*args)
+
+    def compile(self, sig: Any) -> Any:
+        """As numba does, quicker where that is done: it asks at every call that it types."""
+        done = self.overloads.get(sig) if isinstance(sig, tuple) else None
+        return super().compile(sig) if done is None else done.entry_point
+
+
+def _declare(function: _Function, options: dict[str, Any]) -> _Function:
+    if PLAIN or numba.config.DISABLE_JIT:
+        return cast(_Function, numba.njit(**options)(function))
+    return cast(_Function, _Kernel(function, targetoptions={"nopython": True, **options}, pipeline_class=Inner))
 
 
 def jit(function: _Function) -> _Function:
-    """Compile without the GIL and without exceptions, IEEE arithmetic as written."""
-    return cast(_Function, numba.njit(cache=_cached(), **_OPTIONS)(function))
+    """Compile without the GIL and without exceptions, IEEE arithmetic as written.
+
+    The function must not make arrays or lists, nor call what returns them.
+    """
+    return _declare(function, _OPTIONS)
 
 
 def inlined(function: _Function) -> _Function:
-    """As `jit`, but inlined into its caller: for short functions whose call would cost as much as they do.
+    """As `jit`, but inlined into every caller, whatever its size: chosen by profile, as compiling takes longer."""
+    return _declare(function, _INLINED)
 
-    They must not make arrays, nor use lists.
-    """
-    return cast(_Function, numba.njit(cache=_cached(), **_INLINED)(function))
+
+def allocating(function: _Function) -> _Function:
+    """As `jit`, for functions that make arrays or lists, or call what returns them."""
+    return _declare(function, _ALLOCATING)
 
 
 def compilable(function: _Function) -> _Function:
     """Let compiled code call a plain Python function, which stays one for its other callers."""
-    return register_jitable(error_model=_OPTIONS["error_model"])(function)
+    return cast(_Function, register_jitable(**_OPTIONS, **_pipeline())(function))
 
 
-def _cached() -> bool:
-    """Whether compiled code goes to disk."""
-    return "NUMBA_CACHE_DIR" in os.environ
+def _pipeline() -> dict[str, Any]:
+    return {} if PLAIN else {"pipeline_class": Inner}
 
 
 class by_type:  # noqa: N801 - a decorator
@@ -56,16 +91,18 @@ class by_type:  # noqa: N801 - a decorator
 
     The types are NamedTuples. The choice is made at compile time and costs nothing at run time;
     functions passed as arguments would serve as well but cannot be cached. Called from Python it is a
-    look-up, which raises TypeError for a type without an implementation. With `inline` the implementation,
-    if it is `inlined`, becomes part of its caller.
+    look-up, which raises TypeError for a type without an implementation. Whether an implementation is
+    inlined, its own decorator says.
     """
 
-    def __init__(self, declaration: Callable[..., Any], *, inline: bool = False) -> None:
+    def __init__(self, declaration: Callable[..., Any]) -> None:
         functools.update_wrapper(self, declaration)
         self._implementations: dict[type, Callable[..., Any]] = {}
         self._otherwise: Callable[..., Any] | None = None
-        options = _INLINED if inline else _OPTIONS
-        overload(self, jit_options=options)(lambda first, *rest: self._resolve(first))
+        if PLAIN:
+            overload(self, jit_options=_INLINED)(lambda first, *rest: self._resolve(first))
+        else:
+            infer_global(self, types.Function(self._template()))
 
     def __call__(self, first: Any, *rest: Any) -> Any:
         chosen = self._chosen(type(first))
@@ -82,9 +119,30 @@ class by_type:  # noqa: N801 - a decorator
         return self._implementations.get(kind, self._otherwise)
 
     def _resolve(self, first: Any) -> Callable[..., Any] | None:
-        """Numba's side of the call: `first` is the type of the argument, as numba describes it."""
+        """numba's side of the call under plain `njit`: `first` is the type of the argument."""
         chosen = self._chosen(getattr(first, "instance_class", type(None)))
         return None if chosen is None else lambda first, *rest: chosen(first, *rest)  # noqa: PLW0108
+
+    def _template(self) -> type:
+        """numba's side of the call, which it types and lowers as one of the implementation."""
+        chosen = self._chosen
+
+        class Template(AbstractTemplate):
+            key = self
+
+            def generic(self, args: Any, kws: Any) -> Any:
+                function = chosen(getattr(args[0], "instance_class", type(None)))
+                if function is None:
+                    return None
+                dispatcher = types.Dispatcher(function)
+                signature = dispatcher.get_call_type(self.context, args, kws)
+                self._implementation = dispatcher.get_impl_key(signature)
+                return signature
+
+            def get_impl_key(self, sig: Any) -> Any:
+                return self._implementation
+
+        return Template
 
     def register(self, kind: type) -> Callable[[_Function], _Function]:
         """Decorator: the implementation for first arguments of type `kind`."""

@@ -55,7 +55,7 @@ def apart(osc: Oscillator) -> bool:
     return osc.discriminant > 0.0 and osc.root > NEAR_CRITICAL * osc.damping
 
 
-@jit
+@inlined
 def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     """C(tau), S(tau) and S'(tau) of docs/model.md, section 3; tau >= 0 in rad.
 
@@ -81,7 +81,7 @@ def response(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     return slow - osc.slow * sine, sine, slow + osc.fast * sine
 
 
-@jit
+@inlined
 def motion(osc: Oscillator, x0: float, v0: float, tau: float) -> tuple[float, float]:
     """x and x' at tau >= 0 (rad) from x = x0 and x' = v0 at zero."""
     cosine, sine, sine1 = response(osc, tau)
@@ -182,7 +182,7 @@ def derivative(osc: Oscillator, a: float, b: float) -> tuple[float, float]:
     return b, -2.0 * osc.damping * b - osc.stiffness * a
 
 
-@jit
+@inlined
 def propagator(osc: Oscillator, tau: float) -> tuple[float, float, float]:
     """What `propagate` needs for tau >= 0 rad: one serves all motions of an oscillator."""
     if apart(osc):

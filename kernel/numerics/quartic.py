@@ -8,7 +8,7 @@ which may be one of a nearly double pair, is never used by itself.
 import math
 from typing import Final, NamedTuple
 
-from kernel.numerics.jit import inlined, jit
+from kernel.numerics.jit import allocating, inlined, jit
 
 #: Cap on the rounds of Aberth's method. A dozen is usual; roots far apart in size take more. Where the cap
 #: is reached the roots are as good as they get, and `_polished` works from them.
@@ -45,7 +45,7 @@ class Factors(NamedTuple):
     b2: float
 
 
-@jit
+@allocating
 def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex, complex, complex]:
     """The roots of s^4 + c3 s^3 + c2 s^2 + c1 s + c0, by absolute value, by Aberth's method.
 

@@ -30,7 +30,7 @@ class Address(NamedTuple):
     token: str | None
 
 
-_STARTING: Final = "starting a local service (compiling for the first time takes a minute)"
+_STARTING: Final = "starting a local service"
 
 #: Signals that end a command, which then removes its temporary folder and ends its worker processes.
 _SIGNALS: Final = (signal.SIGTERM, signal.SIGHUP)

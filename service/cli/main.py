@@ -17,7 +17,7 @@ from service.tokens import AUTO, data_folder, write_private
 #: Shells that can complete.
 SHELLS: Final = ("bash", "zsh", "fish")
 
-_STARTING: Final = "starting workers (compiling for the first time takes a minute)"
+_STARTING: Final = "starting workers"
 
 
 @click.group(

@@ -25,7 +25,6 @@ from service.results.diagram import Diagram
 from service.results.multistability import Multistability
 from service.results.selection import Sweep, nearest_index
 from service.results.trajectory import TrajectorySpec
-from worker import kernel_cache
 from worker.orbits import Mode
 
 
@@ -202,6 +201,4 @@ def branches(
 
 
 def warm() -> None:
-    """Import what the others need, and load the compiled kernels if they are kept in a cache."""
-    if kernel_cache.claim_cache() is not None:
-        kernel_cache.warm()
+    """Import what the others need: this module did."""

@@ -30,7 +30,7 @@ from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.errors import ClusterLost
-from worker.kernel_cache import CacheRefused, claim_cache, warm
+from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
 #: Seconds after which a thread that computes lets another one run: requests wait for it.
@@ -70,9 +70,6 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
         _with_own_token(settings, listener) as complete,
         _computing(settings, executor) as chosen,
     ):
-        if executor is None:
-            with _startup_errors():
-                _warm_in_background()
         with _startup_errors():
             server = WebServer(create_app(complete, chosen), settings, listener)
         thread = threading.Thread(target=server.serve_until_stopped, name="bounce-server")
@@ -254,12 +251,3 @@ def _warm_answers(background: Processes) -> None:
     """Start the first process that computes answers, before the first request."""
     with suppress(NotComputed):  # the service was stopped meanwhile
         background.run(answers.warm)
-
-
-def _warm_in_background() -> None:
-    """Load the compiled kernels, with which this process computes trajectories, before the first request.
-
-    The workers have compiled them into the cache by now. Without a cache the first request compiles.
-    """
-    if claim_cache() is not None:
-        threading.Thread(target=warm, name="warm", daemon=True).start()

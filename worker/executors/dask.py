@@ -72,7 +72,7 @@ class Dask:
     Workers that differ from this process in what stored bytes depend on, or do not see the same folder (or
     bucket) `stores`, get no chunk: see `worker.executors.admission`.
 
-    Returns when the workers present have compiled their kernels; later workers compile on joining.
+    Returns when the workers present have been judged; later workers are judged on joining.
     Raises ClusterLost if no scheduler answers within `timeout` seconds, or no worker of its own can compute.
     """
 

@@ -1,7 +1,6 @@
 """The plugin that prepares a Dask worker for tasks, or refuses it, and ends its process quickly.
 
-Imports no kernel: a worker unpickles the plugin, and so imports this module, before it has claimed its
-kernel cache. For the same reason `worker/executors/__init__.py` is empty.
+Imports no kernel: a worker unpickles the plugin before it is known whether it can import one.
 """
 
 import asyncio
@@ -12,14 +11,13 @@ import signal
 import sys
 import threading
 import time
-from functools import partial
 from typing import Any
 
 from distributed import Status, WorkerPlugin
 
 from worker.executors.admission import Requirements
 from worker.executors.sent_plugin import JUDGE_SECONDS, log_event, refuse, set_available
-from worker.kernel_cache import claim_cache, warm
+from worker.kernel_cache import use_cache
 
 #: Time for the last event to reach the scheduler before the process ends, and the longest that chunks may
 #: take to pause before.
@@ -27,7 +25,7 @@ REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 
 
 class PreparedWorker(WorkerPlugin):
-    """Compiles all kernels on every worker that starts or joins, before it takes a task, or refuses it.
+    """Judges every worker that starts or joins before it takes a task; a job's first chunk compiles its kernel.
 
     `root` is the folder of the kernel caches; None: the default of `worker.kernel_cache`. A refused worker
     stays, and the scheduler gives it no task until it meets the requirements.
@@ -38,10 +36,8 @@ class PreparedWorker(WorkerPlugin):
         self._removed = False
 
     async def setup(self, worker: Any) -> None:
-        """Called by distributed in the worker's process. Compiles in a thread, beside the event loop."""
+        """Called by distributed in the worker's process."""
         _quiet_when_closing(worker)
-        with contextlib.suppress(Exception):  # `warm` raises it again, and the worker is refused
-            claim_cache(self._root)
         await self._judge(worker)
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
             # Batch queues end all processes of a job at once: this one too, and not through its nanny.
@@ -64,14 +60,18 @@ class PreparedWorker(WorkerPlugin):
 
     async def _judge(self, worker: Any) -> None:
         """Admit or refuse the worker; a refused one is judged again later."""
-        prepare = partial(warm, self._root)
-        reason = await asyncio.to_thread(self._requirements.judge, worker.state.nthreads, prepare)
+        reason = await asyncio.to_thread(self._requirements.judge, worker.state.nthreads, self._prepare)
         if reason:
             refuse(worker, reason)
             worker.loop.call_later(JUDGE_SECONDS, self._judge_again, worker)
         else:
             set_available(worker, available=True)
             log_event(worker, admitted=True)
+
+    def _prepare(self) -> None:
+        """Import what computes chunks. Raises whatever that raises, and CacheRefused."""
+        use_cache(self._root)
+        import worker.tasks  # noqa: F401, PLC0415 - a worker without the kernel is refused, not broken
 
     async def _judge_again(self, worker: Any) -> None:
         if not self._removed:

@@ -1,0 +1,418 @@
+"""How numba compiles the kernel: inner functions are typed once, each entry is optimised once.
+
+numba optimises and emits every function by itself, and again in each of its callers. Here an *inner* function
+is only typed and lowered. An *entry*, a function that Python calls, links all that it calls, directly or not,
+and is optimised and emitted once. A kernel of a hundred functions compiles in a third of the time.
+
+A cache (`set_cache`) keeps two files for each entry and signature: the linked code before optimisation, which
+is the same on all processors, and the machine code of one processor. A file appears whole or not at all,
+so any number of processes share a folder; of several that need the same entry one compiles it.
+
+All that rests on numba's internals is in this module. `tests/unit/kernel/test_compilation.py` fails when numba
+changes them. With BOUNCE_PLAIN_NJIT=1 `numba.njit` compiles the kernel instead, without a cache.
+"""
+
+import fcntl
+import gc
+import hashlib
+import os
+import pickle
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, ClassVar, Final, NamedTuple
+
+import llvmlite.binding as llvm
+from numba import types
+from numba.core import typed_passes as typed
+from numba.core import untyped_passes as untyped
+from numba.core.codegen import CodeLibrary, JITCodeLibrary
+from numba.core.compiler import CompilerBase, CompileResult, Flags
+from numba.core.compiler_machinery import PassManager
+from numba.core.environment import lookup_environment
+from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
+
+#: numba's passes that kernels need, in its order. The others look for what kernels do not have, such as
+#: `with`, `literal_unroll` or functions inlined as Python.
+_PASSES: Final = (
+    untyped.TranslateByteCode,
+    untyped.FixupArgs,
+    untyped.IRProcessing,
+    untyped.InlineClosureLikes,
+    untyped.RewriteSemanticConstants,
+    untyped.DeadBranchPrune,
+    untyped.GenericRewrites,
+    untyped.ReconstructSSA,
+    typed.NopythonTypeInference,
+    typed.PreLowerStripPhis,
+    typed.IRLegalization,
+    typed.NativeLowering,
+    typed.NoPythonBackend,
+)
+
+
+#: The modules of operators and functions whose types `_Typing` remembers, and the types of their arguments.
+_BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.intrinsics"})
+_VALUES: Final = frozenset(
+    {types.Float, types.Integer, types.IntegerLiteral, types.Boolean, types.BooleanLiteral, types.Complex, types.Array}
+)
+
+#: LLVM's level of optimisation, and how often: level 3 makes kernels no faster.
+_SPEED_LEVEL: Final = 2
+_ROUNDS: Final = 2
+
+
+class Compilation(NamedTuple):
+    """An entry that this process compiles, or that it waits for while another process compiles it."""
+
+    kernel: str  # the function and the contact model, such as "run_lockstep of rigid"
+    began: float  # time.time()
+
+
+#: Where entries are kept; None: nowhere.
+_folder: Path | None = None
+
+#: What the threads of this process compile, by thread.
+_under_way: dict[int, Compilation] = {}
+
+
+def set_cache(folder: Path | None) -> None:
+    """Keep compiled entries in a folder that exists; whoever can write to it decides what code runs here."""
+    global _folder  # noqa: PLW0603 - one cache for all kernels of a process
+    _folder = folder
+
+
+def compilations() -> list[Compilation]:
+    """What this process compiles or loads at present."""
+    return list(_under_way.values())
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """No collection of garbage: a compiler makes millions of objects that stay until it is done."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
+@contextmanager
+def _announced(kernel: str) -> Iterator[None]:
+    thread = threading.get_ident()
+    _under_way[thread] = Compilation(kernel, time.time())
+    try:
+        yield
+    finally:
+        del _under_way[thread]
+
+
+class _InnerLibrary(JITCodeLibrary):
+    """The code of one inner function, as lowered, and the libraries that it calls."""
+
+    def add_linking_library(self, library: CodeLibrary) -> None:
+        """Note a library, which stays as it is."""
+        self._linking_libraries.append(library)
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Leave it to the entry."""
+        ll_module.data_layout = self._codegen._data_layout
+
+
+class _EntryLibrary(_InnerLibrary):
+    """The code of an entry with that of all that it calls."""
+
+    #: The linked code before optimisation.
+    bitcode: bytes = b""
+
+    def finalize(self) -> None:
+        """Link, optimise and emit."""
+        for library in _called(self):
+            self._reload_init.update(library._reload_init)
+            module = library._get_module_for_linking() if library._finalized else _linkable(library)
+            self._final_module.link_in(module, preserve=True)
+        self._linking_libraries = []
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name == "linkonce_odr":
+                function.linkage = "internal"  # LLVM inlines what is called once, and drops what is not
+        self.bitcode = self._final_module.as_bitcode()
+        super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        """Optimise twice: what is inlined in the first round is simple enough for vectors in the second."""
+        module, codegen = self._final_module, self._codegen
+        cheap, builder = codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        cheap.run(module, builder)
+        options = llvm.create_pipeline_tuning_options(speed_level=_SPEED_LEVEL)
+        options.loop_vectorization = True
+        for _ in range(_ROUNDS):
+            builder = llvm.create_pass_builder(codegen._tm, options)
+            builder.getModulePassManager().run(module, builder)
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """The address of the entry; numba would look it up in a module that loaded machine code lacks."""
+        self._ensure_finalized()
+        address: int = self._codegen._engine.get_function_address(name)
+        return address
+
+    @classmethod
+    def from_bitcode(cls, codegen: Any, name: str, bitcode: bytes) -> "_EntryLibrary":
+        """Optimise and emit linked code."""
+        library = cls(codegen, name)
+        library.enable_object_caching()
+        library._final_module = llvm.parse_bitcode(bitcode)
+        library._optimize_final_module()
+        library._finalize_final_module()
+        return library
+
+    @classmethod
+    def from_object(cls, codegen: Any, name: str, code: bytes) -> "_EntryLibrary":
+        """Load machine code."""
+        library = cls(codegen, name)
+        library.enable_object_caching()
+        library._set_compiled_object(code)
+        library._finalize_final_module()
+        return library
+
+
+def _called(library: CodeLibrary) -> list[CodeLibrary]:
+    """The libraries that `library` calls, directly or through others that are not finalised, once each."""
+    seen: dict[CodeLibrary, None] = {}
+    waiting = [library]
+    while waiting:
+        for called in waiting.pop()._linking_libraries:
+            if called not in seen:
+                seen[called] = None
+                if not called._finalized:
+                    waiting.append(called)
+    return list(seen)
+
+
+def _linkable(library: CodeLibrary) -> Any:
+    """A copy of a library's code whose functions may be inlined and dropped."""
+    module = library._final_module.clone()
+    for function in module.functions:
+        if not function.is_declaration and function.linkage.name == "external":
+            function.linkage = "linkonce_odr"
+    return module
+
+
+class _Flags(Flags):
+    """numba's flags, compared faster: it does so 200 times for each function."""
+
+    __slots__ = ()
+
+    def __hash__(self) -> int:
+        return hash((len(self._values), self._values.get("forceinline"), self._values.get("nrt")))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Flags) and self._values == other._values
+
+
+class _Typing:
+    """numba's typing context, which remembers the types of operators: numba tries dozens each time."""
+
+    _known: ClassVar[dict[tuple[Any, ...], Any]] = {}
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+    def resolve_function_type(self, function: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        """The signature of a call."""
+        module = getattr(getattr(function, "typing_key", None), "__module__", None)
+        if kws or module not in _BUILT_IN or not all(type(each) in _VALUES for each in args):
+            return self._context.resolve_function_type(function, args, kws)
+        call = (function.typing_key, args)
+        if call not in self._known:
+            self._known[call] = self._context.resolve_function_type(function, args, kws)
+        return self._known[call]
+
+
+class _Compiler(CompilerBase):
+    """numba's compiler with the passes above."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, args: Any, result: Any, flags: Any, locals: Any):
+        super().__init__(_Typing(typing), target, library, args, result, _Flags(flags), locals)
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = PassManager("kernel")
+        for needed in _PASSES:
+            passes.add_pass(needed, needed.__name__)
+        passes.finalize()
+        return [passes]
+
+
+class Inner(_Compiler):
+    """Types and lowers a function for its callers."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """The result, whose entry point is but a key by which callers find it."""
+        state = self.state
+        state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
+        state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
+        result = super().compile_extra(func)
+        key = [].append  # numba takes built-in functions only, and this is a new one
+        state.targetctx.insert_user_function(key, result.fndesc, [result.library])
+        return result._replace(entry_point=key)
+
+
+class _EntryCompiler(_Compiler):
+    """Compiles a function for Python with all that it calls."""
+
+    def compile_extra(self, func: Any) -> Any:
+        state = self.state
+        state.flags.no_cfunc_wrapper = True
+        state.library = library = _EntryLibrary(state.targetctx.codegen(), func.__qualname__)
+        library.enable_object_caching()
+        result = super().compile_extra(func)
+        for environment in _environments(library):
+            library.codegen.set_env(environment.env_name, environment)
+        return result
+
+
+def _environments(library: Any) -> list[Any]:
+    """numba's environments, Python objects that compiled code refers to, of an entry."""
+    found = [lookup_environment(variable.name) for variable in library._final_module.global_variables]
+    return [environment for environment in found if environment is not None and environment.can_cache()]
+
+
+class Entry(CPUDispatcher):
+    """A function for Python: compiled with all that it calls, or read from the cache."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions={"nopython": True, **options}, pipeline_class=_EntryCompiler)
+        self._cache = _EntryCache(function)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile the function for arguments of these types, or load it, unless that is done."""
+        arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
+        if arguments in self.overloads:
+            return super().compile(sig)
+        with _announced(self._cache.described(arguments)), self._cache.locked(arguments), _no_collection():
+            return super().compile(sig)
+
+
+class _EntryCache:
+    """The cached signatures of an entry, as numba's dispatchers use a cache."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._short = function.__name__.strip("_")
+
+    @property
+    def cache_path(self) -> str | None:
+        """Read by numba's statistics."""
+        return str(_folder) if _folder else None
+
+    def flush(self) -> None:
+        """Called by `recompile`, which kernels do not use."""
+
+    def described(self, arguments: tuple[Any, ...]) -> str:
+        """The function and the contact model that its first argument belongs to."""
+        model = _module(arguments).rpartition(".")[2]
+        return f"{self._short} of {model}" if model else self._short
+
+    def load_overload(self, sig: Any, target: Any) -> Any:
+        """The compiled function, or None."""
+        target.refresh()
+        codegen = target.codegen()
+        if (path := self._path(sig)) is None:
+            return None
+        if (found := _load(path.with_name(f"{path.name}.{_processor(codegen)}"))) is not None:
+            code, facts = found
+            return _rebuilt(target, _EntryLibrary.from_object(codegen, self._name, code), facts)
+        if (found := _load(path)) is not None:
+            bitcode, facts = found
+            library = _EntryLibrary.from_bitcode(codegen, self._name, bitcode)
+            result = _rebuilt(target, library, facts)
+            _save(path.with_name(f"{path.name}.{_processor(codegen)}"), (library._get_compiled_object(), facts))
+            return result
+        return None
+
+    def save_overload(self, sig: Any, result: CompileResult) -> None:
+        """Keep a compiled function."""
+        if (path := self._path(sig)) is None:
+            return
+        library, described = result.library, result.fndesc
+        described.typemap = described.calltypes = None  # cannot be pickled, and is not needed any more
+        facts = (described, result.environment, result.signature, result.reload_init, _environments(library))
+        _save(path, (library.bitcode, facts))
+        codegen = result.codegen
+        _save(path.with_name(f"{path.name}.{_processor(codegen)}"), (library._get_compiled_object(), facts))
+
+    @contextmanager
+    def locked(self, arguments: tuple[Any, ...]) -> Iterator[None]:
+        """One process at a time compiles a signature; others wait, and find it in the cache."""
+        path = self._path(arguments)
+        with open(os.devnull if path is None else f"{path}.lock", "a") as lock:
+            with suppress(OSError):  # a file system without locks: compiled more than once
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def _path(self, sig: Any) -> Path | None:
+        """The file of a signature before optimisation; None where nothing is cached.
+
+        A model that is not part of the kernel is not: the folder is named after the kernel's sources.
+        """
+        arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
+        module = _module(arguments)
+        if _folder is None or not (module or "kernel.").startswith("kernel."):
+            return None
+        identity = hashlib.sha256(f"{self._name} {module} {arguments}".encode()).hexdigest()[:12]
+        return _folder / f"{self.described(arguments).replace(' ', '-')}-{identity}"
+
+
+def _module(arguments: tuple[Any, ...]) -> str:
+    """The module of the class of the first argument, "" if it is no NamedTuple."""
+    kind = getattr(arguments[0], "instance_class", None) if arguments else None
+    return kind.__module__ if kind is not None else ""
+
+
+def _processor(codegen: Any) -> str:
+    """Identifies the processor that machine code is for."""
+    return hashlib.sha256(repr(codegen.magic_tuple()).encode()).hexdigest()[:8]
+
+
+def _rebuilt(target: Any, library: _EntryLibrary, facts: Any) -> CompileResult:
+    """numba's result of a compilation, from an emitted library."""
+    described, environment, signature, reload_init, environments = facts
+    for function in reload_init:
+        function()
+    entry_point = target.get_executable(library, described, environment)
+    for referenced in environments:
+        library.codegen.set_env(referenced.env_name, referenced)
+    return CompileResult(
+        typing_context=target.typing_context, target_context=target, entry_point=entry_point,
+        typing_error=None, type_annotation="", signature=signature, objectmode=False, lifted=(),
+        fndesc=described, library=library, call_helper=None, environment=environment, metadata=None,
+        reload_init=reload_init, referenced_envs=environments,
+    )  # fmt: skip
+
+
+def _load(path: Path) -> Any:
+    """What `_save` wrote; None if there is nothing, or a damaged file."""
+    try:
+        return pickle.loads(path.read_bytes())
+    except (OSError, EOFError, pickle.UnpicklingError):
+        return None
+
+
+def _save(path: Path, content: Any) -> None:
+    """Write a file whole; where that cannot be done, the next process compiles again."""
+    draft = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
+    try:
+        draft.write_bytes(dumps(content))
+        draft.replace(path)
+    except OSError:
+        with suppress(OSError):
+            draft.unlink()
