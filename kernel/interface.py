@@ -8,13 +8,10 @@ of a contact or flight; a horizon is the time at which it is cut off, a budget t
 a phase function it may use.
 """
 
-
 from typing import Any
 
 from kernel.numerics.first_root import Phase
 from kernel.numerics.jit import by_type, jit
-
-
 
 
 @by_type

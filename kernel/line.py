@@ -44,7 +44,7 @@ from kernel.models import soft_lanes as _soft_lanes  # noqa: F401 - registers th
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lockstep import Lanes, allocate_lanes, run_lockstep
 from kernel.numerics.first_root import ROOT
-from kernel.numerics.jit import allocating, jit
+from kernel.numerics.jit import allocating
 from kernel.params import LANES, STATE_FIELDS, KernelInputError, Line, Start, empty_line
 from kernel.validation import check_arrays, check_early, check_window, checked_state, checked_states
 

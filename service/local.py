@@ -45,9 +45,8 @@ LOOK_SECONDS: Final = 0.05
 #: Seconds that an interrupted run waits for its chunks to see that it was cancelled.
 CANCEL_SECONDS: Final = 0.8
 
-#: Seconds of compiling after which it is told, and how.
+#: Seconds of compiling after which it is told.
 MESSAGE_SECONDS: Final = 1.0
-_COMPILING: Final = "compiling the kernel of this contact; later runs find it in the cache"
 
 #: Called with the job after every look at it.
 ProgressCallback = Callable[[JobStatus], None]
@@ -245,12 +244,20 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
 
     # In a thread: the compiler does not return to Python for seconds, and an exception may be lost in it.
     thread = threading.Thread(target=compile_it, name="compile", daemon=True)
-    shown = display_elapsed(_COMPILING, after=MESSAGE_SECONDS) if progress is True else nullcontext()
+    shown = display_elapsed(_compiling, after=MESSAGE_SECONDS) if progress is True else nullcontext()
     with shown:
         thread.start()
         thread.join()
     if failures:
         raise failures[0]
+
+
+def _compiling() -> str:
+    """What is compiled at present."""
+    from kernel.numerics.compilation import compilations
+
+    kernel = next((compilation.kernel for compilation in compilations()), "the last one")
+    return f"compiling kernel 1 of 1, {kernel}; later runs find it in the cache"
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

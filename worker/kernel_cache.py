@@ -1,8 +1,8 @@
 """Where compiled kernels are kept: ROOT/DIGEST, shared by all processes of this user.
 
 DIGEST identifies the kernel's sources and the compiler. ROOT is the argument of `use_cache`, else
-`NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Whoever can write to ROOT decides what code
-runs here, so it is made for this user alone, and one that others own or can write to is refused.
+`NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Whoever can write to ROOT decides what
+code runs here, so it is made for this user alone, and one that others own or can write to is refused.
 """
 
 import hashlib

@@ -25,8 +25,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel.interface import dimension
 from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start
+from kernel.trajectory import sample
 from worker import schema, store
 from worker.cost import cells_at_once
 from worker.grid_plan import Block
@@ -509,18 +511,20 @@ def _in_visiting_order(spec: SweepSpec, chunk: Chunk, array: NDArray[Any]) -> ND
 
 
 def compile_kernels() -> None:
-    """Compile the kernels of all contact models, by computing one cell with each."""
+    """Compile everything that some job or answer needs, or load it: models, exponents, trajectories."""
     axis = np.ones(1)
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
-        LineRun(
-            axis, axis, axis, plate=plate_of(contact, axis, axis, axis),
-            carry=False, settle=0, observe=1, keep=1,
-        ).advance()  # fmt: skip
+        plate = plate_of(contact, axis, axis, axis)
+        for exponents in {0, dimension(plate)}:
+            LineRun(
+                axis, axis, axis, plate=plate, carry=False, settle=0, observe=1, keep=1, exponents=exponents
+            ).advance()
+        sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what computes the sweep, or load it: some of it `compile_kernels` leaves out.
+    """Compile what computes the sweep, or load it.
 
     Once compiled, it takes a fraction of a millisecond: one plate period of the first cell.
     """

@@ -12,11 +12,13 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
+from functools import partial
 from io import UnsupportedOperation
 from typing import Any, Final
 
 from distributed import get_worker
 
+from kernel.numerics.compilation import compilations
 from worker import store
 from worker.basins.spec import GridSpec
 from worker.spec import SweepSpec
@@ -32,7 +34,8 @@ from worker.tasks import (
 )
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
-#: watchdog terminates the worker over it.
+#: watchdog terminates the worker over it; `{"compiling", "began", "store"}` twice a second while a kernel is
+#: compiled.
 TOPIC: Final = "bouncing-spring"
 
 #: The interval of the checks, and that of the cancel flag, which may be in a distant bucket.
@@ -73,7 +76,7 @@ def run_watched(
     sweep = spec.sweep() if isinstance(spec, GridSpec) else spec
     if isinstance(sweep, SweepSpec):
         try:
-            _compile(sweep, store_url)  # not on the chunk's time
+            _compile(sweep, store_url, partial(worker.log_event, TOPIC))  # not on the chunk's time
         except ChunkCancelled as cancelled:
             return cancelled
     hard_limit = _hard_limit(seconds + HARD_LIMIT_SECONDS)
@@ -84,11 +87,11 @@ def run_watched(
             return stopped
 
 
-def _compile(sweep: SweepSpec, store_url: str) -> None:
+def _compile(sweep: SweepSpec, store_url: str, log_event: Callable[[dict[str, Any]], None]) -> None:
     """Compile what computes the sweep, or load it. Raises ChunkCancelled if its job is cancelled meanwhile.
 
     Compilation can take a minute and cannot be interrupted. It goes on in its thread after a cancel, for the
-    chunks that follow.
+    chunks that follow. Meanwhile events tell what is compiled, for which store.
     """
     compiled: Future[None] = Future()
 
@@ -102,6 +105,8 @@ def _compile(sweep: SweepSpec, store_url: str) -> None:
 
     threading.Thread(target=compile_in_thread, name="compile", daemon=True).start()
     while not wait([compiled], FLAG_SECONDS).done:
+        for kernel, began in compilations():
+            log_event({"compiling": kernel, "began": began, "store": store_url})
         with contextlib.suppress(OSError):  # a bucket out of reach is no reason to stop
             if store.is_cancelled(store_url):
                 raise ChunkCancelled(f"cancelled: {store_url}")

@@ -8,8 +8,9 @@ A cache (`set_cache`) keeps two files for each entry and signature: the linked c
 is the same on all processors, and the machine code of one processor. A file appears whole or not at all,
 so any number of processes share a folder; of several that need the same entry one compiles it.
 
-All that rests on numba's internals is in this module. `tests/unit/kernel/test_compilation.py` fails when numba
-changes them. With BOUNCE_PLAIN_NJIT=1 `numba.njit` compiles the kernel instead, without a cache.
+All that rests on numba's internals is in this module and `kernel.numerics.jit`;
+`tests/unit/kernel/test_compilation.py` fails when numba changes them. With BOUNCE_PLAIN_NJIT=1 `numba.njit`
+compiles the kernel instead, without a cache.
 """
 
 import fcntl
@@ -20,7 +21,7 @@ import pickle
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -56,9 +57,10 @@ _PASSES: Final = (
 
 #: The modules of operators and functions whose types `_Typing` remembers, and the types of their arguments.
 _BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.intrinsics"})
-_VALUES: Final = frozenset(
-    {types.Float, types.Integer, types.IntegerLiteral, types.Boolean, types.BooleanLiteral, types.Complex, types.Array}
-)
+_VALUES: Final = (
+    types.Float, types.Complex, types.Integer, types.IntegerLiteral, types.Boolean, types.BooleanLiteral,
+    types.Array,
+)  # fmt: skip
 
 #: LLVM's level of optimisation, and how often: level 3 makes kernels no faster.
 _SPEED_LEVEL: Final = 2
@@ -71,6 +73,8 @@ class Compilation(NamedTuple):
     kernel: str  # the function and the contact model, such as "run_lockstep of rigid"
     began: float  # time.time()
 
+
+_CHECKSUM_BYTES: Final = 32
 
 #: Where entries are kept; None: nowhere.
 _folder: Path | None = None
@@ -136,7 +140,7 @@ class _EntryLibrary(_InnerLibrary):
             self._reload_init.update(library._reload_init)
             module = library._get_module_for_linking() if library._finalized else _linkable(library)
             self._final_module.link_in(module, preserve=True)
-        self._linking_libraries = []
+        self._linking_libraries: list[CodeLibrary] = []
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage.name == "linkonce_odr":
                 function.linkage = "internal"  # LLVM inlines what is called once, and drops what is not
@@ -241,8 +245,10 @@ class _Typing:
 class _Compiler(CompilerBase):
     """numba's compiler with the passes above."""
 
-    def __init__(self, typing: Any, target: Any, library: Any, args: Any, result: Any, flags: Any, locals: Any):
-        super().__init__(_Typing(typing), target, library, args, result, _Flags(flags), locals)
+    def __init__(
+        self, typing: Any, target: Any, library: Any, args: Any, returned: Any, flags: Any, locals: Any
+    ) -> None:
+        super().__init__(_Typing(typing), target, library, args, returned, _Flags(flags), locals)
 
     def define_pipelines(self) -> list[PassManager]:
         passes = PassManager("kernel")
@@ -261,7 +267,7 @@ class Inner(_Compiler):
         state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
         state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
         result = super().compile_extra(func)
-        key = [].append  # numba takes built-in functions only, and this is a new one
+        key: Any = [].append  # numba takes built-in functions only, and this is a new one
         state.targetctx.insert_user_function(key, result.fndesc, [result.library])
         return result._replace(entry_point=key)
 
@@ -328,14 +334,15 @@ class _EntryCache:
         codegen = target.codegen()
         if (path := self._path(sig)) is None:
             return None
-        if (found := _load(path.with_name(f"{path.name}.{_processor(codegen)}"))) is not None:
+        machine_code = _machine_code(path, codegen)
+        if (found := _load(machine_code)) is not None:
             code, facts = found
             return _rebuilt(target, _EntryLibrary.from_object(codegen, self._name, code), facts)
         if (found := _load(path)) is not None:
             bitcode, facts = found
             library = _EntryLibrary.from_bitcode(codegen, self._name, bitcode)
             result = _rebuilt(target, library, facts)
-            _save(path.with_name(f"{path.name}.{_processor(codegen)}"), (library._get_compiled_object(), facts))
+            _save(machine_code, (library._get_compiled_object(), facts))
             return result
         return None
 
@@ -347,16 +354,17 @@ class _EntryCache:
         described.typemap = described.calltypes = None  # cannot be pickled, and is not needed any more
         facts = (described, result.environment, result.signature, result.reload_init, _environments(library))
         _save(path, (library.bitcode, facts))
-        codegen = result.codegen
-        _save(path.with_name(f"{path.name}.{_processor(codegen)}"), (library._get_compiled_object(), facts))
+        _save(_machine_code(path, result.codegen), (library._get_compiled_object(), facts))
 
     @contextmanager
     def locked(self, arguments: tuple[Any, ...]) -> Iterator[None]:
         """One process at a time compiles a signature; others wait, and find it in the cache."""
         path = self._path(arguments)
-        with open(os.devnull if path is None else f"{path}.lock", "a") as lock:
-            with suppress(OSError):  # a file system without locks: compiled more than once
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        with ExitStack() as stack:
+            with suppress(OSError):  # a disk that is read-only, or without locks: compiled more than once
+                if path is not None:
+                    lock = stack.enter_context(Path(f"{path}.lock").open("a"))
+                    fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
     def _path(self, sig: Any) -> Path | None:
@@ -378,9 +386,10 @@ def _module(arguments: tuple[Any, ...]) -> str:
     return kind.__module__ if kind is not None else ""
 
 
-def _processor(codegen: Any) -> str:
-    """Identifies the processor that machine code is for."""
-    return hashlib.sha256(repr(codegen.magic_tuple()).encode()).hexdigest()[:8]
+def _machine_code(path: Path, codegen: Any) -> Path:
+    """The file of the machine code for this processor, beside that of the code before optimisation."""
+    processor = hashlib.sha256(repr(codegen.magic_tuple()).encode()).hexdigest()[:8]
+    return path.with_name(f"{path.name}.{processor}")
 
 
 def _rebuilt(target: Any, library: _EntryLibrary, facts: Any) -> CompileResult:
@@ -402,16 +411,19 @@ def _rebuilt(target: Any, library: _EntryLibrary, facts: Any) -> CompileResult:
 def _load(path: Path) -> Any:
     """What `_save` wrote; None if there is nothing, or a damaged file."""
     try:
-        return pickle.loads(path.read_bytes())
-    except (OSError, EOFError, pickle.UnpicklingError):
+        content = path.read_bytes()
+    except OSError:
         return None
+    checksum, pickled = content[:_CHECKSUM_BYTES], content[_CHECKSUM_BYTES:]
+    return pickle.loads(pickled) if hashlib.sha256(pickled).digest() == checksum else None
 
 
 def _save(path: Path, content: Any) -> None:
     """Write a file whole; where that cannot be done, the next process compiles again."""
     draft = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:
-        draft.write_bytes(dumps(content))
+        pickled = dumps(content)
+        draft.write_bytes(hashlib.sha256(pickled).digest() + pickled)
         draft.replace(path)
     except OSError:
         with suppress(OSError):

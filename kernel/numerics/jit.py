@@ -56,7 +56,9 @@ class _Kernel(CPUDispatcher):
 def _declare(function: _Function, options: dict[str, Any]) -> _Function:
     if PLAIN or numba.config.DISABLE_JIT:
         return cast(_Function, numba.njit(**options)(function))
-    return cast(_Function, _Kernel(function, targetoptions={"nopython": True, **options}, pipeline_class=Inner))
+    return cast(
+        _Function, _Kernel(function, targetoptions={"nopython": True, **options}, pipeline_class=Inner)
+    )
 
 
 def jit(function: _Function) -> _Function:
@@ -68,7 +70,7 @@ def jit(function: _Function) -> _Function:
 
 
 def inlined(function: _Function) -> _Function:
-    """As `jit`, but inlined into every caller, whatever its size: chosen by profile, as compiling takes longer."""
+    """As `jit`, but inlined into every caller, whatever its size: chosen by profile."""
     return _declare(function, _INLINED)
 
 
@@ -79,7 +81,7 @@ def allocating(function: _Function) -> _Function:
 
 def compilable(function: _Function) -> _Function:
     """Let compiled code call a plain Python function, which stays one for its other callers."""
-    return cast(_Function, register_jitable(**_OPTIONS, **_pipeline())(function))
+    return register_jitable(**_OPTIONS, **_pipeline())(function)  # type: ignore[no-any-return]
 
 
 def _pipeline() -> dict[str, Any]:

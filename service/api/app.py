@@ -116,7 +116,7 @@ def _service(
         ),
         background=background,
         listener_limit=ListenerLimit(settings.max_listeners),
-        progress_stream=ProgressStream(ledger),
+        progress_stream=ProgressStream(ledger, manager.compiling),
         readiness=readiness,
         metrics=metrics,
     )

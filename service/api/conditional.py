@@ -10,6 +10,7 @@ from fastapi.routing import APIRoute
 
 from service.api.dependencies import JobDep
 from service.jobs.model import JobRecord, JobState
+from worker.executors.base import Compiling
 
 #: Entry of the API document.
 NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
@@ -17,9 +18,11 @@ NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
 }
 
 
-def job_headers(job: JobRecord, failures: int = 0, notice: str | None = None) -> dict[str, str]:
+def job_headers(
+    job: JobRecord, failures: int = 0, notice: str | None = None, compiling: Compiling | None = None
+) -> dict[str, str]:
     """ETag and Cache-Control of a job's view; the tag is weak, because it ignores the estimated time left."""
-    told = () if notice is None else (notice,)
+    told = [fact for fact in (notice, compiling and round(compiling.seconds)) if fact is not None]
     return _headers(f"W/{_tag(failures, *job.revision, *told)}")
 
 

@@ -1,13 +1,14 @@
 """Progress events: one ledger query at a time serves all listeners; none of them holds a thread."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Final
 
 from starlette.concurrency import run_in_threadpool
 
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
+from worker.executors.base import Compiling
 
 #: Seconds between two queries for the same listener.
 POLL_SECONDS: Final = 0.25
@@ -18,8 +19,8 @@ _Found = Mapping[str, JobRecord | None]
 class ProgressStream:
     """Polls the ledger for listeners, in the event loop; only `close` may be called from any thread."""
 
-    def __init__(self, ledger: Ledger) -> None:
-        self._ledger = ledger
+    def __init__(self, ledger: Ledger, compiling: Callable[[JobRecord], Compiling | None]) -> None:
+        self._ledger, self._compiling = ledger, compiling
         self._asked: set[str] = set()  # jobs of the next query
         self._next: asyncio.Future[_Found] | None = None
         self._querying = asyncio.Lock()
@@ -29,15 +30,20 @@ class ProgressStream:
         """End every iteration soon, so that open responses do not delay the shutdown."""
         self._closing = True
 
-    async def changes(self, job_id: str) -> AsyncIterator[JobRecord]:
-        """The job, now and after every change, until it is finished or deleted, or the service stops."""
-        revision = None
+    async def changes(self, job_id: str) -> AsyncIterator[tuple[JobRecord, Compiling | None]]:
+        """The job and what is compiled for it, until it is finished or deleted, or the service stops.
+
+        Now, after every change, and every second while a kernel is compiled.
+        """
+        revision: tuple[object, ...] | None = None
         while not self._closing:
             job = await self._find(job_id)
             if job is None:
                 return
-            if revision != (revision := job.revision):
-                yield job
+            compiling = self._compiling(job)
+            seconds = None if compiling is None else round(compiling.seconds)
+            if revision != (revision := (*job.revision, seconds)):
+                yield job, compiling
             if job.state not in UNFINISHED:
                 return
             await asyncio.sleep(POLL_SECONDS)

@@ -14,6 +14,7 @@ from service.formats import MEDIA_TYPES
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
 from worker.analysis.model_selection import ModelChoice
+from worker.executors.base import Compiling
 
 #: The codes of outcomes in answers.
 OUTCOMES: Final = ", ".join(f"{outcome.value} {outcome.name.lower()}" for outcome in Outcome)
@@ -53,6 +54,17 @@ class FailureView(BaseModel):
     tries: int
 
 
+class CompilingView(BaseModel):
+    """A kernel that is compiled before a job's first chunk."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    kernel: str = Field(description="its function and the contact model")
+    number: int = Field(description="of the kernels that the job needs, from 1")
+    of: int
+    seconds: float = Field(description="so far")
+
+
 class JobView(BaseModel):
     """A job."""
 
@@ -83,6 +95,9 @@ class JobView(BaseModel):
         description="that its chunks took, those computed again included; not known of adopted chunks"
     )
     spec: dict[str, JsonValue] | None = Field(description="null in events, and in lists if it is long")
+    compiling: CompilingView | None = Field(
+        None, description="the kernel that is compiled now, before the first chunk; null in lists"
+    )
     choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
     failures: list[FailureView] = Field([], description="empty in lists and events")
     links: dict[str, str]
@@ -475,6 +490,7 @@ def job_view(
     longest_spec: int | None = None,
     failures: Sequence[Failure] = (),
     notice: str | None = None,
+    compiling: Compiling | None = None,
 ) -> JobView:
     """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.
 
@@ -497,6 +513,7 @@ def job_view(
         pinned=job.pinned,
         core_seconds=round(job.core_seconds, 3),
         spec=None if longest_spec is not None and len(job.spec) > longest_spec else json.loads(job.spec),
+        compiling=None if compiling is None else CompilingView.model_validate(compiling),
         choice=choice_of(job),
         failures=[FailureView(**failure._asdict()) for failure in failures],
         links=_links(job.id),

@@ -40,10 +40,10 @@ def display_job(progress: bool | Callable[[AnyJob], None]) -> Iterator[Callable[
 
 
 @contextmanager
-def display_elapsed(text: str, after: float = 0.0) -> Iterator[None]:
+def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
     """Write what takes long, from `after` seconds on, with the seconds that it has taken.
 
-    On a terminal the seconds are counted in place; elsewhere a second line tells how many they were.
+    On a terminal the seconds are counted in place; elsewhere a line is written now and then.
     """
     began, ended, lock = time.monotonic(), threading.Event(), threading.Lock()
     out, shown = sys.stderr, False
@@ -53,11 +53,15 @@ def display_elapsed(text: str, after: float = 0.0) -> Iterator[None]:
         pause = after
         while not ended.wait(pause):
             with lock:
+                now = text() if callable(text) else text
+                seconds = time.monotonic() - began
                 if _is_terminal(out):
-                    print(f"\r{text} ({duration(time.monotonic() - began)})", end="", file=out, flush=True)
-                elif not shown:
-                    print(text, file=out, flush=True)
-                shown, pause = True, 1.0
+                    print(f"\r{now} ({duration(seconds)})\033[K", end="", file=out, flush=True)
+                    pause = 1.0
+                else:
+                    print(f"{now} ({duration(seconds)})" if shown else now, file=out, flush=True)
+                    pause = LINE_SECONDS
+                shown = True
 
     ticker = threading.Thread(target=show, name="elapsed", daemon=True)
     ticker.start()
@@ -101,10 +105,12 @@ class JobLines:
         self._out = out
         self._clock = clock
         self._last: tuple[str, float, float] | None = None  # state, percent and time of the last line
+        self._compiles = False
 
     def __call__(self, job: JobStatus) -> None:
         """Report the status of the job."""
-        if self._is_due(job):
+        if self._is_due(job) or (job.compiling and not self._compiles):
+            self._compiles = bool(job.compiling)
             self._last = job.state, job.progress.percent, self._clock()
             print(summary(job), file=self._out, flush=True)
 
@@ -114,7 +120,7 @@ class JobLines:
         state, percent, written = self._last
         gain = job.progress.percent - percent
         waited = self._clock() - written >= LINE_SECONDS
-        return state != job.state or gain >= LINE_PERCENT or (gain > 0 and waited)
+        return state != job.state or gain >= LINE_PERCENT or (waited and (gain > 0 or bool(job.compiling)))
 
 
 def summary(job: JobStatus) -> str:
@@ -122,7 +128,8 @@ def summary(job: JobStatus) -> str:
     progress = job.progress
     title = f"{job.id[:8]} {job.name}".rstrip()
     cells = f"{progress.cells_done:,} of {progress.cells_total:,} cells{computed_note(job)}"
-    return f"{title}: {job.state}, {progress.whole_percent}% ({cells}){time_left(job)}"
+    compiling = f", {job.compiling}" if job.compiling else ""
+    return f"{title}: {job.state}, {progress.whole_percent}% ({cells}){time_left(job)}{compiling}"
 
 
 def computed_note(job: JobStatus) -> str:
@@ -171,6 +178,8 @@ def job_html(job: JobStatus) -> str:
         f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%)"
         f"{computed_note(job)}{time_left(job)}",
     }
+    if job.compiling:
+        rows["kernel"] = escape(job.compiling)
     if job.notice:
         rows["notice"] = escape(job.notice)
     if note := settling_note(job):
@@ -205,7 +214,7 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
                 description=job.name or job.id[:8],
                 completed=progress.cells_done,
                 total=progress.cells_total,
-                note=f"{job.state}, {cells}{time_left(job)}",
+                note=f"{job.state}, {job.compiling or f'{cells}{time_left(job)}'}",
             )
 
         yield show

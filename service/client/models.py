@@ -111,6 +111,15 @@ class JobStatus:
         return self.view.get("error")
 
     @property
+    def compiling(self) -> str:
+        """The kernel that is compiled before the first chunk, and for how long; else empty."""
+        facts = self.view.get("compiling")
+        if not facts:
+            return ""
+        seconds = round(facts["seconds"])
+        return f"compiling kernel {facts['number']} of {facts['of']}, {facts['kernel']}, {seconds} s"
+
+    @property
     def repairing(self) -> bool:
         """Whether the job was done and computes stored results again that were damaged."""
         return bool(self.view.get("repairing"))

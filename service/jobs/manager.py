@@ -22,7 +22,7 @@ from service.jobs.supervisor import Supervisor
 from service.jobs.transactions import WriteTransaction
 from service.settings import Settings
 from worker.cost import check_size
-from worker.executors.base import Executor
+from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
 from worker.studies import Plan, from_json, study_of
 
@@ -43,7 +43,7 @@ class JobManager:
     """The jobs of one data folder. Its methods may be called from any thread."""
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
-        self._ledger, self._settings = ledger, settings
+        self._ledger, self._executor, self._settings = ledger, executor, settings
         self.preparer = JobPreparer(settings)
         self._deleter = Deleter(ledger, settings, self._wake)
         self._supervisor = Supervisor(ledger, executor, settings, self.preparer, self._deleter.repeat)
@@ -63,6 +63,12 @@ class JobManager:
     def cluster_fault(self) -> str | None:
         """Why no chunk is computed, as found last; None if chunks are. Returns at once."""
         return self._supervisor.cluster.explanation
+
+    def compiling(self, job: JobRecord) -> Compiling | None:
+        """The kernel that a worker compiles for a job before its first chunk. Returns at once."""
+        if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
+            return None
+        return self._executor.compiling(self._settings.store_of(job.id))
 
     @property
     def tally(self) -> Tally:

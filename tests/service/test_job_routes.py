@@ -282,7 +282,7 @@ def test_a_listener_asks_again_after_a_while(tmp_path: Path, monkeypatch: pytest
             writing.insert(NewJob("a" * 32, "", "{}", "3", (1, 1, 1), 1, 1), 1.0)
         find = ledger.find
         monkeypatch.setattr(ledger, "find", lambda job_id: asked.append(job_id) or find(job_id))
-        asyncio.run(listen(progress_stream.ProgressStream(ledger).changes("a" * 32)))
+        asyncio.run(listen(progress_stream.ProgressStream(ledger, lambda job: None).changes("a" * 32)))
 
 
 def test_many_listeners_do_not_delay_other_requests(tmp_path: Path):

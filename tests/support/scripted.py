@@ -80,6 +80,9 @@ class Held:
     def state(self) -> ClusterState:
         return ClusterState(self.capacity > 0, self.capacity)
 
+    def compiling(self, store_url: str) -> None:
+        return None
+
     def ask_for(self, seconds: float, tasks: int) -> None:
         self.asked = (seconds, tasks)
 

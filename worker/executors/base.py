@@ -43,6 +43,16 @@ class ClusterState:
         return "; ".join([fault, *([self.reason] if self.reason else []), *self.refused])
 
 
+@dataclass(frozen=True)
+class Compiling:
+    """A kernel that a worker compiles before the first chunk of a job, or loads."""
+
+    kernel: str  # its function and the contact model, as "run_lockstep of rigid"
+    number: int  # of the kernels that the job needs, from 1
+    of: int
+    seconds: float  # so far
+
+
 class Executor(Protocol):
     """Runs tasks on one or more workers and returns their results as futures.
 
@@ -91,6 +101,9 @@ class Executor(Protocol):
 
     def state(self) -> ClusterState:
         """Whether there is a cluster, and workers; returns within seconds. May be a second old."""
+
+    def compiling(self, store_url: str) -> Compiling | None:
+        """What is compiled for the job with this store, on one of the workers; returns at once."""
 
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Say that `seconds` core-seconds are left to compute, in `tasks` chunks that could run at once.

@@ -17,7 +17,7 @@ from distributed.protocol.pickle import dumps
 
 from worker import store
 from worker.executors.admission import Probe, Requirements, facts, refusal
-from worker.executors.base import USUAL, ClusterState, Result
+from worker.executors.base import USUAL, ClusterState, Compiling, Result
 from worker.executors.bundles import Bundles, Call
 from worker.executors.connection import SchedulerConnection
 from worker.executors.errors import (
@@ -40,6 +40,8 @@ from worker.tasks import ChunkReport, TaskError, Terms
 
 log = logging.getLogger(__name__)
 
+#: A worker that compiles says so every half second; silent for so long, it is done or gone.
+COMPILING_SECONDS: Final = 2.0
 #: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
 #: Why nothing can be written where the stores are.
@@ -94,6 +96,7 @@ class Dask:
         self._tasks: dict[str, _Task] = {}  # by Dask's key; used in the client's event loop only
         self._unfinished: dict[Any, set[Future[Any]]] = {}  # by client
         self._lost: WeakSet[Any] = WeakSet()  # clients
+        self._compiling: dict[str, tuple[float, str, float]] = {}  # by store: when heard, kernel, began
         self._target: Target = Fixed(None)
         self._roster, self._quarantine = Roster(), Quarantine()
         self._bundles, self._specs = Bundles(), SentSpecs()
@@ -250,6 +253,13 @@ class Dask:
             raise
         return await self._outcome(future, identity, others)
 
+    def compiling(self, store_url: str) -> Compiling | None:
+        heard, kernel, began = self._compiling.get(store_url, (-math.inf, "", 0.0))
+        if time.monotonic() - heard > COMPILING_SECONDS:
+            self._compiling.pop(store_url, None)
+            return None
+        return Compiling(kernel, 1, 1, max(time.time() - began, 0.0))
+
     def _others(self, identity: Hashable) -> list[str] | None:
         """The workers on which a chunk that failed has not failed yet; None for all, or if there are none."""
         failed_on = self._quarantine.failed_on(identity)
@@ -259,7 +269,10 @@ class Dask:
         return sorted(self._connection.threads_of().keys() - failed_on - useless) or None
 
     def _on_event(self, event: dict[str, Any]) -> None:
-        """A worker began a task, or its watchdog terminates it over one."""
+        """A worker began a task, compiles for one, or its watchdog terminates it over one."""
+        if "compiling" in event:
+            self._compiling[event["store"]] = time.monotonic(), event["compiling"], event["began"]
+            return
         task = self._tasks.get(event["key"])
         if task is None:
             return

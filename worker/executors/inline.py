@@ -1,11 +1,13 @@
 """Computes chunks in threads of this process: for `service.local`, tests, and scripts."""
 
 import math
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from worker.executors.base import USUAL, ClusterState, Result
+from kernel.numerics.compilation import compilations
+from worker.executors.base import USUAL, ClusterState, Compiling, Result
 from worker.studies import Chunk, Spec, run_task
 from worker.tasks import ChunkReport, Terms, on_terms
 
@@ -45,6 +47,11 @@ class Inline:
 
     def state(self) -> ClusterState:
         return ClusterState(self.workers() > 0, self.workers())
+
+    def compiling(self, store_url: str) -> Compiling | None:
+        """What this process compiles, for whichever job."""
+        under_way = compilations()
+        return Compiling(under_way[0].kernel, 1, 1, time.time() - under_way[0].began) if under_way else None
 
     def ask_for(self, seconds: float, tasks: int) -> None: ...
 

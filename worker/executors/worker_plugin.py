@@ -4,28 +4,32 @@ Imports no kernel: a worker unpickles the plugin before it is known whether it c
 """
 
 import asyncio
-import contextlib
 import logging
 import os
 import signal
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, Final
 
 from distributed import Status, WorkerPlugin
 
-from worker.executors.admission import Requirements
+from worker.executors.admission import Requirements, refusal
 from worker.executors.sent_plugin import JUDGE_SECONDS, log_event, refuse, set_available
 from worker.kernel_cache import use_cache
+from worker.precompile import Precompiling
 
 #: Time for the last event to reach the scheduler before the process ends, and the longest that chunks may
 #: take to pause before.
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 
 
+#: A worker that has computed nothing for so long compiles the kernels that nobody has asked for yet.
+IDLE_SECONDS: Final = 60.0
+
+
 class PreparedWorker(WorkerPlugin):
-    """Judges every worker that starts or joins before it takes a task; a job's first chunk compiles its kernel.
+    """Judges every worker that starts or joins, before it takes a task.
 
     `root` is the folder of the kernel caches; None: the default of `worker.kernel_cache`. A refused worker
     stays, and the scheduler gives it no task until it meets the requirements.
@@ -34,6 +38,8 @@ class PreparedWorker(WorkerPlugin):
     def __init__(self, requirements: Requirements, root: str | None = None) -> None:
         self._requirements, self._root = requirements, root
         self._removed = False
+        self._began = 0.0  # time.monotonic() when the last task began
+        self._precompiling: Precompiling | None = None
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
@@ -42,6 +48,29 @@ class PreparedWorker(WorkerPlugin):
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
             # Batch queues end all processes of a job at once: this one too, and not through its nanny.
             asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._leave, worker)
+
+        asyncio.get_running_loop().call_later(IDLE_SECONDS, self._use_idle_time, worker)
+
+    def transition(self, key: Any, start: str, finish: str, **_: Any) -> None:
+        """Called by distributed when a task changes its state: one that begins ends the idle time."""
+        if finish == "executing":
+            self._began = time.monotonic()
+            self._stop_precompiling()
+
+    def _use_idle_time(self, worker: Any) -> None:
+        """Compile the other kernels once nothing has been computed for IDLE_SECONDS."""
+        if self._removed:
+            return
+        idle = time.monotonic() - self._began
+        if idle < IDLE_SECONDS or worker.state.executing:
+            worker.loop.call_later(IDLE_SECONDS, self._use_idle_time, worker)
+        elif not refusal():
+            self._precompiling = Precompiling(self._root)
+
+    def _stop_precompiling(self) -> None:
+        if self._precompiling is not None:
+            self._precompiling.stop()
+            self._precompiling = None
 
     async def teardown(self, worker: Any) -> None:
         """Called by distributed when the plugin is replaced or the worker closes; then ends the process.
@@ -52,6 +81,7 @@ class PreparedWorker(WorkerPlugin):
         would notice that the process has ended.
         """
         self._removed = True
+        self._stop_precompiling()
         if worker.status == Status.closing:
             log_event(worker, leaving=True)
             if worker.nanny is not None:

@@ -15,6 +15,7 @@ from service.jobs import cost as estimates
 from service.jobs.manager import Submission
 from service.jobs.model import UNFINISHED, Failure, JobRecord
 from worker.cost import Cost
+from worker.executors.base import Compiling
 from worker.spec.window import Window
 from worker.studies import from_json
 
@@ -113,10 +114,11 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
     notice = service.manager.cluster_fault if job.state in UNFINISHED else None
-    headers = job_headers(job, len(failures), notice)
+    compiling = service.manager.compiling(job)
+    headers = job_headers(job, len(failures), notice, compiling)
     if seconds := _retry_after(job):
         headers["Retry-After"] = str(seconds)
-    return not_modified(request, headers) or _job_response(job, 200, headers, failures, notice)
+    return not_modified(request, headers) or _job_response(job, 200, headers, failures, notice, compiling)
 
 
 @router.delete(
@@ -208,8 +210,8 @@ async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[S
 
     They are named `progress` while the job is queued or running; the last one, of a finished job, `end`.
     """
-    async for record in service.progress_stream.changes(job.id):
-        view = job_view(record, longest_spec=0)
+    async for record, compiling in service.progress_stream.changes(job.id):
+        view = job_view(record, longest_spec=0, compiling=compiling)
         name = "progress" if record.state in UNFINISHED else "end"
         yield ServerSentEvent(event=name, raw_data=view.model_dump_json())
 
@@ -220,8 +222,9 @@ def _job_response(
     headers: dict[str, str] | None = None,
     failures: Sequence[Failure] = (),
     notice: str | None = None,
+    compiling: Compiling | None = None,
 ) -> Response:
-    content = job_view(job, failures=failures, notice=notice).model_dump_json()
+    content = job_view(job, failures=failures, notice=notice, compiling=compiling).model_dump_json()
     return Response(content, status, headers, "application/json")
 
 

@@ -2,7 +2,7 @@
 
 import { requestJson } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number, plural } from "../lib/format.js";
+import { duration, number, plural } from "../lib/format.js";
 import { TWO_PI } from "../lib/physics.js";
 
 export const PERIODS = 4; // plate periods shown
@@ -59,13 +59,15 @@ export class ComputingNote {
     this.hide();
     this.element.textContent = "Computing the trajectory …";
     this.element.hidden = false;
-    this.timer = setTimeout(() => {
-      this.element.textContent = "Computing the trajectory … After a start of the service, the first one may wait for the kernels to be compiled.";
+    const began = Date.now();
+    this.timer = setInterval(() => {
+      const waited = duration((Date.now() - began) / 1000);
+      this.element.textContent = `Computing the trajectory … The first one of a contact model compiles its kernel (${waited}).`;
     }, SLOW_MS);
   }
 
   hide() {
-    clearTimeout(this.timer);
+    clearInterval(this.timer);
     this.element.hidden = true;
   }
 }

@@ -22,15 +22,18 @@ export class ProgressBar {
     this.element = h("div", { className: "progress" }, this.state, this.track, this.text);
   }
 
-  show({ name, state, progress }) {
+  show({ name, state, progress, compiling }) {
     this.state.textContent = state;
     this.element.dataset.state = state;
     this.fill.style.width = `${progress.percent}%`;
     this.track.setAttribute("aria-valuenow", String(progress.percent));
     this.track.setAttribute("aria-label", `Progress of ${name || "the sweep"}`);
-    this.text.textContent = amount(state, progress);
+    this.text.textContent = compiling ? compilation(compiling) : amount(state, progress);
   }
 }
+
+const compilation = ({ kernel, number, of, seconds }) =>
+  `compiling kernel ${number} of ${of}, ${kernel}, ${duration(seconds)}`;
 
 function amount(state, { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta }) {
   const isAdaptive = (computed ?? null) !== null;
