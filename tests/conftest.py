@@ -15,9 +15,9 @@ from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
 from paths import CACHE, TESTS
 
-from worker.kernel_cache import claim_cache, warm
+from worker.kernel_cache import use_cache
 
-claim_cache(CACHE)
+use_cache(CACHE)
 
 from scripted import small  # noqa: E402 - the cache comes first
 
@@ -92,7 +92,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def cluster() -> Iterator[Dask]:
     """A Dask executor on two worker processes, shared by all tests: leave it running."""
-    warm(CACHE)  # so that on a fresh machine one process compiles instead of three
+    use_cache(CACHE)
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()

@@ -1,0 +1,192 @@
+"""How the kernel is compiled: entries once, inner functions into them, the cache shared by processes.
+
+These tests fail where numba has changed what `kernel.numerics.compilation` rests on.
+"""
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from paths import ROOT
+
+from kernel.models import rigid
+from kernel.numerics import compilation
+from kernel.numerics.compilation import Entry, compilations, set_cache
+from kernel.numerics.jit import by_type, inlined, jit
+from worker.kernel_cache import use_cache
+
+CALLS: list[str] = []
+
+
+@inlined
+def doubled(x: float) -> float:
+    return x + x
+
+
+@jit
+def quadrupled(x: float) -> float:
+    return doubled(doubled(x))
+
+
+@jit
+def summed(values: Any) -> float:
+    total = 0.0
+    for value in values:
+        total += quadrupled(value)
+    return total
+
+
+@pytest.fixture
+def folder(tmp_path: Path):
+    """A cache of its own for the functions above, which count as the kernel's."""
+    kept = compilation._folder
+    set_cache(tmp_path)
+    yield tmp_path
+    set_cache(kept)
+
+
+def entry(function: Any) -> Entry:
+    """A new entry of a kernel function, as another process would have it."""
+    return Entry(function.py_func, {"nogil": True, "error_model": "numpy"})
+
+
+def codes(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.suffix != ".lock")
+
+
+def test_inner_functions_are_not_compiled_on_their_own():
+    assert summed(np.arange(4.0)) == 24.0
+    [library] = [result.library for result in summed.entry.overloads.values()]
+    assert all(result.library._finalized is False for result in quadrupled.overloads.values())
+    assert library._finalized
+
+
+def test_an_entry_is_kept_before_and_after_optimisation(folder):
+    assert entry(quadrupled)(2.0) == 8.0
+    before, after = codes(folder)
+    assert after.startswith(f"{before}.")
+
+
+def test_an_entry_is_read_from_the_cache_by_the_next_process(folder, monkeypatch):
+    entry(quadrupled)(2.0)
+    monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", None)  # would raise
+    assert entry(quadrupled)(2.5) == 10.0
+
+
+def test_on_another_processor_only_machine_code_is_made_anew(folder, monkeypatch):
+    entry(quadrupled)(2.0)
+    before, after = codes(folder)
+    (folder / after).rename(folder / f"{before}.another")
+    monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", None)
+    assert entry(quadrupled)(2.5) == 10.0
+    assert codes(folder) == [before, after, f"{before}.another"]
+
+
+@pytest.mark.parametrize("damage", [lambda content: content[:-100], lambda content: b"", lambda content: b"?" * 500])
+def test_a_damaged_file_is_compiled_again(folder, damage):
+    entry(quadrupled)(2.0)
+    whole = {name: (folder / name).read_bytes() for name in codes(folder)}
+    for name, content in whole.items():
+        (folder / name).write_bytes(damage(content))
+    assert entry(quadrupled)(2.5) == 10.0
+    assert all((folder / name).stat().st_size > 500 for name in whole)
+
+
+def test_where_nothing_can_be_written_the_kernel_compiles_all_the_same(tmp_path):
+    kept = compilation._folder
+    set_cache(tmp_path / "removed")
+    try:
+        assert entry(quadrupled)(2.0) == 8.0
+    finally:
+        set_cache(kept)
+
+
+def test_what_is_compiled_is_told_meanwhile(folder, monkeypatch):
+    told = []
+    compile_extra = compilation._EntryCompiler.compile_extra
+
+    def observed(self: Any, function: Any) -> Any:
+        told.extend(each.kernel for each in compilations())
+        return compile_extra(self, function)
+
+    monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", observed)
+    entry(quadrupled)(2.0)
+    assert told == ["quadrupled"]
+    assert compilations() == []
+
+
+def test_a_kernel_is_named_after_its_contact_model():
+    use_cache()
+    plate = rigid.plate(restitution=np.zeros(1))
+    arguments = (np.ones(1), np.ones(1), np.ones(1))
+    assert rigid.prepare(plate, 0, 1.0, 1.0, 0.1) is not None, arguments
+    names = [path.name for path in compilation._folder.glob("prepare-of-rigid-*")]
+    assert names
+
+
+def test_threads_that_need_the_same_entry_compile_it_once(folder, monkeypatch):
+    compiled, shared = [], entry(quadrupled)
+    compile_extra = compilation._EntryCompiler.compile_extra
+
+    def counted(self: Any, function: Any) -> Any:
+        compiled.append(function)
+        return compile_extra(self, function)
+
+    monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", counted)
+    threads = [threading.Thread(target=shared, args=[2.0]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(compiled) == 1
+
+
+def test_a_function_is_chosen_by_type_in_compiled_code_and_in_python():
+    class_of = rigid.RigidPlate
+
+    @by_type
+    def number(plate: Any) -> float:
+        """A number."""
+
+    @number.register(class_of)
+    @jit
+    def _number(plate: Any) -> float:
+        return 7.0
+
+    @jit
+    def asked(plate: Any) -> float:
+        return number(plate) + 1.0
+
+    plate = rigid.plate(restitution=np.zeros(1))
+    assert (number(plate), asked(plate)) == (7.0, 8.0)
+    with pytest.raises(TypeError, match="not implemented for float"):
+        number(1.0)
+
+
+RUN = """
+import numpy as np
+from kernel.line import run_line
+from kernel.models import rigid
+axis = np.linspace(1.0, 3.0, 5)
+line = run_line(axis, axis, 0.1 * axis, plate=rigid.plate(restitution=np.full(5, 0.3)), carry=False,
+                settle=50, observe=50, keep=8)
+print(line.flight_time.tobytes().hex())
+"""
+
+
+@pytest.mark.parametrize("variable", ["BOUNCE_PLAIN_NJIT"])
+def test_plain_njit_gives_the_same_bytes(variable):
+    """The switch back, should numba change."""
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", RUN], cwd=ROOT, capture_output=True, text=True, check=True,
+            env=os.environ | {"PYTHONPATH": str(ROOT)} | more,
+        )
+        for more in ({}, {variable: "1"})
+    ]  # fmt: skip
+    assert runs[0].stdout == runs[1].stdout
