@@ -42,51 +42,25 @@ hypothesis.register_profile(
 hypothesis.register_profile("explore", hypothesis.get_profile("same"), derandomize=False, print_blob=True)
 hypothesis.load_profile("same")
 
-#: Test files that need neither a cluster nor a service in a process of its own: `pytest -m fast` runs them
-#: in less than a minute.
-FAST = frozenset(
-    TESTS / file
-    for file in (
-        "kernel/test_golden.py",
-        "kernel/test_lanes.py",
-        "kernel/test_modes.py",
-        "kernel/test_ramp.py",
-        "kernel/test_resting.py",
-        "kernel/test_rigid.py",
-        "kernel/test_settle.py",
-        "kernel/test_stepped.py",
-        "kernel/test_threshold.py",
-        "kernel/test_validation.py",
-        "worker/test_model_selection.py",
-        "worker/test_plan.py",
-        "worker/test_spec.py",
-        "worker/test_store.py",
-        "worker/test_tasks.py",
-        "service/test_job_model.py",
-        "service/test_ledger.py",
-        "service/test_pictures.py",
-        "service/test_queries.py",
-        "service/test_ready_queue.py",
-        "service/test_trajectories.py",
-        "service/test_transport.py",
-        "faults/test_earlier_release.py",
-        "page/test_page.py",
-        "test_architecture.py",
-    )
-)
+SYSTEM = TESTS / "system"
 
 
-def pytest_configure() -> None:
-    missing = sorted(str(file) for file in FAST if not file.exists())
-    if missing:
-        raise pytest.UsageError(f"tests/conftest.py lists fast tests that do not exist: {missing}")
+def pytest_configure(config: pytest.Config) -> None:
+    # As an option, which xdist hands to its processes.
+    if config.args_source is config.ArgsSource.TESTPATHS:
+        config.option.only_essential = True
 
 
-@pytest.hookimpl(tryfirst=True)  # before -m selects
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.path in FAST:
-            item.add_marker(pytest.mark.fast)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Called without paths, pytest runs the unit tests and the essential ones of the system."""
+    if getattr(config.option, "only_essential", False):
+        left_out = [
+            item
+            for item in items
+            if item.path.is_relative_to(SYSTEM) and item.get_closest_marker("essential") is None
+        ]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from paths import ROOT
 from PIL import Image
 from plates import Model, run_line
 
-from benchmarks.contacts import CONTACTS, end_of_bouncing, shift_text
+from benchmarks.contacts import end_of_bouncing, shift_text
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.descent import lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
@@ -238,15 +238,6 @@ def test_numbers(title: str):
     missing = [text for text in texts if text not in body]
     assert not missing
     assert decimals(body) - CHOSEN <= set().union(*map(decimals, texts))
-
-
-@pytest.mark.long
-def test_other_contacts():
-    assert len(LONG_ROWS) == len(TABLE_OMEGAS)
-    for row, omega in zip(LONG_ROWS, TABLE_OMEGAS, strict=True):
-        moved = [end_of_bouncing(omega, contact, 1e-4) - at(omega).down for contact in CONTACTS]
-        cells = [shift_text(value, 3) for value in moved]
-        assert row == f"| {omega:.2f} | {' | '.join(cells)} |"
 
 
 def test_scaling_of_branches():

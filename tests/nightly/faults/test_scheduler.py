@@ -41,7 +41,6 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[Restarted, str]]:
     cluster.end()
 
 
-@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_scheduler_that_freezes_and_one_that_dies(
     tmp_path: Path, scheduler: tuple[Restarted, str], capsys: pytest.CaptureFixture[str]
@@ -97,7 +96,6 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
         executor.close()
 
 
-@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_lost_schedulers_leave_no_connections(scheduler: tuple[Restarted, str]):
     """Without the client of one connection, six losses leave about ten."""

@@ -1,8 +1,6 @@
 """Workers that are told to leave: no chunk is blamed for it, and every job is computed to its end."""
 
-import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
@@ -18,8 +16,6 @@ from worker.executors.errors import WorkerDied, WorkerLeft
 from worker.kernel_cache import warm
 
 PATIENCE = 240.0
-#: The shortest lifetime of a worker (s), and how many times as long as its start it is at least.
-LIFETIME, STARTS = 5.0, 3.0
 
 
 @pytest.fixture
@@ -36,34 +32,6 @@ def long_job(service: Running) -> JobRecord:
 
 def wait_until_computing(executor: Dask, processes: Processes) -> None:
     wait_for(lambda: any(task.worker for task in executor._tasks.values()), processes.log, PATIENCE)
-
-
-@pytest.mark.timeout(700)
-def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, errors: list[BaseException]):
-    with dask_processes(tmp_path / "dask") as processes:
-        executor = Dask(processes.address, timeout=60)
-        try:
-            began = time.monotonic()
-            first = processes.worker()
-            executor.call(os.getpid).result(PATIENCE)
-            lifetime = max(LIFETIME, STARTS * (time.monotonic() - began))
-            first.terminate()
-            wait_for(lambda: executor.workers() == 0, seconds=60)
-            for _ in range(2):
-                processes.worker("--lifetime", f"{lifetime:.0f}s", "--lifetime-restart")
-            with running(tmp_path / "data", executor) as service:
-                job = service.submit(costing(chunks=100, seconds=0.3))
-                wait_for(
-                    lambda: service.job(job).state is JobState.DONE,
-                    lambda: f"{service.job(job)}\n{processes.log()}",
-                    600,
-                )
-                ended = service.job(job)
-        finally:
-            executor.close()
-        assert "worker-lifetime-reached" in processes.log()
-    assert ended.chunks_done == ended.chunks_total
-    assert blamed(errors) == []
 
 
 @pytest.mark.timeout(500)

@@ -39,10 +39,8 @@ def submitted(service: Running, spec: dict[str, Any]) -> JobRecord:
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
     "spec",
-    [  # that of basins takes longest; tests/faults/test_damage.py computes one on workers, too
-        pytest.param(spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
-        for name, spec in STUDIES.items()
-    ],
+    # That of basins takes longest; test_damage.py computes one again, in several slices.
+    [pytest.param(spec, id=name) for name, spec in STUDIES.items() if name != "basins"],
 )
 def test_a_killed_worker_a_cancel_and_another_number_of_workers_change_no_byte(
     tmp_path: Path, workers: Dask, spec: dict[str, Any]

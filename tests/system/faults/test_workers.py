@@ -2,61 +2,42 @@
 
 The long version, on a machine with nothing else to do:
 
-    BOUNCE_TEST_RUNS=10 pytest -n 0 -m "long or not long" tests/faults/test_workers.py
+    BOUNCE_TEST_RUNS=10 pytest -n 0 tests/system/faults/test_workers.py tests/nightly/faults/test_workers.py
 """
 
 import os
 import random
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import dask
 import pytest
-from harm import Harm
-from paths import CACHE
-from running import Counting, Running, costing, running
+from harm import fragile_cluster, pids, wait_until_ready
+from running import Counting, costing, running
 from scripted import wait_for
 
 from service.jobs.model import JobState
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.kernel_cache import warm
 from worker.spec import SweepSpec
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 #: Whether to check times, on a machine with nothing else to do.
 STRICT = RUNS >= 10
-MEMORY = 600 << 20
 #: The time limit of a chunk (s): far above what a chunk needs on a busy machine.
-HUNG = 10.0
+HUNG = 6.0
 PATIENCE = 180.0
 
 
 @pytest.fixture(scope="module")
 def fragile() -> Iterator[Dask]:
-    """A cluster for this module, with workers that fail as a sweep's name says (see harm.py)."""
-    warm(CACHE)
-    with dask.config.set({"distributed.worker.memory.terminate": False}):  # the watchdog is under test
-        executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
-    executor._connection.client.register_plugin(Harm())
-    yield executor
-    executor.close()
+    with fragile_cluster() as executor:
+        yield executor
 
 
 #: Cells of a huge job. None is at rest: such cells cost next to nothing.
 BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
-
-
-def pids(executor: Dask) -> list[int]:
-    return list(executor._connection.client.run(os.getpid).values())
-
-
-def wait_until_ready(executor: Dask) -> None:
-    """Wait until both workers are ready."""
-    wait_for(lambda: executor.ready() and executor.workers() == 2)
 
 
 def files(url: str) -> dict[str, bytes]:
@@ -167,36 +148,6 @@ def test_cancelling_frees_the_workers_in_the_middle_of_a_chunk(tmp_path: Path, f
         wait_until_ready(fragile)
 
 
-@pytest.mark.long
-def test_cancelling_does_not_wait_for_compilation(tmp_path: Path):
-    """The kernel of exponents is not compiled at the start of a worker, and takes many seconds."""
-    executor = Dask(workers=1, kernel_cache=tmp_path / "cache", memory=2 << 30)
-    try:
-        wait_for(executor.ready, seconds=PATIENCE)
-        worker = pids(executor)
-        with running(tmp_path, executor) as service:
-            sweep = costing(exponents=3, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
-            job = service.submit(sweep)
-            service.until(job, JobState.RUNNING)
-            time.sleep(1.0)
-            began = time.monotonic()
-            service.manager.cancel(job.id)
-            ended = service.until(job, JobState.CANCELLED)
-            assert time.monotonic() - began < 5
-            assert ended.chunks_done == 0
-        assert pids(executor) == worker  # which goes on compiling
-    finally:
-        executor.close()
-
-
-@pytest.mark.skipif(not STRICT, reason="long: BOUNCE_TEST_RUNS=10")
-def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):
-    wait_until_ready(fragile)
-    with running(tmp_path, fragile, chunk_seconds=2.0, chunk_tries=1) as service:
-        job = service.until(service.submit(costing("freeze:1")), JobState.FAILED)
-        assert job.chunks_done == job.chunks_total - 1
-
-
 def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: Path, fragile: Dask):
     """While it runs, at most three chunks of the huge job are computed, though dozens wait."""
     wait_until_ready(fragile)
@@ -215,34 +166,5 @@ def test_a_small_job_beside_a_huge_one_waits_only_for_what_has_begun(tmp_path: P
         service.until(huge, JobState.CANCELLED)
 
 
-@pytest.mark.long
-@pytest.mark.timeout(400)
-def test_a_small_job_beside_a_huge_one_is_hardly_delayed(
-    tmp_path: Path, fragile: Dask, capsys: pytest.CaptureFixture[str]
-):
-    """Takes at most three times its time alone, plus a second: the longest chunk of the huge job."""
-    wait_until_ready(fragile)
-    with running(tmp_path, fragile, window_seconds=0.5) as service:
-        alone = [timed(service, small(0.6 + run / 100)) for run in range(3)]
-        huge = service.submit(costing("huge", gamma=BOUNCING))
-        wait_for(lambda: service.job(huge).chunks_done >= 2)
-        beside = []
-        for run in range(max(RUNS, 5)):
-            time.sleep(0.4)
-            beside.append(timed(service, small(0.8 + run / 100)))
-        assert service.job(huge).state is JobState.RUNNING
-        service.manager.cancel(huge.id)
-        service.until(huge, JobState.CANCELLED)
-    with capsys.disabled():
-        sys.stderr.write(f"\nalone {sorted(alone)[1]:.2f} s, beside at most {max(beside):.2f} s\n")
-    assert max(beside) <= 3 * sorted(alone)[1] + 1.0, (alone, beside)
-
-
 def small(omega: float) -> SweepSpec:
     return costing("small", chunks=8, seconds=0.1, omega=omega)
-
-
-def timed(service: Running, spec: SweepSpec) -> float:
-    began = time.monotonic()
-    service.until(service.submit(spec), JobState.DONE)
-    return time.monotonic() - began

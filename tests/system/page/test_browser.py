@@ -807,17 +807,16 @@ def _serious(page: Any) -> list[tuple[str, str]]:
     ]
 
 
-@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.long)])
-def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: str, scheme: str):
+def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: str):
     """And says tap, not click."""
     phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "is_mobile": True}
-    with opened(browser, address, reduced_motion="reduce", color_scheme=scheme, **phone) as page:
+    with opened(browser, address, reduced_motion="reduce", **phone) as page:
         for number, path in enumerate(VIEWS):
             page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
             assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
-            screenshot(page, f"phone-{scheme}-{number}")
+            screenshot(page, f"phone-{number}")
 
 
 def test_the_axis_of_every_plot_is_above_the_fold(browser: Any, address: str, loop: str, other: str):

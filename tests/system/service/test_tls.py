@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 from dask_processes import LOOPBACK, dask_processes
-from distributed.security import Security
+from distributed import LocalCluster, Security
 from paths import CACHE
 from running import costing, running
-from scripted import wait_for
+from scripted import sweep, wait_for
 
+from service.client import Client
 from service.jobs.model import JobState
+from service.server import embedded
 from service.server.cluster import connected_cluster
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -89,3 +91,27 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
 def _folder(path: Path) -> Path:
     path.mkdir()
     return path
+
+
+SWEEP = sweep().as_submitted()
+
+
+def test_tls_to_the_scheduler(tmp_path: Path):
+    secret = Security.temporary()
+    files = {
+        "scheduler_ca": secret.tls_ca_file,
+        "scheduler_cert": secret.tls_client_cert,
+        "scheduler_key": secret.tls_client_key,
+    }
+    for name, pem in files.items():
+        (tmp_path / name).write_text(pem)
+    cluster = LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, security=secret, dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+    )  # fmt: skip
+    with cluster:
+        given = {"data": tmp_path / "data", "port": 0, "scheduler": cluster.scheduler_address}
+        assert cluster.scheduler_address.startswith("tls://")
+        settings = embedded.settings(**given, **{name: tmp_path / name for name in files})
+        with embedded.running(settings) as address, Client(address) as client:
+            assert client.submit(SWEEP).wait(progress=False, timeout=60).state == "done"

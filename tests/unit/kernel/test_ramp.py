@@ -1,16 +1,11 @@
 """Ramps: what is carried from cell to cell, and that it does not matter how a line was cut."""
 
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
-from paths import ROOT, SUPPORT
 
 from kernel.params import STATE_FIELDS, Cell, Line, Outcome, Start
 from kernel.threshold import threshold
@@ -189,29 +184,3 @@ def test_takeoff_phases_are_within_a_turn_and_lead_to_the_next():
     assert np.all((phases >= 0.0) & (phases < TWO_PI))
     waits = (phases[1:] - phases[:-1] - times[:-1]) % TWO_PI
     assert np.all(waits < 5.0)  # a contact, never a whole turn less rounding
-
-
-def numbers() -> np.ndarray:
-    """A small line of every model, from rest and as a ramp."""
-    rows = []
-    for model, contact in (case.values for case in MODELS):
-        for carry in (False, True):
-            line = run([2.5, 2.6], 0.7, 0.05, model, settle=1, observe=2, keep=4, carry=carry, **contact)
-            rows.append(np.nan_to_num([*line.flight_time.ravel(), *line.end_state.ravel()]))
-    return np.array(rows)
-
-
-def test_without_compilation_the_numbers_are_the_same():
-    """NUMBA_DISABLE_JIT=1 runs the same sources in Python, as coverage does."""
-    script = "import test_ramp as t; print(*(x.hex() for x in t.numbers().ravel()))"
-    path = os.pathsep.join(map(str, (Path(__file__).parent, SUPPORT, ROOT)))
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    interpreted = [float.fromhex(x) for x in done.stdout.split()]
-    assert interpreted == pytest.approx(numbers().ravel(), abs=1e-12)

@@ -18,7 +18,7 @@ import pytest
 from mpmath import mp, mpc, mpf
 
 if __name__ == "__main__":
-    sys.path[:0] = [str(Path(__file__).parents[1] / "support"), str(Path(__file__).parents[2])]
+    sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
 
 from kernel_runs import one_phase
 from naive import Setting

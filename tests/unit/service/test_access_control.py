@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from distributed import LocalCluster, Security
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
@@ -19,7 +18,6 @@ from service.api.app import create_app
 from service.api.middleware.access_log import AccessLog
 from service.api.monitoring import Metrics
 from service.cli.main import main
-from service.client import Client
 from service.errors import NotStarted
 from service.server import embedded
 from service.server.logging import log_to_stderr, quiet_libraries
@@ -552,24 +550,3 @@ def test_a_traceback_goes_to_the_log_and_not_to_the_caller(
 
 
 # TLS to the scheduler
-
-
-def test_tls_to_the_scheduler(tmp_path: Path):
-    secret = Security.temporary()
-    files = {
-        "scheduler_ca": secret.tls_ca_file,
-        "scheduler_cert": secret.tls_client_cert,
-        "scheduler_key": secret.tls_client_key,
-    }
-    for name, pem in files.items():
-        (tmp_path / name).write_text(pem)
-    cluster = LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, security=secret, dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-    )  # fmt: skip
-    with cluster:
-        given = {"data": tmp_path / "data", "port": 0, "scheduler": cluster.scheduler_address}
-        assert cluster.scheduler_address.startswith("tls://")
-        settings = embedded.settings(**given, **{name: tmp_path / name for name in files})
-        with embedded.running(settings) as address, Client(address) as client:
-            assert client.submit(SWEEP).wait(progress=False, timeout=60).state == "done"

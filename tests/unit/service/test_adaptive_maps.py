@@ -2,11 +2,9 @@
 
 import tracemalloc
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import httpx2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -15,11 +13,6 @@ from fastapi.testclient import TestClient
 from scripted import Held, wait_for
 from served import computing, finished, get, service
 
-from kernel.params import KERNEL_VERSION, Outcome
-from service.client.client import Client
-from service.server import embedded
-from service.settings import Settings
-from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.refinement import Refinement
 from worker.spec import SweepSpec
@@ -267,22 +260,3 @@ def test_an_estimate_does_not_take_its_speed_from_adaptive_maps(tmp_path: Path):
     with computing(tmp_path) as client:
         finished(client, MAP)
         assert client.post("/v1/jobs?validate_only=true", json=SPACE).json()["basis"] == "table"
-
-
-def test_the_client_refines_a_window(tmp_path: Path):
-    with (
-        closing(Inline()) as executor,
-        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
-        Client(address) as client,
-    ):
-        estimate = client.estimate(MAP)
-        assert estimate.computed_cells is not None
-        job = client.submit(MAP).wait(progress=False)
-        modes = job.modes(mask=True)
-        assert modes.attrs["computed"] == pytest.approx(float(modes.computed.mean()))
-        assert "computed" in job.diagram(omega=0.6)
-        assert job.threshold().up_computed.dtype == bool
-        window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)
-        assert window.spec["parent"] == job.id != window.id
-        assert set(np.unique(window.modes().outcome)) <= {int(outcome) for outcome in Outcome}
-        assert httpx2.get(f"{address}/v1/jobs/{window.id}").json()["kernel_version"] == KERNEL_VERSION

@@ -1,7 +1,5 @@
 """Where the service of a data folder answers: found while it runs, and only by its own user."""
 
-import multiprocessing
-import os
 import stat
 from pathlib import Path
 
@@ -42,23 +40,6 @@ def test_a_service_on_every_interface_answers_on_loopback(tmp_path: Path, listen
     with address.recorder(tmp_path) as record:
         record(listening)
         assert address.find(tmp_path) == answers
-
-
-def _die_while_recorded(folder: Path) -> None:
-    with address.recorder(folder) as record:
-        record(URL)
-        os._exit(0)
-
-
-def test_what_a_killed_service_left_says_nothing(tmp_path: Path):
-    process = multiprocessing.get_context("spawn").Process(target=_die_while_recorded, args=(tmp_path,))
-    process.start()
-    process.join()
-    assert (tmp_path / "service.json").exists()
-    assert address.find(tmp_path) is None
-    with address.recorder(tmp_path) as record:
-        record(URL)
-        assert address.find(tmp_path) == URL
 
 
 def test_the_next_service_keeps_its_own(tmp_path: Path):

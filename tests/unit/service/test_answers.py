@@ -19,7 +19,7 @@ import xarray
 from fastapi.testclient import TestClient
 
 if __name__ == "__main__":
-    sys.path[:0] = [str(Path(__file__).parents[1] / "support"), str(Path(__file__).parents[2])]
+    sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
 
     from paths import CACHE
 

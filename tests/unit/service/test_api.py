@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import os
 import re
 import time
 from collections.abc import Iterator
@@ -11,7 +10,6 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
-import psutil
 import pytest
 from fastapi.testclient import TestClient
 from paths import GOLDEN
@@ -19,7 +17,6 @@ from scripted import Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, occupied, service
 
 from service.errors import DataFolderBusy
-from worker.executors.dask import Dask
 from worker.spec import SweepSpec
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -172,31 +169,6 @@ def test_jobs_continue_after_a_restart(tmp_path: Path):
 def test_two_services_cannot_use_one_data_folder(tmp_path: Path):
     with service(tmp_path, Held()), pytest.raises(DataFolderBusy), service(tmp_path, Held()):
         pass
-
-
-def test_the_cluster_computes_what_inline_computes(
-    tmp_path: Path, cluster: Dask, client: TestClient, figure_2: str
-):
-    with service(tmp_path, cluster) as other:
-        there = get(other, f"{finished(other, FIGURE_2)}/diagram")
-        wait_for(lambda: other.get("/readyz").json() == {"status": "ok"})
-    assert there == get(client, f"{figure_2}/diagram")
-
-
-def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
-    """CPU time of the workers; for wall-clock time on a quiet machine, run `python -m benchmarks.figure`."""
-    pids = cluster._connection.client.run(os.getpid).values()
-
-    def spent() -> float:
-        return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids)
-
-    with service(tmp_path, cluster) as client:
-        finished(client, {**FIGURE_2, "gamma": 1.5})
-        for kind in ("rigid", "soft"):
-            gamma = {"start": 1.0, "stop": 6.0, "num": 1000}
-            before = spent()
-            finished(client, {**FIGURE_2, "gamma": gamma, "model": {"kind": kind}})
-            assert spent() - before < 5
 
 
 # Diagrams

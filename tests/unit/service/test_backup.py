@@ -7,14 +7,12 @@ from contextlib import closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
-import httpx2
 import pytest
 from click.testing import CliRunner, Result
 from running import running
 from scripted import Held, Scripted, free_port, sweep, wait_for
 
 from kernel.params import KERNEL_VERSION
-from service import address
 from service.cli import doctor
 from service.cli.main import main
 from service.errors import DataFolderBusy, LedgerUnusable
@@ -22,8 +20,6 @@ from service.jobs import backup
 from service.jobs.ledger import Ledger
 from service.jobs.ledger_files import wal_of
 from service.jobs.model import JobState
-from service.server import embedded
-from service.settings import Settings
 from worker.executors.inline import Inline
 
 SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
@@ -345,32 +341,3 @@ def test_the_doctor_names_a_disk_that_is_full_or_of_another_machine(
     assert ("is on a network file system (nfs4)" in answer.output) == (network is not None)
     assert answer.output.count("!!") == 2 * (not bytes_free) + (network is not None)
     assert answer.exit_code == (not bytes_free or network is not None)
-
-
-@pytest.mark.parametrize(
-    ("workers", "stores", "mark", "said"),
-    [
-        (1, [], "ok", "is ready"),
-        (0, [], "!!", "is not ready: the Dask scheduler does not answer; jobs wait until it does"),
-        (1, ["f" * 32], "!!", "is ready: stores that the ledger does not know: 1"),
-    ],
-)
-def test_the_doctor_asks_the_service_on_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, stores: list[str], mark: str, said: str
-):
-    """Without the proxy that other requests may need."""
-    for store in stores:
-        (tmp_path / "stores" / f"{store}.zarr").mkdir(parents=True)
-    settings = Settings(data=tmp_path, port=0)
-    with embedded.running(settings, Held(capacity=workers)) as url, address.recorder(tmp_path) as record:
-        record(url)
-        if stores:
-            wait_for(lambda: bool(httpx2.get(f"{url}/readyz").json().get("notices")))
-        with monkeypatch.context() as patch:
-            for name in ("NO_PROXY", "no_proxy", "BOUNCE_URL"):
-                patch.delenv(name, raising=False)
-            patch.setenv("http_proxy", "http://127.0.0.1:9")
-            answer = bounce("doctor", "--data", str(tmp_path))
-    (line,) = [line for line in answer.output.splitlines() if line[4:].startswith("service")]
-    assert line.startswith(f"{mark}  service           {url} {said}")
-    assert answer.exit_code == (mark == "!!")

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 import xarray
-from click.testing import CliRunner
 from earlier_release import EXPECTED, unpacked
 from fastapi.testclient import TestClient
 from pyarrow import parquet
@@ -22,10 +21,7 @@ from served import RAMP, finished, get, service
 from stores import checksum
 
 from kernel.params import KERNEL_VERSION
-from service.cli.main import main
-from service.client import Client, Conflict
 from service.jobs.ledger import Ledger
-from service.server import embedded
 from worker import store
 from worker.executors.inline import Inline
 from worker.plan import make_plan
@@ -320,31 +316,6 @@ def test_damaged_metadata_stay_damaged_and_the_answer_says_so(folder: Path):
 
 
 # Client and command line
-
-
-def test_client_and_commands_follow_to_the_new_job(folder: Path):
-    settings = embedded.settings(data=folder, port=0)
-    with closing(Scripted()) as executor, embedded.running(settings, executor) as url, Client(url) as client:
-
-        def bounce(*words: str) -> Any:
-            return CliRunner().invoke(main, words, env={"BOUNCE_URL": url})
-
-        old_id = EXPECTED["interrupted"]["id"]
-        old = client.job(old_id)
-        assert f"notice    {old.notice}" in bounce("status", old_id).stdout
-        waited = client.job(old_id).wait(progress=False)
-        assert (waited.id, waited.state) == (old.replaced_by, "done")
-        assert f"job {old_id} was replaced by job {waited.id}" in bounce("wait", old_id).stderr
-        resumed = bounce("resume", old_id)
-        assert resumed.exit_code == 0, resumed.stderr
-        assert resumed.stdout == f"{waited.id}\n"
-        assert NOTICE in resumed.stderr
-        assert old.resume().id == waited.id
-        done = EXPECTED["done"]["id"]
-        assert client.job(done).wait(progress=False).id == done
-        with pytest.raises(Conflict, match="submit the sweep again"):
-            client.job(done).resume()
-        assert f"the job is {NOTICE}" in bounce("threshold", done).stderr
 
 
 # A store of the format of then, with this kernel

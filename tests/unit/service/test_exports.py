@@ -4,23 +4,20 @@ import errno
 import io
 import json
 import shutil
-import subprocess
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from http.client import HTTPConnection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import httpx2
 import numpy as np
 import pyarrow as pa
 import pytest
 import xarray
 from fastapi.testclient import TestClient
 from pyarrow import parquet
-from scripted import DEADLINE, Held
+from scripted import Held
 from served import RAMP, computing, finished, get, occupied, service, taken
 
 from kernel.labels import LABELS
@@ -37,18 +34,12 @@ from service.results import provenance
 from service.results.counting import MODE_ARRAYS
 from service.results.mode_map import modes
 from service.results.selection import Sweep
-from service.server import embedded
-from service.settings import Settings
 from service.software import processor, software
 from worker import schema, store
 from worker.cost import estimate
-from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
-
-#: A checker of the CF conventions: `pip install compliance-checker`.
-CHECKER = shutil.which("compliance-checker")
 
 
 class Done:
@@ -385,93 +376,6 @@ def test_a_link_in_a_store_is_not_followed(tmp_path: Path):
             part.with_name("aside").rename(part)
 
 
-def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
-    executor = Inline()
-    with (
-        embedded.running(Settings(data=tmp_path, port=0, heartbeat_seconds=0.2), executor) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-    ):
-        here = finished(client, RAMP)  # type: ignore[arg-type]
-        dataset = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
-        (url,) = tmp_path.rglob("*.zarr")
-        xarray.testing.assert_identical(dataset, xarray.open_zarr(url, chunks=None).load())
-        head = client.head(f"{here}/zarr/zarr.json")
-        assert (head.status_code, head.content) == (200, b"")
-    executor.close()
-
-
-KEYS = {
-    "zarr.json": 200,
-    "outcome/zarr.json": 200,
-    "outcome/c.0.0.0.0": 200,
-    "gamma/c/0": 200,
-    "": 404,
-    "outcome": 404,
-    "outcome/": 404,
-    "outcome/c.0.0.0.00": 404,
-    "outcome/c.0.0.0.999999": 404,
-    "outcome/c.0.0.0.-1": 404,
-    "outcome/c.0.0.0.%D9%A3": 404,  # a three, though not an ASCII one
-    "outcome/c.0.0.0.0%00": 404,
-    "../../ledger.sqlite": 404,
-    "..%2F..%2Fledger.sqlite": 404,
-    "%2e%2e/%2e%2e/ledger.sqlite": 404,
-    "..%5c..%5cledger.sqlite": 404,
-    "%252e%252e/ledger.sqlite": 404,
-    "/etc/passwd": 404,
-    "%2Fetc%2Fpasswd": 404,
-    "outcome/../zarr.json": 404,
-    "outcome/%2e%2e/zarr.json": 404,
-    "outcome/c/../../../../ledger.sqlite": 404,
-    "zarr.json%0a": 200,  # the line end is left off before anybody looks at the key
-    ".zarr.json.partial": 404,
-    "outcome/c.0.0.0.0.partial": 404,
-    "C:/windows/win.ini": 404,
-    "zarr.json%FF": 404,
-}
-
-
-@pytest.fixture(scope="module")
-def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, str]]:
-    """A service's host and port, and two jobs of it that are done."""
-    executor = Inline()
-    settings = Settings(data=tmp_path_factory.mktemp("data"), port=0, heartbeat_seconds=0.2)
-    with (
-        embedded.running(settings, executor) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-    ):
-        first, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
-        yield address.removeprefix("http://"), first, other
-    executor.close()
-
-
-def on_the_wire(host: str, path: str) -> tuple[int, bytes]:
-    """GET a path exactly as it is written, which no well-behaved client does."""
-    connection = HTTPConnection(host, timeout=DEADLINE)
-    connection.request("GET", path)
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
-
-
-@pytest.mark.parametrize("key", KEYS)
-def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str], key: str):
-    host, here, _ = wire
-    status, content = on_the_wire(host, f"{here}/zarr/{key}")
-    assert status == KEYS[key], content
-    assert b"SQLite" not in content
-
-
-@pytest.mark.parametrize(
-    "way", ["../{}.zarr", "%2e%2e/{}.zarr", "..%2f{}.zarr", "../../{}/zarr", "..%5c{}.zarr"]
-)
-def test_another_jobs_results_are_not_reached_through_ones_own(wire: tuple[str, str, str], way: str):
-    host, here, other = wire
-    path = way.format(other.rsplit("/", 1)[1])
-    assert on_the_wire(host, f"{here}/zarr/{path}/zarr.json")[0] == 404
-
-
 @pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "PATCH"])
 def test_the_store_is_read_only(done: Done, method: str):
     assert done.client.request(method, f"{done.here}/zarr/zarr.json").status_code == 405
@@ -547,13 +451,3 @@ def test_basins_not_begun_export_no_attractor(tmp_path: Path, format: str):
         assert answer.headers["Bounce-Complete"] == "false"
         if format == "parquet":
             assert parquet.read_table(io.BytesIO(answer.content)).num_rows == 0
-
-
-@pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")
-def test_netcdf_follows_the_cf_conventions(done: Done, tmp_path: Path):
-    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
-    command = [str(CHECKER), "--test=cf:1.11", "--criteria=strict", "sweep.nc"]
-    report = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE, check=False
-    )
-    assert "All tests passed!" in report.stdout, report.stdout

@@ -2,8 +2,6 @@
 
 import os
 import sqlite3
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -13,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from paths import SUPPORT
 
 from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
@@ -231,28 +228,6 @@ def test_it_survives_closing(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     assert "no copy of" not in caplog.text  # there was no log to apply
     with closing(sqlite3.connect(path)) as reader:
         assert reader.execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS),)
-
-
-def test_what_a_transaction_returned_survives_a_kill(tmp_path: Path):
-    """A process that marks chunks one by one and prints each is killed in the middle."""
-    program = (
-        "import sys; from pathlib import Path; sys.path[:0] = sys.argv[2:]\n"
-        "from service.jobs.ledger import Ledger; from test_ledger import accept, reports\n"
-        "ledger = Ledger(Path(sys.argv[1])); job = accept(ledger, chunks=100000)\n"
-        "for chunk in range(100000):\n"
-        "    with ledger.writing() as writing: writing.mark_done(job, reports(chunk))\n"
-        "    print(chunk, flush=True)\n"
-    )
-    path = tmp_path / "ledger.sqlite"
-    command = [sys.executable, "-c", program, str(path), str(Path(__file__).parent), str(SUPPORT)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        printed = [int(process.stdout.readline()) for _ in range(50)]
-        process.kill()
-    with Ledger(path) as ledger:
-        mask = ledger.done_mask(current(ledger))
-        assert mask[printed].all()
-        assert np.count_nonzero(mask) == current(ledger).chunks_done
 
 
 def test_one_service_at_a_time(tmp_path: Path):

@@ -2,12 +2,8 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import threading
 import time
-from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -296,68 +292,6 @@ def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tm
 # Interrupted
 
 
-def stored_chunks(folder: Path) -> int:
-    """The chunks of the array of which there are fewest; folders may be renamed meanwhile."""
-    counts = Counter(
-        Path(path).relative_to(folder).parts[2]
-        for path, _, names in os.walk(folder / "stores")
-        for name in names
-        if name.startswith("c.")
-    )
-    return min(counts.values(), default=0)
-
-
-def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> subprocess.Popen[str]:
-    """A `bounce run` that got a signal after chunks were stored."""
-    file = tmp_path / "long.json"
-    file.write_text(json.dumps(spec))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli.main", "run", str(file), "-o", "long.zarr", "--workers", "1"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
-    )
-    deadline = time.monotonic() + 300
-    while stored_chunks(tmp_path / "long.zarr.partial") < 3:
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    process.send_signal(number)
-    return process
-
-
-@pytest.mark.parametrize(
-    ("number", "spec"),
-    [
-        pytest.param(signal.SIGINT, LONG, id="sweep, Ctrl-C"),
-        *(
-            # That of basins takes longest.
-            pytest.param(signal.SIGKILL, spec, id=name, marks=[pytest.mark.long] if name == "basins" else [])
-            for name, spec in ({"sweep": LONG, "orbits": ORBITS} | STUDIES).items()
-        ),
-    ],
-)
-def test_an_interrupted_run_goes_on_where_it_stopped(
-    tmp_path: Path, number: signal.Signals, spec: dict[str, Any]
-):
-    process = interrupted(tmp_path, number, spec)
-    _, text = process.communicate(timeout=60)
-    if number == signal.SIGINT:
-        assert process.returncode == 130
-        assert "the same command goes on in long.zarr.partial" in text
-        assert "Traceback" not in text
-    assert not (tmp_path / "long.zarr").exists()
-    seen: list[JobStatus] = []
-    local.run(spec, tmp_path / "long.zarr", progress=seen.append)
-    assert seen[0].progress.chunks_done > 0
-    assert seen[-1].progress.cells_done == seen[-1].progress.cells_total
-    local.run(spec, tmp_path / "whole.zarr", progress=False)
-    assert files(tmp_path / "long.zarr") == files(tmp_path / "whole.zarr")
-    assert not (tmp_path / "long.zarr.partial").exists()
-
-
 def test_a_run_whose_progress_cannot_be_shown_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(local, "CANCEL_SECONDS", 60.0)
 
@@ -369,12 +303,6 @@ def test_a_run_whose_progress_cannot_be_shown_is_cancelled(tmp_path: Path, monke
     with open_ledger(local._settings(tmp_path / "long.zarr.partial")) as ledger, ledger.reading() as reading:
         (job,) = reading.newest(None, 2)
     assert job.state == "cancelled"
-
-
-def test_another_study_does_not_take_over_an_interrupted_one(tmp_path: Path):
-    interrupted(tmp_path, signal.SIGKILL).communicate(timeout=60)
-    with pytest.raises(FileExistsError, match="another specification"):
-        local.run(SPEC, tmp_path / "long.zarr", progress=False)
 
 
 def test_two_processes_do_not_compute_the_same_store(tmp_path: Path):

@@ -17,7 +17,7 @@ import xarray
 from matplotlib.figure import Figure
 
 if __name__ == "__main__":
-    sys.path[:0] = [str(Path(__file__).parents[1] / "support"), str(Path(__file__).parents[2])]
+    sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
 
 from artists import difference, read_back
 from paths import GOLDEN, ROOT

@@ -1,17 +1,10 @@
 """`GET /v1/tradeoff` and `bounce tradeoff`: the table of costs and errors, the advice, and the picture."""
 
 import json
-import math
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from click.testing import CliRunner
 from fastapi.testclient import TestClient
@@ -19,21 +12,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
-from paths import CACHE, GOLDEN
-from scripted import DEADLINE
+from paths import GOLDEN
 
 from service.api.app import create_app
 from service.cli.main import main
 from service.cli.tradeoff import table_lines
-from service.client import Client
 from service.render.style import DPI
 from service.render.work_precision import SIZE, compose, draw
 from service.results.work_precision import REFERENCES, advice
-from service.server.embedded import running
 from service.settings import Settings
 from worker.analysis import work_precision
 from worker.analysis.work_precision import SETUPS, Measurement, measure
-from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
 #: The setups that the advice needs; to measure them all takes a minute.
@@ -98,39 +87,6 @@ def test_no_label_of_the_picture_covers_another_or_a_marker():
 # Through the service
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(work_precision, "SETUPS", ADVISED)  # all of them take a minute
-        with running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
-            yield address
-
-
-def test_workers_measure_once_for_all_requests(address: str):
-    with Client(address) as client:
-        first, second = client.tradeoff(), client.tradeoff()
-        assert first == second
-        assert [row["model"] for row in first["rows"]] == [setup.model for setup in ADVISED]
-        assert first["cells"] == 80
-        assert set(first["references"]) == {"adhesive", "nonadhesive", "plate"}
-        assert client.tradeoff_picture("svg").startswith(b"<?xml")
-
-
-def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_path: Path):
-    def bounce(*arguments: str) -> str:
-        done = CliRunner().invoke(main, ["tradeoff", "--url", address, *arguments])
-        assert done.exit_code == 0, done.output
-        assert done.stderr.startswith("measuring")  # it may take a minute
-        return done.stdout
-
-    lines = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
-    assert lines[0].startswith("Errors relative to the exact soft contact")
-    assert lines[-1].startswith("Take rigid")
-    assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
-    rows = json.loads(bounce("--json"))["rows"]
-    assert all(math.isfinite(row["cost"]) for row in rows)
-
-
 def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
     done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.gif"])
     assert done.exit_code == 2
@@ -176,21 +132,3 @@ def test_a_request_before_the_end_gets_the_progress(tmp_path: Path, monkeypatch:
         assert answers["202"]["content"]["application/json"]["schema"]["$ref"].endswith("/PendingView")
     executor.close()
     assert executor.futures[1].cancelled()
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_leaves_no_folder_and_no_process(tmp_path: Path, number: signal.Signals):
-    """The service of its own that `bounce tradeoff` computes with."""
-    env = os.environ | {"TMPDIR": str(tmp_path), "NUMBA_CACHE_DIR": str(CACHE)}
-    command = [sys.executable, "-m", "service.cli.main", "tradeoff", "--workers", "1"]
-    with subprocess.Popen(command, env=env, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
-        assert process.stderr
-        lines = iter(process.stderr.readline, b"")
-        assert next(line for line in lines if line.startswith(b"measuring"))
-        family = psutil.Process(process.pid).children(recursive=True)
-        assert family
-        assert any(tmp_path.iterdir())
-        process.send_signal(number)
-        assert process.wait(DEADLINE) == 128 + number
-    assert list(tmp_path.iterdir()) == []
-    assert psutil.wait_procs(family, DEADLINE)[1] == []

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import paths
 import pytest
 import xarray
 
@@ -38,7 +39,7 @@ from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "basins.json").read_text())
+GOLDEN = json.loads((paths.GOLDEN / "basins.json").read_text())
 
 SPEC: dict[str, Any] = {
     "gamma": 1.27, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},

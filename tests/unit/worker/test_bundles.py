@@ -3,9 +3,6 @@
 import asyncio
 import math
 import pickle
-import subprocess
-import sys
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,6 @@ from studies import BASINS, MULTISTABILITY
 from worker import store
 from worker.executors import sent_specs
 from worker.executors.bundles import Bundles, Call
-from worker.executors.dask import Dask
 from worker.executors.sent_specs import Reference, SentSpecs
 from worker.plan import make_plan
 from worker.spec import SweepSpec
@@ -77,21 +73,6 @@ def test_a_message_that_cannot_be_sent_concerns_its_calls_alone():
     _, futures = submit([Call((str, "bad"), 0.0), Call((abs, 2), -50.0)])
     assert isinstance(futures[0], ValueError)
     assert futures[1] == "future of 2"
-
-
-def test_scheduler_and_worker_need_nothing_of_this_project_until_a_task_runs():
-    class Sending(Recording):
-        def map(self, function: Any, calls: Any, **_: Any) -> list[bytes]:
-            return [pickle.dumps((function, call)) for call in calls]
-
-    _, [sent] = submit([Call((run_chunk, 3), 0.0)], Sending())
-    code = (
-        "import pickle, sys; function, call = pickle.loads(sys.stdin.buffer.read()); "
-        "print('worker' in sys.modules); sys.modules['worker'] = None; function(call)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=False)
-    assert done.stdout == b"False\n"
-    assert b"ModuleNotFoundError" in done.stderr
 
 
 # Specifications
@@ -159,14 +140,6 @@ def test_every_study_is_the_same_after_it_was_sent(data: dict[str, Any], tmp_pat
     sent = SentSpecs().sent(spec, stored(spec, tmp_path))
     assert isinstance(sent, Reference)
     assert sent_specs._read(sent) == spec
-
-
-def test_a_cluster_computes_what_was_sent_once(cluster: Dask, long_spec: SweepSpec, tmp_path: Path):
-    url, plan = stored(long_spec, tmp_path), make_plan(long_spec)
-    flying: list[Future[Any]] = [cluster.submit(long_spec, chunk, url, seconds=60.0) for chunk in plan]
-    assert {future.result(60).index for future in flying} == set(range(len(plan)))
-    assert store.read_slice(url, ["outcome"])["outcome"].all()
-    assert len(list(Path(url).glob(".spec-*"))) == 1
 
 
 # Terms

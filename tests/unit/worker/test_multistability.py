@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import paths
 import pytest
 import xarray
 
@@ -43,7 +44,7 @@ from worker.plan import TARGET_SECONDS
 from worker.spec import SpecError
 from worker.tasks import ChunkCancelled, ChunkPaused
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "multistability.json").read_text())
+GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
 SPEC: dict[str, Any] = {
     "gamma": [3.4, 3.6, 3.8], "omega": [0.5, 0.52], "xi": 0.26, "model": {"kind": "rigid"},

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from concurrent.futures import wait
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 from kernel.params import Outcome
 from worker import schema, store, tasks
 from worker.cost import check_size, computed_shares, estimate
-from worker.executors.base import Executor
 from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
 from worker.refinement import NOTHING, Beyond, Refinement, _cuts, classes, first_round
 from worker.schema import MODE_ARRAYS, layout
@@ -364,18 +362,6 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
                 break
     assert pauses > len(plan)
     assert files(url) == files(tmp_path / "whole.zarr")
-
-
-@pytest.mark.parametrize("margin", [False, True])
-def test_same_bytes_with_two_worker_processes(cluster: Executor, tmp_path, margin):
-    spec, url = adaptive(margin=margin), tmp_path / "executed.zarr"
-    compute(spec, tmp_path / "here.zarr")
-    plan = make_plan(spec, chunk_shape=TILE)
-    store.create(str(url), layout(spec, plan.chunk_shape))
-    futures = [cluster.submit(spec, chunk, str(url)) for chunk in reversed(plan)]
-    wait(futures)
-    assert all(future.result().cells for future in futures)
-    assert files(url) == files(tmp_path / "here.zarr")
 
 
 def test_a_repaired_chunk_has_its_bytes_again(tmp_path):
