@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from documents import DOCUMENTS, Block, Failed, Session, blocks, text
+from documents import DOCUMENTS, LONG, Block, Failed, Session, blocks, run_in_order, runnable, text
 from paths import CACHE, ROOT
 
 from worker.kernel_cache import warm
@@ -18,10 +17,6 @@ from worker.kernel_cache import warm
 #: What must not be hidden in a block of plain text.
 LOOKS_RUNNABLE = re.compile(
     r"^(bounce|curl|python3?|pip|pytest|dask|docker|export|from|import) ", re.MULTILINE
-)
-
-RUNNABLE = tuple(
-    name for name in DOCUMENTS if any(block.language in ("sh", "python") for block in blocks(name))
 )
 
 ALL_BLOCKS = tuple(block for name in DOCUMENTS for block in blocks(name))
@@ -33,32 +28,26 @@ def compiled_kernels() -> None:
     warm(CACHE)
 
 
+@pytest.mark.essential
 @pytest.mark.usefixtures("compiled_kernels")
-@pytest.mark.parametrize("document", RUNNABLE)
-def test_blocks_run_in_order(document: str, tmp_path: Path):
-    left_out = []
+def test_blocks_of_the_readme_run_in_order(tmp_path: Path):
     with Session(tmp_path) as session:
-        for block in blocks(document):
-            if "curl " in block.code and block.language == "sh" and shutil.which("curl") is None:
-                left_out.append(block.location)
-                continue
-            session.run(block)
-        if document == "README.md":
-            check_readme_results(session, with_curl=not left_out)
-    if left_out:
-        pytest.skip(f"curl is missing: {', '.join(left_out)} did not run, the rest did")
-
-
-def check_readme_results(session: Session, with_curl: bool) -> None:
-    assert session.file("diagram.svg").read_text().startswith("<?xml")
-    assert session.file("sweep.nc").read_bytes()[1:4] == b"HDF"
-    if with_curl:
+        run_in_order(session, "README.md")
+        assert session.file("diagram.svg").read_text().startswith("<?xml")
+        assert session.file("sweep.nc").read_bytes()[1:4] == b"HDF"
         assert session.file("diagram.png").read_bytes().startswith(b"\x89PNG")
-    # Eq. 25 for the three frequencies at xi = 0.26 (docs/model.md, section 5), found to the tolerance.
-    rows = re.findall(r"^ *([\d.]+) +([\d.]+) +([\d.]+) +\S+", session.output(), re.M)
-    assert [float(omega) for omega, _, _ in rows] == [0.4, 0.5, 0.6]
-    for _, analytic, up in rows:
-        assert float(up) == pytest.approx(float(analytic), abs=2e-3)
+        # Eq. 25 for the three frequencies at xi = 0.26 (docs/model.md, section 5), found to the tolerance.
+        rows = re.findall(r"^ *([\d.]+) +([\d.]+) +([\d.]+) +\S+", session.output(), re.M)
+        assert [float(omega) for omega, _, _ in rows] == [0.4, 0.5, 0.6]
+        for _, analytic, up in rows:
+            assert float(up) == pytest.approx(float(analytic), abs=2e-3)
+
+
+@pytest.mark.usefixtures("compiled_kernels")
+@pytest.mark.parametrize("document", [name for name in runnable() if name not in ("README.md", *LONG)])
+def test_blocks_run_in_order(document: str, tmp_path: Path):
+    with Session(tmp_path) as session:
+        run_in_order(session, document)
 
 
 def test_a_block_that_fails_is_noticed(tmp_path: Path):
