@@ -1,7 +1,7 @@
 """docker-compose.yml as it is, in containers of podman on this machine, and what follows where one is killed.
 
     apt-get install podman runc podman-compose netavark aardvark-dns catatonit iptables mmdebstrap
-    pytest -n 0 -s -m cluster tests/cluster/test_compose.py
+    pytest -n 0 -s tests/nightly/cluster/test_compose.py
 
 `-s` shows workers and chunks over time. The first run makes the image, which takes some minutes.
 """
@@ -28,7 +28,6 @@ from service.client.errors import BounceError
 from service.client.job import Job
 
 pytestmark = [
-    pytest.mark.cluster,
     pytest.mark.timeout(5400),
     pytest.mark.skipif(bool(missing()), reason=missing()),
 ]

@@ -1,7 +1,7 @@
 """dask-gateway with its local backend: the files and commands of docs/deployment.md, on free ports.
 
     pip install dask-gateway "dask-gateway-server[local]"
-    pytest -n 0 -s -m cluster tests/cluster/test_gateway.py
+    pytest -n 0 -s tests/nightly/cluster/test_gateway.py
 
 `-s` shows workers and cells over time.
 """
@@ -32,7 +32,6 @@ from worker.kernel_cache import warm
 
 PARTS = ("dask_gateway", "dask_gateway_server", "sqlalchemy")
 pytestmark = [
-    pytest.mark.cluster,
     pytest.mark.timeout(1800),
     pytest.mark.skipif(
         not all(map(find_spec, PARTS)),

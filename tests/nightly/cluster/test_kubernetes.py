@@ -1,7 +1,7 @@
 """docs/kubernetes.yaml against the schema of the Dask operator and the types of Kubernetes; no cluster.
 
 pip install dask-kubernetes
-pytest -n 0 -m cluster tests/cluster/test_kubernetes.py
+pytest -n 0 tests/nightly/cluster/test_kubernetes.py
 """
 
 import re
@@ -17,7 +17,6 @@ REASON = "needs the Dask operator's package: pip install dask-kubernetes"
 pytest.importorskip("dask_kubernetes", reason=REASON)
 models = pytest.importorskip("kubernetes.client.models", reason=REASON)
 jsonschema = pytest.importorskip("jsonschema")  # check-jsonschema's
-pytestmark = pytest.mark.cluster
 
 OBJECTS: list[dict[str, Any]] = list(yaml.safe_load_all((ROOT / "docs" / "kubernetes.yaml").read_text()))
 CRDS = "operator/deployment/helm/dask-kubernetes-operator/crds"

@@ -1,7 +1,7 @@
 """dask-jobqueue on a real Slurm of this machine, over TLS, as in docs/deployment.md.
 
     apt-get install slurm-wlm munge && pip install dask-jobqueue
-    pytest -n 0 -s -m cluster tests/cluster/test_slurm.py
+    pytest -n 0 -s tests/nightly/cluster/test_slurm.py
 
 `-s` shows allocations, workers and chunks over time.
 """
@@ -37,7 +37,6 @@ from worker.kernel_cache import warm
 
 jobqueue = pytest.importorskip("dask_jobqueue", reason="needs dask-jobqueue: pip install dask-jobqueue")
 pytestmark = [
-    pytest.mark.cluster,
     pytest.mark.timeout(2400),
     pytest.mark.skipif(bool(missing()), reason=missing()),
     # Of dask-jobqueue, which waits for no answer of scancel.

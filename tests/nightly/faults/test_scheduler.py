@@ -3,7 +3,7 @@
 Scheduler and workers are processes of their own that are restarted whenever they end, as with `restart:
 unless-stopped`. With the limits for a machine with nothing else to do:
 
-    BOUNCE_TEST_FREEZE=60 BOUNCE_TEST_BACK=15 pytest -n 0 -m long tests/faults/test_scheduler.py
+    BOUNCE_TEST_FREEZE=60 BOUNCE_TEST_BACK=15 pytest -n 0 tests/nightly/faults/test_scheduler.py
 """
 
 import os

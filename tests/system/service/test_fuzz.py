@@ -2,7 +2,7 @@
 
 A few hundred requests by default; a long run:
 
-    BOUNCE_FUZZ=5000 pytest tests/service/test_fuzz.py --timeout 3600
+    BOUNCE_FUZZ=5000 pytest tests/system/service/test_fuzz.py --timeout 3600
 """
 
 import contextlib

@@ -1,6 +1,6 @@
 """Scheduler and workers that speak TLS, started by the commands of docs/deployment.md, and who is refused.
 
-pytest -n 0 tests/cluster/test_tls.py
+pytest -n 0 tests/system/service/test_tls.py
 """
 
 import json

@@ -4,7 +4,7 @@ The cells are at rest or periodic with sticking, so that every cycle begins anew
 digit of the C library does not grow. `stepped` gets its damping and steps as numbers, since the arrays
 they come from may differ in the last digit from machine to machine.
 
-To write the file anew, after raising KERNEL_VERSION: python tests/kernel/test_golden_hash.py
+To write the file anew, after raising KERNEL_VERSION: python tests/unit/kernel/test_golden_hash.py
 """
 
 import json

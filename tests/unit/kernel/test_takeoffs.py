@@ -4,7 +4,7 @@ Nonadhesive, zeta from 5 to 5,000: the mass stops within d/(2 zeta) rad, then cr
 The reference sums the exponentials of the motion, whose rates are the roots of its characteristic
 polynomial, and looks for the first zero of n on a grid that is fine beside every rate.
 
-To write the file anew: python tests/kernel/test_takeoffs.py
+To write the file anew: python tests/unit/kernel/test_takeoffs.py
 """
 
 import json
@@ -198,7 +198,7 @@ def main() -> None:
     kept = [pair for pairs in chosen.values() for pair in pairs[: CONTACTS // 2]]
     kept = [kept[i] for i in rng.permutation(CONTACTS)]
     golden = {
-        "source": "tests/kernel/test_takeoffs.py: sums of exponentials, 120 digits, mpmath",
+        "source": "tests/unit/kernel/test_takeoffs.py: sums of exponentials, 120 digits, mpmath",
         "fields": Contact._fields,
         "contacts": [[float(value) for value in contact] for contact, _ in kept],
         "tau": [float(tau) for _, tau in kept],

@@ -400,7 +400,7 @@ def test_no_page_of_another_origin_may_read(local: TestClient):
     ("method", "asked"), [("OPTIONS", {}), ("GET", {"Access-Control-Request-Method": "GET"})]
 )
 def test_what_is_no_preflight_needs_a_token(tmp_path: Path, method: str, asked: dict[str, str]):
-    """Also from a page that may read: tests/service/test_zarr_access.py."""
+    """Also from a page that may read: tests/system/service/test_zarr_access.py."""
     origin = "https://viewer.example"
     app = create_app(Settings(data=tmp_path, token=TOKEN, cors_origins=origin), Held())
     browser = {"Origin": origin, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
@@ -418,7 +418,7 @@ def test_every_response_has_the_security_headers(local: TestClient, path: str):
 
 
 def test_a_connection_goes_on_after_a_request_with_one_end(local: TestClient):
-    """One with two is the last: tests/service/test_web_server.py."""
+    """One with two is the last: tests/system/service/test_web_server.py."""
     headers = {"Content-Type": "application/json"}
     for content in (json.dumps(SWEEP), iter([json.dumps(SWEEP).encode()])):
         answer = local.post("/v1/jobs", content=content, headers=headers)
