@@ -132,7 +132,9 @@ def test_every_read_of_a_damaged_chunk_is_an_error(tmp_path: Path):
         (url / address).write_bytes(intact[url / address])
 
 
-@pytest.mark.parametrize("spec", [SWEEP, RAMP], ids=["rest", "ramp"])
+@pytest.mark.parametrize(
+    "spec", [pytest.param(SWEEP, id="rest", marks=pytest.mark.essential), pytest.param(RAMP, id="ramp")]
+)
 def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path, spec: dict[str, Any]):
     """Each response is right, 503 with the chunk's name, or marked incomplete; all are right in the end."""
     chance = random.Random(4)

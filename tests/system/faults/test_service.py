@@ -199,6 +199,7 @@ def serving(folder: Path, *, ignoring_sigint: bool = False) -> Iterator[Serving]
         assert left == [], "processes outlived the service"
 
 
+@pytest.mark.essential
 def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
     """kill -9 with chunks at its workers; SIGTERM with a request that never ends; SIGINT, ignored at first.
 

@@ -44,6 +44,7 @@ def files(url: str) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in map(Path, Path(url).rglob("*")) if path.is_file()}
 
 
+@pytest.mark.essential
 def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, fragile: Dask):
     chance = random.Random(2)
     inline = Inline()

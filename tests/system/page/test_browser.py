@@ -685,6 +685,7 @@ def large(address: str) -> dict[str, str]:
     return {name: done(address, job) for name, job in jobs.items()}
 
 
+@pytest.mark.essential
 def test_the_start_page_plays_a_trajectory(browser: Any, address: str, loop: str):
     with opened(browser, address) as page:
         page.locator(".jobs li").first.wait_for()

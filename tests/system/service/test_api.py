@@ -1,37 +1,23 @@
 """Sweeps through REST on two Dask workers."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-from fastapi.testclient import TestClient
 from scripted import wait_for
 from served import FIGURE_2, computing, finished, get, service
 
 from worker.executors.dask import Dask
 
 
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        yield client
-
-
-@pytest.fixture(scope="module")
-def figure_2(client: TestClient) -> str:
-    """Path of the finished job."""
-    return finished(client, FIGURE_2)
-
-
-def test_the_cluster_computes_what_inline_computes(
-    tmp_path: Path, cluster: Dask, client: TestClient, figure_2: str
-):
-    with service(tmp_path, cluster) as other:
-        there = get(other, f"{finished(other, FIGURE_2)}/diagram")
-        wait_for(lambda: other.get("/readyz").json() == {"status": "ok"})
-    assert there == get(client, f"{figure_2}/diagram")
+@pytest.mark.essential
+def test_the_cluster_computes_what_inline_computes(tmp_path: Path, cluster: Dask):
+    with computing(tmp_path / "inline") as here:
+        expected = get(here, f"{finished(here, FIGURE_2)}/diagram")
+    with service(tmp_path / "cluster", cluster) as there:
+        assert get(there, f"{finished(there, FIGURE_2)}/diagram") == expected
+        wait_for(lambda: there.get("/readyz").json() == {"status": "ok"})
 
 
 def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):

@@ -1,7 +1,7 @@
 """Pictures of the service and of the client, drawn from small data and read back from their artists.
 
-What is drawn has to be what tests/golden/pictures.json says; `python tests/unit/service/test_pictures.py` writes
-that file anew, after a look at the pictures.
+What is drawn has to be what tests/golden/pictures.json says; `python tests/unit/service/test_pictures.py`
+writes that file anew, after a look at the pictures.
 """
 
 import json
