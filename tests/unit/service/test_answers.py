@@ -1,7 +1,8 @@
 """Answers of the service about small jobs of every kind, as they are and as the client reads them.
 
 All numbers have to be those of tests/golden/answers.json; `python tests/unit/service/test_answers.py` writes
-that file anew. The cells are at rest or on cycles: of chaotic ones the last digits would depend on the machine.
+that file anew. The cells are at rest or on cycles: of chaotic ones the last digits would depend on the
+machine.
 """
 
 import csv
