@@ -49,7 +49,8 @@ def line_run(plate: str, carry: bool, options: dict[str, Any]) -> LineRun:
 def in_parts(case: tuple[str, bool, dict[str, Any]], parts: random.Random) -> tuple[Line, int]:
     """The line, restored in a new run after every part from the bytes of what was saved; and the parts."""
     run, count = line_run(*case), 1
-    while not run.advance(parts.choice([1, 2, 17, 400])):
+    longest = 400 if case[0].startswith("ball") else 4000  # a ball needs few steps
+    while not run.advance(parts.choice([1, 17, longest // 10, longest])):
         file = io.BytesIO()
         np.savez(file, **run.save())
         file.seek(0)

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
+from served import impatient
 
 from service.api.app import create_app
 from service.api.middleware.access_log import AccessLog
@@ -56,7 +57,8 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 
 
 @pytest.fixture
-def local(tmp_path: Path) -> Iterator[TestClient]:
+def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
+    impatient(monkeypatch)
     with TestClient(create_app(Settings(data=tmp_path), Held()), base_url="http://localhost:8000") as client:
         yield client
 

@@ -189,7 +189,8 @@ def test_a_plane_of_curves_is_one_range_and_one_value(service: TestClient):
     assert "not 'bend'" in refused(service, "/v1/curves", 422, **query)
 
 
-def test_a_range_and_a_value_suffice(tmp_path: Path):
+def test_a_range_and_a_value_suffice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    served.impatient(monkeypatch)
     with served.service(tmp_path, Held()) as client:  # whose workers never answer
         for query in ("xi=0.05&omega_start=0.6&omega_stop=0.61", "omega=0.6&xi_start=0.05&xi_stop=0.06"):
             answer = client.get(f"/v1/curves?{query}")
