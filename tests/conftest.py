@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck
@@ -42,25 +43,36 @@ hypothesis.register_profile(
 hypothesis.register_profile("explore", hypothesis.get_profile("same"), derandomize=False, print_blob=True)
 hypothesis.load_profile("same")
 
-SYSTEM = TESTS / "system"
+
+# Called without paths, pytest runs the unit tests and, of the system's, those marked as essential.
 
 
 def pytest_configure(config: pytest.Config) -> None:
     # As an option, which xdist hands to its processes.
-    if config.args_source is config.ArgsSource.TESTPATHS:
-        config.option.only_essential = True
+    config.option.only_essential = config.args_source is config.ArgsSource.TESTPATHS or getattr(
+        config.option, "only_essential", False
+    )
+
+
+def is_test_of_the_system(path: Path) -> bool:
+    return path.name.startswith("test_") and TESTS / "system" in path.parents
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A file of the system without an essential test is not even imported."""
+    if config.option.only_essential and is_test_of_the_system(collection_path):
+        return "mark.essential" not in collection_path.read_text() or None
+    return None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Called without paths, pytest runs the unit tests and the essential ones of the system."""
-    if getattr(config.option, "only_essential", False):
-        left_out = [
-            item
-            for item in items
-            if item.path.is_relative_to(SYSTEM) and item.get_closest_marker("essential") is None
-        ]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+    if config.option.only_essential:
+        chosen, others = [], []
+        for item in items:
+            runs = item.get_closest_marker("essential") or not is_test_of_the_system(item.path)
+            (chosen if runs else others).append(item)
+        items[:] = chosen
+        config.hook.pytest_deselected(items=others)
 
 
 @pytest.fixture(scope="session")
