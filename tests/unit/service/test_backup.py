@@ -34,14 +34,22 @@ def ids(path: Path) -> set[str]:
         return {row[0] for row in connection.execute("SELECT id FROM jobs")}
 
 
-@pytest.fixture
-def folder(tmp_path: Path, inline: Inline) -> Path:
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data folder with one job that is done, a backup of it, and two jobs that are done since."""
-    with running(tmp_path / "data", inline) as service:
+    folder = tmp_path_factory.mktemp("original")
+    with closing(Inline()) as inline, running(folder / "data", inline) as service:
         service.until(service.submit(SPECS[0]), JobState.DONE)
-        backup.backup(service.settings.ledger_path, tmp_path / "backup.sqlite")
+        backup.backup(service.settings.ledger_path, folder / "backup.sqlite")
         for spec in SPECS[1:]:
             service.until(service.submit(spec), JobState.DONE)
+    return folder
+
+
+@pytest.fixture
+def folder(original: Path, tmp_path: Path) -> Path:
+    """A copy of it for one test."""
+    shutil.copytree(original, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
