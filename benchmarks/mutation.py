@@ -58,13 +58,13 @@ SLACK, PATIENCE = 8.0, 60.0
 
 #: Test files that take part.
 TEST_FILES = (
-    "service/test_*.py", "worker/test_*.py", "page/test_page.py", "faults/test_damage.py",
-    "faults/test_earlier_release.py", "faults/test_ledger_faults.py", "faults/test_machine.py",
+    "unit/service/test_*.py", "unit/worker/test_*.py", "system/service/test_*.py", "system/worker/test_*.py",
+    "system/faults/test_damage.py",
 )  # fmt: skip
 #: Of these, the ones that do their work in other processes, or that take long and run everything.
 ELSEWHERE = (
-    "service/test_fuzz.py", "service/test_import_light.py", "worker/test_executors.py",
-    "worker/test_kernel_cache.py", "worker/test_s3.py",
+    "system/service/test_fuzz.py", "system/service/test_import_light.py", "system/worker/test_executors.py",
+    "system/worker/test_kernel_cache.py", "system/worker/test_s3.py",
 )  # fmt: skip
 
 #: Loaded once, for all runs of tests.
@@ -376,7 +376,7 @@ def record(folder: Path, test_file: str, target: Path, seconds: float) -> None:
 
     def work() -> int:
         recorder = Recorder(folder)
-        status = run_pytest([test_file, "-m", "not long"], [recorder])
+        status = run_pytest([test_file], [recorder])
         recorder.write(folder, target, digest)
         return status
 
@@ -516,7 +516,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder that keeps what is measured, and the results")
     parser.add_argument(
-        "--tests", nargs="*", help="test files; those in one process of service, worker, page and faults"
+        "--tests", nargs="*", help="test files; by default those of service and worker"
     )
     parser.add_argument("--only", default="", help="change files whose path begins so")
     parser.add_argument("--seconds", type=float, default=1200.0, help="for one test file to be measured")

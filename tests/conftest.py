@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck
@@ -42,51 +43,36 @@ hypothesis.register_profile(
 hypothesis.register_profile("explore", hypothesis.get_profile("same"), derandomize=False, print_blob=True)
 hypothesis.load_profile("same")
 
-#: Test files that need neither a cluster nor a service in a process of its own: `pytest -m fast` runs them
-#: in less than a minute.
-FAST = frozenset(
-    TESTS / file
-    for file in (
-        "kernel/test_golden.py",
-        "kernel/test_lanes.py",
-        "kernel/test_modes.py",
-        "kernel/test_ramp.py",
-        "kernel/test_resting.py",
-        "kernel/test_rigid.py",
-        "kernel/test_settle.py",
-        "kernel/test_stepped.py",
-        "kernel/test_threshold.py",
-        "kernel/test_validation.py",
-        "worker/test_model_selection.py",
-        "worker/test_plan.py",
-        "worker/test_spec.py",
-        "worker/test_store.py",
-        "worker/test_tasks.py",
-        "service/test_job_model.py",
-        "service/test_ledger.py",
-        "service/test_pictures.py",
-        "service/test_queries.py",
-        "service/test_ready_queue.py",
-        "service/test_trajectories.py",
-        "service/test_transport.py",
-        "faults/test_earlier_release.py",
-        "page/test_page.py",
-        "test_architecture.py",
+
+# Called without paths, pytest runs the unit tests and, of the system's, those marked as essential.
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # As an option, which xdist hands to its processes.
+    config.option.only_essential = config.args_source is config.ArgsSource.TESTPATHS or getattr(
+        config.option, "only_essential", False
     )
-)
 
 
-def pytest_configure() -> None:
-    missing = sorted(str(file) for file in FAST if not file.exists())
-    if missing:
-        raise pytest.UsageError(f"tests/conftest.py lists fast tests that do not exist: {missing}")
+def is_test_of_the_system(path: Path) -> bool:
+    return path.name.startswith("test_") and TESTS / "system" in path.parents
 
 
-@pytest.hookimpl(tryfirst=True)  # before -m selects
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.path in FAST:
-            item.add_marker(pytest.mark.fast)
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A file of the system without an essential test is not even imported."""
+    if config.option.only_essential and is_test_of_the_system(collection_path):
+        return "mark.essential" not in collection_path.read_text() or None
+    return None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.option.only_essential:
+        chosen, others = [], []
+        for item in items:
+            runs = item.get_closest_marker("essential") or not is_test_of_the_system(item.path)
+            (chosen if runs else others).append(item)
+        items[:] = chosen
+        config.hook.pytest_deselected(items=others)
 
 
 @pytest.fixture(scope="session")

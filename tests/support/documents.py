@@ -13,6 +13,7 @@ until the next such block, as it does in a reader's second terminal.
 import os
 import re
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,11 +25,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple, Self
 
+import pytest
 from paths import CACHE, ROOT
 from scripted import DEADLINE, free_port
 
 #: Every document whose blocks run.
 DOCUMENTS = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+
+#: Those whose blocks take longest: in tests/nightly.
+LONG = ("docs/basins.md", "docs/command-line.md", "docs/deployment.md", "docs/python-client.md")
 
 _BLOCK = re.compile(
     r"^(?:<!-- (?P<comment>[^\n]*) -->\n)?```(?P<language>[^\n]*)\n(?P<code>.*?)^```$", re.M | re.S
@@ -273,3 +278,20 @@ def _alive(group: int) -> bool:
 def _signal(group: int, number: signal.Signals) -> None:
     with suppress(ProcessLookupError):
         os.killpg(group, number)
+
+
+def runnable() -> list[str]:
+    """The documents with blocks that run."""
+    return [name for name in DOCUMENTS if any(block.language in ("sh", "python") for block in blocks(name))]
+
+
+def run_in_order(session: Session, document: str) -> None:
+    """Run all blocks of a document; without curl, all but those that need it, and skip the test then."""
+    left_out = []
+    for block in blocks(document):
+        if "curl " in block.code and block.language == "sh" and shutil.which("curl") is None:
+            left_out.append(block.location)
+        else:
+            session.run(block)
+    if left_out:
+        pytest.skip(f"curl is missing: {', '.join(left_out)} did not run, the rest did")

@@ -8,12 +8,19 @@ import ctypes
 import os
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import dask
 from distributed import Worker, WorkerPlugin
+from paths import CACHE
+from scripted import wait_for
 
 from worker import watchdog
+from worker.executors.dask import Dask
+from worker.kernel_cache import warm
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
@@ -88,3 +95,29 @@ class Harm(WorkerPlugin):
 
     def setup(self, worker: Any) -> None:
         watchdog.run_task = run_harmed
+
+
+#: What a worker of `fragile_cluster` may use (bytes).
+MEMORY = 600 << 20
+
+
+@contextmanager
+def fragile_cluster() -> Iterator[Dask]:
+    """An executor on two workers that fail as a sweep's name says."""
+    warm(CACHE)
+    with dask.config.set({"distributed.worker.memory.terminate": False}):  # the watchdog is under test
+        executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
+    executor._connection.client.register_plugin(Harm())
+    try:
+        yield executor
+    finally:
+        executor.close()
+
+
+def pids(executor: Dask) -> list[int]:
+    return list(executor._connection.client.run(os.getpid).values())
+
+
+def wait_until_ready(executor: Dask) -> None:
+    """Wait until both workers are ready."""
+    wait_for(lambda: executor.ready() and executor.workers() == 2)

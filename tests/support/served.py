@@ -3,15 +3,19 @@
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx2
+import pytest
 import uvicorn
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, sweep, wait_for
 
+from service.api import app as application
 from service.api.app import create_app
+from service.jobs.on_demand import OnDemandCache
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
@@ -50,6 +54,11 @@ def computing(folder: Path, **settings: Any) -> Iterator[TestClient]:
     """A service that computes in this process."""
     with closing(Inline()) as executor, service(folder, executor, **settings) as client:
         yield client
+
+
+def impatient(patch: pytest.MonkeyPatch) -> None:
+    """Applications made from now on answer at once that workers are still computing, not after seconds."""
+    patch.setattr(application, "OnDemandCache", partial(OnDemandCache, timeout=0.02))
 
 
 @contextmanager

@@ -1,0 +1,131 @@
+"""The figures of the paper, drawn from small grids, and what their captions claim."""
+
+from collections import UserDict
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import matplotlib as mpl
+import matplotlib.image
+import pytest
+from artists import read_back
+from matplotlib.ticker import AutoMinorLocator
+from paths import GOLDEN
+
+from service import presets
+from service.client import Client
+from service.figures import canvas, catalogue
+from service.figures.caption import Caption, Verdict
+from service.figures.catalogue import Figure
+
+#: docs/model.md, section 5: the last Γ that bounces on the way down, by Ω.
+DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
+
+#: What makes each figure small enough for a test, its cells still the paper's.
+SMALL: Mapping[int, Mapping[str, Any]] = {
+    1: {},
+    2: {"gamma": {"start": 1.0, "stop": 6.0, "num": 101}},
+    3: {"gamma": {"start": 1.0, "stop": 7.0, "num": 61}},
+    4: {"gamma": {"start": 1.0, "stop": 7.0, "num": 121}},
+    5: {"omega": [0.4, 0.63, 1.0, 1.2, 2.0]},
+    6: {},
+    7: {"gamma": {"start": 0.05, "stop": 6.0, "num": 120}},
+    8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
+    9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
+}
+
+#: What each figure draws from these cells.
+DRAWN = GOLDEN / "figures.json"
+
+#: Frequencies of ramps that start on a cycle.
+SEEDED = (0.33, 0.44, 0.6, 0.62, 0.7)
+
+NEAR_TWO = {"gamma": {**presets.GAMMA_NEAR_TWO, "num": 9}}
+
+
+def small(figure: Figure) -> Figure:
+    """The figure with fewer cells."""
+    changed = SMALL[figure.number]
+    return replace(
+        figure,
+        sweeps=tuple(
+            {**sweep, **(NEAR_TWO if sweep["gamma"] == presets.GAMMA_NEAR_TWO else changed)}
+            for sweep in figure.sweeps
+        ),
+    )
+
+
+SMALL_FIGURES = {number: small(figure) for number, figure in catalogue.FIGURES.items()}
+
+
+@dataclass(frozen=True)
+class Made:
+    """A picture, and what its artists draw."""
+
+    content: bytes
+    caption: Caption
+    drawn: list[str]
+    minor_ticks: list[bool]  # whether each of its axes has them
+
+
+class Pictures(UserDict[int | str, Made]):
+    """Figures by number or name, each made when it is first asked for."""
+
+    def __init__(self, client: Client) -> None:
+        super().__init__()
+        self._client = client
+
+    def __missing__(self, number: int | str) -> Made:
+        figure = SMALL_FIGURES[number] if isinstance(number, int) else small_explanation(number)
+        with pytest.MonkeyPatch.context() as patch:
+            drawings: list[canvas.Drawing] = []
+            encoded = canvas.Drawing.encoded
+            patch.setattr(
+                canvas.Drawing, "encoded", lambda self, *args: drawings.append(self) or encoded(self, *args)
+            )
+            (picture,) = catalogue.make([figure], self._client, "png", progress=False)
+        (drawing,) = drawings
+        with mpl.rc_context(canvas.STYLE):
+            minor = [
+                all(
+                    isinstance(axis.get_minor_locator(), AutoMinorLocator)
+                    for axis in (axes.xaxis, axes.yaxis)
+                )
+                for axes in drawing.figure.axes
+            ]
+            self[number] = Made(picture.content, picture.caption, read_back(drawing.figure), minor)
+        return self[number]
+
+
+def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
+    """What the figure was drawn from."""
+    return client.submit(SMALL_FIGURES[number].sweeps[sweep]).diagram(**line)
+
+
+def agreeing(caption: Caption) -> str:
+    return caption.claims_that(Verdict.AGREES)
+
+
+def contradicting(caption: Caption) -> str:
+    return caption.claims_that(Verdict.CONTRADICTS)
+
+
+def leaving_open(caption: Caption) -> str:
+    return caption.claims_that(Verdict.LEFT_OPEN)
+
+
+def small_explanation(name: str) -> Figure:
+    """A figure of docs/hysteresis.md, from fewer sweeps and cells."""
+    figure = catalogue.explanation(name)
+    if name == "hysteresis":
+        loop, *seeded = figure.sweeps
+        few = [sweep for sweep in seeded if sweep["omega"] in SEEDED]
+        return replace(figure, sweeps=({**loop, **SMALL[9]}, *few))
+    if name == "branches":
+        (branches,) = figure.sweeps
+        return replace(figure, sweeps=({**branches, "gamma": {"start": 0.45, "stop": 1.1, "num": 66}},))
+    return figure
+
+
+def computed(caption: Caption) -> str:
+    return caption.claims_that(Verdict.COMPUTED)

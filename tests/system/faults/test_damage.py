@@ -1,0 +1,309 @@
+"""Stored bytes that are flipped, truncated or deleted: reported, never returned as data, computed again."""
+
+import contextlib
+import os
+import random
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from scripted import Scripted, wait_for
+from studies import ADAPTIVE, BASINS, MULTISTABILITY
+
+from service.api.app import create_app
+from service.settings import Settings
+from worker import schema, store
+from worker.plan import make_plan
+from worker.schema import layout
+from worker.spec import SweepSpec
+from worker.store import chunks as stored
+from worker.tasks import run_chunk
+
+#: The number of damaged files that are read, and of those that are requested over HTTP.
+TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "200"))
+HTTP_TRIALS = TRIALS // 10
+
+#: 48 cells in some ten chunks.
+SWEEP: dict[str, Any] = {
+    "gamma": {"start": 0.8, "stop": 5.0, "num": 12},
+    "omega": [0.5, 0.7],
+    "xi": [0.05, 0.26],
+    "model": {"kind": "rigid"},
+    "settle": 12_000,
+    "settle_early": False,
+    "observe": 20,
+    "keep": 8,
+}
+RAMP = SWEEP | {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}}
+
+
+class Service:
+    """The application on a data folder, and requests of it."""
+
+    def __init__(self, client: TestClient, executor: Scripted, folder: Path) -> None:
+        self.client, self.executor, self.folder = client, executor, folder
+
+    def submit(self, spec: dict[str, Any]) -> str:
+        here = str(self.client.post("/v1/jobs", json=spec).headers["Location"])
+        self.wait(here)
+        return here
+
+    def wait(self, here: str) -> None:
+        wait_for(lambda: self.client.get(here).json()["state"] == "done", lambda: self.client.get(here).text)
+
+    def answers(self, here: str, spec: dict[str, Any]) -> list[Any]:
+        """The responses for all lines of the grid in all directions, and for all thresholds."""
+        directions = ["up", "down"] if "protocol" in spec else ["rest"]
+        lines = [
+            self.client.get(f"{here}/diagram", params={"omega": omega, "xi": xi, "direction": direction})
+            for omega in spec["omega"]
+            for xi in spec["xi"]
+            for direction in directions
+        ]
+        return [*lines, *(self.client.get(f"{here}/threshold", params={"xi": xi}) for xi in spec["xi"])]
+
+    def store(self, here: str) -> Path:
+        return self.folder / "stores" / f"{here.rsplit('/', 1)[1]}.zarr"
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[Service]:
+    executor = Scripted()
+    settings = Settings(data=folder, heartbeat_seconds=0.2)
+    with TestClient(create_app(settings, executor), base_url="http://localhost") as client:
+        yield Service(client, executor, folder)
+    executor.close()
+
+
+def files(url: Path) -> dict[str, bytes]:
+    """All files of a store. A file that is being renamed is left out."""
+    contents = {}
+    for path in url.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):
+            if path.is_file():
+                contents[str(path.relative_to(url))] = path.read_bytes()
+    return contents
+
+
+def flip(path: Path, chance: random.Random) -> None:
+    content = bytearray(path.read_bytes())
+    content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
+    path.write_bytes(content)
+
+
+def cut(path: Path, chance: random.Random) -> None:
+    path.write_bytes(path.read_bytes()[: chance.randrange(path.stat().st_size)])
+
+
+def delete(path: Path, chance: random.Random) -> None:
+    path.unlink()
+
+
+def damage(url: Path, chance: random.Random) -> str:
+    """Flip a bit of, truncate, or delete one stored chunk of one array; returns its key."""
+    chunk = chance.choice(sorted(url.glob("*/c.*")))  # not of a coordinate, which no response reads
+    chance.choice([flip, cut, delete])(chunk, chance)
+    return str(chunk.relative_to(url))
+
+
+def coords_of(address: str) -> store.ChunkCoords:
+    """The chunk to which a file belongs."""
+    return tuple(map(int, address.split(".")[1:5]))
+
+
+def test_every_read_of_a_damaged_chunk_is_an_error(tmp_path: Path):
+    chance, spec = random.Random(3), SweepSpec(**RAMP | {"settle": 20})
+    plan, url = make_plan(spec, chunk_shape=(1, 1, 4)), tmp_path / "sweep.zarr"
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    for chunk in plan:
+        run_chunk(spec, chunk, str(url))
+    names = [array.name for array in schema.arrays(spec)]
+    intact = {path: path.read_bytes() for path in url.rglob("*") if path.is_file()}
+    for _ in range(TRIALS):
+        address = damage(url, chance)
+        with pytest.raises(store.StoreDamaged) as caught:
+            store.read_chunk(str(url), plan[plan.number(*coords_of(address))], names, complete=True)
+        assert caught.value.chunks == (coords_of(address),)
+        (url / address).write_bytes(intact[url / address])
+
+
+@pytest.mark.parametrize(
+    "spec", [pytest.param(SWEEP, id="rest", marks=pytest.mark.essential), pytest.param(RAMP, id="ramp")]
+)
+def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path, spec: dict[str, Any]):
+    """Each response is right, 503 with the chunk's name, or marked incomplete; all are right in the end."""
+    chance = random.Random(4)
+    with running(tmp_path) as service:
+        here = service.submit(spec)
+        expected = [answer.json() for answer in service.answers(here, spec)]
+        intact = files(service.store(here))
+        for _ in range(HTTP_TRIALS):
+            before = len(service.executor.tried)
+            address = damage(service.store(here), chance)
+            for answer, right in zip(service.answers(here, spec), expected, strict=True):
+                if answer.status_code == 503:
+                    assert "chunk" in answer.json()["detail"]
+                elif answer.json()["complete"]:  # an incomplete one is marked so
+                    assert answer.json() == right, address
+            service.wait(here)
+            assert len(service.executor.tried) - before <= 1, address
+            if files(service.store(here)) != intact:  # in an array that no response reads
+                assert address.startswith("end_state")
+                (service.store(here) / address).write_bytes(intact[address])
+
+
+def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
+    """Also those that need nothing of the damaged chunk; the job says that it is being repaired."""
+    repair = threading.Event()
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+        right = [answer.json() for answer in service.answers(here, SWEEP)]
+        assert all(answer["complete"] for answer in right)
+        service.executor.before = lambda: repair.wait(60)
+        address = stored.key("flight_time", 5, (0, 0, 0, 0), ".")
+        (service.store(here) / address).unlink()
+        found = service.client.get(f"{here}/diagram", params={"omega": 0.5, "xi": 0.05})
+        assert found.status_code == 503
+        view = service.client.get(here).json()
+        assert (view["state"], view["repairing"], view["finished"]) == ("running", True, None)
+        answers = service.answers(here, SWEEP)
+        assert [answer.status_code for answer in answers] == [200] * len(answers)
+        assert not any(answer.json()["complete"] for answer in answers)
+        same = [answer.json() | {"complete": True} == was for answer, was in zip(answers, right, strict=True)]
+        assert any(same)
+        for query in ({"format": "png"}, {"format": "csv"}):
+            drawn = service.client.get(f"{here}/diagram", params={"omega": 0.7, "xi": 0.26, **query})
+            assert (drawn.status_code, drawn.headers["Bounce-Complete"]) == (200, "false")
+            assert "ETag" not in drawn.headers
+        assert service.client.get(f"{here}/modes", params={"xi": 0.26}).headers["Bounce-Complete"] == "false"
+        repair.set()
+        service.wait(here)
+        assert service.client.get(here).json()["repairing"] is False
+        assert [answer.json() for answer in service.answers(here, SWEEP)] == right
+
+
+@pytest.mark.parametrize("spec", [SWEEP, RAMP], ids=["rest", "ramp"])
+def test_at_the_start_every_chunk_is_verified_and_only_damaged_ones_are_computed(
+    tmp_path: Path, spec: dict[str, Any]
+):
+    chance = random.Random(5)
+    with running(tmp_path) as service:
+        here = service.submit(spec)
+        intact = files(service.store(here))
+    for _ in range(2):
+        addresses = {damage(service.store(here), chance) for _ in range(4)}
+        chunks = {coords_of(address) for address in addresses}
+        with running(tmp_path) as service:
+            wait_for(lambda here=here, intact=intact: files(service.store(here)) == intact)
+            service.wait(here)
+            assert len(service.executor.tried) == len(chunks)
+
+
+ORBITS: dict[str, Any] = {
+    "protocol": {"kind": "orbits"},
+    "omega": {"start": 0.4, "stop": 1.2, "num": 60},
+    "xi": [0.05, 0.1],
+    "points": 40,
+}
+
+
+@pytest.mark.parametrize(
+    ("spec", "array"),
+    [
+        (ORBITS, "event_gamma"),
+        (BASINS | {"protocol": {"kind": "basin", "rows": 24, "columns": 32}}, "attractor"),
+        (MULTISTABILITY | {"omega": {"start": 0.4, "stop": 0.6, "num": 24}}, "attractor_state"),
+        (ADAPTIVE, "flight_time"),
+    ],
+    ids=["orbits", "basins", "multistability", "adaptive"],
+)
+def test_of_every_study_only_damaged_chunks_are_computed_again(
+    tmp_path: Path, spec: dict[str, Any], array: str
+):
+    chance = random.Random(6)
+    with running(tmp_path) as service:
+        here = service.submit(spec)
+        intact = files(service.store(here))
+        assert len(set(service.executor.tried)) > 2
+    addresses = chance.sample(sorted(path for path in intact if path.startswith(f"{array}/c.")), 2)
+    for address, harm in zip(addresses, (flip, delete), strict=True):
+        harm(service.store(here) / address, chance)
+    with running(tmp_path) as service:
+        wait_for(lambda: files(service.store(here)) == intact)
+        service.wait(here)
+        assert len(set(service.executor.tried)) == 2  # perhaps in several slices
+
+
+def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
+    """The job is half done when the end state from which it continues is lost."""
+    with running(tmp_path) as service:
+        service.executor.script[6] = [ValueError("not yet")] * 3
+        here = str(service.client.post("/v1/jobs", json=RAMP).headers["Location"])
+        wait_for(lambda: service.client.get(here).json()["state"] == "failed")
+        spec = SweepSpec(**RAMP)
+        plan = make_plan(spec)
+        before = plan[plan[6].after or 0]
+        address = stored.key("end_state", 5, layout(spec, plan.chunk_shape).coords(before.slices), ".")
+        (service.store(here) / address).unlink()
+        service.client.post("/v1/jobs", json=RAMP)
+        service.wait(here)
+        repaired = files(service.store(here))
+    with running(tmp_path / "other") as service:
+        assert files(service.store(service.submit(RAMP))) == repaired
+
+
+def test_a_store_that_is_gone_is_computed_again(tmp_path: Path):
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+        intact = files(service.store(here))
+        shutil.rmtree(service.store(here))
+        assert all(answer.status_code == 503 for answer in service.answers(here, SWEEP)[:1])
+        for _ in range(12):  # each response finds one or two chunks
+            service.answers(here, SWEEP)
+            service.wait(here)
+            if files(service.store(here)) == intact:
+                break
+        assert files(service.store(here)) == intact
+        shutil.rmtree(service.store(here))
+    with running(tmp_path) as service:
+        wait_for(lambda: files(service.store(here)) == intact)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"zarr_format": 3', None])
+def test_damaged_metadata_is_repaired_without_computing(tmp_path: Path, content: bytes | None):
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+        intact = files(service.store(here))
+    root = service.store(here) / "zarr.json"
+    root.unlink() if content is None else root.write_bytes(content)
+    (service.store(here) / "gamma" / "c" / "0").unlink()
+    with running(tmp_path) as service:
+        wait_for(lambda: files(service.store(here)) == intact)
+        assert service.executor.tried == []
+
+
+def test_leftovers_of_an_earlier_run_are_removed(tmp_path: Path):
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+    url = service.store(here)
+    partial = url / ".partial" / "0123456789abcdef.partial"
+    partial.write_bytes(b"half")
+    with running(tmp_path):
+        wait_for(lambda: not partial.exists())
+
+
+def test_stores_beside_an_empty_ledger_are_left_alone(tmp_path: Path):
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+    for path in tmp_path.glob("ledger*"):
+        path.unlink()
+    with running(tmp_path) as service:
+        scrubber = service.client.app.state.service.manager._scrubber  # type: ignore[attr-defined]
+        scrubber._thread.join()
+        assert service.store(here).exists()
+        assert service.submit(SWEEP) == here

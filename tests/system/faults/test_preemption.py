@@ -1,0 +1,74 @@
+"""Workers that are told to leave: no chunk is blamed for it, and every job is computed to its end."""
+
+import signal
+from pathlib import Path
+
+import pytest
+from blame import blamed, noting_errors
+from dask_processes import Processes, dask_processes, family
+from paths import CACHE
+from running import Running, costing, running
+from scripted import wait_for
+
+from service.jobs.model import JobRecord, JobState
+from worker.executors.dask import Dask
+from worker.executors.errors import WorkerDied, WorkerLeft
+from worker.kernel_cache import warm
+
+PATIENCE = 240.0
+
+
+@pytest.fixture
+def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
+    """What chunks came back with, of all jobs of the test."""
+    warm(CACHE)
+    return noting_errors(monkeypatch)
+
+
+def long_job(service: Running) -> JobRecord:
+    """A job that takes longer than every test."""
+    return service.submit(costing(gamma={"start": 3.0, "stop": 3.5, "num": 100}, settle=10_000_000))
+
+
+def wait_until_computing(executor: Dask, processes: Processes) -> None:
+    wait_for(lambda: any(task.worker for task in executor._tasks.values()), processes.log, PATIENCE)
+
+
+@pytest.mark.timeout(500)
+@pytest.mark.parametrize("whole", [True, False], ids=["all processes", "the nanny"])
+def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[BaseException], whole: bool):
+    """A batch queue sends it to all processes of a job; an operator to the one that he started."""
+    with dask_processes(tmp_path / "dask") as processes:
+        executor = Dask(processes.address, timeout=60)
+        try:
+            with running(tmp_path / "data", executor, chunk_tries=1) as service:
+                job = long_job(service)
+                for _ in range(2):
+                    worker = processes.worker()
+                    wait_until_computing(executor, processes)
+                    for each in family(worker) if whole else family(worker)[:1]:
+                        each.send_signal(signal.SIGTERM)
+                    worker.wait(60)
+                    wait_for(lambda: executor.workers() == 0, seconds=60)
+                assert service.job(job).state is JobState.RUNNING
+        finally:
+            executor.close()
+    assert any(isinstance(error, WorkerLeft) for error in errors)
+    assert blamed(errors) == []
+
+
+@pytest.mark.timeout(500)
+def test_a_worker_that_is_killed_costs_a_try(tmp_path: Path, errors: list[BaseException]):
+    with dask_processes(tmp_path / "dask") as processes:
+        executor = Dask(processes.address, timeout=60)
+        try:
+            with running(tmp_path / "data", executor, chunk_tries=1, failed_chunks=1) as service:
+                job = long_job(service)
+                worker = processes.worker()
+                wait_until_computing(executor, processes)
+                for each in reversed(family(worker)):
+                    each.kill()
+                service.until(job, JobState.FAILED, seconds=PATIENCE)
+        finally:
+            executor.close()
+    assert any(isinstance(error, WorkerDied) for error in errors)

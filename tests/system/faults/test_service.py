@@ -1,0 +1,243 @@
+"""A service that is killed: at every step between accepting a job and its end, and at random moments.
+
+Nothing is lost or orphaned, and only chunks that were in flight are computed again.
+`BOUNCE_TEST_RUNS=10` for the long version.
+"""
+
+import json
+import os
+import random
+import re
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import psutil
+import pytest
+from paths import CACHE, ROOT
+from scripted import DEADLINE, free_port, wait_for
+
+from worker import store
+from worker.plan import make_plan
+from worker.schema import layout
+from worker.spec import SweepSpec
+
+RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
+
+STEPS = (
+    "store laid out",
+    "chunk given out",
+    "chunk computed",
+    "chunk half written",
+    "chunk synced",
+    "chunk reported",
+    "in the transaction",
+    "chunk marked",
+    "job ends",
+)
+
+SWEEP: dict[str, Any] = {
+    "gamma": {"start": 2.0, "stop": 5.0, "num": 40},
+    "omega": 0.5,
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 10_000,
+    "settle_early": False,
+    "observe": 20,
+    "keep": 8,
+}
+
+
+class Lives:
+    """Runs of a service, one after the other, on one data folder (see service_life.py)."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "data"
+        (folder / "spec.json").write_text(json.dumps(SWEEP))
+        command = [sys.executable, str(ROOT / "tests" / "support" / "service_life.py")]
+        self._process = subprocess.Popen(
+            [*command, str(self.folder), str(folder / "spec.json"), str(CACHE)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            text=True,
+        )
+
+    def live(self, step: str = "-", times: int = 1, seconds: float | None = None) -> dict[str, Any]:
+        assert self._process.stdin
+        assert self._process.stdout
+        self._process.stdin.write(json.dumps([step, times, seconds]) + "\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        assert line, f"service_life.py ended with {self._process.wait()}"
+        return json.loads(line)
+
+    def forget(self) -> None:
+        for path in sorted(self.folder.rglob("*"), reverse=True):
+            path.unlink() if path.is_file() else path.rmdir()
+
+    def files(self) -> dict[str, bytes]:
+        """The files of the stores."""
+        paths = (path for path in (self.folder / "stores").rglob("*") if path.is_file())
+        return {str(path.relative_to(self.folder)): path.read_bytes() for path in paths}
+
+    def end(self) -> None:
+        with self._process:
+            assert self._process.stdin
+            self._process.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def lives(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lives]:
+    lives = Lives(tmp_path_factory.mktemp("lives"))
+    yield lives
+    lives.end()
+
+
+@pytest.fixture(scope="module")
+def calm(lives: Lives) -> dict[str, bytes]:
+    """The files after a run without faults."""
+    assert lives.live()["state"] == "done"
+    return lives.files()
+
+
+@pytest.mark.parametrize("times", [1, 3])
+@pytest.mark.parametrize("step", STEPS)
+def test_killed_at_a_step_nothing_is_lost_and_little_is_computed_again(
+    lives: Lives, calm: dict[str, bytes], step: str, times: int
+):
+    lives.forget()
+    first = lives.live(step, times)
+    if times > 1 and step in ("store laid out", "job ends"):  # which come once
+        assert not first["killed"]
+    else:
+        assert first["killed"]
+        second = lives.live()
+        assert second["state"] == "done"
+        again = set(first["chunks"]) & set(second["chunks"])
+        assert len(again) <= 2  # one in work, and one whose report was on its way
+    assert lives.files() == calm
+
+
+def test_killed_at_any_moment(lives: Lives, calm: dict[str, bytes]):
+    chance = random.Random(7)
+    for _ in range(RUNS):
+        lives.forget()
+        ends = []
+        while not ends or ends[-1]["killed"]:
+            ends.append(lives.live(seconds=None if len(ends) > 4 else chance.uniform(0.05, 0.6)))
+        computed = [chunk for life in ends for chunk in life["chunks"]]
+        assert ends[-1]["state"] == "done"
+        assert len(computed) - len(set(computed)) <= 2 * len(ends)
+        assert lives.files() == calm
+
+
+class Serving:
+    """`bounce serve` in a process of its own; `ignoring_sigint`, as a script starts background jobs."""
+
+    def __init__(self, folder: Path, ignoring_sigint: bool = False) -> None:
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        command = [sys.executable, "-m", "service.cli.main", "serve", "--port", str(self.port)]
+        if ignoring_sigint:
+            command = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command]
+        with (folder / "service.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [*command, "--data", str(folder / "data")],
+                stdout=log,
+                stderr=log,
+                cwd=ROOT,
+                env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)},
+            )
+
+    def wait(self) -> None:
+        def answers() -> bool:
+            assert self.process.poll() is None
+            try:
+                return self.ask("GET", "/readyz").status_code == 200
+            except httpx2.TransportError:
+                return False
+
+        wait_for(answers)
+
+    def ask(self, method: str, path: str, **given: Any) -> httpx2.Response:
+        return httpx2.request(method, self.url + path, timeout=DEADLINE, **given)
+
+    def done(self, path: str) -> int:
+        """How many chunks of a job are done."""
+        return int(self.ask("GET", path).json()["progress"]["chunks_done"])
+
+    def family(self) -> list[psutil.Process]:
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+
+@contextmanager
+def serving(folder: Path, *, ignoring_sigint: bool = False) -> Iterator[Serving]:
+    service = Serving(folder, ignoring_sigint)
+    family: list[psutil.Process] = []
+    try:
+        service.wait()
+        family = service.family()
+        yield service
+    finally:
+        if service.process.poll() is None:
+            family += service.family()
+            service.process.terminate()
+            service.process.wait(DEADLINE)
+        _, left = psutil.wait_procs(family, timeout=DEADLINE)
+        for process in left:
+            process.kill()
+        assert left == [], "processes outlived the service"
+
+
+@pytest.mark.essential
+def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
+    """kill -9 with chunks at its workers; SIGTERM with a request that never ends; SIGINT, ignored at first.
+
+    The last two with SIGINT ignored by whoever started the service: it stops on both signals all the same.
+    """
+    sweep = SWEEP | {"gamma": {"start": 2.0, "stop": 5.0, "num": 2000}, "settle": 12_000}
+    with serving(tmp_path) as service:
+        path = service.ask("POST", "/v1/jobs", json=sweep).headers["Location"]
+        wait_for(lambda: service.done(path) >= 2)
+        service.process.send_signal(signal.SIGKILL)
+        service.process.wait()
+    with serving(tmp_path, ignoring_sigint=True) as service:
+        done = service.done(path)
+        assert done >= 2
+        wait_for(lambda: service.done(path) > done)
+        with socket.create_connection(("127.0.0.1", service.port)) as stalled:
+            stalled.sendall(b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{")
+            time.sleep(0.2)
+            service.process.terminate()
+            assert service.process.wait(DEADLINE) == 0
+    with serving(tmp_path, ignoring_sigint=True) as service:
+        job = service.ask("GET", path).json()
+        assert job["state"] in ("running", "queued", "done")
+        assert job["progress"]["chunks_done"] > done
+        service.ask("POST", f"{path}/cancel")
+        wait_for(lambda: service.ask("GET", path).json()["state"] in ("cancelled", "done"))
+        check(tmp_path / "data", sweep)
+        service.process.send_signal(signal.SIGINT)
+        assert service.process.wait(DEADLINE) == 130
+
+
+def check(data: Path, sweep: dict[str, Any]) -> None:
+    """Every chunk that the ledger marks as done is in the store, and whole."""
+    spec = SweepSpec(**sweep)
+    with closing(sqlite3.connect(data / "ledger.sqlite")) as ledger:
+        [[shape]] = ledger.execute("SELECT chunk_shape FROM jobs").fetchall()
+        marked = ledger.execute("SELECT chunk, lower(hex(checksum)) FROM chunks").fetchall()
+    plan = make_plan(spec, chunk_shape=tuple(json.loads(shape)))
+    [url] = [path for path in (data / "stores").iterdir() if re.fullmatch(r"[0-9a-f]{32}\.zarr", path.name)]
+    chunks = ((plan[chunk], checksum) for chunk, checksum in marked)
+    assert list(store.find_corrupt(str(url), layout(spec, plan.chunk_shape), chunks)) == []

@@ -1,0 +1,80 @@
+"""Basins on the page, in a real Chromium: the plane of starts, its legend, and a start in motion."""
+
+from typing import Any
+
+import httpx2
+import pytest
+from browser import needs_chromium, opened, screenshot, wait_shown
+from scripted import DEADLINE, wait_for
+from served import done
+
+pytestmark = needs_chromium
+
+#: Two cycles (1,1) at the larger Gamma, rest at the smaller.
+DROPS: dict[str, Any] = {
+    "name": "Where drops lead", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
+    "protocol": {"kind": "basin", "rows": 24, "columns": 32}, "settle": 200,
+}  # fmt: skip
+#: As in `service/static/js/views/basin.js`.
+COLOURS = ["rgb(0, 114, 178)", "rgb(230, 159, 0)"]
+PLOT = ".panel .plot canvas"
+
+
+@pytest.fixture(scope="module")
+def drops(address: str) -> str:
+    return done(address, DROPS)
+
+
+def basins_of(address: str, job: str, gamma: float) -> dict[str, Any]:
+    answer = httpx2.get(f"{address}/v1/jobs/{job}/basins", params={"gamma": gamma}, timeout=DEADLINE)
+    return dict(answer.raise_for_status().json())
+
+
+def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str):
+    found = basins_of(address, drops, 1.27)
+    with opened(browser, f"{address}/#/job/{drops}?gamma=1.27") as page:
+        wait_shown(page, gamma=1.27, complete=True)
+        assert page.locator(".tabs a").all_inner_texts() == ["Basins", "Details"]
+        entries = page.locator(".panel .legend li").all_inner_texts()
+        assert len(entries) == len(found["attractors"]) == 2
+        for text, attractor in zip(entries, found["attractors"], strict=True):
+            assert f"{attractor['longest_flight']:.4g}" in text
+            assert f"{100 * attractor['fraction']:.3g}" in text
+        swatches = page.locator(".panel .legend .swatch")
+        assert [swatches.nth(i).evaluate("e => e.style.background") for i in (0, 1)] == COLOURS
+        assert "basin entropy" in page.locator(".panel").inner_text()
+
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        said = page.locator(".panel .readout").inner_text()
+        row, column = len(found["rows"]) // 2, len(found["columns"]) // 2 + 1
+        assert f"height {found['rows'][row]:.5g}"[:10] in said
+        reached = found["attractors"][found["map"][row][column] - 1]
+        assert f"{reached['longest_flight']:.4g}" in said
+        page.keyboard.press("Enter")
+        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
+        about = page.locator(".trajectory header .note").inner_text()
+        assert "let go" in about
+        assert page.locator(".trajectory h2").inner_text() == "Trajectory of a drop"
+        wait_for(lambda: "cell=" in page.evaluate("location.href"))
+        screenshot(page, "basins")
+        with opened(browser, page.evaluate("location.href")) as again:  # the address shows the same start
+            again.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
+            assert again.locator(".trajectory header .note").inner_text() == about
+
+
+def test_the_slider_shows_another_cell(browser: Any, address: str, drops: str):
+    with opened(browser, f"{address}/#/job/{drops}/basin?gamma=1.27") as page:
+        wait_shown(page, gamma=1.27)
+        page.locator("#slider-gamma").fill("0")
+        wait_shown(page, gamma=0.6)
+        assert "at rest" in page.locator(".panel .legend").inner_text()
+
+
+def test_basins_fit_a_phone(browser: Any, address: str, drops: str):
+    target = f"{address}/#/job/{drops}?gamma=1.27&cell=1.27,0.5,0.26,drop:3.2:1.5"
+    with opened(browser, target, viewport={"width": 390, "height": 844}) as page:
+        wait_shown(page, gamma=1.27)
+        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        screenshot(page, "basins-phone")

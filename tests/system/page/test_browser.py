@@ -1,0 +1,938 @@
+"""The page in a real Chromium, served by a real service."""
+
+import json
+import os
+import re
+import statistics
+import webbrowser
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import httpx2
+import pytest
+from browser import (
+    LONG_LINE,
+    ROOT,
+    longest_task,
+    needs_chromium,
+    opened,
+    redraws,
+    screenshot,
+    wait_shown,
+    watch_tasks,
+)
+from click.testing import CliRunner
+from scripted import DEADLINE, Held, Scripted, free_port, wait_for
+
+from service.cli.main import main
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.inline import Inline
+from worker.spec import SweepSpec
+from worker.spec.contact_models import CONTACT_MODELS
+
+pytestmark = needs_chromium
+
+#: Diagrams at nine frequencies and two dampings, thresholds up and down, computed in a second.
+LOOP: dict[str, Any] = {
+    "name": "Hysteresis",
+    "gamma": {"start": 0.3, "stop": 1.4, "num": 111},
+    "omega": {"start": 0.5, "stop": 0.9, "num": 9},
+    "xi": [0.05, 0.1],
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"},
+    "settle": 120,
+    "observe": 30,
+    "keep": 24,
+}
+#: Long axes for the sliders; `python -m benchmarks.page` measures on a million cells.
+MAP: dict[str, Any] = {
+    "name": "A map",
+    "gamma": {"start": 0.5, "stop": 6.0, "num": 120},
+    "omega": {"start": 0.4, "stop": 1.6, "num": 120},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 2,
+    "observe": 8,
+    "keep": 8,
+}
+#: Far above what is measured even on a loaded machine; slower than this is a defect.
+SLOW_MS = 30_000
+
+
+def submitted(address: str, spec: dict[str, Any]) -> str:
+    return str(httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).raise_for_status().json()["id"])
+
+
+def done(address: str, job: str) -> str:
+    def status() -> dict[str, Any]:
+        view: dict[str, Any] = httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()
+        return view
+
+    wait_for(lambda: status()["state"] not in ("queued", "running"))
+    assert status()["state"] == "done", status()["error"]
+    return job
+
+
+@pytest.fixture(scope="module")
+def loop(address: str) -> str:
+    return done(address, submitted(address, LOOP))
+
+
+def view(address: str, job: str, tab: str = "diagram", **query: Any) -> str:
+    parameters = "&".join(f"{name}={value}" for name, value in query.items())
+    return f"{address}/#/job/{job}/{tab}?{parameters}"
+
+
+def colours(page: Any, selector: str = ".panel .plot canvas") -> int:
+    """The number of different colours on a canvas: one if nothing is drawn."""
+    return int(
+        page.eval_on_selector(
+            selector,
+            """canvas => new Set(new Uint32Array(canvas.getContext("2d")
+            .getImageData(0, 0, canvas.width, canvas.height).data.buffer)).size""",
+        )
+    )
+
+
+def picture(page: Any) -> str:
+    return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
+
+
+# The form
+
+
+def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Path):
+    """Each chunk is released once the bar shows the one before."""
+    held = Held()
+    settings = Settings(data=tmp_path, port=0, heartbeat_seconds=0.2)
+    with embedded.running(settings, held) as address, opened(browser, address) as page:
+        page.get_by_role("link", name="Fig. 2").first.click()
+        cost = page.locator(".cost")
+        cost.filter(has_text="cells in").wait_for()  # the form is filled in
+        page.locator("[data-field='gamma.num']").fill("120")
+        page.get_by_label("contact model").select_option("rigid")
+        page.locator("[data-field=settle]").fill("20000")
+        cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · .+ on one core")).wait_for()
+        screenshot(page, "form")
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile("#/job/"))
+        bar = page.locator("header.job .bar")
+        seen: list[float] = []
+        released = 0  # the number of values of the bar for which a chunk was released
+
+        def whole() -> bool:
+            nonlocal released
+            if _seen(bar, seen) < 100 and released < len(seen) and held.held():
+                released = len(seen)
+                held.let_go()
+            return seen[-1] == 100
+
+        wait_for(whole)
+        assert len([percent for percent in seen if 0 < percent < 100]) >= 2
+        assert seen == sorted(seen)
+        wait_shown(page, omega=0.5)
+        assert colours(page) > 2
+
+
+def _seen(bar: Any, seen: list[float]) -> float:
+    now = float(bar.get_attribute("aria-valuenow") or 0)
+    if not seen or now != seen[-1]:
+        seen.append(now)
+    return now
+
+
+def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2", expected=("422",)) as page:
+        page.locator(".cost").filter(has_text="cells in").wait_for()  # the form is filled in
+        page.get_by_label("from", exact=True).first.fill("9")
+        invalid = page.locator("[aria-invalid=true]")
+        invalid.wait_for()
+        assert invalid.get_attribute("data-field") == "gamma.start"
+        assert "must not be above “to”" in page.locator(".error").inner_text()
+        assert page.get_by_role("button", name="Compute").is_disabled()
+        assert "see the marked fields" in page.locator(".cost").inner_text()
+        screenshot(page, "form-refused")
+        page.get_by_label("restitution").fill("two")
+        page.locator("[data-field='model.restitution'][aria-invalid=true]").wait_for()
+        assert "must be a number: “two” is not" in page.locator(".error").last.inner_text()
+        page.get_by_label("restitution").fill("0,1")
+        page.locator(".error", has_text="write a decimal point, not a comma: 0.1").wait_for()
+        page.get_by_label("from", exact=True).first.fill("1")
+        page.get_by_label("restitution").fill("0.1")
+        page.locator(".cost").filter(has_text="cells in").wait_for()
+        assert page.locator("[aria-invalid=true]").count() == 0
+
+
+def _placeholders(page: Any, prefix: str = "") -> dict[str, str]:
+    """The placeholders of the visible inputs by the field names that start with `prefix`."""
+    inputs = page.locator("form.sweep [data-field][placeholder]:visible").all()
+    texts = {each.get_attribute("data-field"): each.get_attribute("placeholder") for each in inputs}
+    return {field: text for field, text in texts.items() if field.startswith(prefix)}
+
+
+def test_the_form_shows_the_contact_models_and_defaults_of_the_specification(browser: Any, address: str):
+    defaults = SweepSpec(gamma=2.0, omega=0.5, xi=0.1)
+    with opened(browser, f"{address}/#/new") as page:
+        page.locator(".cost", has_text="cells in").wait_for()
+        names = ("settle", "observe", "keep", "micro_flight", "settle_tolerance", "exponents")
+        assert {name: float(text) for name, text in _placeholders(page).items() if name in names} == {
+            name: getattr(defaults, name) for name in names
+        }
+        kinds = page.locator("[data-field='model.kind'] option").all()
+        assert [option.get_attribute("value") for option in kinds] == list(CONTACT_MODELS)
+        for kind, model in CONTACT_MODELS.items():
+            page.get_by_label("contact model").select_option(kind)
+            contact = model.fields(kind=kind)
+            fields = set(model.fields.model_fields) - {"kind"}
+            shown = page.locator("form.sweep [data-field^='model.']:visible").all()
+            assert {each.get_attribute("data-field") for each in shown} == {
+                "model.kind",
+                *(f"model.{field}" for field in fields),
+            }
+            for field, text in _placeholders(page, "model.").items():
+                value = getattr(contact, field.removeprefix("model."))
+                assert text in ("none", "f(ξ)") if value is None else float(text) == value, field
+
+
+def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
+    """The form needs no change for a new model: it is described by the API's schema."""
+
+    def add_toy(route: Any) -> None:
+        document = route.fetch().json()
+        schemas = document["components"]["schemas"]
+        schemas["Toy"] = {
+            "description": "Toy contact; of no use.",
+            "properties": {
+                "kind": {"const": "toy"},
+                "bounciness": {"title": "Bounciness", "type": "number", "default": 0.25},
+                "mood": {"title": "Mood", "enum": ["good", "bad"], "default": "bad"},
+                "sticky": {"title": "Sticky", "type": "boolean", "default": True},
+            },
+        }
+        schemas["SweepSpec"]["properties"]["model"]["oneOf"].append({"$ref": "#/components/schemas/Toy"})
+        route.fulfill(json=document)
+
+    with opened(browser, "about:blank", expected=("422",)) as page:
+        page.route("**/openapi.json", add_toy)
+        page.goto(f"{address}/#/new")
+        page.get_by_label("contact model").select_option(label="toy: toy contact")
+        assert page.get_by_label("bounciness").get_attribute("placeholder") == "0.25"
+        page.get_by_label("bounciness").fill("0.5")
+        page.locator(".error", has_text="toy").wait_for()
+        page.locator("details summary").first.click()
+        page.get_by_label("Language").select_option("JSON")
+        specification = json.loads(page.locator("details pre").text_content())
+        expected = {"kind": "toy", "bounciness": 0.5, "mood": "bad", "sticky": True}
+        assert specification["model"] == expected
+
+
+def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, address: str):
+    endless = {**LOOP, "name": "Endless", "settle": 1_000_000, "protocol": {"kind": "rest"}}
+    submitted(address, endless)
+    with opened(browser, address) as page:
+        row = page.locator(".jobs li").filter(has_text="Endless")
+        row.get_by_role("button", name="Cancel").click()
+        row.locator("[data-state=cancelled]").wait_for()
+        row.get_by_role("button", name="Resume").click()
+        row.get_by_role("button", name="Cancel").click()
+        row.locator("[data-state=cancelled]").wait_for()
+        screenshot(page, "sweeps")
+        row.get_by_role("button", name="Delete").click()
+        page.get_by_role("dialog").get_by_role("button", name="Cancel").click()
+        assert row.count() == 1
+        row.get_by_role("button", name="Delete").click()
+        page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+        row.wait_for(state="detached")
+        page.wait_for_function("() => document.activeElement.id === 'sweeps'")
+
+
+def test_fields_edited_before_the_presets_arrive_keep_their_values(browser: Any, address: str):
+    held: list[Any] = []
+
+    def hold(route: Any) -> None:
+        held.append(route)
+
+    with opened(browser, "about:blank") as page:
+        page.route("**/v1/figures", hold)
+        page.goto(f"{address}/#/new?figure=2")
+        page.get_by_label("Name").fill("typed")
+        page.locator("[data-field=observe]").fill("77")
+        page.locator(".cost", has_text="cells in").wait_for()  # of the default values
+        held[0].continue_()
+        page.locator(".cost", has_text="1,001 cells").wait_for()  # as in Fig. 2
+        assert page.get_by_label("Name").input_value() == "typed"
+        assert page.locator("[data-field=observe]").input_value() == "77"
+        page.get_by_label("Start from").select_option("7")  # replaces every field
+        page.wait_for_function("() => document.querySelector('[data-field=name]').value === 'figure 7'")
+        assert page.locator("[data-field=observe]").input_value() != "77"
+
+
+def test_the_back_button_returns_to_what_was_submitted(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2") as page:
+        page.locator(".cost", has_text="1,001 cells").wait_for()
+        page.get_by_label("Name").fill("and back")
+        page.locator("[data-field='gamma.num']").fill("3")
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile("#/job/"))
+        page.go_back()
+        page.locator(".cost", has_text="3 cells").wait_for()
+        assert page.get_by_label("Name").input_value() == "and back"
+
+
+def test_the_submit_button_never_covers_the_focused_field(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?figure=2", viewport={"width": 1280, "height": 600}) as page:
+        page.locator(".cost", has_text="1,001 cells").wait_for()
+        page.get_by_label("Name").focus()
+        bottom = "document.activeElement.getBoundingClientRect().bottom"
+        while page.evaluate("document.activeElement.closest('.submit') === null"):
+            assert page.evaluate(f"{bottom} <= document.querySelector('.submit').getBoundingClientRect().top")
+            page.keyboard.press("Tab")
+
+
+@contextmanager
+def failing(folder: Path) -> Iterator[str]:
+    """A service on which the first chunk of every sweep fails until it is resumed."""
+    with (
+        closing(Scripted({0: [ValueError("no such spring")] * 3})) as executor,
+        embedded.running(Settings(data=folder, port=0), executor) as address,
+    ):
+        yield address
+
+
+def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_path: Path):
+    with failing(tmp_path) as address, opened(browser, address) as page:
+        job = submitted(address, {**LOOP, "name": "Failing"})
+        page.locator(".jobs li .problem", has_text="no such spring").wait_for()
+        page.goto(view(address, job))
+        error = page.locator("header.job + .problem", has_text="The sweep failed: chunk 0")
+        wait_shown(page, along="gamma")
+        assert error.is_visible()
+        screenshot(page, "failed")
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        assert error.is_visible()
+        page.get_by_role("button", name="Resume").click()
+        error.wait_for(state="hidden")
+        page.locator("header.job [data-state=done]").wait_for()
+
+
+def test_an_unknown_sweep_is_reported(browser: Any, address: str):
+    with opened(browser, view(address, "nothing"), expected=("404",)) as page:
+        page.get_by_role("heading", name="No such sweep").wait_for()
+        page.goto(view(address, "nothing", "modes"))
+        page.get_by_role("link", name="All sweeps").click()
+        page.get_by_role("heading", name="A spring").wait_for()
+
+
+def test_changes_made_elsewhere_are_shown_when_the_page_becomes_visible(browser: Any, tmp_path: Path):
+    with failing(tmp_path) as address, opened(browser, address) as page:
+        job = submitted(address, {**LOOP, "settle": 10})
+        page.locator(".jobs [data-state=failed]").wait_for()
+        page.goto(view(address, job))
+        page.locator("header.job [data-state=failed]").wait_for()
+        wait_shown(page, along="gamma")
+        httpx2.post(f"{address}/v1/jobs/{job}/resume", timeout=DEADLINE).raise_for_status()
+        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+        page.locator("header.job [data-state=done]").wait_for()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_long_name_does_not_widen_the_page(browser: Any, address: str, width: int):
+    job = submitted(address, {**LOOP, "name": "x" * 200, "settle": 1, "xi": 0.3})
+    with opened(browser, address, viewport={"width": width, "height": 800}) as page:
+        page.locator(".jobs li", has_text="x" * 200).wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.goto(view(address, job))
+        page.locator("h1", has_text="x" * 200).wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_requests_are_repeated_after_a_temporary_error(browser: Any, address: str, loop: str):
+    def fails(route: Any) -> None:
+        route.fulfill(status=503, json={"detail": "not now"})
+
+    with opened(browser, "about:blank", expected=("503",)) as page:
+        page.route("**/v1/jobs?*", fails, times=1)
+        page.goto(address)
+        page.locator(".problem", has_text="not now").wait_for()
+        page.locator(".jobs li").first.wait_for()
+        page.route(f"**/v1/jobs/{loop}", fails, times=1)
+        page.goto(view(address, loop))
+        page.locator(".problem", has_text="not now").wait_for()
+        wait_shown(page, along="gamma")
+
+
+# The views of a sweep
+
+
+def test_a_slider_follows_the_grid_and_is_kept_in_the_address(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6, xi=0.05)
+        before = picture(page)
+        slider = page.get_by_role("slider").first
+        assert slider.get_attribute("aria-valuetext") == "Ω = 0.6"
+        slider.focus()
+        page.keyboard.press("ArrowRight")
+        wait_shown(page, omega=0.65)
+        wait_for(lambda: picture(page) != before)
+        page.wait_for_url(re.compile("omega=0.65"))
+        screenshot(page, "diagram")
+        after = picture(page)
+        page.reload()
+        wait_shown(page, omega=0.65)
+        wait_for(lambda: picture(page) == after)
+
+
+def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, along="gamma")
+        whole = picture(page)
+        box = page.locator(".panel .plot").bounding_box()
+        page.mouse.move(box["x"] + 300, box["y"] + 100)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 600, box["y"] + 300, steps=3)
+        page.mouse.up()
+        page.wait_for_url(re.compile("x0="))
+        wait_for(lambda: picture(page) != whole)
+        page.mouse.dblclick(box["x"] + 300, box["y"] + 100)
+        page.wait_for_function("() => !location.hash.includes('x0=')")
+        page.get_by_label("down", exact=True).uncheck()
+        page.wait_for_url(re.compile("show=up"))
+        page.get_by_label("Axis of the diagram").select_option("omega")
+        wait_shown(page, along="omega")
+        page.locator(".slider").first.filter(has_text="Γ =").wait_for()
+
+
+def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05, show="down")) as page:
+        wait_shown(page, omega=0.6)
+        box = page.locator(".panel .plot").bounding_box()
+        # Γ = 0.65, between the margins of the plot: on the ramp down it bounces there.
+        at = box["x"] + 58 + (0.65 - 0.3) / 1.1 * (box["width"] - 92), box["y"] + 150
+        page.mouse.move(*at)
+        readout = page.locator(".panel .readout", has_text="Γ = 0.65 · mode (1, 1)")
+        readout.wait_for()
+        page.mouse.click(*at)
+        _phase_after(page, _phase_after(page, None))
+        wait_for(lambda: colours(page, ".trajectory .animation") > 3)
+        wait_for(lambda: colours(page, ".trajectory .plot canvas") > 4)
+        page.locator(".trajectory .readout", has_text="complete flights in 4 plate periods").wait_for()
+        page.wait_for_url(re.compile("cell=.*,down"))
+        page.get_by_role("button", name="Pause").click()
+        screenshot(page, "trajectory")
+        still = page.locator(".trajectory .player").get_attribute("data-phase")
+        page.wait_for_timeout(120)
+        assert page.locator(".trajectory .player").get_attribute("data-phase") == still
+        page.get_by_role("button", name="Close").click()
+        assert page.locator(".trajectory").is_hidden()
+
+
+def _phase_after(page: Any, before: str | None) -> str:
+    page.wait_for_function(
+        """before => {
+            const { phase } = document.querySelector(".player")?.dataset ?? {};
+            return phase && phase !== before;
+        }""",
+        arg=before,
+    )
+    return str(page.locator(".player").get_attribute("data-phase"))
+
+
+def test_tabs_share_the_damping_and_the_selected_cell(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop), reduced_motion="reduce") as page:
+        wait_shown(page, along="gamma", xi=0.1)
+        for tab in ("Mode map", "Thresholds"):
+            page.get_by_role("link", name=tab).click()
+            wait_shown(page, xi=0.1)
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        page.locator(".panel .plot").focus()
+        for key in ("ArrowRight", "ArrowUp", "ArrowUp", "Enter"):
+            page.keyboard.press(key)
+        page.wait_for_url(re.compile("cell=0.86,0.8,0.1,up"))
+        page.get_by_role("link", name="Diagram").click()
+        wait_shown(page, along="gamma", omega=0.8, xi=0.1)
+        page.get_by_label("Axis of the diagram").select_option("omega")
+        wait_shown(page, along="omega", xi=0.1)
+        page.locator("[aria-valuetext='Γ = 0.86']").wait_for()
+
+
+def test_a_slow_trajectory_is_waited_for(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, omega=0.6)
+        held: list[Any] = []
+        page.route("**/trajectory?*", lambda route: held.append(route))  # noqa: PLW0108 - playwright marks it
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+        page.locator(".trajectory .computing", has_text="compiled").wait_for()
+        screenshot(page, "computing")
+        held[0].continue_()
+        page.locator(".trajectory .player[data-phase]").wait_for()
+        assert page.locator(".trajectory .computing").is_hidden()
+
+
+def test_an_error_is_shown_above_the_plot(browser: Any, address: str):
+    job = done(address, submitted(address, {**LOOP, "name": "Gone", "xi": 0.2, "settle": 1}))
+    with opened(browser, view(address, job, omega=0.6), expected=("404",)) as page:
+        wait_shown(page, omega=0.6)
+        httpx2.delete(f"{address}/v1/jobs/{job}").raise_for_status()
+        slider = page.get_by_role("slider").first
+        slider.focus()
+        page.keyboard.press("End")
+        page.locator(".panel .problem", has_text=job).wait_for()
+
+
+def test_the_picture_of_the_readme(browser: Any, address: str):
+    """Kept in test-artefacts/page/figure-2.png."""
+    gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
+    fig_2 = {"name": "Figure 2", "gamma": gamma, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
+    job = done(address, submitted(address, fig_2))
+    with opened(browser, view(address, job, cell="2.3,0.5,0.26,rest"), reduced_motion="reduce") as page:
+        page.get_by_label("Plate periods since").fill("1.2")
+        page.locator(".trajectory .readout", has_text="3.722, 6.285").wait_for()
+        page.evaluate("document.activeElement.blur()")  # no focus ring in the picture
+        screenshot(page, "figure-2", whole=False)
+
+
+def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
+        wait_shown(page, xi=0.05)
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        first = page.locator("#status").inner_text()
+        page.keyboard.press("Shift+ArrowRight")
+        page.keyboard.press("ArrowUp")
+        assert first.startswith("Γ = ")
+        assert page.locator("#status").inner_text() != first
+        screenshot(page, "modes")
+        page.keyboard.press("Enter")
+        page.get_by_role("button", name="Play").wait_for()
+        page.keyboard.press("+")
+        page.wait_for_url(re.compile("x0="))
+
+
+def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address: str, loop: str):
+    def plane(**query: str) -> Any:
+        path = f"{address}/v1/jobs/{loop}/modes"
+        return httpx2.get(path, params={"xi": 0.05, **query}, timeout=DEADLINE).json()
+
+    rows = plane(hysteresis="true")["hysteresis"]
+    assert "hysteresis" not in plane()
+    cells = [value for row in rows for value in row]
+    assert 0 < cells.count(1) < len(cells)
+    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        page.get_by_text(
+            f"lead to other modes (hatched /) in {100 * cells.count(1) / len(cells):.2g} %"
+        ).wait_for()
+        hatched = picture(page)
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        row, column = len(rows) // 2, len(rows[0]) // 2 + 1
+        for _ in range(len(rows[0])):
+            said = page.locator(".panel .readout").inner_text()
+            expected = {1: "ramped down, another mode", 2: "ramped down, other flights"}.get(
+                rows[row][column]
+            )
+            assert ("ramped down" in said) == (expected is not None)
+            assert expected is None or expected in said
+            if column == 0:
+                break
+            page.keyboard.press("ArrowLeft")
+            column -= 1
+        page.keyboard.press("Escape")
+        screenshot(page, "modes-hysteresis")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download PNG").click()
+        assert Path(download.value.path()).read_bytes().startswith(b"\x89PNG")
+        page.get_by_label("Hatch where up and down differ").uncheck()
+        wait_for(lambda: picture(page) != hatched)
+        assert page.get_by_text("Hysteresis: going up").count() == 0
+
+
+def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp_path: Path):
+    spec = {**MAP, "gamma": {**MAP["gamma"], "num": 60}, "omega": {**MAP["omega"], "num": 40}}
+    with serving(tmp_path, 0, max_points=1000) as address:
+        job = done(address, submitted(address, spec))
+        with opened(browser, view(address, job, "modes")) as page:
+            note = page.get_by_text("Shown: every 2nd")
+            note.wait_for()
+            page.locator(".panel .plot").focus()
+            for _ in range(3):
+                page.keyboard.press("+")
+            note.wait_for(state="hidden")
+            screenshot(page, "modes-zoomed")
+
+
+def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "thresholds", xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        assert colours(page) > 4
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        expected = httpx2.get(f"{address}/v1/jobs/{loop}/threshold?xi=0.05", timeout=DEADLINE).json()
+        text = page.locator("#status").inner_text()
+        assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: Γ = {expected['analytic'][4]:.4g}")
+        assert expected["up_status"][4] == "found"
+        assert f"ramp up: {expected['up'][4]:.4g}" in text
+        screenshot(page, "thresholds")
+
+
+def test_a_threshold_below_the_grid_says_to_start_lower(browser: Any, address: str):
+    spec = {**LOOP, "name": "Γ–φ", "gamma": [2.3, 2.4], "omega": [0.5, 0.525], "xi": 0.26, "settle": 20}
+    job = done(address, submitted(address, spec))
+    with opened(browser, view(address, job, "thresholds")) as page:
+        wait_shown(page, xi=0.26)
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        readout = page.locator(".panel .readout").inner_text()
+        assert "ramp up: bounces already at the lowest Γ, 2.3: start lower" in readout
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download SVG").click()
+        assert download.value.suggested_filename == "γ-φ-modes.svg"
+        svg = Path(download.value.path()).read_text()
+    ticks = re.findall(r'<text x="([\d.]+)"[^>]*text-anchor="end"[^>]*>(0\.\d+)<', svg)
+    assert len(ticks) > 3
+    # The axis label takes 24 px at the left edge; ticks are 13 px high.
+    assert all(float(x) - 0.55 * 13 * len(text) >= 24 for x, text in ticks)
+
+
+def test_diagram_and_mode_map_share_the_flights_that_count(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, along="gamma")
+        before = picture(page)
+        field = page.get_by_label("Count flights above")
+        assert field.input_value() == "0.05"
+        field.fill("3")
+        field.press("Enter")
+        page.wait_for_url(re.compile("min=3"))
+        wait_for(lambda: picture(page) != before)
+        page.get_by_role("link", name="Mode map").click()
+        wait_shown(page, direction="up")
+        assert page.get_by_label("Count flights above").input_value() == "3"
+
+
+def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
+    short = {"name": "Short", "gamma": {"start": 0.6, "stop": 1.5, "num": 46}, "omega": 1.0, "xi": 0.01}
+    window = {"model": {"kind": "rigid"}, "settle": 20, "observe": 60, "keep": 4}
+    job = done(address, submitted(address, short | window))
+    with opened(browser, view(address, job, "modes")) as page:
+        page.locator(".notice", has_text="of 46 cells were still settling after 80 plate periods").wait_for()
+        page.locator(".legend", has_text="still settling").wait_for()
+        page.get_by_role("link", name="New sweep with more time").click()
+        page.locator("[data-field='settle_until']").wait_for()
+
+
+def test_an_empty_view_offers_no_download(browser: Any, address: str):
+    along = {"kind": "ramp", "axis": "omega", "direction": "down"}
+    job = done(address, submitted(address, {**LOOP, "name": "Along Ω", "protocol": along, "settle": 10}))
+    with opened(browser, view(address, job, "thresholds"), expected=("422",)) as page:
+        page.locator(".panel .problem", has_text="thresholds in gamma").wait_for()
+        assert page.locator(".panel .plot").is_hidden()
+        page.get_by_role("button", name="Download CSV").click()
+        page.locator(".downloads", has_text="nothing to download").wait_for()
+        page.get_by_role("link", name="Diagram").click()
+        wait_shown(page, xi=0.1)
+        assert page.locator(".panel .plot").is_visible()
+
+
+def test_a_study_without_diagrams_is_listed_and_described(browser: Any, address: str):
+    orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05, "points": 20}
+    job = done(address, submitted(address, orbits))
+    with opened(browser, address) as page:
+        page.locator("text=study: orbits").first.wait_for()
+        page.get_by_role("link", name="Folds").click()
+        page.locator(".panel pre", has_text='"kind": "orbits"').wait_for()
+        assert page.locator(".tabs a").all_inner_texts() == ["Details"]
+    with opened(browser, view(address, job, "diagram")) as page:  # an address made for a sweep
+        page.locator(".panel pre", has_text="open_zarr").wait_for()
+
+
+@pytest.mark.parametrize("tab", ["diagram", "modes", "thresholds"])
+def test_a_view_can_be_downloaded(browser: Any, address: str, loop: str, tab: str):
+    with opened(browser, view(address, loop, tab, omega=0.6, xi=0.05)) as page:
+        wait_shown(page, xi=0.05)
+        assert _downloaded(page, "PNG").startswith(b"\x89PNG\r\n\x1a\n")
+        assert ElementTree.fromstring(_downloaded(page, "SVG")).tag.endswith("svg")
+        header, *rows = _downloaded(page, "CSV").decode().splitlines()
+        assert header.startswith(("direction,gamma,omega,xi", "omega,gamma,outcome", "omega,xi"))
+        assert len(rows) > 5
+        assert _downloaded(page, "NetCDF").startswith(b"\x89HDF")
+
+
+def _downloaded(page: Any, kind: str) -> bytes:
+    with page.expect_download() as download:
+        page.locator(".panel").get_by_role("button", name=f"Download {kind}").click()
+    assert re.fullmatch(
+        rf"hysteresis-.*\.{'nc' if kind == 'NetCDF' else kind.lower()}", download.value.suggested_filename
+    )
+    return Path(download.value.path()).read_bytes()
+
+
+# Speed
+
+
+@pytest.fixture(scope="module")
+def large(address: str) -> dict[str, str]:
+    jobs = {name: submitted(address, spec) for name, spec in (("map", MAP), ("line", LONG_LINE))}
+    return {name: done(address, job) for name, job in jobs.items()}
+
+
+@pytest.mark.essential
+def test_the_start_page_plays_a_trajectory(browser: Any, address: str, loop: str):
+    with opened(browser, address) as page:
+        page.locator(".jobs li").first.wait_for()
+        assert page.evaluate("performance.now()") < SLOW_MS
+        _phase_after(page, _phase_after(page, None))
+        page.get_by_role("button", name="Fig. 2b").click()
+        page.locator(".preview .readout", has_text="3.722, 6.285").wait_for()  # docs/model.md, section 5
+        screenshot(page, "start")
+
+
+@pytest.mark.parametrize("along", ["gamma", "omega"])
+def test_a_slider_redraws_quickly(browser: Any, address: str, large: dict[str, str], along: str):
+    with opened(browser, view(address, large["map"], along=along)) as page:
+        wait_shown(page, along=along)
+        times = redraws(page, [0, 30, 77, 119, 5, 6, 7, 8])
+        record(**{f"redraw_ms_along_{along}": times})
+        assert statistics.median(times) < SLOW_MS
+
+
+def test_the_next_lines_are_requested_before_the_slider_gets_there(
+    browser: Any, address: str, large: dict[str, str]
+):
+    with opened(browser, view(address, large["map"])) as page:
+        wait_shown(page, along="gamma")
+        redraws(page, [10])
+        # The initial line, the current one, three ahead, one behind.
+        page.wait_for_function(f"() => {REQUESTED_LINES}.length === 6")
+        _, *requested = page.evaluate(REQUESTED_LINES)
+        omegas = [float(re.findall(r"omega=([\d.]+)", url)[0]) for url in requested]
+        step = (1.6 - 0.4) / 119
+        expected = [
+            0.4 + step * index for index in (10, 9, 8, 7, 11)
+        ]  # the slider moved down from the middle
+        assert omegas == pytest.approx(expected)
+        redraws(page, [9, 8])
+        assert page.evaluate(REQUESTED_LINES).count(requested[1]) == 1
+
+
+REQUESTED_LINES = (
+    "performance.getEntriesByType('resource').map(({ name }) => name)"
+    ".filter((name) => name.includes('/line?'))"
+)
+
+
+def test_a_million_flights_do_not_block_the_page(browser: Any, address: str, large: dict[str, str]):
+    with opened(browser, "about:blank") as page:
+        watch_tasks(page)
+        page.goto(view(address, large["line"]))
+        wait_shown(page, along="gamma")
+        assert colours(page) > 10
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        whole = picture(page)
+        page.keyboard.press("+")
+        page.wait_for_url(re.compile("x0="))
+        page.wait_for_function(
+            "before => document.querySelector('.panel .plot canvas').toDataURL() !== before", arg=whole
+        )
+        screenshot(page, "million-flights")
+        longest = longest_task(page)
+        record(longest_task_ms=longest)
+        assert longest < SLOW_MS
+        page.evaluate(
+            "setTimeout(() => { for (const end = performance.now() + 90; performance.now() < end; ); })"
+        )
+        page.wait_for_function("() => window.longestTask > 80")  # long tasks are observed
+
+
+def record(**figures: Any) -> None:
+    """Keep measurements beside the screenshots."""
+    file = ROOT / "test-artefacts" / "page" / "measured.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    known = json.loads(file.read_text()) if file.exists() else {}
+    draft = file.with_suffix(f".{os.getpid()}")  # other processes never read an incomplete file
+    draft.write_text(json.dumps(known | figures, indent=1))
+    draft.replace(file)
+
+
+# Accessibility and small screens
+
+
+CELL = "xi=0.05&omega=0.6&cell=0.65,0.6,0.05,down"
+TABS = ("diagram", "modes", "thresholds", "details")
+VIEWS = (
+    "", "#/new?figure=9", *(f"#/job/JOB/{tab}?{CELL}" for tab in TABS),
+    "#/compare?jobs=JOB,OTHER", "#/explore", "docs",
+)  # fmt: skip
+SIZES = ((1280, 800), (820, 1180), (375, 740))
+
+
+@pytest.fixture(scope="module")
+def other(address: str) -> str:
+    """Another sweep, to compare with."""
+    return done(address, submitted(address, {**LOOP, "name": "Other", "xi": 0.2, "settle": 20}))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other: str, scheme: str):
+    """At three sizes; with BOUNCE_TEST_SCREENSHOTS set, each view at each size is kept as a picture."""
+    axe = (ROOT / "tests" / "vendor" / "axe.min.js").read_text()
+    with opened(browser, "about:blank", color_scheme=scheme, reduced_motion="reduce") as page:
+        page.add_init_script(axe)
+        for path in VIEWS:
+            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
+            _wait_complete(page, path)
+            for width, height in SIZES:
+                page.set_viewport_size({"width": width, "height": height})
+                if "BOUNCE_TEST_SCREENSHOTS" in os.environ:
+                    screenshot(page, f"{scheme}-{width}-{VIEWS.index(path)}")
+                assert _serious(page) == [], (path, width)
+
+
+def _serious(page: Any) -> list[tuple[str, str]]:
+    """The serious violations of the document."""
+    violations = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    return [
+        (rule["id"], rule["nodes"][0]["html"])
+        for rule in violations
+        if rule["impact"] in ("serious", "critical")
+    ]
+
+
+def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: str):
+    """And says tap, not click."""
+    phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "is_mobile": True}
+    with opened(browser, address, reduced_motion="reduce", **phone) as page:
+        for number, path in enumerate(VIEWS):
+            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
+            _wait_complete(page, path)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
+            assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
+            screenshot(page, f"phone-{number}")
+
+
+def test_the_axis_of_every_plot_is_above_the_fold(browser: Any, address: str, loop: str, other: str):
+    with opened(browser, address, viewport={"width": 1280, "height": 800}) as page:
+        for path in (path for path in VIEWS if path.startswith(("#/job", "#/compare", "#/explore"))):
+            if "details" in path:
+                continue
+            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
+            _wait_complete(page, path)
+            bottom = page.locator(".plot[data-shown]").first.evaluate(
+                "plot => plot.getBoundingClientRect().bottom + scrollY"
+            )
+            assert bottom <= 800, path
+
+
+def test_a_cycle_of_one_flight_is_a_point_of_the_return_map(browser: Any, address: str, loop: str):
+    with opened(browser, f"{address}/#/job/{loop}/diagram?{CELL}") as page:
+        page.get_by_text("1 point of").wait_for()
+        coloured = page.eval_on_selector(
+            ".portraits .plot canvas",
+            """canvas => {
+                const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+                let count = 0;
+                for (let i = 0; i < data.length; i += 4) count += Math.abs(data[i] - data[i + 2]) > 60;
+                return count;
+            }""",
+        )
+        assert 4 < coloured < 200  # all else is grey
+
+
+def _wait_complete(page: Any, path: str) -> None:
+    """Wait until the view has loaded everything."""
+    if "/new" in path:
+        page.locator(".cost", has_text="cells in").wait_for()
+        return
+    if path == "docs":
+        return
+    if "/compare" in path:
+        page.locator(".panel .plot[data-shown]").wait_for()
+        return
+    page.locator(".player[data-phase]").wait_for()
+    if "/explore" in path:
+        page.get_by_text("successive flights").wait_for()
+    elif "/job/" not in path:
+        page.locator(".jobs li").first.wait_for()
+    elif "/details" not in path:
+        page.locator(".panel .plot[data-shown]").wait_for()
+
+
+# A service that is unreachable, and one that requires a token
+
+
+@contextmanager
+def serving(folder: Path, port: int, **settings: Any) -> Iterator[str]:
+    with ExitStack() as stack:
+        executor = Inline()
+        stack.callback(executor.close)
+        yield stack.enter_context(embedded.running(Settings(data=folder, port=port, **settings), executor))
+
+
+def test_the_page_reconnects_to_a_service_that_was_restarted(browser: Any, tmp_path: Path):
+    port = free_port()
+    with ExitStack() as running:
+        address = running.enter_context(serving(tmp_path, port))
+        with opened(browser, f"{address}/#/new?figure=2", expected=("net::ERR_",)) as page:
+            page.locator(".cost", has_text="cells in").wait_for()
+            running.close()
+            page.get_by_label("Name").fill("kept")
+            banner = page.locator("#offline")
+            banner.wait_for()
+            banner.filter(has_text="does not answer").wait_for()
+            screenshot(page, "offline")
+            running.enter_context(serving(tmp_path, port))
+            banner.wait_for(state="hidden")
+            page.locator(".cost", has_text="cells in").wait_for()
+            assert page.get_by_label("Name").input_value() == "kept"
+
+
+def test_the_page_asks_for_an_access_token(browser: Any, tmp_path: Path):
+    token = "a-token-of-the-tests"
+    with serving(tmp_path, 0, token=token) as address, opened(browser, address, expected=("401",)) as page:
+        dialog = page.get_by_role("dialog", name="Access token")
+        dialog.get_by_label("Access token").fill("a-token-of-the-tests-mistyped")
+        dialog.get_by_role("button").click()
+        dialog.get_by_text("does not accept this access token").wait_for()
+        screenshot(page, "token")
+        dialog.get_by_label("Access token").fill(token)
+        dialog.get_by_role("button").click()
+        page.get_by_text("No sweeps yet").wait_for()
+
+
+def test_the_page_takes_the_token_of_the_opened_address(
+    browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """As `bounce open` hands it over: through a file that only this user can read."""
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    with serving(tmp_path, 0, token="auto") as address:
+        opened_by: list[str] = []
+        monkeypatch.setattr(webbrowser, "open", lambda url: opened_by.append(url) or True)
+        done = CliRunner().invoke(main, ["open", "--url", address])
+        assert (done.exit_code, done.output) == (0, "")
+        assert (tmp_path / "open.html").stat().st_mode & 0o077 == 0
+        token = json.loads((tmp_path / "token.json").read_text())["token"]
+        assert token not in opened_by[0]
+        with opened(browser, opened_by[0]) as page:
+            page.get_by_text("No sweeps yet").wait_for()
+            assert page.url == f"{address}/#/"
+            page.get_by_role("navigation").get_by_role("link", name="New sweep").click()
+            page.locator(".cost", has_text="cells in").wait_for()
+            page.reload()  # the tab keeps it
+            page.locator(".cost", has_text="cells in").wait_for()
+            assert token not in page.content()
+            assert page.evaluate("Object.values(localStorage)") == []
+        with opened(browser, address, expected=("401",)) as page:  # another tab does not
+            page.get_by_role("dialog", name="Access token").wait_for()
+            page.goto(f"{address}/#token={token}")  # an address that is pasted
+            page.evaluate("location.reload()")
+            page.get_by_text("No sweeps yet").wait_for()

@@ -1,0 +1,196 @@
+"""Cycles in closed form on the page, in a real Chromium: branches over a diagram, folds over thresholds."""
+
+import json
+import re
+from typing import Any
+
+import httpx2
+import pytest
+from browser import needs_chromium, opened, screenshot, wait_shown
+from scripted import DEADLINE, wait_for
+
+from kernel.branches.starts import cycles_at
+from kernel.branches.thresholds import thresholds
+from kernel.params import Cell
+
+pytestmark = needs_chromium
+
+#: A hysteresis loop with the frequencies of an S-shaped branch and of a tip.
+LOOP: dict[str, Any] = {
+    "name": "Hysteresis in closed form",
+    "gamma": {"start": 0.45, "stop": 1.1, "num": 66},
+    "omega": {"start": 0.5, "stop": 0.75, "num": 11},
+    "xi": 0.05,
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"},
+    "settle": 120,
+    "observe": 30,
+    "keep": 24,
+}
+
+#: Positions on the plot, in CSS pixels, of pixels in the colour of a property of the style sheet.
+PIXELS = """([selector, property]) => {
+    const canvas = document.querySelector(selector);
+    if (!canvas?.width) return []; // nothing is drawn yet
+    const hex = getComputedStyle(document.documentElement).getPropertyValue(property).trim();
+    const wanted = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
+    const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const ratio = canvas.width / canvas.clientWidth;
+    const found = [];
+    for (let i = 0; i < data.length; i += 4) {
+        if (wanted.every((value, j) => Math.abs(data[i + j] - value) < 3)) {
+            found.push([(i / 4 % width) / ratio, Math.floor(i / 4 / width) / ratio]);
+        }
+    }
+    return found;
+}"""
+PLOT = ".panel .plot canvas"
+#: Chromium's advice on reading a canvas often, as only these tests do.
+READBACK = ("willReadFrequently",)
+
+
+@pytest.fixture(scope="module")
+def loop(address: str) -> str:
+    job = httpx2.post(f"{address}/v1/jobs", json=LOOP, timeout=DEADLINE).raise_for_status().json()["id"]
+
+    def state() -> str:
+        return str(httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()["state"])
+
+    wait_for(lambda: state() not in ("queued", "running"))
+    assert state() == "done"
+    return str(job)
+
+
+def branch_pixels(page: Any) -> list[list[float]]:
+    """Where the plot has the colour of branches, from the left."""
+    found: list[list[float]] = page.evaluate(PIXELS, [PLOT, "--branch"])
+    return sorted(found)
+
+
+def readout_at(page: Any, at: list[float]) -> str:
+    box = page.locator(PLOT).first.bounding_box()
+    page.mouse.move(box["x"] + at[0], box["y"] + at[1])
+    return str(page.locator(".panel .readout").inner_text())
+
+
+def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, address: str, loop: str):
+    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05", expected=READBACK) as page:
+        wait_shown(page, omega=0.6)
+        assert branch_pixels(page) == []
+        page.get_by_label("Branches").check()
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        wait_for(lambda: "branches=1" in page.evaluate("location.href"))
+        screenshot(page, "branches")
+
+        # every cycle that is pointed at is one of the closed form, and some are unstable
+        texts = {}
+        for at in branch_pixels(page)[::60]:
+            text = readout_at(page, at)
+            if "unstable" in text and "(1, 1)" in text:
+                texts[text] = at
+        assert texts
+        text, at = next(iter(texts.items()))
+        match = re.search(
+            r"Γ = ([\d.]+) · cycle \(1, 1\), unstable · flight time ([\d.]+) rad · multipliers", text
+        )
+        assert match
+        gamma, time = map(float, match.groups())
+        known = cycles_at(Cell(gamma, 0.6, 0.05), 1)
+        assert abs(known.flight_time - time).min() < 0.05  # gamma is shown with five digits
+
+        page.mouse.click(*(edge + offset for edge, offset in zip(_corner(page), at, strict=True)))
+        said = page.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable")
+        said.wait_for()
+        assert re.search(r"multipliers −?[\d.]+", said.inner_text())
+        flights = re.search(r"4 plate periods: (.+) rad", said.inner_text())
+        assert flights
+        values = [float(each) for each in flights[1].split(", ")]
+        assert len(values) >= 3
+        assert values == pytest.approx([time] * len(values), abs=2e-3)
+        assert "on a cycle in closed form" in page.locator(".trajectory header .note").inner_text()
+        screenshot(page, "cycle")
+        with opened(
+            browser, page.evaluate("location.href"), expected=READBACK
+        ) as again:  # the address shows the same cycle
+            again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
+
+
+def _corner(page: Any) -> tuple[float, float]:
+    box = page.locator(PLOT).first.bounding_box()
+    return box["x"], box["y"]
+
+
+def test_branches_follow_the_slider_and_leave_with_the_box(browser: Any, address: str, loop: str):
+    with opened(
+        browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1", expected=READBACK
+    ) as page:
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        before = branch_pixels(page)
+        page.locator(".panel input[type=range]").first.evaluate(
+            "slider => { slider.value = 8; slider.dispatchEvent(new Event('input', { bubbles: true })); }"
+        )
+        wait_shown(page, omega=0.7)
+        wait_for(lambda: branch_pixels(page) != before)
+        page.get_by_label("Branches").uncheck()
+        wait_for(lambda: branch_pixels(page) == [])
+        wait_for(lambda: "branches" not in page.evaluate("location.href"))
+
+
+def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
+    with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05", expected=READBACK) as page:
+        wait_shown(page, xi=0.05, folds=False)
+        page.get_by_label("Folds").check()
+        wait_shown(page, xi=0.05, folds=True)
+        assert len(branch_pixels(page)) > 200
+        assert page.locator(".closed-form .note").inner_text() == ""
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")  # the middle frequency, 0.625
+        said = page.locator(".panel .readout", has_text="closed form: bouncing ends at").inner_text()
+        assert f"{thresholds(0.625, 0.05).down:.6g}" in said
+        assert "(fold (1,1))" in said
+        screenshot(page, "folds")
+
+
+#: The closed-form views: a diagram with branches, thresholds with folds.
+VIEWS = {
+    "branches": "diagram?omega=0.6&xi=0.05&branches=1",
+    "folds": "thresholds?xi=0.05&folds=1",
+}
+
+
+@pytest.mark.parametrize("view", ["branches", "folds"])
+def test_closed_forms_fit_a_phone(browser: Any, address: str, loop: str, view: str):
+    target = f"{address}/#/job/{loop}/{VIEWS[view]}"
+    with opened(browser, target, expected=READBACK, viewport={"width": 390, "height": 844}) as page:
+        wait_for(lambda: len(branch_pixels(page)) > 60)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        screenshot(page, f"{view}-phone")
+
+
+def test_the_form_asks_for_a_start_on_a_cycle_and_keeps_it(browser: Any, address: str):
+    seeded = {
+        **LOOP, "name": "seeded", "gamma": {"start": 0.555, "stop": 0.6, "num": 5}, "omega": 0.6,
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "down", "start": {"periods": 1}},
+    }  # fmt: skip
+    view = httpx2.post(f"{address}/v1/jobs", json=seeded, timeout=DEADLINE).raise_for_status().json()
+    with opened(browser, f"{address}/#/new?from={view['id']}", expected=("422",)) as page:
+        page.locator(".cost").filter(has_text="cells in").wait_for()
+        first = page.get_by_label("first cell")
+        assert first.input_value() == "1"
+        first.select_option("2")
+        refused = page.locator("[data-field='protocol.start'][aria-invalid=true]")
+        refused.wait_for()
+        assert "there is no stable cycle (1, 2) at gamma 0.6" in page.locator(".error").inner_text()
+        first.select_option("1")
+        page.locator(".cost").filter(has_text="cells in").wait_for()
+        page.get_by_role("button", name="Compute").click()
+        page.wait_for_url(re.compile(f"#/job/{view['id']}"))  # the same specification is the same job
+        page.locator("header.job .summary", has_text="ramp down along Γ from the cycle (1, 1)").wait_for()
+
+
+def test_a_ball_has_no_branches(browser: Any, address: str):
+    spec = {**LOOP, "name": "a ball", "model": {"kind": "ball", "restitution": 0.0}, "omega": 0.6}
+    job = httpx2.post(f"{address}/v1/jobs", json=json.loads(json.dumps(spec)), timeout=DEADLINE).json()["id"]
+    with opened(browser, f"{address}/#/job/{job}/diagram") as page:
+        page.locator(".panel .plot").wait_for()
+        assert page.get_by_label("Branches").count() == 0

@@ -1,0 +1,84 @@
+"""Attractors over a grid on the page, in a real Chromium: the diagram of all, the map, one in motion."""
+
+from typing import Any
+
+import httpx2
+import pytest
+from browser import needs_chromium, opened, screenshot, wait_shown
+from scripted import DEADLINE, wait_for
+from served import done
+
+pytestmark = needs_chromium
+
+#: Hysteresis: (1,1) is born in a fold at gamma 0.5532 for omega 0.6; rest ends at the threshold of Eq. 25.
+PLANE: dict[str, Any] = {
+    "name": "What coexists", "gamma": {"start": 0.4, "stop": 1.1, "num": 15},
+    "omega": {"start": 0.5, "stop": 0.7, "num": 5}, "xi": 0.05, "model": {"kind": "rigid"},
+    "protocol": {"kind": "multistability"}, "settle": 600,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def job(address: str) -> str:
+    return done(address, PLANE)
+
+
+def line_of(address: str, job: str, omega: float) -> dict[str, Any]:
+    answer = httpx2.get(f"{address}/v1/jobs/{job}/diagram", params={"omega": omega}, timeout=DEADLINE)
+    return dict(answer.raise_for_status().json())
+
+
+def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, address: str, job: str):
+    line = line_of(address, job, 0.6)
+    with opened(browser, f"{address}/#/job/{job}?omega=0.6") as page:
+        wait_shown(page, omega=0.6, complete=True)
+        assert page.locator(".tabs a").all_inner_texts() == ["Diagram", "Map", "Details"]
+        entries = page.locator(".panel .legend li").all_inner_texts()
+        assert [entry.split(":")[0] for entry in entries] == [str(a["id"]) for a in line["attractors"]]
+        events = page.locator(".panel .events li").all_inner_texts()
+        assert len(events) == len(line["events"])
+        assert any("(1,1), is born" in event for event in events)
+
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("ArrowUp")
+        j = len(line["gamma"]) // 2 + 1
+        place = line["cells"][0][j][min(1, len(line["cells"][0][j]) - 1)]
+        said = page.locator(".panel .readout").inner_text()
+        assert f"Γ = {line['gamma'][j]:g}" in said
+        assert f"attractor {place['id']}, {place['label']}" in said
+        page.keyboard.press("Enter")
+        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
+        assert page.locator(".trajectory h2").inner_text() == "Trajectory of an attractor"
+        wait_for(lambda: "cell=" in page.evaluate("location.href"))
+        screenshot(page, "attractors")
+
+
+def test_the_map_says_where_several_coexist(browser: Any, address: str, job: str):
+    with opened(browser, f"{address}/#/job/{job}/map") as page:
+        wait_shown(page, xi=0.05, complete=True)
+        assert "Two attractors or more in" in page.locator(".panel").inner_text()
+        plot = page.locator(".panel .plot canvas").first
+        hatched = plot.evaluate("canvas => canvas.toDataURL()")
+        page.get_by_label("Hatch cells with several attractors").uncheck()
+        assert plot.evaluate("canvas => canvas.toDataURL()") != hatched
+        page.get_by_label("Hatch cells with several attractors").check()
+        page.locator(".panel .plot").focus()
+        page.keyboard.press("ArrowLeft")
+        assert "attractor 1" in page.locator(".panel .readout").inner_text()
+        page.keyboard.press("Enter")
+        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
+        with page.expect_download() as download:
+            page.get_by_label("Download CSV").first.click()
+        assert download.value.suggested_filename == "what-coexists-attractor-map.csv"
+        screenshot(page, "attractor-map")
+
+
+@pytest.mark.parametrize("tab", ["attractors", "map"])
+def test_attractors_fit_a_phone(browser: Any, address: str, job: str, tab: str):
+    target = f"{address}/#/job/{job}/{tab}?omega=0.6&cell=0.8,0.6,0.05,attractor:1"
+    with opened(browser, target, viewport={"width": 390, "height": 844}) as page:
+        wait_shown(page, xi=0.05)
+        page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        screenshot(page, f"{tab}-phone")

@@ -1,0 +1,56 @@
+"""Adaptive maps through a service that listens."""
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from served import computing
+
+from kernel.params import KERNEL_VERSION, Outcome
+from service.client.client import Client
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.inline import Inline
+
+SPACE: dict[str, Any] = {
+    "name": "thresholds and modes",
+    "gamma": {"start": 0.4, "stop": 2.4, "num": 49},
+    "omega": {"start": 0.4, "stop": 1.0, "num": 41},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 300,
+    "observe": 60,
+    "keep": 8,
+}
+
+MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+def test_the_client_refines_a_window(tmp_path: Path):
+    with (
+        closing(Inline()) as executor,
+        embedded.running(Settings(data=tmp_path, port=0), executor) as address,
+        Client(address) as client,
+    ):
+        estimate = client.estimate(MAP)
+        assert estimate.computed_cells is not None
+        job = client.submit(MAP).wait(progress=False)
+        modes = job.modes(mask=True)
+        assert modes.attrs["computed"] == pytest.approx(float(modes.computed.mean()))
+        assert "computed" in job.diagram(omega=0.6)
+        assert job.threshold().up_computed.dtype == bool
+        window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)
+        assert window.spec["parent"] == job.id != window.id
+        assert set(np.unique(window.modes().outcome)) <= {int(outcome) for outcome in Outcome}
+        assert httpx2.get(f"{address}/v1/jobs/{window.id}").json()["kernel_version"] == KERNEL_VERSION

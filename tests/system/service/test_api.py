@@ -1,0 +1,36 @@
+"""Sweeps through REST on two Dask workers."""
+
+import os
+from pathlib import Path
+
+import psutil
+import pytest
+from scripted import wait_for
+from served import FIGURE_2, computing, finished, get, service
+
+from worker.executors.dask import Dask
+
+
+@pytest.mark.essential
+def test_the_cluster_computes_what_inline_computes(tmp_path: Path, cluster: Dask):
+    with computing(tmp_path / "inline") as here:
+        expected = get(here, f"{finished(here, FIGURE_2)}/diagram")
+    with service(tmp_path / "cluster", cluster) as there:
+        assert get(there, f"{finished(there, FIGURE_2)}/diagram") == expected
+        wait_for(lambda: there.get("/readyz").json() == {"status": "ok"})
+
+
+def test_figure_2_takes_less_than_five_core_seconds_on_a_warm_cluster(tmp_path: Path, cluster: Dask):
+    """CPU time of the workers; for wall-clock time on a quiet machine, run `python -m benchmarks.figure`."""
+    pids = cluster._connection.client.run(os.getpid).values()
+
+    def spent() -> float:
+        return sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids)
+
+    with service(tmp_path, cluster) as client:
+        finished(client, {**FIGURE_2, "gamma": 1.5})
+        for kind in ("rigid", "soft"):
+            gamma = {"start": 1.0, "stop": 6.0, "num": 1000}
+            before = spent()
+            finished(client, {**FIGURE_2, "gamma": gamma, "model": {"kind": kind}})
+            assert spent() - before < 5

@@ -1,0 +1,47 @@
+"""Client and commands on the data folder of an earlier release."""
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from earlier_release import EXPECTED, unpacked
+from scripted import Scripted
+
+from kernel.params import KERNEL_VERSION
+from service.cli.main import main
+from service.client import Client, Conflict
+from service.server import embedded
+
+NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return unpacked(tmp_path)
+
+
+def test_client_and_commands_follow_to_the_new_job(folder: Path):
+    settings = embedded.settings(data=folder, port=0)
+    with closing(Scripted()) as executor, embedded.running(settings, executor) as url, Client(url) as client:
+
+        def bounce(*words: str) -> Any:
+            return CliRunner().invoke(main, words, env={"BOUNCE_URL": url})
+
+        old_id = EXPECTED["interrupted"]["id"]
+        old = client.job(old_id)
+        assert f"notice    {old.notice}" in bounce("status", old_id).stdout
+        waited = client.job(old_id).wait(progress=False)
+        assert (waited.id, waited.state) == (old.replaced_by, "done")
+        assert f"job {old_id} was replaced by job {waited.id}" in bounce("wait", old_id).stderr
+        resumed = bounce("resume", old_id)
+        assert resumed.exit_code == 0, resumed.stderr
+        assert resumed.stdout == f"{waited.id}\n"
+        assert NOTICE in resumed.stderr
+        assert old.resume().id == waited.id
+        done = EXPECTED["done"]["id"]
+        assert client.job(done).wait(progress=False).id == done
+        with pytest.raises(Conflict, match="submit the sweep again"):
+            client.job(done).resume()
+        assert f"the job is {NOTICE}" in bounce("threshold", done).stderr

@@ -1,0 +1,136 @@
+"""Stores over HTTP, and files under the eyes of another program."""
+
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from scripted import DEADLINE
+from served import RAMP, computing, finished
+
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.inline import Inline
+
+#: A checker of the CF conventions: `pip install compliance-checker`.
+CHECKER = shutil.which("compliance-checker")
+
+
+class Done:
+    """A finished job, the client that made it, and its store as xarray reads it from the disk."""
+
+    def __init__(self, client: TestClient, folder: Path, spec: Mapping[str, Any] = RAMP) -> None:
+        self.client = client
+        self.here = finished(client, dict(spec))
+        (url,) = folder.rglob("*.zarr")
+        self.store = xarray.open_zarr(url, chunks=None).load()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    folder = tmp_path_factory.mktemp("data")
+    with computing(folder, turn_seconds=0.01) as client:
+        yield Done(client, folder)
+
+
+def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
+    executor = Inline()
+    with (
+        embedded.running(Settings(data=tmp_path, port=0, heartbeat_seconds=0.2), executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        here = finished(client, RAMP)  # type: ignore[arg-type]
+        dataset = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
+        (url,) = tmp_path.rglob("*.zarr")
+        xarray.testing.assert_identical(dataset, xarray.open_zarr(url, chunks=None).load())
+        head = client.head(f"{here}/zarr/zarr.json")
+        assert (head.status_code, head.content) == (200, b"")
+    executor.close()
+
+
+KEYS = {
+    "zarr.json": 200,
+    "outcome/zarr.json": 200,
+    "outcome/c.0.0.0.0": 200,
+    "gamma/c/0": 200,
+    "": 404,
+    "outcome": 404,
+    "outcome/": 404,
+    "outcome/c.0.0.0.00": 404,
+    "outcome/c.0.0.0.999999": 404,
+    "outcome/c.0.0.0.-1": 404,
+    "outcome/c.0.0.0.%D9%A3": 404,  # a three, though not an ASCII one
+    "outcome/c.0.0.0.0%00": 404,
+    "../../ledger.sqlite": 404,
+    "..%2F..%2Fledger.sqlite": 404,
+    "%2e%2e/%2e%2e/ledger.sqlite": 404,
+    "..%5c..%5cledger.sqlite": 404,
+    "%252e%252e/ledger.sqlite": 404,
+    "/etc/passwd": 404,
+    "%2Fetc%2Fpasswd": 404,
+    "outcome/../zarr.json": 404,
+    "outcome/%2e%2e/zarr.json": 404,
+    "outcome/c/../../../../ledger.sqlite": 404,
+    "zarr.json%0a": 200,  # the line end is left off before anybody looks at the key
+    ".zarr.json.partial": 404,
+    "outcome/c.0.0.0.0.partial": 404,
+    "C:/windows/win.ini": 404,
+    "zarr.json%FF": 404,
+}
+
+
+@pytest.fixture(scope="module")
+def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, str]]:
+    """A service's host and port, and two jobs of it that are done."""
+    executor = Inline()
+    settings = Settings(data=tmp_path_factory.mktemp("data"), port=0, heartbeat_seconds=0.2)
+    with (
+        embedded.running(settings, executor) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        first, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
+        yield address.removeprefix("http://"), first, other
+    executor.close()
+
+
+def on_the_wire(host: str, path: str) -> tuple[int, bytes]:
+    """GET a path exactly as it is written, which no well-behaved client does."""
+    connection = HTTPConnection(host, timeout=DEADLINE)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str], key: str):
+    host, here, _ = wire
+    status, content = on_the_wire(host, f"{here}/zarr/{key}")
+    assert status == KEYS[key], content
+    assert b"SQLite" not in content
+
+
+@pytest.mark.parametrize(
+    "way", ["../{}.zarr", "%2e%2e/{}.zarr", "..%2f{}.zarr", "../../{}/zarr", "..%5c{}.zarr"]
+)
+def test_another_jobs_results_are_not_reached_through_ones_own(wire: tuple[str, str, str], way: str):
+    host, here, other = wire
+    path = way.format(other.rsplit("/", 1)[1])
+    assert on_the_wire(host, f"{here}/zarr/{path}/zarr.json")[0] == 404
+
+
+@pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")
+def test_netcdf_follows_the_cf_conventions(done: Done, tmp_path: Path):
+    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    command = [str(CHECKER), "--test=cf:1.11", "--criteria=strict", "sweep.nc"]
+    report = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+    assert "All tests passed!" in report.stdout, report.stdout

@@ -1,0 +1,159 @@
+"""Generated requests: no response is a 500, and every response is as the API document says.
+
+A few hundred requests by default; a long run:
+
+    BOUNCE_FUZZ=5000 pytest tests/system/service/test_fuzz.py --timeout 3600
+"""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from concurrent.futures import Future
+from typing import Any, NamedTuple
+
+import httpx2
+import pytest
+import requests
+import schemathesis
+
+# Loaded here, not when it is needed: Python 3.11 cannot compile modules while other threads do.
+import schemathesis.specs.openapi.schemas
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+from hypothesis.errors import FlakyStrategyDefinition
+from schemathesis import GenerationMode
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+from scripted import DEADLINE
+from served import finished
+
+from service.server import embedded
+from service.settings import Settings
+from worker.executors.inline import Inline
+from worker.tasks import ChunkReport
+
+#: Seconds for a response on a busy machine.
+TIMEOUT = 60
+CASES = int(os.environ.get("BOUNCE_FUZZ", "300"))
+
+DONE: dict[str, Any] = {
+    "gamma": {"start": 0.6, "stop": 1.4, "num": 9}, "omega": [0.5, 0.6], "xi": 0.26,
+    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    "model": {"kind": "rigid"}, "settle": 5, "observe": 5, "keep": 4,
+}  # fmt: skip
+
+CHECKS = [
+    not_a_server_error,
+    status_code_conformance,
+    content_type_conformance,
+    response_schema_conformance,
+]
+
+
+#: Sequences per seed: responses depend on earlier requests, and hypothesis gives up if the same draws lead to
+#: different ones.
+AT_A_TIME = 4
+
+
+class Idle(Inline):
+    """Computes no chunk: generated sweeps may be long."""
+
+    def submit(self, *_: Any, **__: Any) -> "Future[ChunkReport]":
+        return Future()
+
+
+class Api(NamedTuple):
+    """A service with one done job and one that never ends."""
+
+    address: str
+    done: str
+    queued: str
+    schema: Any
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    given = {"data": tmp_path_factory.mktemp("data"), "port": 0, "heartbeat_seconds": 0.2}
+    computing, idle = Inline(), Idle()
+    with (
+        embedded.running(Settings(**given), computing) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        done = finished(client, DONE).rsplit("/", 1)[1]  # type: ignore[arg-type]
+    computing.close()
+    caps = {"max_queue": 100_000, "trajectory_seconds": 0.02, "body_seconds": 2.0}
+    with (
+        embedded.running(Settings(**given, **caps), idle) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
+        queued = client.post("/v1/jobs", json={**DONE, "settle": 6}).json()["id"]
+        schema = schemathesis.openapi.from_url(f"{address}/openapi.json")
+        # /v1/tradeoff computes for half a minute and answers 202 meanwhile.
+        yield Api(address, done, queued, schema.exclude(path="/v1/tradeoff"))
+    idle.close()
+
+
+def requests_of(api: Api) -> st.SearchStrategy[Any]:
+    """Valid and invalid requests to every operation; most of those with a job id use one that exists."""
+    operations = [result.ok() for result in api.schema.get_all_operations()]
+    modes = (GenerationMode.POSITIVE, GenerationMode.NEGATIVE)
+    cases = st.one_of(
+        [operation.as_strategy(generation_mode=mode) for operation in operations for mode in modes]
+    )
+
+    def named(pair: tuple[Any, str | None]) -> Any:
+        case, job = pair
+        if job is None or "job_id" not in (case.path_parameters or {}):
+            return case
+        if case.method.upper() == "DELETE" or (case.path.endswith("/events") and job != api.done):
+            return case  # keep the jobs; the stream of an unfinished job never ends
+        case.path_parameters["job_id"] = job
+        return case
+
+    return st.tuples(cases, st.sampled_from([api.done, api.done, api.queued, None])).map(named)
+
+
+def test_single_requests_are_answered_as_documented(api: Api):
+    session = requests.Session()
+
+    @settings(
+        max_examples=CASES,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate,),
+    )
+    @given(requests_of(api))
+    def check(case: Any) -> None:
+        response = case.call(session=session, timeout=DEADLINE)
+        case.validate_response(response, checks=CHECKS)
+
+    check()
+    session.close()
+    assert requests.get(f"{api.address}/v1/jobs/{api.done}", timeout=DEADLINE).json()["state"] == "done"
+
+
+def test_sequences_of_requests_are_answered_as_documented(api: Api):
+    """Ids in responses are used in later requests, by the links of the API document."""
+    schema = api.schema.exclude(path_regex="/events$")  # an unfinished job's never end
+    machine = schema.as_state_machine()
+    machine.validate_response = lambda self, response, case, additional_checks=(), **rest: (
+        case.validate_response(response, checks=CHECKS)
+    )
+    machine.get_call_kwargs = lambda self, case: {"timeout": TIMEOUT}
+    machine.TestCase.settings = settings(
+        max_examples=AT_A_TIME,
+        stateful_step_count=12,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate,),
+    )
+    for number in range(max(CASES // 60 // AT_A_TIME, 1)):
+        seed(number)(machine)
+        with contextlib.suppress(FlakyStrategyDefinition):
+            machine.TestCase().runTest()

@@ -1,0 +1,118 @@
+"""`bounce run`, interrupted."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from studies import STUDIES
+
+from service import local
+from service.client.models import JobStatus
+
+SPEC = {
+    "name": "local",
+    "gamma": {"start": 0.6, "stop": 3.0, "num": 25},
+    "omega": [0.5, 0.6],
+    "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 30,
+    "observe": 20,
+    "keep": 4,
+}
+
+#: Cells of which a chunk takes tenths of a second, and the whole some seconds.
+LONG = SPEC | {
+    "gamma": {"start": 1.0, "stop": 4.0, "num": 40},
+    "omega": {"start": 0.5, "stop": 0.6, "num": 10},
+    "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
+    "settle": 4000,
+    "settle_early": False,
+}
+
+ORBITS = {
+    "omega": {"start": 0.4, "stop": 1.2, "num": 60},
+    "xi": [0.05, 0.1, 0.2],
+    "protocol": {"kind": "orbits"},
+    "points": 40,
+}
+
+
+def files(store: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()
+    }
+
+
+def stored_chunks(folder: Path) -> int:
+    """The chunks of the array of which there are fewest; folders may be renamed meanwhile."""
+    counts = Counter(
+        Path(path).relative_to(folder).parts[2]
+        for path, _, names in os.walk(folder / "stores")
+        for name in names
+        if name.startswith("c.")
+    )
+    return min(counts.values(), default=0)
+
+
+def interrupted(tmp_path: Path, number: int, spec: dict[str, Any] = LONG) -> subprocess.Popen[str]:
+    """A `bounce run` that got a signal after chunks were stored."""
+    file = tmp_path / "long.json"
+    file.write_text(json.dumps(spec))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli.main", "run", str(file), "-o", "long.zarr", "--workers", "1"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    )
+    deadline = time.monotonic() + 300
+    while stored_chunks(tmp_path / "long.zarr.partial") < 3:
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(number)
+    return process
+
+
+@pytest.mark.parametrize(
+    ("number", "spec"),
+    [
+        pytest.param(signal.SIGINT, LONG, id="sweep, Ctrl-C"),
+        *(
+            pytest.param(signal.SIGKILL, spec, id=name)
+            for name, spec in ({"sweep": LONG, "orbits": ORBITS} | STUDIES).items()
+            if name != "basins"  # takes longest
+        ),
+    ],
+)
+def test_an_interrupted_run_goes_on_where_it_stopped(
+    tmp_path: Path, number: signal.Signals, spec: dict[str, Any]
+):
+    process = interrupted(tmp_path, number, spec)
+    _, text = process.communicate(timeout=60)
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert "the same command goes on in long.zarr.partial" in text
+        assert "Traceback" not in text
+    assert not (tmp_path / "long.zarr").exists()
+    seen: list[JobStatus] = []
+    local.run(spec, tmp_path / "long.zarr", progress=seen.append)
+    assert seen[0].progress.chunks_done > 0
+    assert seen[-1].progress.cells_done == seen[-1].progress.cells_total
+    local.run(spec, tmp_path / "whole.zarr", progress=False)
+    assert files(tmp_path / "long.zarr") == files(tmp_path / "whole.zarr")
+    assert not (tmp_path / "long.zarr.partial").exists()
+
+
+def test_another_study_does_not_take_over_an_interrupted_one(tmp_path: Path):
+    interrupted(tmp_path, signal.SIGKILL).communicate(timeout=60)
+    with pytest.raises(FileExistsError, match="another specification"):
+        local.run(SPEC, tmp_path / "long.zarr", progress=False)

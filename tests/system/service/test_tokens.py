@@ -1,0 +1,84 @@
+"""Tokens of a service that runs."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx2
+import psutil
+import pytest
+from click.testing import CliRunner
+from paths import CACHE, ROOT
+from scripted import DEADLINE, Held, free_port, wait_for
+
+from service import tokens
+from service.cli.main import main
+from service.client import Client, Unauthorized
+from service.server import embedded
+from service.settings import Settings
+
+ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
+
+
+def test_a_client_of_the_same_user_finds_the_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    settings = Settings(data=tmp_path / "bounce-data", port=0, token="auto")
+    with embedded.running(settings, Held()) as url:
+        with Client(url) as stranger, pytest.raises(Unauthorized):
+            next(iter(stranger.jobs()), None)
+        monkeypatch.chdir(tmp_path)  # where ./bounce-data is
+        with Client(url) as client:
+            assert list(client.jobs()) == []
+        for given in ([], ["--token", "auto"]):
+            done = CliRunner().invoke(main, ["list", "--url", url, *given])
+            assert (done.exit_code, done.output.split()[0]) == (0, "ID")
+        token = json.loads((tmp_path / "bounce-data" / tokens.FILE_NAME).read_text())["token"]
+        assert httpx2.get(f"{url}/v1/jobs", headers={"Authorization": "Bearer auto"}).status_code == 401
+        assert httpx2.get(f"{url}/v1/jobs", headers={"Authorization": f"Bearer {token}"}).status_code == 200
+    port = int(url.rpartition(":")[2])
+    assert tokens.find_token(port) is None
+    with embedded.running(settings, Held()) as url, Client(url) as client:
+        assert list(client.jobs()) == []
+    assert json.loads((tmp_path / "bounce-data" / tokens.FILE_NAME).read_text())["token"] == token
+
+
+def test_the_token_of_the_environment_is_there_again_after_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("BOUNCE_TOKEN", ANA)
+    with embedded.running(embedded.settings(data=tmp_path, port=0), Held()) as url:
+        assert "BOUNCE_TOKEN" not in os.environ
+        assert httpx2.get(f"{url}/v1/jobs", headers={"Authorization": f"Bearer {ANA}"}).status_code == 200
+    assert os.environ["BOUNCE_TOKEN"] == ANA
+
+
+def test_the_processes_of_a_service_do_not_inherit_its_token(tmp_path: Path):
+    """A worker runs whatever a study needs; of the service's secrets it needs none."""
+    port = free_port()
+    with (tmp_path / "log").open("wb") as log:
+        service = subprocess.Popen(
+            [sys.executable, "-m", "service.cli.main", "serve", "--port", str(port), "--workers", "1"],
+            cwd=ROOT, stdout=log, stderr=log, env=os.environ | {
+                "BOUNCE_TOKEN": ANA, "BOUNCE_DATA": str(tmp_path / "data"), "NUMBA_CACHE_DIR": str(CACHE),
+            },
+        )  # fmt: skip
+
+    def ready() -> bool:
+        assert service.poll() is None, (tmp_path / "log").read_text()
+        try:
+            return httpx2.get(f"http://127.0.0.1:{port}/readyz").status_code == 200
+        except httpx2.TransportError:
+            return False
+
+    try:
+        wait_for(ready)
+        children = psutil.Process(service.pid).children(recursive=True)
+        assert len(children) >= 1
+        environments = [child.environ() for child in children]
+        assert all("NUMBA_CACHE_DIR" in environment for environment in environments)
+        assert [value for environment in environments for value in environment.values() if ANA in value] == []
+        assert httpx2.get(f"http://127.0.0.1:{port}/v1/jobs").status_code == 401
+    finally:
+        service.terminate()
+        service.wait(DEADLINE)

@@ -1,0 +1,83 @@
+"""The comparison of models on the workers of a service."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from click.testing import CliRunner
+from paths import CACHE
+from scripted import DEADLINE
+
+from service.cli.main import main
+from service.client import Client
+from service.server.embedded import running
+from service.settings import Settings
+from worker.analysis import work_precision
+from worker.analysis.work_precision import SETUPS
+from worker.executors.dask import Dask
+
+#: The setups that the advice needs; to measure them all takes a minute.
+ADVISED = tuple(
+    setup
+    for setup in SETUPS
+    if setup.model == "rigid" or (setup.purpose == "adhesive" and setup.model in ("soft", "ball"))
+    or (setup.purpose, setup.scheme, setup.steps_per_contact) == ("adhesive", "verlet", 20)
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, cluster: Dask) -> Iterator[str]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work_precision, "SETUPS", ADVISED)  # all of them take a minute
+        with running(Settings(data=tmp_path_factory.mktemp("data"), port=0), cluster) as address:
+            yield address
+
+
+def test_workers_measure_once_for_all_requests(address: str):
+    with Client(address) as client:
+        first, second = client.tradeoff(), client.tradeoff()
+        assert first == second
+        assert [row["model"] for row in first["rows"]] == [setup.model for setup in ADVISED]
+        assert first["cells"] == 80
+        assert set(first["references"]) == {"adhesive", "nonadhesive", "plate"}
+        assert client.tradeoff_picture("svg").startswith(b"<?xml")
+
+
+def test_the_command_prints_the_table_and_writes_the_picture(address: str, tmp_path: Path):
+    def bounce(*arguments: str) -> str:
+        done = CliRunner().invoke(main, ["tradeoff", "--url", address, *arguments])
+        assert done.exit_code == 0, done.output
+        assert done.stderr.startswith("measuring")  # it may take a minute
+        return done.stdout
+
+    lines = bounce("-o", str(tmp_path / "tradeoff.png")).splitlines()
+    assert lines[0].startswith("Errors relative to the exact soft contact")
+    assert lines[-1].startswith("Take rigid")
+    assert (tmp_path / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
+    rows = json.loads(bounce("--json"))["rows"]
+    assert all(math.isfinite(row["cost"]) for row in rows)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_folder_and_no_process(tmp_path: Path, number: signal.Signals):
+    """The service of its own that `bounce tradeoff` computes with."""
+    env = os.environ | {"TMPDIR": str(tmp_path), "NUMBA_CACHE_DIR": str(CACHE)}
+    command = [sys.executable, "-m", "service.cli.main", "tradeoff", "--workers", "1"]
+    with subprocess.Popen(command, env=env, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+        assert process.stderr
+        lines = iter(process.stderr.readline, b"")
+        assert next(line for line in lines if line.startswith(b"measuring"))
+        family = psutil.Process(process.pid).children(recursive=True)
+        assert family
+        assert any(tmp_path.iterdir())
+        process.send_signal(number)
+        assert process.wait(DEADLINE) == 128 + number
+    assert list(tmp_path.iterdir()) == []
+    assert psutil.wait_procs(family, DEADLINE)[1] == []

@@ -1,0 +1,77 @@
+"""What other programs say of the packages: import contracts, git, a traced sweep."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import grimp
+import pytest
+from paths import ROOT
+
+TOP_LEVEL = ("kernel", "worker", "service")
+
+
+@pytest.fixture(scope="module")
+def imports() -> grimp.ImportGraph:
+    return grimp.build_graph(*TOP_LEVEL, include_external_packages=True, cache_dir=None)
+
+
+def project_files() -> list[Path]:
+    """Every text file of the project: what git tracks or would track, not what else lies in the folder."""
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    files = [ROOT / name for name in listed.split("\0") if name]
+    binary = {".png", ".zip"}
+    return [path for path in files if path.is_file() and path.suffix not in binary]
+
+
+def test_import_contracts_hold():
+    command = [Path(sys.executable).with_name("lint-imports"), "--no-cache"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_tests_are_no_packages():
+    """A package named `tests/kernel` would hide the project's own `kernel`."""
+    assert [
+        path for path in project_files() if path.name == "__init__.py" and path.is_relative_to(ROOT / "tests")
+    ] == []
+
+
+def test_the_way_of_a_sweep_is_the_one_described():
+    """docs/architecture.md lists every file between submission and diagram, as a traced sweep enters them."""
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| [^|]* \| \d+\. (\*?)`([^`]+)`", text, re.MULTILINE)
+    listed, returns = {path for _, path in rows}, sum(bool(star) for star, _ in rows)
+    assert len(listed) == len(rows) - returns <= 60
+    assert returns <= 10
+
+    beside = re.search(r"^Beside the way.*$", text, re.MULTILINE)
+    assert beside
+    others = tuple(re.findall(r"`([^`]+)`", beside[0]))
+    script = str(ROOT / "tests" / "support" / "trace_sweep.py")
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", script], cwd=ROOT, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    entered = set(done.stdout.split())
+    in_a_cluster = {"worker/executors/dask.py", "worker/watchdog.py"}
+    assert listed - entered == in_a_cluster
+    assert {path for path in entered - listed if not path.startswith(others)} == set()
+
+
+def test_no_file_names_a_package_registry_or_a_folder_of_somebodys_machine():
+    # In pieces, so that this file does not name them either.
+    hosts = ["py" + "pi.org", "python" + "hosted.org", "ana" + "conda.org"]
+    options = ["--index" + "-url", "--extra-index" + "-url", "--find" + "-links"]
+    folders = ["/wo" + "rk/", "/ro" + "ot/", "/ho" + "me/", "/Us" + "ers/", "/op" + "t/"]
+    named = [
+        f"{path.relative_to(ROOT)}: {word}"
+        for path in project_files()
+        for word in (*hosts, *options, *folders)
+        if word in path.read_text()
+    ]
+    assert named == []

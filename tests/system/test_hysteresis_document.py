@@ -1,0 +1,250 @@
+"""Every number of docs/hysteresis.md, computed again.
+
+Each section lists the texts that it must contain, formatted from computed values, and every decimal number of
+the section must be in one of them or be a parameter.
+"""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from kernel_runs import run
+from paths import ROOT
+from PIL import Image
+from plates import Model, run_line
+
+from benchmarks.contacts import end_of_bouncing, shift_text
+from kernel.branches.curves import Parameter, curves
+from kernel.branches.descent import lifetime
+from kernel.branches.events import Kind, branch_and_events, fold_events
+from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
+from kernel.branches.thresholds import Thresholds, thresholds
+from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
+from kernel.params import Cell, Outcome, Start
+from kernel.threshold import threshold
+from service import presets
+
+TEXT = (ROOT / "docs" / "hysteresis.md").read_text()
+SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
+XI = 0.05
+TABLE_OMEGAS = (0.56, 0.60, 0.62, 0.66, 0.70)
+
+#: What the text chooses rather than computes: dampings and frequencies.
+CHOSEN = {"0.01", "0.02", "0.05", "0.1", "0.2", "0.46", "0.26", "0.82", "1.24", "1.26", "1.28", "0.5"}
+CHOSEN |= {f"{omega:.2f}" for omega in TABLE_OMEGAS}
+
+#: The measured rows of other contacts.
+LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000 \|.*$", SECTIONS["Other contacts"], re.MULTILINE)
+
+Texts = list[str]
+
+
+@cache
+def at(omega: float, xi: float = XI) -> Thresholds:
+    return thresholds(omega, xi)
+
+
+def three_thresholds() -> Texts:
+    rows = [f"| {w:.2f} | {at(w).gamma_th:.9f} | {at(w).jump:.9f} | {at(w).down:.9f} |" for w in TABLE_OMEGAS]
+    found = at(0.60)
+    return [
+        *rows,
+        f"survives down to {100 * at(0.62).down / at(0.62).gamma_th:.1f} % of the Γ",
+        f"{found.cause} {round(found.gamma_th, 6)} {round(found.jump, 6)} {round(found.down, 6)}",
+        "found = thresholds(0.60, 0.05)",
+    ]
+
+
+def where_bouncing_ends() -> Texts:
+    omegas = np.round(np.linspace(0.26, 0.82, 57), 4)
+    rows = []
+    for xi in (0.02, 0.05, 0.1, 0.2):
+        causes = Counter(at(float(omega), xi).cause for omega in omegas)
+        known = [causes[name] for name in ("fold (1,1)", "Eq. 25", "unresolved")]
+        words = sum(n for cause, n in causes.items() if cause.startswith("fold of word"))
+        rows.append(f"| {xi:g} | {known[0]} | {words} | {known[1]} | {known[2]} |")
+        assert causes.total() == sum(known) + words
+    assert at(1.24).cause == "fold (1,2)"
+    assert at(1.26).cause == "fold of word zs (2,2)"
+    picture = Image.open(ROOT / "docs" / "figures" / "figure-hysteresis.png")
+    (ended, ramps) = re.findall(r"(\d+) of (\d+) ramps from the cycle end", picture.text["Description"])[0]
+    assert ended == ramps == str(sum(bool(presets.seeded(omega, XI)) for omega in presets.SEEDED_OMEGAS))
+    return [
+        *rows,
+        f"within 2·10⁻⁵ of the fold at all {ramps} frequencies",
+        f"in steps of 10{'⁻⁵' if presets.SEEDED_STEP == 1e-5 else ''} ends",
+        f"Γ = {at(1.24).down:.9f}, while Γ_th = {at(1.24).gamma_th:.9f}",
+        f"Its fold, Γ = {at(1.26).down:.10f}, is the end of bouncing",
+        f"On {len(omegas)} frequencies from {omegas[0]:g} to {omegas[-1]:g}",
+    ]
+
+
+def share(omega: float) -> float:
+    balance = at(omega).energy
+    assert balance is not None
+    return float((balance.impact / (balance.impact + balance.dashpot))[0])
+
+
+def energy_row(omega: float) -> str:
+    balance = at(omega).energy
+    assert balance is not None
+    given, at_impact, dashpot, impact = (
+        float(part[0])
+        for part in (balance.plate_contact, balance.plate_impact, balance.dashpot, balance.impact)
+    )
+    assert given + at_impact == pytest.approx(dashpot + impact, abs=1e-9)
+    cells = [f"{value:.4f}".replace("-", "−") for value in (given, at_impact, dashpot, impact)]
+    return f"| {omega:.2f} | {' | '.join(cells)} | {100 * share(omega):.1f} % |"
+
+
+def soft_landings() -> Texts:
+    rows = []
+    for j in (1, 2, 3, 4):
+        lowest, end = tip(j, 1, XI), end_of_hysteresis(j, 1)
+        assert at(lowest.omega).down == pytest.approx(lowest.gamma, abs=1e-9)  # it is admissible and stable
+        cells = (soft_landing(j, 1)[0], lowest.omega, lowest.gamma, end.xi)
+        rows.append(f"| j = {j} | {' | '.join(f'{value:.6f}' for value in cells)} |")
+    assert soft_landing(1, 2)[0] == pytest.approx(2.0 * soft_landing(1, 1)[0], rel=1e-12)
+    # Γ/ξ is linear in ξ near zero
+    near, far = (tip(1, 1, xi).gamma / xi for xi in (1e-5, 1e-4))
+    return [
+        *rows,
+        *map(energy_row, TABLE_OMEGAS),
+        f"Ω_12 = {soft_landing(1, 2)[0]:.6f}",
+        f"Γ/ξ goes to {near + (near - far) / 9:.3f} at Ω_11",
+        f"At Ω = 1.24 it is {100 * share(1.24):.2f} %",
+    ]
+
+
+def hysteresis_ends() -> Texts:
+    found = curves(Parameter.OMEGA, XI, 0.7, 0.9, 1, (Kind.FOLD,), lines=5).points
+    (cusp,) = np.flatnonzero(found.kind == Kind.CUSP)
+    low, high = 0.70, 0.72
+    for _ in range(40):  # where the lower fold reaches Gamma_th
+        middle = 0.5 * (low + high)
+        below = fold_events(middle, XI, 1, 5.0).gamma.min() < threshold(middle, XI)
+        low, high = (middle, high) if below else (low, middle)
+    end = end_of_hysteresis(1, 1)
+    assert all(end_of_hysteresis(j, 1).xi < end.xi for j in (2, 3, 4))
+    return [
+        f"cusp at Ω = {found.omega[cusp]:.6f}, Γ = {found.gamma[cusp]:.6f}",
+        f"Between Ω = {low:.6f} and the cusp",
+        f"none is left above ξ = {end.xi:.6f}, where Ω = {end.omega:.6f}",
+    ]
+
+
+def periods_below(fold_gamma: float, delta: float) -> int:
+    """Flights, one per plate period, of a spring lowered from its cycle at Gamma = 0.60."""
+    start = start_on_stable_cycle(Cell(0.60, 0.60, XI), 1)
+    assert start is not None
+    gamma = fold_gamma - delta
+    line = run(gamma, 0.60, XI, carry=True, start=start.start, settle=0, observe=6000, keep=1)
+    return int(line.flights[0])
+
+
+def ghost() -> Texts:
+    fold = at(0.60).fold
+    assert fold is not None
+    rows = []
+    for power, text in ((4, "⁻⁴"), (5, "⁻⁵"), (6, "⁻⁶")):
+        predicted, simulated = lifetime(fold, 10.0**-power), periods_below(fold.gamma, 10.0**-power)
+        assert simulated < predicted
+        rows.append(f"| 10{text} | {predicted:.0f} | {simulated} |")
+    missed = 2.0 * fold.curvature * (math.pi / (fold.slope * 120)) ** 2
+    return [
+        *rows,
+        f"Γ'' = {fold.curvature:.4f} and λ' = {fold.slope:.4f}".replace("-", "−"),
+        f"120 plate periods per step, as in a quick ramp, {1e4 * missed:.1f}·10⁻⁴ at Ω = 0.60",
+    ]
+
+
+def tori() -> Texts:
+    found = curves(Parameter.OMEGA, XI, 0.3, 0.5, 1, (Kind.FOLD,), lines=9).points
+    keep = found.kind == Kind.BOGDANOV_TAKENS
+    omegas = found.omega[keep]
+    assert len(omegas) == 4
+    for low, high in (omegas[:2], omegas[2:]):
+        assert at(float(0.5 * (low + high))).cause == "unresolved"
+    rows = [f"| {omega:.6f} | {gamma:.6f} |" for omega, gamma in zip(omegas, found.gamma[keep], strict=True)]
+    gaps = [f"{low:.6f} to {high:.6f}" for low, high in (omegas[:2], omegas[2:])]
+    _, events = branch_and_events(0.46, XI, 1)
+    fold = events.gamma[events.kind == Kind.FOLD].min()
+    end = f"bounces down to Γ = {end_of_torus():.4f}, far above the fold at {fold:.6f}"
+    return [*rows, *gaps, end, "the unstable cycle at Γ = 0.85"]
+
+
+def end_of_torus() -> float:
+    """The lowest Gamma that bounces at Omega = 0.46, on a ramp from the unstable cycle at Gamma = 0.85."""
+    found = start_on_cycle(Cell(0.85, 0.46, XI), 1, 4.7)
+    assert found is not None
+    start = found.start
+    for gamma, settle in ((np.linspace(0.85, 0.831, 39), 1000), (np.arange(0.831, 0.829, -1e-5), 5000)):
+        same = np.ones(len(gamma))
+        line = run_line(
+            gamma, 0.46 * same, XI * same, model=Model.RIGID, restitution=0.0 * same, penetration=same,
+            carry=True, settle=settle, observe=200, keep=1, start=start,
+        )  # fmt: skip
+        start = Start(line.end_state[-1], Cell(float(gamma[-1]), 0.46, XI))
+    return float(gamma[line.outcome != Outcome.AT_REST].min())
+
+
+def other_contacts() -> Texts:
+    """The row of one frequency; `test_other_contacts` computes the others."""
+    moved = [end_of_bouncing(0.60, contact, 1e-4) - at(0.60).down for contact in ("e = 0.1", "e = 0.5")]
+    return [f"| {shift_text(moved[0], 3)} | {shift_text(moved[1], 3)} |", *LONG_ROWS]
+
+
+def not_known() -> Texts:
+    omegas = np.round(np.linspace(0.26, 0.82, 57), 4)
+    open_ = sum(at(float(omega), 0.02).cause == "unresolved" for omega in omegas)
+    assert at(1.28).cause == "unresolved"
+    assert "neimark-sacker" in at(1.28).reason
+    return [f"leave {open_} of {len(omegas)} frequencies open"]
+
+
+CHECKED: dict[str, Callable[[], Texts]] = {
+    "Three thresholds": three_thresholds,
+    "A cycle in closed form": list,
+    "Where bouncing ends": where_bouncing_ends,
+    "The minima are soft landings": soft_landings,
+    "Where hysteresis ends": hysteresis_ends,
+    "The ghost of the fold": ghost,
+    "Tori": tori,
+    "Other contacts": other_contacts,
+    "What is not known": not_known,
+}
+
+
+def decimals(text: str) -> set[str]:
+    """The numbers with a decimal point in a text."""
+    return set(re.findall(r"(?<![\w.])\d+\.\d+(?![\w.]*\.(?:md|png|py))", text))
+
+
+def test_every_section_is_checked():
+    assert list(SECTIONS) == list(CHECKED)
+    introduction = TEXT.split("\n## ", maxsplit=1)[0]
+    assert decimals(introduction) <= CHOSEN | {"3.4"}  # the paper's section
+
+
+@pytest.mark.parametrize("title", CHECKED)
+def test_numbers(title: str):
+    texts = CHECKED[title]()
+    body = SECTIONS[title]
+    missing = [text for text in texts if text not in body]
+    assert not missing
+    assert decimals(body) - CHOSEN <= set().union(*map(decimals, texts))
+
+
+def test_scaling_of_branches():
+    """(1, k) at k Omega has its events at k times the flight times of (1, 1) at Omega."""
+    times: list[Any] = []
+    for k in (1, 2):
+        _, events = branch_and_events(0.6 * k, XI, k)
+        keep = np.isin(events.kind, [Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER])
+        times.append(np.sort(events.flight_time[keep]) / k)
+    assert times[0] == pytest.approx(times[1], rel=1e-9)

@@ -1,0 +1,154 @@
+"""Same specification, same bytes: for any chunks and any executor, and after crashes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import wait
+from pathlib import Path
+
+import pytest
+import xarray as xr
+from paths import ROOT
+
+from worker import store, tasks
+from worker.executors.base import Executor
+from worker.executors.inline import Inline
+from worker.plan import Plan, make_plan
+from worker.schema import layout
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
+
+SWEEPS = {
+    "from rest": {},
+    "soft": {"model": {"kind": "soft", "penetration": 1e-2}, "gamma": [0.5, 1.5, 2.3], "xi": 0.26},
+    "ramp both": {"protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}},
+    "ramp down": {"protocol": {"kind": "ramp", "axis": "omega", "direction": "down"}},
+    "settling": {"omega": [0.808, 1.167, 1.288], "xi": [0.043, 0.352], "settle": 50, "settle_until": 1_000},
+}
+
+
+@pytest.fixture(params=SWEEPS)
+def spec(request, small_spec) -> SweepSpec:
+    return small_spec(**SWEEPS[request.param])
+
+
+@pytest.fixture
+def expected(spec, tmp_path) -> dict[str, bytes]:
+    """The values of a sweep computed as a single chunk."""
+    return values(compute(spec, tmp_path / "expected.zarr", shape=spec.shape[1:]))
+
+
+def make(spec: SweepSpec, url: Path, shape=None) -> Plan:
+    plan = make_plan(spec, chunk_shape=shape)
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    return plan
+
+
+def compute(spec: SweepSpec, url: Path, shape=None) -> Path:
+    for chunk in make(spec, url, shape):
+        run_chunk(spec, chunk, str(url))
+    return url
+
+
+def compute_with(executor: Executor, spec: SweepSpec, url: Path, shape=None) -> Path:
+    """Submit all chunks, line by line of the ramp: a chunk waits for its predecessor."""
+    plan = make(spec, url, shape)
+    for wave in range(0, len(plan), plan.lines):
+        futures = [executor.submit(spec, chunk, str(url)) for chunk in plan[wave : wave + plan.lines]]
+        wait(futures)
+        assert all(future.result().cells for future in futures)
+    return url
+
+
+def values(url: Path) -> dict[str, bytes]:
+    """The bytes of every stored array."""
+    with xr.open_zarr(url) as dataset:
+        return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
+
+
+def files(url: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 7), (1, 1, 1), (2, 2, 3), (1, 3, 10)])
+def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
+    assert values(compute(spec, tmp_path / "cut.zarr", shape)) == expected
+
+
+def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "CANCEL_SECONDS", 0.0)
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 16)
+    monkeypatch.setattr(tasks, "MOST_STEPS", 16)  # a piece for every few periods
+    assert values(compute(spec, tmp_path / "pieces.zarr", spec.shape[1:])) == expected
+
+
+def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, cluster):
+    inline = Inline()
+    by_inline = compute_with(inline, spec, tmp_path / "inline.zarr", (1, 1, 7))
+    inline.close()
+    by_cluster = compute_with(cluster, spec, tmp_path / "cluster.zarr", (1, 1, 7))
+    assert files(by_inline) == files(by_cluster)
+    assert values(by_cluster) == expected
+
+
+def test_one_worker_at_random_order_within_what_the_plan_allows(spec, expected, tmp_path):
+    plan = make(spec, tmp_path / "order.zarr", (1, 2, 3))
+    for wave in range(0, len(plan), plan.lines):
+        for chunk in reversed(plan[wave : wave + plan.lines]):
+            run_chunk(spec, chunk, str(tmp_path / "order.zarr"))
+    assert values(tmp_path / "order.zarr") == expected
+
+
+def test_interrupted_by_cancel_and_resumed(spec, expected, tmp_path):
+    url = tmp_path / "cancelled.zarr"
+    plan = make(spec, url, (1, 2, 3))
+    done = {chunk.index for chunk in plan[: len(plan) // 2] if run_chunk(spec, chunk, str(url))}
+    store.set_cancelled(str(url))
+    with pytest.raises(tasks.ChunkCancelled):
+        run_chunk(spec, plan[len(plan) // 2], str(url))
+    store.clear_cancelled(str(url))
+    for chunk in plan:
+        if chunk.index not in done:
+            run_chunk(spec, chunk, str(url))
+    assert values(url) == expected
+
+
+WRITER = """
+import sys
+from worker.kernel_cache import claim_cache
+claim_cache()
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+from worker.tasks import run_chunk
+spec = SweepSpec.from_file(sys.argv[1])
+print("begins", flush=True)
+while True:
+    for chunk in make_plan(spec, chunk_shape=(1, 1, 3)):
+        run_chunk(spec, chunk, sys.argv[2])
+"""
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.4])
+def test_killed_while_writing_and_resumed(small_spec, tmp_path, delay):
+    """A process that writes chunks repeatedly is killed; resuming repairs whatever it left."""
+    spec = small_spec(**SWEEPS["ramp both"])
+    whole = compute(spec, tmp_path / "whole.zarr", (1, 1, 3))
+    url = tmp_path / "killed.zarr"
+    make(spec, url, (1, 1, 3))
+    (tmp_path / "spec.json").write_text(json.dumps(spec.as_submitted()))
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path / "spec.json"), str(url)],
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    )
+    with writer:
+        assert writer.stdout
+        assert writer.stdout.readline() == b"begins\n"
+        time.sleep(delay)
+        os.kill(writer.pid, signal.SIGKILL)
+    compute(spec, url, (1, 1, 3))
+    store.sweep_leftovers(str(url))
+    assert files(url) == files(whole)

@@ -1,0 +1,421 @@
+"""The ball against closed forms, a dense search for its landings, and its hops summed one by one."""
+
+import math
+from collections.abc import Callable
+
+import mpmath
+import numpy as np
+import pytest
+from kernel_runs import Model, run_line
+from scipy.optimize import brentq
+
+from kernel import interface, restitution
+from kernel.cell import CACHE_SIZE
+from kernel.models import ball, chatter, free_fall
+from kernel.models.ball import BallPlate
+from kernel.numerics.first_root import ROOT
+from kernel.params import Cell, Line, Outcome, Start
+
+TWO_PI = 2.0 * math.pi
+
+
+def run(gamma, epsilon=0.0, *, settle=200, observe=100, keep=64, carry=False, start=None, **more) -> Line:
+    gamma = np.atleast_1d(np.asarray(gamma, dtype=float))
+    ones = np.ones_like(gamma)
+    return run_line(
+        gamma, ones, ones, model=Model.BALL, restitution=epsilon * ones, penetration=ones, adhesive=True,
+        carry=carry, settle=settle, observe=observe, keep=keep, start=start, **more,
+    )  # fmt: skip
+
+
+def flights(line: Line, i: int = 0) -> np.ndarray:
+    return line.flight_time[i, : min(line.flights[i], line.flight_time.shape[1])]
+
+
+def mode(line: Line) -> tuple[int, int]:
+    return int(line.bounces[0]), int(line.periods[0])
+
+
+def bisect(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """Where a property that holds at `low` and not at `high` ends, to 1e-7."""
+    assert holds(low)
+    assert not holds(high)
+    while high - low > 1e-7:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return 0.5 * (low + high)
+
+
+def locked(gamma: float, epsilon: float, n: int, off: float = 0.0) -> Start:
+    """On the orbit that meets the plate every n periods at one phase, or `off` rad beside it."""
+    reach = min(n * math.pi * (1.0 - epsilon) / (gamma * (1.0 + epsilon)), 1.0)
+    landing = -reach - n * math.pi / gamma  # relative velocity at impact
+    phase = TWO_PI - math.asin(reach) + off
+    return Start(np.array([phase, 1.0, 0.0, -epsilon * landing, 0.0, 0.0]), Cell(gamma, 1.0, 1.0))
+
+
+# --- closed forms ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("gamma", "time"), [(1.5, 3.566217), (2.0, 4.658851), (3.0, 5.967608)])
+def test_flight_times_of_the_model_page(gamma: float, time: float):
+    line = run(gamma)
+    assert mode(line) == (1, 1)
+    assert flights(line) == pytest.approx(time, abs=5e-7)
+
+
+def test_flight_time_from_rest_obeys_its_formula():
+    gammas = np.concatenate([1.0 + np.logspace(-12, -1, 12), np.linspace(1.2, 3.29, 20)])
+    line = run(gammas)
+    for i, gamma in enumerate(gammas):
+        time = flights(line, i)[-1]
+        # sqrt(Gamma^2 - 1) = (T^2/2 - 1 + cos T)/(T - sin T), by series where that cancels
+        if time > 0.1:
+            expected = (0.5 * time**2 - 1.0 + math.cos(time)) / (time - math.sin(time))
+        else:
+            expected = 0.25 * time * (1.0 - time**2 / 30.0) / (1.0 - time**2 / 20.0)
+        assert math.sqrt((gamma - 1.0) * (gamma + 1.0)) == pytest.approx(expected, rel=1e-6)
+        takeoff = line.takeoff_phase[i, 0]
+        assert takeoff == pytest.approx(TWO_PI - math.acos(1.0 / gamma), abs=1e-7)
+
+
+@pytest.mark.parametrize("gamma", [1e-3, 0.5, 1.0])
+def test_stays_where_the_plate_never_falls_away(gamma: float):
+    line = run(gamma, 0.5)
+    assert line.outcome[0] == Outcome.AT_REST
+    assert line.end_state[0].tolist() == [0.0] * 6
+
+
+def test_sticking_ends_where_the_flight_fills_the_period():
+    gamma = bisect(lambda g: flights(run(g))[-1] < TWO_PI - 1e-8, 3.2, 3.4)
+    assert gamma == pytest.approx(math.sqrt(1.0 + math.pi**2), abs=1e-6)
+
+
+def test_two_bounces_in_two_periods_end():
+    gamma = bisect(lambda g: mode(run(g, settle=2000)) == (2, 2), 4.5, 4.65)
+    assert gamma == pytest.approx(4.6033388, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.5])
+def test_period_doubling(epsilon: float, n: int):
+    """A disturbance of the (1, n) orbit dies out below the flip and grows above it."""
+
+    def dies_out(gamma: float) -> bool:
+        start = locked(gamma, epsilon, n, off=1e-5)
+        early, late = (
+            run(gamma, epsilon, carry=True, settle=settle, observe=20, start=start)
+            for settle in (20, 200_000)
+        )
+        return abs(flights(late)[-1] - TWO_PI * n) < abs(flights(early)[-1] - TWO_PI * n)
+
+    node = n * math.pi * (1.0 - epsilon) / (1.0 + epsilon)
+    flip = math.hypot(node, 2.0 * (1.0 + epsilon**2) / (1.0 + epsilon) ** 2)
+    assert bisect(dies_out, flip - 0.01, flip + 0.01) == pytest.approx(flip, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("epsilon", [0.15, 0.5, 0.8])
+def test_saddle_node(epsilon: float, n: int):
+    """The (1, n) orbit of a partially elastic ball appears at n pi (1 - e)/(1 + e)."""
+
+    def is_gone(gamma: float) -> bool:
+        line = run(gamma, epsilon, carry=True, settle=20_000, start=locked(gamma, epsilon, n))
+        times = flights(line)
+        return len(times) == 0 or abs(times[-1] - TWO_PI * n) > 0.05
+
+    node = n * math.pi * (1.0 - epsilon) / (1.0 + epsilon)
+    assert bisect(is_gone, node - 0.01, node + 0.01) == pytest.approx(node, abs=1e-6)
+
+
+# --- landings -------------------------------------------------------------------------------
+
+
+def make_drop(gamma: float, phi: float, gap: float, gap1: float) -> free_fall.Drop:
+    slope = math.sqrt((1.0 - 1.0 / gamma) * (1.0 + 1.0 / gamma)) if gamma > 1.0 else 0.0
+    return free_fall.drop(1.0 / gamma, math.atan2(slope, 1.0 / gamma), slope, phi, gap, gap1)
+
+
+def gap_after(gamma: float, phi: float, gap: float, gap1: float, tau):
+    return (
+        gap
+        + (gap1 - math.sin(phi)) * tau
+        - 0.5 * tau**2 / gamma
+        + 2.0 * np.sin(phi + 0.5 * tau) * np.sin(0.5 * tau)
+    )
+
+
+def random_drops(count: int) -> list[tuple[float, float, float, float]]:
+    """(Gamma, phi, gap, gap'): flights from the plate and from above it, fast and slow, some grazing."""
+    random = np.random.default_rng(3)
+    gammas = np.exp(random.uniform(math.log(0.3), math.log(60.0), count))
+    speeds = np.exp(random.uniform(math.log(1e-3), math.log(10.0), count))
+    gaps = np.where(random.random(count) < 0.5, 0.0, np.exp(random.uniform(-7.0, 2.0, count)))
+    signs = np.where((gaps > 0.0) & (random.random(count) < 0.5), -1.0, 1.0)
+    return list(zip(gammas, random.uniform(0.0, TWO_PI, count), gaps, signs * speeds, strict=True))
+
+
+def test_no_landing_is_missed():
+    for gamma, phi, gap, gap1 in random_drops(600):
+        end = free_fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
+        assert end.ending == ROOT
+        taus = np.linspace(0.0, end.tau, 20_001)[1:-1]
+        scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
+        assert gap_after(gamma, phi, gap, gap1, taus).min() > -1e-14 * scale
+        assert abs(gap_after(gamma, phi, gap, gap1, end.tau)) < 1e-13 * scale
+        slope = gap1 + math.sin(phi + end.tau) - math.sin(phi) - end.tau / gamma
+        assert end.gap1 == pytest.approx(slope, abs=1e-12 * scale)
+        assert end.gap1 <= 1e-14 * scale
+
+
+def test_landings_take_few_evaluations():
+    for gamma, phi, gap, gap1 in random_drops(6000):
+        end = free_fall.landing(make_drop(gamma, phi, gap, gap1), 1e4, 10_000)
+        scale = 1.0 + gap + end.tau * (abs(gap1) + 1.0) + end.tau**2 / gamma
+        assert end.ending == ROOT
+        assert end.used < 30 + end.tau
+        assert abs(gap_after(gamma, phi, gap, gap1, end.tau)) < 1e-13 * scale
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.25, 0.5, 0.9, 0.99])
+def test_every_cell_is_resolved(epsilon: float):
+    gammas = np.concatenate([np.linspace(0.5, 8.0, 700), np.logspace(1, 2, 100)])
+    line = run(gammas, epsilon, settle=60, observe=40)
+    known = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST, Outcome.SETTLING)
+    assert np.isin(line.outcome, known).all()
+    assert ((line.outcome == Outcome.AT_REST) == (gammas <= 1.0))[gammas < 10.0].all()
+
+
+def test_grazes_are_distinguished_from_misses():
+    """The plate comes up to just touch the ball, or just not, and lets it go on."""
+    gamma, phi, gap1 = 4.0, 4.9, -0.5
+    taus = np.linspace(0.0, 2.0, 20_001)
+    lowest = gap_after(gamma, phi, 0.0, gap1, taus)
+    bottom = taus[lowest.argmin()]
+    touch = -min(gap_after(gamma, phi, 0.0, gap1, bottom + np.linspace(-1e-3, 1e-3, 20_001)))
+    for above, lands in ((-1e-9, True), (-1e-12, True), (1e-12, False), (1e-9, False)):
+        end = free_fall.landing(make_drop(gamma, phi, touch + above, gap1), 1e4, 10_000)
+        assert (abs(end.tau - bottom) < 0.1) == lands
+
+
+@pytest.mark.parametrize("tau", [1e-3, 0.1, 0.3, 0.499])
+def test_the_series_of_the_gap_is_complete(tau: float):
+    """At a take-off from rest its leading terms are zero and the ones that follow are all there is."""
+    gamma, slope = 2.0, math.sqrt(0.75)
+    p = make_drop(gamma, TWO_PI - math.atan2(slope, 0.5), 0.0, 0.0)
+    gap, gap1, gap2, _ = free_fall.state_after(p, tau)
+    with mpmath.workdps(50):
+        t, sin, cos = mpmath.mpf(tau), mpmath.mpf(p.sin), mpmath.mpf(p.cos)
+        exact = -sin * (t - mpmath.sin(t)) - cos * (t * t / 2 - 1 + mpmath.cos(t))
+        exact1 = -sin * (1 - mpmath.cos(t)) - cos * (t - mpmath.sin(t))
+        exact2 = -sin * mpmath.sin(t) - cos * (1 - mpmath.cos(t))
+    for value, expected in ((gap, exact), (gap1, exact1), (gap2, exact2)):
+        assert value == pytest.approx(float(expected), rel=2e-15, abs=0.0)
+
+
+def test_small_hops_keep_their_digits():
+    for hop in (1e-3, 1e-6, 1e-9, 1e-12):
+        for phi in (1.6, 3.0, 4.6):
+            press, press1 = 1.0 / 2.0 - math.cos(phi), math.sin(phi)
+            end = free_fall.landing(make_drop(2.0, phi, 0.0, hop), 1e4, 10_000)
+            time = 2.0 * hop / press
+            assert end.tau == pytest.approx(
+                time - press1 * time**2 / (3.0 * press), rel=4.0 * time**2 + 1e-14
+            )
+            assert end.gap1 == pytest.approx(
+                -hop * (1.0 + press1 * time / (3.0 * press)), rel=4.0 * time**2 + 1e-14
+            )
+
+
+# --- chatter --------------------------------------------------------------------------------
+
+
+def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> float:
+    """Time until hops fade, each of them searched for."""
+    phases = [phi]
+    while hop > 1e-14:
+        end = free_fall.landing(make_drop(gamma, phases[-1] % TWO_PI, 0.0, hop), 1e4, 10_000)
+        phases.append(phases[-1] + end.tau)
+        hop = -epsilon * end.gap1
+    return phases[-1] - phi
+
+
+@pytest.mark.parametrize("epsilon", [0.05, 0.3, 0.7, 0.95])
+@pytest.mark.parametrize("phi", [1.2, 2.0, math.pi, 5.0])
+def test_chatter_ends_when_its_hops_do(epsilon: float, phi: float):
+    gamma = 2.0
+    press, press1 = 1.0 / gamma - math.cos(phi), math.sin(phi)
+    hop = bisect(lambda v: chatter.chatter_completes(v, press, press1, 1.0, epsilon), 0.0, 0.1)
+    closed = chatter.chatter_time(hop, press, press1, epsilon)
+    assert closed == pytest.approx(hops_one_by_one(gamma, phi, hop, epsilon), rel=chatter.STEADY**2)
+    assert closed < 2e-3 * math.sqrt(press)
+
+
+def test_chatter_is_summed_only_on_a_plate_that_presses():
+    assert not chatter.chatter_completes(1e-9, -1.0, 0.0, 1.0, 0.5)
+    assert not chatter.chatter_completes(1e-9, 1e-9, -1.0, 1.0, 0.5)
+    assert not chatter.chatter_completes(1e-9, 1.0, 0.0, 1.0, 1.0)
+
+
+def test_flights_are_the_hops_one_by_one():
+    """A cell's record is what a search hop by hop gives; smaller hops than the cut-off are not in it."""
+    gamma, epsilon = 1.5, 0.5
+    line = run(gamma, epsilon, settle=50, observe=5)
+    phi, hop, expected = TWO_PI - math.acos(1.0 / gamma), 0.0, []
+    times = flights(line)
+    per_cycle = int(line.bounces[0])
+    for _ in range(per_cycle):
+        end = free_fall.landing(make_drop(gamma, phi, 0.0, hop), 1e4, 10_000)
+        expected.append(end.tau)
+        phi, hop = (phi + end.tau) % TWO_PI, -epsilon * end.gap1
+    assert np.sort(times[-per_cycle:]) == pytest.approx(np.sort(expected), abs=1e-12)
+    assert 2.0 * hop / (1.0 / gamma - math.cos(phi)) < 2e-3
+
+
+def test_cached_phases_fit_into_the_cache():
+    """Compiled code would write beyond the array without an error."""
+    assert ball.FIRST + ball.WIDTH * ball.CACHED_PHASES <= CACHE_SIZE
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.5])
+def test_replayed_phases_are_those_that_would_be_computed(epsilon: float):
+    """Phase by phase through the model's own functions, without the cache, beside what a run records."""
+    gammas, orbits = np.linspace(1.05, 5.5, 40), 0
+    line = run(gammas, epsilon, settle=40, observe=60, keep=2000)
+    for i, gamma in enumerate(gammas):
+        cell = interface.prepare(BallPlate(np.array([epsilon])), 0, gamma, 1.0, 1.0)
+        phi, period, hop, flying, expected = 0.0, 0, 0.0, True, []
+        while period < 100:
+            end = (interface.flight if flying else interface.contact)(
+                cell, phi, 0.0, hop, 0.0, 0.0, math.inf, 10_000
+            )
+            landed = period + math.floor((phi + end.tau) / TWO_PI)
+            if flying and period >= 40 and landed < 100:
+                expected.append((end.tau, phi))
+            period, phi = landed, (phi + end.tau) % TWO_PI
+            flying, hop = end.in_flight, end.gap1
+        if line.outcome[i] == Outcome.PERIODIC:  # others depart from each other by what rounding does
+            orbits += 1
+            assert line.flights[i] == len(expected)
+            np.testing.assert_allclose(
+                line.flight_time[i, : len(expected)], [f[0] for f in expected], atol=1e-10
+            )
+            np.testing.assert_allclose(
+                line.takeoff_phase[i, : len(expected)], [f[1] for f in expected], atol=1e-10
+            )
+    assert orbits > 10
+
+
+def test_settling_skips_whole_cycles():
+    """A billion periods of a ball that comes to rest take no longer than a few."""
+    for gamma, epsilon in ((1.5, 0.0), (1.5, 0.5), (2.0, 0.15)):
+        short, long = (run(gamma, epsilon, settle=settle, keep=64) for settle in (120, 120 + 10**9))
+        assert mode(short)[0] > 0
+        for name in Line._fields:
+            np.testing.assert_allclose(getattr(short, name), getattr(long, name), atol=1e-12)
+
+
+def test_elastic_ball_ends_unresolved():
+    start = Start(np.array([3.0, 1.0, 0.0, 1e-7, 0.0, 0.0]), Cell(0.5, 1.0, 1.0))
+    line = run(0.5, 1.0, carry=True, settle=0, observe=1, start=start)
+    assert line.outcome[0] == Outcome.UNRESOLVED
+    for gamma in (0.5, 1.2, 5.0):
+        assert run(gamma, 1.0).outcome[0] != Outcome.MISSING
+
+
+# --- ramps and windows ----------------------------------------------------------------------
+
+
+def test_ramp_does_not_depend_on_how_it_is_cut():
+    gammas = np.linspace(5.0, 0.8, 43)
+    for epsilon in (0.0, 0.4, 0.9):
+        whole = run(gammas, epsilon, carry=True, settle=7, observe=5)
+        start = None
+        for low in range(0, len(gammas), 10):
+            piece = slice(low, low + 10)
+            part = run(gammas[piece], epsilon, carry=True, settle=7, observe=5, start=start)
+            for name in Line._fields:
+                np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[piece])
+            start = Start(part.end_state[-1], Cell(gammas[piece][-1], 1.0, 1.0))
+
+
+def test_window_may_end_within_chatter():
+    """The same motion, whether or not a window ends between the hops that are summed up."""
+    epsilon = 0.5
+    cell = Cell(0.6, 1.0, 1.0)
+    press = 1.0 / 0.6 - 1.0
+    hop = 1e-4 * press
+    start = Start(np.array([TWO_PI - 1e-4, 1.0, 0.0, hop, 0.0, 0.0]), cell)
+    line = run(0.6, epsilon, carry=True, settle=0, observe=1, start=start)
+    _, in_flight, gap, gap1, *_ = line.end_state[0]
+    left = 2.0 * gap1 / (press * (1.0 - epsilon))
+    assert (in_flight, gap) == (0.0, 0.0)
+    assert left == pytest.approx(2.0 * hop / (press * (1.0 - epsilon)) - 1e-4, rel=1e-3)
+    after = run(0.6, epsilon, carry=True, settle=0, observe=1, start=Start(line.end_state[0], cell))
+    assert after.outcome[0] == Outcome.AT_REST
+    assert after.end_state[0].tolist() == [0.0] * 6
+
+
+def test_a_million_periods_keep_their_phase():
+    line = run(2.0, settle=1_000_000)
+    assert flights(line)[-1] == pytest.approx(flights(run(2.0))[-1], abs=1e-13)
+    assert line.takeoff_phase[0, 0] == pytest.approx(TWO_PI - math.acos(0.5), abs=1e-13)
+
+
+# --- the restitution of a rigid spring ------------------------------------------------------
+
+
+def test_restitution_of_a_rigid_spring():
+    assert restitution.restitution_of(0.5) == pytest.approx(0.1492, abs=5e-5)
+    assert restitution.restitution_of(10.0) == pytest.approx(0.0012, abs=5e-5)
+    assert restitution.restitution_of(0.0) == 0.5
+
+
+@pytest.mark.parametrize(("xi", "epsilon"), [(10.0, None), (0.5, None), (0.5, 0.15)])
+def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
+    """Figs. 3 and 4 (rigidity xi/Omega = 650), where both repeat and nothing changes nearby."""
+    gammas = np.linspace(1.05, 6.0, 100)
+    omega = np.full_like(gammas, xi / 650.0)
+    epsilon = float(restitution.restitution_of(xi)) if epsilon is None else epsilon
+    window = {"carry": False, "settle": 150, "observe": 50, "keep": 64, "micro_flight": 0.1}
+    one = np.ones_like(gammas)
+    spring, ball = (
+        run_line(
+            gammas,
+            omega,
+            xi * one,
+            model=model,
+            restitution=e * one,
+            penetration=one,
+            adhesive=True,
+            **window,
+        )
+        for model, e in ((Model.RIGID, 0.0), (Model.BALL, epsilon))
+    )
+    compared = 0
+    for i in range(2, len(gammas) - 2):
+        modes = {
+            (int(line.bounces[j]), int(line.periods[j]))
+            for line in (spring, ball)
+            for j in range(i - 2, i + 3)
+        }
+        if len(modes) == 1 and modes != {(0, 0)}:
+            counted = [np.sort([t for t in flights(line, i) if t > 0.1])[-5:] for line in (spring, ball)]
+            assert counted[0] == pytest.approx(counted[1], abs=0.05)
+            compared += 1
+    assert compared > 20
+
+
+# --- without compilation --------------------------------------------------------------------
+
+
+def test_first_flight_is_the_root_of_its_formula():
+    """What a cell works out once and for all, against a bracketing solver."""
+    for gamma in (1.001, 1.5, 2.5):
+        slope = math.sqrt(gamma**2 - 1.0)
+
+        def off(t: float, slope: float = slope) -> float:
+            return slope * (t - math.sin(t)) - (0.5 * t**2 - 1.0 + math.cos(t))
+
+        expected = brentq(off, 2.0 * slope, 4.5 * slope, xtol=1e-15)
+        assert flights(run(gamma))[-1] == pytest.approx(expected, rel=1e-9)

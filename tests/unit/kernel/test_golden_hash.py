@@ -1,0 +1,92 @@
+"""Stored bytes belong to KERNEL_VERSION: small lines of every model and protocol, hashed.
+
+The cells are at rest or periodic with sticking, so that every cycle begins anew and an error in the last
+digit of the C library does not grow. `stepped` gets its damping and steps as numbers, since the arrays
+they come from may differ in the last digit from machine to machine.
+
+To write the file anew, after raising KERNEL_VERSION: python tests/unit/kernel/test_golden_hash.py
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
+
+from kernel_runs import digest
+from paths import GOLDEN
+
+from kernel.line import run_line
+from kernel.models.ball import BallPlate
+from kernel.models.rigid import RigidPlate
+from kernel.models.soft import SoftPlate
+from kernel.models.stepped import SteppedPlate
+from kernel.params import KERNEL_VERSION, Line, Outcome
+
+FILE = GOLDEN / "kernel_hash.json"
+
+GAMMA = np.array([0.4, 1.3, 1.4, 1.5, 1.6])  # the first one at rest
+OMEGA, XI = np.full_like(GAMMA, 0.5), np.full_like(GAMMA, 0.26)
+
+E, D = np.full_like(GAMMA, 0.05), np.full_like(GAMMA, 1e-2)
+ZETA, STEPS = np.full_like(GAMMA, 0.69), np.full(len(GAMMA), 4000)
+
+PLATES: dict[str, Any] = {
+    "rigid": RigidPlate(0.0 * E),
+    "rigid, restitution": RigidPlate(2.0 * E),
+    "soft, adhesive": SoftPlate(E, D, True),
+    "soft, nonadhesive": SoftPlate(E, D, False),
+    "stepped, adhesive": SteppedPlate(ZETA, D, STEPS, True, 0.5),
+    "stepped, nonadhesive": SteppedPlate(ZETA, D, STEPS, False, 0.5),
+    "stepped, euler": SteppedPlate(ZETA, D, STEPS, True, 0.0),
+    "ball": BallPlate(0.0 * E),
+    "ball, restitution": BallPlate(2.0 * E),
+}
+PROTOCOLS = {"rest": False, "ramp": True}
+CASES = [f"{plate}, {protocol}" for plate in PLATES for protocol in PROTOCOLS]
+
+
+def line_of(case: str) -> Line:
+    plate, protocol = case.rsplit(", ", 1)
+    return run_line(
+        GAMMA, OMEGA, XI, plate=PLATES[plate], carry=PROTOCOLS[protocol], settle=60, observe=20, keep=12,
+        micro_flight=0.01,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_bytes_are_those_of_this_kernel_version(case):
+    line = line_of(case)
+    assert line.outcome[0] == Outcome.AT_REST
+    assert set(line.outcome[1:]) == {Outcome.PERIODIC}  # or the hash would depend on rounding
+    golden = json.loads(FILE.read_text())
+    assert golden["kernel_version"] == KERNEL_VERSION, (
+        f"KERNEL_VERSION is {KERNEL_VERSION}, {FILE.name} was written by {golden['kernel_version']}: "
+        f"run python {Path(__file__).relative_to(GOLDEN.parents[1])}"
+    )
+    assert digest(line) == golden["sha256"][case], (
+        f"the stored bytes of '{case}' changed: raise kernel.params.KERNEL_VERSION, "
+        f"then run python {Path(__file__).relative_to(GOLDEN.parents[1])}"
+    )
+
+
+def test_another_last_digit_is_another_hash():
+    line = line_of("ball, rest")
+    flights = line.flight_time.copy()
+    flights[1, 0] = np.nextafter(flights[1, 0], np.inf)
+    assert digest(line._replace(flight_time=flights)) != digest(line)
+
+
+def write() -> None:
+    """Write the hashes of this kernel version."""
+    hashes = {case: digest(line_of(case)) for case in CASES}
+    FILE.write_text(json.dumps({"kernel_version": KERNEL_VERSION, "sha256": hashes}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    write()

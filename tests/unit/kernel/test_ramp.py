@@ -1,0 +1,186 @@
+"""Ramps: what is carried from cell to cell, and that it does not matter how a line was cut."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
+
+from kernel.params import STATE_FIELDS, Cell, Line, Outcome, Start
+from kernel.threshold import threshold
+
+MODELS = [
+    pytest.param(Model.RIGID, {}, id="rigid"),
+    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, e = 0.5"),
+    pytest.param(Model.SOFT, {"restitution": 0.05}, id="adhesive"),
+    pytest.param(Model.SOFT, {"restitution": 0.3, "adhesive": False}, id="nonadhesive"),
+]
+
+AXES = {
+    "gamma": (np.linspace(1.2, 4.0, 13), 0.5, 0.26),
+    "omega": (2.5, np.linspace(0.4, 1.3, 13), 0.05),
+    "xi": (2.5, 0.7, np.linspace(0.02, 1.2, 13)),
+    "all at once": (np.linspace(4.0, 1.2, 13), np.linspace(0.4, 1.3, 13), np.linspace(0.0, 1.2, 13)),
+}
+
+
+def line_of(axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    gamma, omega, xi = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in AXES[axis]))
+    return gamma, omega, xi
+
+
+def start_after(line: Line, i: int, gamma: Any, omega: Any, xi: Any) -> Start:
+    return Start(line.end_state[i], Cell(float(gamma[i]), float(omega[i]), float(xi[i])))
+
+
+# --- what is carried ------------------------------------------------------------------------
+
+
+def in_si(state: np.ndarray, gamma: float, omega: float) -> np.ndarray:
+    """Metres and metres per second of gap, gap', q, q' on a plate with omega_0 = 50/s."""
+    angular = omega * 50.0
+    amplitude = gamma * 9.81 / angular**2
+    return state[2:] * np.array([amplitude, amplitude * angular, amplitude, amplitude * angular])
+
+
+def from_si(physical: np.ndarray, gamma: float, omega: float) -> np.ndarray:
+    angular = omega * 50.0
+    amplitude = gamma * 9.81 / angular**2
+    return physical / np.array([amplitude, amplitude * angular, amplitude, amplitude * angular])
+
+
+@pytest.mark.parametrize(("model", "contact"), MODELS)
+@pytest.mark.parametrize(("old", "new"), [
+    (Cell(2.5, 0.7, 0.05), Cell(2.4, 0.7, 0.05)),
+    (Cell(2.5, 0.7, 0.05), Cell(2.5, 0.8, 0.05)),
+    (Cell(2.5, 0.7, 0.05), Cell(2.5, 0.7, 0.4)),
+    (Cell(2.5, 0.7, 0.05), Cell(3.5, 1.4, 0.2)),
+])  # fmt: skip
+def test_positions_and_velocities_are_kept_through_a_step(model, contact, old, new):
+    """A start in the old cell's units is the same as one converted through metres and seconds."""
+    before = run(*old, model, settle=13, observe=1, keep=8, carry=True, **contact).end_state[0]
+    after = before.copy()
+    after[2:] = from_si(in_si(before, old.gamma, old.omega), new.gamma, new.omega)
+    window = {"settle": 0, "observe": 3, "keep": 64, "carry": True}
+    mine, true = (
+        run(*new, model, start=start, **window, **contact)
+        for start in (Start(before, old), Start(after, new))
+    )
+    assert mine.flights[0] == true.flights[0] > 0
+    assert recorded(mine) == pytest.approx(recorded(true), abs=1e-11)
+    assert mine.end_state[0] == pytest.approx(true.end_state[0], abs=1e-11)
+
+
+@pytest.mark.parametrize(("model", "contact"), MODELS)
+def test_windows_of_one_cell_join_to_one_run(model, contact):
+    """Ten windows of two periods have the flights of one of twenty, but for those under way at the joints."""
+    cell = (2.5, 0.7, 0.05)
+    whole = run(*cell, model, settle=0, observe=20, keep=200, **contact)
+    pieces = run(np.full(10, cell[0]), *cell[1:], model, settle=0, observe=2, keep=200, carry=True, **contact)
+    assert np.any(pieces.end_state[:, STATE_FIELDS.index("in_flight")] == 1.0)
+    assert pieces.end_state[-1] == pytest.approx(whole.end_state[0], abs=1e-9)
+    times = recorded(whole)
+    joined = np.concatenate([recorded(pieces, i) for i in range(10)])
+    # each flight of the pieces is one of the whole, in the same order
+    position = 0
+    for flown in joined:
+        while not math.isclose(times[position], flown, abs_tol=1e-9):
+            position += 1
+        position += 1
+    assert len(times) - len(joined) <= 9
+
+
+def test_a_flight_under_way_at_the_windows_end_is_carried_on():
+    line = run([1.5, 1.5], 0.5, 0.26, settle=20, observe=1, keep=4, carry=True)
+    ended = dict(zip(STATE_FIELDS, line.end_state[0], strict=True))
+    assert ended["phase"] == 0.0
+    assert ended["in_flight"] == 1.0
+    assert ended["gap"] > 0.0
+    assert line.outcome[0] != Outcome.AT_REST  # it flew, though no flight was whole
+    assert line.flights[0] == 0
+
+
+def test_down_follows_up_into_hysteresis():
+    """The protocol `both` (docs/model.md, section 4): going down it bounces where going up it did not."""
+    up = np.linspace(0.5, 1.0, 51)
+    gamma = np.concatenate([up, up[::-1]])
+    line = run(gamma, 0.6, 0.05, settle=60, observe=40, carry=True)
+    bounces = line.outcome != Outcome.AT_REST
+    lowest_up, lowest_down = up[bounces[:51]].min(), up[::-1][bounces[51:]].min()
+    assert lowest_up == pytest.approx(float(threshold(0.6, 0.05)), abs=0.011)
+    assert lowest_down < lowest_up - 0.1
+
+
+def test_from_rest_is_a_ramp_of_one_cell():
+    gamma, omega, xi = line_of("gamma")
+    rest = run(gamma, omega, xi, Model.SOFT, restitution=0.05, settle=10, observe=10)
+    for i in range(len(gamma)):
+        one = run(gamma[i], omega[i], xi[i], Model.SOFT, restitution=0.05, settle=10, observe=10, carry=True)
+        assert one.flight_time[0].tobytes() == rest.flight_time[i].tobytes()
+
+
+# --- cutting --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("model", "contact"), MODELS)
+@pytest.mark.parametrize("axis", AXES)
+def test_a_ramp_gives_the_same_bytes_however_it_is_cut(model, contact, axis):
+    gamma, omega, xi = line_of(axis)
+    window = {"settle": 5, "observe": 7, "keep": 16, "carry": True}
+    whole = run(gamma, omega, xi, model, **window, **contact)
+    for cuts in ([1], [6], [3, 4, 11], list(range(1, 13))):
+        parts, start = [], None
+        for piece in np.split(np.arange(13), cuts):
+            line = run(gamma[piece], omega[piece], xi[piece], model, start=start, **window, **contact)
+            start = start_after(line, -1, gamma[piece], omega[piece], xi[piece])
+            parts.append(line)
+        assert_same_bytes(Line(*(np.concatenate(field) for field in zip(*parts, strict=True))), whole)
+
+
+def test_a_ramp_can_be_taken_up_at_any_cell():
+    """From the stored end of the cell before, as refinement does."""
+    gamma, omega, xi = line_of("gamma")
+    whole = run(gamma, omega, xi, settle=5, observe=7, carry=True)
+    for i in range(1, 13):
+        start = start_after(whole, i - 1, gamma, omega, xi)
+        again = run(gamma[i], omega[i], xi[i], settle=5, observe=7, carry=True, start=start)
+        assert again.end_state[0].tobytes() == whole.end_state[i].tobytes()
+
+
+@pytest.mark.parametrize(("model", "contact"), MODELS)
+def test_cells_from_rest_do_not_know_each_other(model, contact):
+    gamma, omega, xi = line_of("all at once")
+    window = {"settle": 5, "observe": 7, "keep": 16}
+    whole = run(gamma, omega, xi, model, **window, **contact)
+    back = run(gamma[::-1], omega[::-1], xi[::-1], model, **window, **contact)
+    assert_same_bytes(Line(*(field[::-1].copy() for field in back)), whole)
+
+
+# --- the record -----------------------------------------------------------------------------
+
+
+def test_the_last_flights_are_kept_in_order():
+    everything, few = (
+        run(5.0, 0.5, 0.26, Model.SOFT, restitution=0.3, settle=3, observe=120, keep=keep)
+        for keep in (1000, 5)
+    )
+    assert everything.flights[0] == few.flights[0] > 256  # more than are remembered for the mode
+    assert few.flight_time[0] == pytest.approx(recorded(everything)[-5:], abs=0.0)
+    assert few.takeoff_phase[0] == pytest.approx(everything.takeoff_phase[0, : few.flights[0]][-5:], abs=0.0)
+
+
+def test_micro_flights_are_stored_but_not_counted():
+    every = run(1.5, 0.5, 0.26, Model.SOFT, restitution=0.3, settle=200, observe=40)
+    longer = run(1.5, 0.5, 0.26, Model.SOFT, restitution=0.3, settle=200, observe=40, micro_flight=0.5)
+    assert every.flight_time.tobytes() == longer.flight_time.tobytes()
+    assert every.bounces[0] > longer.bounces[0] == 1
+    assert every.periods[0] == longer.periods[0] == 1
+
+
+def test_takeoff_phases_are_within_a_turn_and_lead_to_the_next():
+    line = run(2.3, 0.5, 0.26, settle=100, observe=30)
+    times, phases = recorded(line), line.takeoff_phase[0, : line.flights[0]]
+    assert np.all((phases >= 0.0) & (phases < TWO_PI))
+    waits = (phases[1:] - phases[:-1] - times[:-1]) % TWO_PI
+    assert np.all(waits < 5.0)  # a contact, never a whole turn less rounding

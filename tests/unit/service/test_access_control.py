@@ -1,0 +1,554 @@
+"""Access control: tokens, Host, Origin, security headers; the log; TLS to the scheduler."""
+
+import io
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from fastapi import FastAPI
+from fastapi.testclient import TestClient
+from scripted import Held, sweep, wait_for
+from served import impatient
+
+from service.api.app import create_app
+from service.api.middleware.access_log import AccessLog
+from service.api.monitoring import Metrics
+from service.cli.main import main
+from service.errors import NotStarted
+from service.server import embedded
+from service.server.logging import log_to_stderr, quiet_libraries
+from service.settings import Settings
+
+TOKEN = "a-token-of-thirty-two-characters"
+SWEEP = sweep().as_submitted()
+
+#: Required parameters, without which the endpoint itself would refuse the request.
+QUERIES = {
+    "/v1/jobs/{job_id}/export": "?format=nc",
+    "/v1/threshold": "?omega=1&xi=1",
+    "/v1/orbits": "?omega=1&xi=1",
+    "/v1/curves": "?xi=1&omega_start=1&omega_stop=2",
+}
+
+#: Paths that require no token.
+PROBES = [("GET", "/healthz"), ("GET", "/readyz")]
+
+#: Every operation of the API document, for one job. Each requires the token.
+CALLS = [
+    (method.upper(), path.format(job_id="{job}", key="zarr.json") + QUERIES.get(path, ""))
+    for path, methods in create_app(Settings(), Held()).openapi()["paths"].items()
+    for method in methods
+    if (method.upper(), path) not in PROBES
+] + [("HEAD", "/v1/jobs/{job}/zarr/zarr.json"), ("GET", "/nowhere"), ("DELETE", "/v1/jobs")]
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    settings = Settings(
+        data=tmp_path_factory.mktemp("data"), token=TOKEN, host="0.0.0.0", allowed_hosts="bounce.example.org"
+    )
+    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+        yield client
+
+
+@pytest.fixture
+def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
+    impatient(monkeypatch)
+    with TestClient(create_app(Settings(data=tmp_path), Held()), base_url="http://localhost:8000") as client:
+        yield client
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+# Tokens
+
+
+def test_the_list_of_calls_is_complete():
+    assert len(CALLS) > 15
+    assert ("POST", "/v1/jobs/{job}/cancel") in CALLS
+
+
+@pytest.mark.parametrize(("method", "path"), CALLS)
+@pytest.mark.parametrize("given", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
+def test_every_endpoint_requires_the_token(guarded: TestClient, method: str, path: str, given: str):
+    job = guarded.post("/v1/jobs", json=SWEEP, headers=bearer(TOKEN)).json()
+    answer = guarded.request(method, path.format(job=job["id"]), headers=bearer(given) if given else {})
+    assert answer.status_code == 401
+    assert answer.headers["WWW-Authenticate"] == "Bearer"
+    if method != "HEAD":
+        assert "token" in answer.json()["detail"]
+        assert TOKEN not in answer.text
+    now = guarded.get(job["links"]["self"], headers=bearer(TOKEN)).json()
+    assert now["state"] in ("queued", "running")
+
+
+@pytest.mark.parametrize("header", [TOKEN, f"Basic {TOKEN}", f"Bearer{TOKEN}", "Bearer", "Bearer \u00e9"])
+def test_the_token_must_be_a_bearer_token(guarded: TestClient, header: str):
+    answer = guarded.get("/v1/jobs", headers={"Authorization": header.encode("latin-1")})
+    assert answer.status_code == 401
+
+
+def test_requests_with_the_token_are_answered(guarded: TestClient):
+    assert guarded.get("/v1/jobs", headers=bearer(TOKEN)).status_code == 200
+    assert guarded.get("/v1/jobs", headers={"Authorization": f"bearer  {TOKEN} "}).status_code == 200
+
+
+def test_two_authorization_headers_are_refused(guarded: TestClient):
+    both = [("Authorization", f"Bearer {TOKEN}"), ("Authorization", "Bearer x")]
+    assert guarded.get("/v1/jobs", headers=both).status_code == 401
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/readyz", "/docs", "/openapi.json"])
+def test_open_paths_require_no_token(guarded: TestClient, path: str):
+    assert guarded.get(path).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path", ["/static/../v1/jobs", "/docs/../v1/jobs", "//v1/jobs", "/healthz/../v1/jobs"]
+)
+def test_path_traversal_does_not_bypass_the_token(guarded: TestClient, path: str):
+    request = guarded.build_request("GET", "http://localhost/")
+    request.url = request.url.copy_with(raw_path=path.encode())
+    assert guarded.send(request).status_code in (401, 404)
+
+
+# Named tokens
+
+ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
+
+
+@pytest.fixture
+def named(tmp_path: Path) -> Iterator[TestClient]:
+    """A service with two named tokens and one without a name; three jobs of one token may be unfinished.
+
+    It runs one job at a time, and runs one that never ends: submitted jobs stay queued.
+    """
+    file = tmp_path / "tokens"
+    file.write_text(f"# who may compute\nana: {ANA}\n\nben@lab : {BEN}\n")
+    file.chmod(0o600)
+    limits = {"max_queue_per_token": 3, "active_jobs": 1}
+    settings = Settings(data=tmp_path / "data", token=TOKEN, token_file=file, **limits)
+    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+        endless = submitted(client, TOKEN, 0.123).json()["links"]["self"]
+        wait_for(lambda: client.get(endless, headers=bearer(TOKEN)).json()["state"] == "running")
+        yield client
+
+
+def submitted(client: TestClient, token: str, omega: float) -> Any:
+    return client.post("/v1/jobs", json={**SWEEP, "omega": omega}, headers=bearer(token))
+
+
+def test_a_job_names_who_submitted_it(named: TestClient):
+    jobs = {token: submitted(named, token, 0.3 + i / 10).json() for i, token in enumerate((ANA, BEN, TOKEN))}
+    assert [job["owner"] for job in jobs.values()] == ["ana", "ben@lab", None]
+    listed = named.get("/v1/jobs", headers=bearer(BEN)).json()["jobs"]
+    assert [job["owner"] for job in listed] == [None, "ben@lab", "ana", None]
+    assert submitted(named, BEN, 0.3).json()["owner"] == "ana"  # the same sweep is the same job
+    assert ANA not in json.dumps(listed)
+
+
+@pytest.mark.parametrize("sent", [ANA[:-1], ANA + "x", f"ana: {ANA}", "ana", "", "auto"])
+def test_nothing_but_a_token_of_the_file_is_accepted(named: TestClient, sent: str):
+    assert submitted(named, sent, 0.3).status_code == 401
+
+
+def test_whoever_resumes_a_job_owns_it(named: TestClient):
+    job = submitted(named, ANA, 0.3).json()["links"]
+    assert named.post(job["cancel"], headers=bearer(ANA)).json()["state"] == "cancelled"
+    etag = named.get(job["self"], headers=bearer(ANA)).headers["ETag"]
+    assert named.post(job["resume"], headers=bearer(BEN)).json()["owner"] == "ben@lab"
+    now = named.get(job["self"], headers={**bearer(ANA), "If-None-Match": etag})
+    assert (now.status_code, now.json()["owner"]) == (200, "ben@lab")
+
+
+def test_a_token_can_fill_its_own_part_of_the_queue_only(named: TestClient):
+    jobs = [submitted(named, ANA, 0.3 + i / 10) for i in range(3)]
+    assert [job.status_code for job in jobs] == [202, 202, 202]
+    refused = submitted(named, ANA, 0.9)
+    assert refused.status_code == 429
+    assert "3 jobs of the token ana are queued or running already" in refused.json()["detail"]
+    assert "max_queue_per_token" in refused.json()["detail"]
+    assert submitted(named, ANA, 0.3).status_code == 200  # nothing new
+    assert submitted(named, BEN, 0.9).status_code == 202
+    assert [submitted(named, TOKEN, 1 + i / 10).status_code for i in range(5)] == [202] * 5
+    here = jobs[0].json()["links"]["self"]
+    assert named.post(here + "/cancel", headers=bearer(ANA)).json()["state"] == "cancelled"
+    assert submitted(named, ANA, 2.0).status_code == 202
+    assert named.post(here + "/resume", headers=bearer(ANA)).status_code == 429
+    assert named.post(here + "/resume", headers=bearer(BEN)).status_code == 202
+
+
+def test_a_file_of_tokens_suffices_beyond_loopback(tmp_path: Path):
+    file = tmp_path / "tokens"
+    file.write_text(f"ana: {ANA}")
+    file.chmod(0o600)
+    settings = Settings(data=tmp_path / "data", token_file=file, host="0.0.0.0")
+    with TestClient(create_app(settings, Held()), base_url="http://localhost") as client:
+        assert client.get("/v1/jobs").status_code == 401
+        assert client.get("/v1/jobs", headers=bearer(ANA)).status_code == 200
+
+
+# Settings
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "example.org"])
+def test_listening_beyond_loopback_requires_a_token(tmp_path: Path, host: str):
+    done = CliRunner().invoke(
+        main, ["serve", "--host", host, "--data", str(tmp_path)], env={"BOUNCE_TOKEN": ""}
+    )
+    assert done.exit_code == 1
+    assert f"to listen on {host}" in done.output
+    assert "BOUNCE_TOKEN" in done.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost", "127.8.8.8", "LOCALHOST"])
+def test_loopback_requires_no_token(host: str):
+    assert Settings(host=host).token is None
+
+
+@pytest.mark.parametrize("token", ["short", "x" * 15, "sixteen characters with spaces", "s\u00e9cret-" * 5])
+def test_a_weak_token_is_refused(token: str):
+    with pytest.raises(NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
+        embedded.settings(token=token)
+    assert token not in str(refused.value)
+
+
+def test_the_token_is_not_in_the_repr_of_the_settings():
+    assert TOKEN not in repr(Settings(token=TOKEN))
+
+
+@pytest.mark.parametrize(
+    ("given", "rule"),
+    [
+        ({"stores": "ftp://elsewhere/x"}, "only folders and s3://"),
+        ({"stores": "s3:///x"}, "s3://BUCKET/PREFIX"),
+        ({"scheduler_ca": "ca.pem"}, "needs scheduler_ca, scheduler_cert and scheduler_key"),
+        ({"port": 70000}, "port"),
+        ({"max_body_bytes": 0}, "max_body_bytes"),
+        ({"shutdown_seconds": float("inf")}, "shutdown_seconds"),
+        ({"heartbeat_seconds": 1e18}, "heartbeat_seconds"),
+        ({"max_queue": 10**27}, "max_queue"),
+        ({"log_level": "loud"}, "log_level"),
+    ],
+)
+def test_an_invalid_setting_is_named(given: dict[str, Any], rule: str):
+    with pytest.raises(NotStarted, match=rule):
+        embedded.settings(**given)
+
+
+# Host
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example:8000", "", "[::1",
+     "a@localhost", "localhost\u00e9", "0.0.0.0", "169.254.169.254"],
+)  # fmt: skip
+def test_another_host_is_refused(local: TestClient, host: str):
+    answer = local.get("/v1/jobs", headers={"Host": host.encode("latin-1")})
+    assert answer.status_code == 421
+    assert "BOUNCE_ALLOWED_HOSTS" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:9", "127.0.0.1:8000", "[::1]:8000", "localhost."])
+def test_loopback_hosts_are_allowed(local: TestClient, host: str):
+    assert local.get("/v1/jobs", headers={"Host": host}).status_code == 200
+
+
+def test_the_operator_can_allow_hosts(guarded: TestClient, tmp_path: Path):
+    assert guarded.get("/healthz", headers={"Host": "bounce.example.org"}).status_code == 200
+    assert guarded.get("/healthz", headers={"Host": "other.example.org"}).status_code == 421
+    assert Settings(allowed_hosts=" a.org , B.org,").allowed_hosts == {"a.org", "b.org"}
+    assert "192.0.2.7" in Settings(host="192.0.2.7", token=TOKEN).hosts
+
+
+def test_the_operator_can_allow_every_host(tmp_path: Path):
+    app = create_app(Settings(data=tmp_path, allowed_hosts="*"), Held())
+    for host in ("bounce.example.org", "localhost"):
+        assert TestClient(app).get("/healthz", headers={"Host": host}).status_code == 200
+
+
+def test_allowed_hosts_come_from_the_environment(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_ALLOWED_HOSTS", "a.org,b.org")
+    assert Settings().allowed_hosts == {"a.org", "b.org"}
+
+
+# Origin
+
+
+FOREIGN = [
+    {"Origin": "https://evil.example"},
+    {"Origin": "null"},
+    {"Origin": "http://localhost:9000"},
+    {"Sec-Fetch-Site": "cross-site"},
+    {"Sec-Fetch-Site": "same-site"},
+]
+
+
+@pytest.mark.parametrize("headers", FOREIGN, ids=lambda headers: "".join(headers.values()))
+@pytest.mark.parametrize("way", [("POST", "/cancel"), ("POST", "/resume"), ("DELETE", "")])
+def test_a_page_of_another_origin_changes_nothing(
+    local: TestClient, headers: dict[str, str], way: tuple[str, str]
+):
+    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
+    answer = local.request(way[0], job + way[1], headers=headers)
+    assert answer.status_code == 403
+    assert local.get(job).json()["state"] in ("queued", "running")
+
+
+@pytest.mark.parametrize("name", ["Origin", "Sec-Fetch-Site"])
+def test_of_several_headers_every_one_counts(local: TestClient, name: str):
+    own = {"Origin": "http://localhost:8000", "Sec-Fetch-Site": "same-origin"}[name]
+    foreign = {"Origin": "https://evil.example", "Sec-Fetch-Site": "cross-site"}[name]
+    for values in ((own, foreign), (foreign, own)):
+        headers = [(name, value) for value in values]
+        assert local.post("/v1/jobs", json=SWEEP, headers=headers).status_code == 403
+    assert local.post("/v1/jobs", json=SWEEP, headers=[(name, own), (name, own)]).status_code == 202
+
+
+def test_its_own_page_may_submit(local: TestClient):
+    own = {"Origin": "http://localhost:8000", "Sec-Fetch-Site": "same-origin"}
+    assert local.post("/v1/jobs", json=SWEEP, headers=own).status_code == 202
+
+
+READS = [(method, path) for method, path in CALLS if method in ("GET", "HEAD")]
+
+
+@pytest.mark.parametrize(("method", "path"), READS)
+@pytest.mark.parametrize(
+    "headers",
+    [
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "no-cors"), ("Sec-Fetch-Dest", "image")],
+        [("Sec-Fetch-Site", "same-site"), ("Sec-Fetch-Mode", "cors"), ("Sec-Fetch-Dest", "empty")],
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "iframe")],
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate")],
+        [("Sec-Fetch-Site", "none"), ("Sec-Fetch-Site", "cross-site")],
+        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Site", "same-origin")],
+        [("Sec-Fetch-Site", "cross-site"), *[("Sec-Fetch-Mode", mode) for mode in ("navigate", "cors")],
+         ("Sec-Fetch-Dest", "document")],
+    ],
+    ids=["image", "fetch", "frame", "no destination", "none and cross", "cross and same", "two modes"],
+)  # fmt: skip
+def test_a_page_of_another_origin_loads_nothing(
+    local: TestClient, method: str, path: str, headers: list[tuple[str, str]]
+):
+    answer = local.request(method, path.format(job="0" * 32), headers=headers)
+    assert answer.status_code == 403
+    if method == "GET":
+        assert "may link to this" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("site", ["cross-site", "same-site", "same-origin", "none"])
+def test_a_link_on_a_page_of_another_origin_works(local: TestClient, site: str):
+    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
+    navigation = {"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}
+    assert local.get(job, headers=navigation).status_code == 200
+    assert local.post("/v1/jobs", json=SWEEP, headers=navigation).status_code == (
+        200 if site in ("same-origin", "none") else 403
+    )
+
+
+@pytest.mark.parametrize("site", ["same-origin", "none"])
+def test_its_own_page_may_load_everything(local: TestClient, site: str):
+    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
+    headers = {"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "cors", "Sec-Fetch-Dest": "empty"}
+    for path in (job, f"{job}/diagram", "/", "/static/js/main.js"):
+        assert local.get(path, headers=headers).status_code == 200
+
+
+@pytest.mark.parametrize(("method", "path"), [call for call in READS if call[0] == "GET"])
+def test_head_answers_what_get_answers(local: TestClient, method: str, path: str):
+    """Without the body, and at once also where GET streams until the job ends."""
+    job = local.post("/v1/jobs", json=SWEEP).json()["id"]
+    wait_for(lambda: local.get(f"/v1/jobs/{job}").json()["state"] == "running")  # its answers change then
+    head = local.head(path.format(job=job))
+    assert head.content == b""
+    if "/events" in path:
+        assert head.status_code == 200
+        return
+    answer = local.request(method, path.format(job=job))
+    assert head.status_code == answer.status_code
+    assert head.headers["Content-Type"] == answer.headers["Content-Type"]
+    assert head.headers.get("ETag") == answer.headers.get("ETag")
+    if answer.status_code == 405:
+        assert "GET" not in answer.headers["Allow"]
+
+
+@pytest.mark.parametrize(("path", "allowed"), [("/v1/jobs", "GET, HEAD, POST"), ("/v1/trajectories", "POST")])
+def test_a_method_that_is_not_allowed_is_named_in_part(local: TestClient, path: str, allowed: str):
+    answer = local.request("X" * 5_000, path)
+    assert (answer.status_code, answer.headers["Allow"]) == (405, allowed)
+    assert answer.json()["detail"] == f"{path} does not support {'X' * 16}"
+
+
+def test_no_page_of_another_origin_may_read(local: TestClient):
+    answer = local.get("/v1/jobs", headers={"Origin": "https://evil.example"})
+    assert not [name for name in answer.headers if name.startswith("access-control-")]
+    preflight = {"Origin": "https://evil.example", "Access-Control-Request-Method": "POST"}
+    answer = local.options("/v1/jobs", headers=preflight)
+    assert answer.status_code == 405
+    assert not [name for name in answer.headers if name.startswith("access-control-")]
+
+
+@pytest.mark.parametrize(
+    ("method", "asked"), [("OPTIONS", {}), ("GET", {"Access-Control-Request-Method": "GET"})]
+)
+def test_what_is_no_preflight_needs_a_token(tmp_path: Path, method: str, asked: dict[str, str]):
+    """Also from a page that may read: tests/system/service/test_zarr_access.py."""
+    origin = "https://viewer.example"
+    app = create_app(Settings(data=tmp_path, token=TOKEN, cors_origins=origin), Held())
+    browser = {"Origin": origin, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
+    answer = TestClient(app, base_url="http://localhost").request(method, "/v1/jobs", headers=browser | asked)
+    assert answer.status_code == 401
+
+
+@pytest.mark.parametrize("path", ["/docs", "/v1/jobs", "/v1/jobs/none", "/nowhere", "/healthz"])
+def test_every_response_has_the_security_headers(local: TestClient, path: str):
+    headers = local.get(path).headers
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["X-Frame-Options"] == "DENY"
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "server" not in headers
+
+
+def test_a_connection_goes_on_after_a_request_with_one_end(local: TestClient):
+    """One with two is the last: tests/system/service/test_web_server.py."""
+    headers = {"Content-Type": "application/json"}
+    for content in (json.dumps(SWEEP), iter([json.dumps(SWEEP).encode()])):
+        answer = local.post("/v1/jobs", content=content, headers=headers)
+        assert answer.status_code in (200, 202)
+        assert "Connection" not in answer.headers
+
+
+def test_refusals_have_the_security_headers(local: TestClient):
+    headers = local.get("/docs", headers={"Host": "evil.example"}).headers
+    assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["X-Request-Id"]
+
+
+# The log
+
+
+def lines(log: io.StringIO) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in log.getvalue().splitlines()]
+
+
+@pytest.fixture
+def logged(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.StringIO]:
+    log = io.StringIO()
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", log)
+        with log_to_stderr("info"):
+            yield log
+
+
+def test_a_library_with_a_handler_of_its_own_writes_one_line(monkeypatch: pytest.MonkeyPatch):
+    """As distributed has from its configuration."""
+    log = io.StringIO()
+    logger = logging.getLogger("distributed.of_a_test")
+    logger.addHandler(logging.StreamHandler(log))
+    monkeypatch.setattr(sys, "stderr", log)
+    with log_to_stderr("info"):
+        logger.warning("a worker is lost")
+        logger.warning("a worker is lost")
+        logger.info("a worker is there")
+    (line,) = lines(log)
+    assert (line["level"], line["event"]) == ("warning", "a worker is lost")
+
+
+def test_the_log_ends_with_the_service(monkeypatch: pytest.MonkeyPatch):
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    with log_to_stderr("debug"):
+        logging.getLogger("worker.of_a_test").debug("details")
+    assert [line["event"] for line in lines(log)] == ["details"]
+    logging.getLogger("worker.of_a_test").error("after the end")
+    assert len(lines(log)) == 1
+    assert (logging.getLogger("service").level, logging.getLogger("worker").level) == (0, 0)
+
+
+def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
+    job = local.post("/v1/jobs", json=SWEEP).json()
+    answer = local.get(job["links"]["self"])
+    (line,) = [line for line in lines(logged) if line.get("id") == answer.headers["X-Request-Id"]]
+    assert (line["event"], line["method"], line["route"]) == ("request", "GET", "/v1/jobs/{job_id}")
+    assert (line["status"], line["job"]) == (200, job["id"])
+    assert line["ms"] >= 0
+
+
+def test_what_the_log_tells_of_a_request_is_short(logged: io.StringIO):
+    scope = {"method": "X" * 99, "path_params": {"job_id": "y" * 99}}
+    AccessLog(app=FastAPI(), metrics=Metrics())._record(scope, "id", 404, 1.23456)
+    (line,) = lines(logged)
+    assert (line["method"], line["job"], line["ms"]) == ("X" * 16, "y" * 64, 1234.6)
+
+
+def test_a_terminal_shows_only_requests_that_failed(local: TestClient, monkeypatch: pytest.MonkeyPatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with log_to_stderr("info"):
+        local.get("/v1/jobs")
+        local.get("/v1/jobs/nowhere")
+        local.post("/v1/jobs", content=b"{", headers={"Content-Type": "application/json"})
+    assert [line["status"] for line in lines(terminal) if line["event"] == "request"] == [404, 400]
+
+
+def test_libraries_are_silent_once_the_service_stops(monkeypatch: pytest.MonkeyPatch):
+    log = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", log)
+    logger = logging.getLogger("distributed.of_a_test")
+    try:
+        with log_to_stderr("info"):
+            quiet_libraries()
+            logger.warning("a connection is lost")
+            logging.getLogger("service.of_a_test").info("stopped")
+        (line,) = lines(log)
+        assert line["event"] == "stopped"
+    finally:
+        for each in logging.root.manager.loggerDict.values():
+            if isinstance(each, logging.Logger):
+                each.disabled = False
+
+
+def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO):
+    local.get("/v1/jobs/%0a%7b%22level%22:%22error%22%7d")
+    local.get("/nowhere%0aevil", headers={"Authorization": "Bearer secret-of-somebody"})
+    requests = [line for line in lines(logged) if line["event"] == "request"]
+    assert len(requests) == 2
+    assert "secret-of-somebody" not in json.dumps(requests)
+
+
+def test_a_traceback_is_part_of_its_line(logged: io.StringIO):
+    try:
+        raise ValueError("two\nlines")
+    except ValueError:
+        logging.getLogger("service.x").exception("step failed")
+    (line,) = lines(logged)
+    assert (line["event"], line["level"]) == ("step failed", "error")
+    assert "ValueError: two\nlines" in line["traceback"]
+
+
+def test_a_traceback_goes_to_the_log_and_not_to_the_caller(
+    tmp_path: Path, logged: io.StringIO, monkeypatch: pytest.MonkeyPatch
+):
+    with TestClient(create_app(Settings(data=tmp_path), Held()), base_url="http://localhost") as client:
+        monkeypatch.setattr(client.app.state.service.ledger, "find", lambda job_id: 1 / 0)  # type: ignore[attr-defined]
+        answer = client.get("/v1/jobs/none")
+    assert answer.status_code == 500
+    assert "division" not in answer.text
+    (line,) = [line for line in lines(logged) if line["event"] == "internal error"]
+    assert "ZeroDivisionError" in line["traceback"]
+    assert line["id"] == answer.headers["X-Request-Id"]
+    assert line["id"] in answer.json()["detail"]
+
+
+# TLS to the scheduler

@@ -1,0 +1,262 @@
+"""Adaptive maps through the service: answers, windows, estimates, files, repair."""
+
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import xarray as xr
+from fastapi.testclient import TestClient
+from scripted import Held, wait_for
+from served import computing, finished, get, service
+
+from worker.plan import make_plan
+from worker.refinement import Refinement
+from worker.spec import SweepSpec
+
+SPACE: dict[str, Any] = {
+    "name": "thresholds and modes",
+    "gamma": {"start": 0.4, "stop": 2.4, "num": 49},
+    "omega": {"start": 0.4, "stop": 1.0, "num": 41},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 300,
+    "observe": 60,
+    "keep": 8,
+}
+MAP: dict[str, Any] = {**SPACE, "refine": {"by": "mode", "coarsest": 8}}
+VAST: dict[str, Any] = {
+    **SPACE,
+    "gamma": {"start": 0.4, "stop": 4.4, "num": 10_000},
+    "omega": {"start": 0.4, "stop": 1.4, "num": 10_000},
+    "keep": 64,
+    "refine": {"by": "mode"},
+}
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def full(client: TestClient) -> str:
+    return finished(client, SPACE)
+
+
+@pytest.fixture(scope="module")
+def adaptive(client: TestClient) -> str:
+    return finished(client, MAP)
+
+
+def read(client: TestClient, path: str) -> dict[str, Any]:
+    answer = client.get(path)
+    assert answer.status_code == 200, answer.text
+    return dict(answer.json())
+
+
+def test_a_mode_map_tells_the_share_computed_and_with_mask_which_cells(
+    client: TestClient, full: str, adaptive: str
+):
+    whole, plain = read(client, f"{full}/modes"), read(client, f"{adaptive}/modes")
+    assert "computed" not in whole
+    assert "mask" not in whole
+    assert "mask" not in plain
+    masked = read(client, f"{adaptive}/modes?mask=true")
+    mask = np.array(masked["mask"], bool)
+    assert mask.shape == (41, 49)
+    assert plain["computed"] == masked["computed"] == pytest.approx(mask.mean())
+    assert 0.1 < mask.mean() < 0.9
+    for name in ("outcome", "bounces", "periods"):
+        assert np.array_equal(np.array(whole[name])[mask], np.array(masked[name])[mask])
+    assert "mask" not in read(client, f"{full}/modes?mask=true")
+
+
+def test_the_share_is_of_all_cells_also_where_the_map_is_thinned(client: TestClient, adaptive: str):
+    share = read(client, f"{adaptive}/modes")["computed"]
+    thinned = read(client, f"{adaptive}/modes?every=8&mask=true")
+    assert thinned["computed"] == share
+    assert np.all(thinned["mask"])  # the corners of the first blocks
+
+
+def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
+    answer = client.get(f"{adaptive}/modes?min_flight=0.3")
+    assert answer.status_code == 422
+    assert "min_flight" in answer.text
+    assert client.get(f"{adaptive}/modes?min_flight=0.05").status_code == 200
+
+
+def test_a_diagram_tells_which_cells_have_flights(client: TestClient, full: str, adaptive: str):
+    whole, part = (read(client, f"{job}/diagram?along=gamma&omega=0.6") for job in (full, adaptive))
+    assert "computed" not in whole
+    assert 0 < sum(part["computed"]) < len(part["computed"])
+    for i, computed in enumerate(part["computed"]):
+        if computed:
+            assert part["flight_time"][i] == whole["flight_time"][i]
+            assert part["bounces"][i] == whole["bounces"][i]
+        else:
+            assert part["flight_time"][i] == []
+    assert part["complete"]
+    for picture in ("png", "csv"):
+        assert client.get(f"{adaptive}/diagram?along=gamma&omega=0.6&format={picture}").status_code == 200
+
+
+def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClient, full: str, adaptive: str):
+    whole, part = (read(client, f"{job}/threshold") for job in (full, adaptive))
+    assert whole["up_computed"] is None
+    between = np.array(part["up_computed"])
+    found = np.array(part["up_status"]) == "found"
+    assert between[found].mean() > 0.9
+    assert not between[~found].any()
+    for name in ("up", "up_status"):
+        assert np.array_equal(np.array(whole[name])[between], np.array(part[name])[between])
+
+
+def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full: str, adaptive: str):
+    def refined(job: str) -> dict[str, Any]:
+        path = f"{job}/threshold?tolerance=0.001"
+        wait_for(lambda: client.get(path).status_code == 200)
+        return read(client, path)
+
+    whole, part = refined(full), refined(adaptive)
+    assert part["up_status"] == whole["up_status"]
+    assert part["up"] == whole["up"]
+    assert all(part["up_computed"][i] for i, status in enumerate(part["up_status"]) if status == "found")
+
+
+def test_files_hold_which_cells_were_computed(client: TestClient, adaptive: str, tmp_path: Path):
+    share = read(client, f"{adaptive}/modes")["computed"]
+    for format in ("nc", "parquet"):
+        (tmp_path / f"map.{format}").write_bytes(client.get(f"{adaptive}/export?format={format}").content)
+    with xr.open_dataset(tmp_path / "map.nc", engine="h5netcdf") as stored:
+        assert float(stored.computed.mean()) == pytest.approx(share)
+        assert stored.computed.attrs["flag_meanings"] == "taken_from_its_block computed"
+    table = pq.read_table(tmp_path / "map.parquet")
+    assert np.mean(table["computed"].to_numpy()) == pytest.approx(share)
+
+
+def test_the_page_gets_the_mask_with_the_map(client: TestClient, adaptive: str, full: str):
+    assert b'"computed":' in client.get(f"{adaptive}/plane").content.split(b"\n")[0]
+    assert b'"computed":' not in client.get(f"{full}/plane").content.split(b"\n")[0]
+    assert client.get(f"{adaptive}/line?along=gamma&omega=0.6").status_code == 200
+
+
+def test_a_window_is_an_adaptive_sweep_on_a_finer_grid(client: TestClient, full: str):
+    body = {"gamma": [0.6, 1.1], "omega": [0.5, 3.0], "finer": 20, "by": "bouncing"}
+    answer = client.post(f"{full}/refine", json=body)
+    assert answer.status_code == 202
+    view = answer.json()
+    spec = view["spec"]
+    assert spec["parent"] == full.rsplit("/", 1)[-1]
+    assert spec["refine"] == {"by": "bouncing", "coarsest": 64, "margin": False}
+    assert spec["gamma"] == {"start": 0.6, "stop": 1.1, "num": 20 * 11 + 1, "spacing": "linear"}
+    assert spec["omega"]["stop"] == 1.0  # cut to the sweep
+    assert all(spec[name] == SPACE[name] for name in ("settle", "observe", "keep"))
+    assert view["name"] == "Window of thresholds and modes"
+    wait_for(lambda: get(client, answer.headers["Location"])["state"] == "done")
+    assert client.post(f"{full}/refine", json=body).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"gamma": [1.1, 0.6]}, "gamma"),
+        ({"gamma": [5.0, 6.0]}, "gamma"),
+        ({"gamma": [1.0]}, "gamma"),
+        ({"gamma": "all"}, "gamma"),
+        ({"xi": 0.3}, "xi"),
+        ({"finer": 0}, "finer"),
+        ({"finer": 65}, "finer"),
+        ({"by": "flights"}, "by"),
+        ({"coarse": 3}, "coarse"),
+    ],
+)
+def test_a_bad_window_names_the_field(client: TestClient, full: str, body: dict[str, Any], field: str):
+    answer = client.post(f"{full}/refine", json=body)
+    assert answer.status_code == 422
+    assert field in {error["field"].partition("[")[0] for error in answer.json()["errors"]}
+
+
+def test_a_window_of_a_ramp_is_refused(client: TestClient):
+    ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
+    here = finished(client, {**SPACE, "gamma": [0.5, 0.6], "omega": 0.6, "protocol": ramp})
+    answer = client.post(f"{here}/refine", json={})
+    assert answer.status_code == 422
+    assert "ramp" in answer.text
+
+
+def test_a_map_of_a_hundred_million_cells_is_planned_in_little_memory(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        tracemalloc.start()
+        estimate = client.post("/v1/jobs?validate_only=true", json=VAST).json()
+        accepted = client.post("/v1/jobs", json=VAST)
+        wait_for(lambda: get(client, accepted.headers["Location"])["state"] == "running")
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert accepted.status_code == 202
+        assert estimate["cells"] == 10**8
+        low, high = estimate["computed_cells"]
+        assert 0 < low < high < 2 * 10**7
+        assert estimate["least_core_seconds"] < estimate["core_seconds"]
+        assert peak < 500 * 2**20
+    with service(tmp_path / "small", Held(), max_cells=10**6) as client:
+        refused = client.post("/v1/jobs", json=VAST)
+        assert refused.status_code == 413
+        assert "computed cells" in refused.text
+
+
+def test_a_map_that_was_cancelled_and_resumed_has_the_bytes_of_one_that_was_not(tmp_path: Path):
+    tiles = {
+        **MAP,
+        "gamma": {"start": 0.4, "stop": 2.4, "num": 300},
+        "omega": {"start": 0.4, "stop": 1.0, "num": 300},
+        "settle": 60,
+    }
+    with computing(tmp_path / "whole") as client:
+        here = finished(client, tiles)
+        assert get(client, here)["progress"]["chunks_total"] == 9
+    with computing(tmp_path / "resumed") as client:
+        here = client.post("/v1/jobs", json=tiles).headers["Location"]
+        wait_for(lambda: get(client, here)["progress"]["chunks_done"] >= 2)
+        client.post(f"{here}/cancel")
+        wait_for(lambda: get(client, here)["state"] == "cancelled")
+        assert get(client, here)["progress"]["chunks_done"] < 9
+        client.post(f"{here}/resume")
+        wait_for(lambda: get(client, here)["state"] == "done")
+    stores = [next((tmp_path / name).rglob("*.zarr")) for name in ("whole", "resumed")]
+    whole, resumed = (
+        {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+        for url in stores
+    )
+    assert whole == resumed
+
+
+def test_progress_counts_the_cells_known_to_be_needed(tmp_path: Path):
+    tiles = MAP | {name: {"start": 0.4, "stop": 2.4, "num": 300} for name in ("gamma", "omega")}
+    spec = SweepSpec.parse(tiles)
+    plan = make_plan(spec)
+    assert spec.refine is not None
+    first = [Refinement((chunk.shape[1], chunk.shape[2]), spec.refine).cells.size for chunk in plan]
+    held = Held()
+    with service(tmp_path / "held", held) as client:
+        here = client.post("/v1/jobs", json=tiles).headers["Location"]
+        progress = get(client, here)["progress"]
+        assert (progress["cells_computed"], progress["cells_needed"]) == (0, sum(first))
+    with computing(tmp_path / "done") as client:
+        here = finished(client, tiles)
+        progress = get(client, here)["progress"]
+        share = get(client, f"{here}/modes")["computed"]
+        assert progress["cells_computed"] == progress["cells_needed"] == round(share * 300 * 300)
+        assert progress["cells_computed"] > sum(first)
+        plain = get(client, finished(client, SPACE))["progress"]
+        assert (plain["cells_computed"], plain["cells_needed"]) == (None, None)
+
+
+def test_an_estimate_does_not_take_its_speed_from_adaptive_maps(tmp_path: Path):
+    with computing(tmp_path) as client:
+        finished(client, MAP)
+        assert client.post("/v1/jobs?validate_only=true", json=SPACE).json()["basis"] == "table"

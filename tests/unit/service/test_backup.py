@@ -1,0 +1,351 @@
+"""Backups and their commands: whole copies beside a running service; restoring loses nothing."""
+
+import os
+import shutil
+import sqlite3
+from contextlib import closing, suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from click.testing import CliRunner, Result
+from running import running
+from scripted import Held, Scripted, free_port, sweep, wait_for
+
+from kernel.params import KERNEL_VERSION
+from service.cli import doctor
+from service.cli.main import main
+from service.errors import DataFolderBusy, LedgerUnusable
+from service.jobs import backup
+from service.jobs.ledger import Ledger
+from service.jobs.ledger_files import wal_of
+from service.jobs.model import JobState
+from worker.executors.inline import Inline
+
+SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
+
+
+def bounce(*arguments: str) -> Result:
+    return CliRunner().invoke(main, arguments)
+
+
+def ids(path: Path) -> set[str]:
+    with closing(sqlite3.connect(path)) as connection:
+        return {row[0] for row in connection.execute("SELECT id FROM jobs")}
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data folder with one job that is done, a backup of it, and two jobs that are done since."""
+    folder = tmp_path_factory.mktemp("original")
+    with closing(Inline()) as inline, running(folder / "data", inline) as service:
+        service.until(service.submit(SPECS[0]), JobState.DONE)
+        backup.backup(service.settings.ledger_path, folder / "backup.sqlite")
+        for spec in SPECS[1:]:
+            service.until(service.submit(spec), JobState.DONE)
+    return folder
+
+
+@pytest.fixture
+def folder(original: Path, tmp_path: Path) -> Path:
+    """A copy of it for one test."""
+    shutil.copytree(original, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def test_a_backup_is_whole_while_the_service_writes(tmp_path: Path):
+    """It has every mark that was there when it began."""
+    held, file = Held(), tmp_path / "copies" / "ledger.sqlite"
+    file.parent.mkdir()
+    with running(tmp_path / "data", held) as service:
+        job = service.submit(SPECS[0])
+        wait_for(held.held)
+        held.let_go()
+        wait_for(lambda: service.job(job).chunks_done == 1)
+        answer = bounce("backup", str(file), "--data", str(tmp_path / "data"))
+        assert (answer.exit_code, answer.output) == (0, f"{file}: 1 jobs, 1 done chunks\n")
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        marked = service.job(job).chunks_done
+        backup.backup(service.settings.ledger_path, file)  # in place of the one before
+    assert backup.inspect(file) == (1, marked)
+    assert list(file.parent.iterdir()) == [file]
+    assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
+    before = (folder / "backup.sqlite").read_bytes()
+    answer = bounce("backup", str(folder / "no" / "such"), "--data", str(folder / "data"))
+    assert answer.exit_code == 1
+    assert "No such file or directory" in answer.output
+    assert "Errno" not in answer.output
+    (folder / "data" / "ledger.sqlite").write_bytes(b"no ledger at all" * 999)
+    answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
+    assert answer.exit_code == 1
+    assert "file is not a database" in answer.output
+    assert (folder / "backup.sqlite").read_bytes() == before
+
+
+def test_what_contradicts_itself_is_neither_backed_up_nor_restored(folder: Path):
+    ledger, earlier, copy = (
+        folder / "data" / "ledger.sqlite",
+        folder / "backup.sqlite",
+        folder / "copy.sqlite",
+    )
+    with closing(sqlite3.connect(ledger, isolation_level=None)) as connection:
+        connection.execute("DELETE FROM chunks WHERE chunk = 0")
+    shutil.copyfile(ledger, copy)
+    before = {path: path.read_bytes() for path in (ledger, earlier, copy)}
+    with pytest.raises(LedgerUnusable, match="contradicts itself"):
+        backup.backup(ledger, earlier)
+    with pytest.raises(LedgerUnusable, match="contradicts itself"):
+        backup.restore(ledger, copy)
+    assert {path: path.read_bytes() for path in before} == before
+    assert sorted(path.name for path in folder.iterdir()) == ["backup.sqlite", "copy.sqlite", "data"]
+
+
+def test_a_backup_takes_the_place_of_one_that_was_interrupted(folder: Path):
+    partial = folder / "later.sqlite.partial"
+    partial.write_bytes(b"half of a backup" * 999)
+    assert backup.backup(folder / "data" / "ledger.sqlite", folder / "later.sqlite").jobs == 3
+    assert not partial.exists()
+
+
+def test_copies_are_on_the_disk_and_leave_no_file_open(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    ledger, file = folder / "data" / "ledger.sqlite", folder / "later.sqlite"
+    synced: list[str] = []
+    real = os.fsync
+
+    def noted(descriptor: int) -> None:
+        synced.append(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    backup.backup(ledger, file)
+    assert synced == [str(file)]
+    backup.restore(ledger, file)
+    assert synced[1:] == [f"{ledger}.partial", str(ledger.parent)]  # the contents before the name
+    opened = []
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # of the listing itself
+            opened.append(str(descriptor.readlink()))
+    assert [path for path in opened if path.startswith(str(folder))] == []
+
+
+def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Path):
+    data = folder / "data"
+    stores = {path: path.stat().st_mtime_ns for path in (data / "stores").rglob("*")}
+    known = ids(data / "ledger.sqlite")
+    answer = bounce("restore", str(folder / "backup.sqlite"), "--data", str(data))
+    assert answer.exit_code == 0, answer.output
+    assert "1 jobs, " in answer.output
+    assert "2 stores are unknown to it: bounce adopt --all" in answer.output
+    [replaced] = data.glob("ledger-replaced-*.sqlite")
+    assert f"the ledger that was there is {replaced}\n" in answer.output
+    assert ids(replaced) == known
+    assert len(ids(data / "ledger.sqlite")) == 1
+    assert (data / "ledger.sqlite").stat().st_mode & 0o777 == 0o600
+    with running(data, Held(capacity=0)) as service:
+        service.manager._scrubber._thread.join()
+        assert len(service.manager.unknown_stores) == 2
+        assert "stores that the ledger does not know: 2" in service.manager.notices()[0]
+    answer = bounce("adopt", "--all", "--data", str(data))
+    assert (answer.exit_code, answer.stderr) == (0, "")
+    adopted = [line.split("  ") for line in answer.stdout.splitlines()]
+    assert {job_id for job_id, *_ in adopted} == known - {SPECS[0].job_id(KERNEL_VERSION)}
+    assert [state for _, state, *_ in adopted] == ["done", "done"]
+    assert ids(data / "ledger.sqlite") == known
+    with closing(Scripted()) as executor, running(data, executor) as service:
+        assert [service.manager.submit(spec).accepted for spec in SPECS] == [False] * 3
+        assert service.manager.notices() == []
+        assert executor.tried == []
+    assert stores.items() <= {path: path.stat().st_mtime_ns for path in (data / "stores").rglob("*")}.items()
+
+
+def test_a_log_that_is_not_of_the_backup_is_set_aside(folder: Path):
+    ledger = folder / "data" / "ledger.sqlite"
+    wal_of(ledger).write_bytes(b"of the ledger before")
+    restored = backup.restore(ledger, folder / "backup.sqlite")
+    assert restored.replaced is not None
+    assert wal_of(restored.replaced).read_bytes() == b"of the ledger before"
+    assert not wal_of(ledger).exists()
+    assert len(ids(ledger)) == 1
+
+
+def test_a_log_that_has_lost_its_ledger_is_removed(folder: Path):
+    ledger = folder / "data" / "ledger.sqlite"
+    ledger.unlink()
+    wal_of(ledger).write_bytes(b"of the ledger before")
+    assert backup.restore(ledger, folder / "backup.sqlite").replaced is None
+    assert not wal_of(ledger).exists()
+    assert len(ids(ledger)) == 1
+
+
+def test_a_ledger_is_restored_to_a_new_folder(folder: Path):
+    ledger = folder / "another" / "machine" / "ledger.sqlite"
+    restored = backup.restore(ledger, folder / "backup.sqlite")
+    assert (restored.contents.jobs, restored.replaced) == (1, None)
+    assert list(ledger.parent.glob("*.sqlite*")) == [ledger]
+
+
+def test_a_backup_that_cannot_be_changed_is_not_restored(folder: Path):
+    """Its deletions must be forgotten."""
+    data, file = folder / "data", folder / "backup.sqlite"
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        connection.execute("INSERT INTO deletions VALUES ('a', 9, 1.0, 0)")
+        connection.execute(
+            "CREATE TRIGGER kept BEFORE DELETE ON deletions BEGIN SELECT RAISE(ABORT, 'no'); END"
+        )
+    before = sorted(path.name for path in data.iterdir())
+    with pytest.raises(LedgerUnusable, match=r"backup\.sqlite cannot be restored: no"):
+        backup.restore(data / "ledger.sqlite", file)
+    assert sorted(path.name for path in data.iterdir()) == before
+    assert len(ids(data / "ledger.sqlite")) == 3
+
+
+def test_nothing_is_restored_under_a_running_service(folder: Path):
+    data = folder / "data"
+    with running(data, Held(capacity=0)) as service:
+        with pytest.raises(DataFolderBusy):
+            backup.restore(service.settings.ledger_path, folder / "backup.sqlite")
+        assert "another service uses the data folder" in bounce("adopt", "--all", "--data", str(data)).output
+        with service.ledger.reading() as ledger:
+            assert len(ledger.ids()) == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(None, "there is no file"), (b"", "is no ledger"), (b"not a database " * 999, "file is not a database")],
+)
+def test_what_is_no_ledger_is_not_restored(folder: Path, content: bytes | None, reason: str):
+    data, file = folder / "data", folder / "other.sqlite"
+    if content is not None:
+        file.write_bytes(content)
+    before = sorted(path.name for path in data.iterdir())
+    with pytest.raises(LedgerUnusable, match=reason):
+        backup.restore(data / "ledger.sqlite", file)
+    assert sorted(path.name for path in data.iterdir()) == before
+    assert len(ids(data / "ledger.sqlite")) == 3
+
+
+def test_deletions_of_a_backup_are_forgotten(folder: Path):
+    """What they name may have been computed again since."""
+    data = folder / "data"
+    with Ledger(data / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            job = writing.newest(None, 1)[0]
+            writing.delete(job, 1e12)
+        backup.backup(data / "ledger.sqlite", folder / "later.sqlite")
+    backup.restore(data / "ledger.sqlite", folder / "later.sqlite")
+    with running(data, Held(capacity=0)) as service:
+        service.manager._scrubber._thread.join()
+        assert [Path(url).stem for url in service.manager.unknown_stores] == [job.id]
+        assert Path(service.settings.store_of(job.id)).exists()
+
+
+def test_known_are_the_jobs_of_a_ledger_and_the_deleted_ones(folder: Path):
+    """A ledger of an earlier release knows of no deletions."""
+    path = folder / "data" / "ledger.sqlite"
+    known = ids(path)
+    with Ledger(path) as ledger, ledger.writing() as writing:
+        deleted = writing.newest(None, 1)[0]
+        writing.delete(deleted, 1e12)
+    assert backup.known_ids(path) == known
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("DROP TABLE deletions")
+    assert backup.known_ids(path) == known - {deleted.id}
+
+
+def test_adopt_names_what_it_cannot_take_in(folder: Path):
+    data = str(folder / "data")
+    known = SPECS[0].job_id(KERNEL_VERSION)
+    answer = bounce("adopt", known, "--data", data)
+    assert answer.exit_code == 1
+    assert (answer.stdout, "the ledger knows this job" in answer.stderr) == ("", True)
+    assert bounce("adopt", "--data", data).exit_code == 2
+    assert bounce("adopt", known, "--all", "--data", data).exit_code == 2
+    assert bounce("adopt", "--all", "--data", str(folder / "nowhere")).exit_code == 2
+    assert bounce("adopt", "--all", "--data", data).output == ""  # there is nothing to adopt
+
+
+def test_stores_are_adopted_where_the_ledger_is_lost(folder: Path):
+    known = ids(folder / "data" / "ledger.sqlite")
+    for file in (folder / "data").glob("ledger*"):
+        file.unlink()
+    answer = bounce("adopt", "--all", "--data", str(folder / "data"))
+    assert answer.exit_code == 0, answer.output
+    assert ids(folder / "data" / "ledger.sqlite") == known
+
+
+def test_the_doctor_names_what_needs_attention(folder: Path):
+    data, url = folder / "data", f"http://127.0.0.1:{free_port()}"
+    answer = bounce("doctor", "--data", str(data), "--url", url)
+    assert answer.exit_code == 0, answer.output
+    assert "3 jobs" in answer.output
+    assert f"none at {url} (ConnectError)" in answer.output
+    assert "!!" not in answer.output
+    assert "copies beside it" not in answer.output
+    backup.restore(data / "ledger.sqlite", folder / "backup.sqlite")
+    files = {path: path.read_bytes() for path in data.glob("ledger*")}
+    answer = bounce("doctor", "--data", str(data), "--url", url)
+    assert answer.exit_code == 1
+    assert answer.output.count("is unknown to the ledger: bounce adopt") == 2
+    assert "ok  ledger            copies beside it: ledger-replaced-" in answer.output
+    for content, reason in ((b"", "ledger.sqlite is empty"), (b"none" * 999, "file is not a database")):
+        (data / "ledger.sqlite").write_bytes(content)
+        lines = bounce("doctor", "--data", str(data), "--url", url).output.splitlines()
+        (line,) = [line for line in lines if line.startswith("!!  ledger ")]
+        assert reason in line
+    (data / "ledger.sqlite").write_bytes(files[data / "ledger.sqlite"])
+    assert {path: path.read_bytes() for path in data.glob("ledger*")} == files
+
+
+def test_the_doctor_names_a_kernel_cache_that_others_can_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
+    command = ("doctor", "--data", str(tmp_path / "data"), "--url", f"http://127.0.0.1:{free_port()}")
+    assert f"{cache}, 0 compiled kernels" in " ".join(bounce(*command).output.split())
+    for slot in ("ready", "slot-0"):
+        (cache / "digest" / slot / "kernel").mkdir(parents=True)
+        (cache / "digest" / slot / "kernel" / "compiled.nbc").touch()
+    assert f"{cache}, 1 compiled kernels" in " ".join(bounce(*command).output.split())
+    cache.chmod(0o777)
+    answer = bounce(*command)
+    assert answer.exit_code == 1
+    assert "remove it" in answer.output
+
+
+def test_adopt_makes_no_ledger_where_there_is_nothing_to_adopt(tmp_path: Path):
+    """In a folder that is none of a service's."""
+    result = bounce("adopt", "--all", "--data", str(tmp_path))
+    assert result.exit_code == 2
+    assert "neither a ledger nor stores" in " ".join(result.output.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_doctor_names_what_deletions_have_left(folder: Path):
+    data = folder / "data"
+    known, unknown = SPECS[0].job_id(KERNEL_VERSION), "e" * 32
+    for job_id in (known, unknown):
+        (data / "stores" / f"{job_id}.zarr.deleted-1").mkdir()
+    answer = bounce("doctor", "--data", str(data), "--url", f"http://127.0.0.1:{free_port()}")
+    assert answer.exit_code == 1
+    assert f"!!  stores            {unknown}.zarr.deleted-1 is left of a deletion" in answer.output
+    assert answer.output.count("!!") == 1
+
+
+@pytest.mark.parametrize("bytes_free", [0, 1])
+@pytest.mark.parametrize("network", [None, "nfs4"])
+def test_the_doctor_names_a_disk_that_is_full_or_of_another_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bytes_free: int, network: str | None
+):
+    free = SimpleNamespace(free=doctor.FREE_BYTES - 1 + bytes_free)
+    monkeypatch.setattr(doctor, "shutil", SimpleNamespace(disk_usage=lambda path: free))
+    monkeypatch.setattr(doctor, "network_file_system", lambda path: network)
+    answer = bounce("doctor", "--data", str(tmp_path), "--url", f"http://127.0.0.1:{free_port()}")
+    assert ("!!  disk              " + f"{tmp_path}: 1.1 GB free" in answer.output) == (not bytes_free)
+    assert ("is on a network file system (nfs4)" in answer.output) == (network is not None)
+    assert answer.output.count("!!") == 2 * (not bytes_free) + (network is not None)
+    assert answer.exit_code == (not bytes_free or network is not None)

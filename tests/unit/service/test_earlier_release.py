@@ -1,0 +1,355 @@
+"""A data folder that release 0.1.0 wrote, with kernel version 1: its results are read, none is continued.
+
+The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
+"""
+
+import json
+import shutil
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray
+from earlier_release import EXPECTED, unpacked
+from fastapi.testclient import TestClient
+from pyarrow import parquet
+from scripted import Held, Scripted, wait_for
+from served import RAMP, finished, get, service
+from stores import checksum
+
+from kernel.params import KERNEL_VERSION
+from service.jobs.ledger import Ledger
+from worker import store
+from worker.executors.inline import Inline
+from worker.plan import make_plan
+from worker.schema import layout
+from worker.spec import SweepSpec
+from worker.studies import run_task
+
+DONE, INTERRUPTED = (f"/v1/jobs/{EXPECTED[name]['id']}" for name in ("done", "interrupted"))
+NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return unpacked(tmp_path)
+
+
+def store_of(folder: Path, name: str) -> Path:
+    return folder / "stores" / f"{EXPECTED[name]['id']}.zarr"
+
+
+def files(url: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+def spec_of(folder: Path, name: str) -> SweepSpec:
+    return SweepSpec.parse(store.read_attrs(str(store_of(folder, name)))["spec"])
+
+
+def recorded_checksums(folder: Path, name: str) -> list[str]:
+    """The ledger's, chunk by chunk."""
+    digits = "CASE typeof(checksum) WHEN 'blob' THEN lower(hex(checksum)) ELSE checksum END"
+    query = f"SELECT {digits} FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
+    with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger:
+        return [row[0] for row in ledger.execute(query, (EXPECTED[name]["id"],))]
+
+
+def stored_checksums(folder: Path, name: str) -> list[str]:
+    """Of the bytes in the store, chunk by chunk, as far as they are computed."""
+    url = str(store_of(folder, name))
+    spec, cut = spec_of(folder, name), store.chunk_shape(url)
+    plan = make_plan(spec, chunk_shape=cut)
+    there = [chunk for chunk in plan if store.read_chunk(url, chunk, ["outcome"])["outcome"].all()]
+    return [checksum(url, replace(layout(spec, cut), format=1), chunk) for chunk in there]
+
+
+def change_ledger(folder: Path, statement: str, *values: Any) -> None:
+    """Change the ledger of the stopped service."""
+    with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger, ledger:
+        ledger.execute(statement, values)
+
+
+def flip(path: Path) -> None:
+    """Damage a file by one bit in its middle."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def successor(client: TestClient, path: str) -> str:
+    """The path of the job that replaces a job."""
+    return f"/v1/jobs/{get(client, path)['replaced_by']}"
+
+
+def test_the_folder_is_that_of_an_interrupted_service(folder: Path):
+    assert recorded_checksums(folder, "done") == EXPECTED["done"]["checksums"]
+    assert recorded_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
+
+
+@pytest.mark.parametrize("name", ["done", "interrupted"])
+def test_a_changed_default_changes_no_earlier_sweep(folder: Path, name: str):
+    """Specifications are stored with every default, and today's parser gives them their ids of then."""
+    spec = spec_of(folder, name)
+    assert spec.job_id("1") == EXPECTED[name]["id"]
+    assert spec.micro_flight == 0.0
+    assert SweepSpec.model_fields["micro_flight"].default > 0.0
+
+
+# At the start
+
+
+def test_the_done_job_is_read_as_it_was_written(folder: Path):
+    before = files(store_of(folder, "done"))
+    with service(folder, Held()) as client:
+        job = get(client, DONE)
+        assert (job["state"], job["kernel_version"], job["notice"]) == ("done", "1", NOTICE)
+        line = get(client, f"{DONE}/diagram", omega=0.5, xi=0.26)
+        assert line["complete"]
+        assert len(line["flight_time"]) == 9
+        assert get(client, f"{DONE}/modes")["complete"]
+        assert get(client, f"{DONE}/threshold")["complete"]
+        opened = xarray.open_zarr(store_of(folder, "done"))
+        assert opened.attrs["kernel_version"] == "1"
+        wait_for(lambda: client.app.state.service.manager._is_verified(EXPECTED["done"]["id"]))  # type: ignore[attr-defined]
+    assert files(store_of(folder, "done")) == before
+    assert stored_checksums(folder, "done") == EXPECTED["done"]["checksums"]
+
+
+def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
+    before = files(store_of(folder, "interrupted"))
+    with closing(Scripted()) as executor, service(folder, executor) as client:
+        old = get(client, INTERRUPTED)
+        assert old["state"] == "failed"
+        begun = f"kernel version 1 began it, this release computes {KERNEL_VERSION}"
+        assert old["error"] == f"{begun}: job {old['replaced_by']} computes all of it anew"
+        assert old["notice"] == f"{NOTICE}, as job {old['replaced_by']}"
+        assert (
+            get(client, f"{INTERRUPTED}/diagram", omega=0.56, xi=0.05, direction="up")["bounces"].count(0)
+            < 41
+        )
+        here = successor(client, INTERRUPTED)
+        wait_for(lambda: bool(get(client, here)["state"] == "done"))
+        new = get(client, here)
+        assert (new["kernel_version"], new["notice"], new["replaced_by"]) == (KERNEL_VERSION, None, None)
+        assert old["spec"].items() <= new["spec"].items()
+        assert get(client, f"{here}/diagram", omega=0.6, xi=0.1, direction="down")["complete"]
+        assert not get(client, f"{INTERRUPTED}/diagram", omega=0.6, xi=0.1, direction="down")["complete"]
+    assert sorted(executor.tried) == list(range(new["progress"]["chunks_total"]))
+    assert files(store_of(folder, "interrupted")) == before
+    assert stored_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
+    assert recorded_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
+
+
+def test_the_next_start_changes_nothing_more(folder: Path):
+    views = []
+    for _ in range(2):
+        with service(folder, Held(capacity=0)) as client:
+            views.append([get(client, "/v1/jobs")["total"], get(client, INTERRUPTED)])
+    assert views[0] == views[1]
+    assert views[0][0] == 3
+
+
+def test_a_cancel_requested_before_is_carried_out(folder: Path):
+    change_ledger(folder, "UPDATE jobs SET cancel_requested = 1 WHERE state = 'running'")
+    with service(folder, Held()) as client:
+        job = get(client, INTERRUPTED)
+        assert (job["state"], job["replaced_by"]) == ("cancelled", None)
+        assert get(client, "/v1/jobs")["total"] == 2
+
+
+def test_a_job_whose_specification_is_refused_today_keeps_no_service_from_starting(folder: Path):
+    change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.colour', 'red') WHERE state = 'running'")
+    with service(folder, Held()) as client:
+        job = get(client, INTERRUPTED)
+        assert (job["state"], job["replaced_by"]) == ("failed", None)
+        assert "it cannot start anew: colour: is not a field here" in job["error"]
+
+
+# Requests
+
+
+def test_resuming_answers_with_the_job_that_starts_it_anew(folder: Path):
+    change_ledger(folder, "UPDATE jobs SET state = 'cancelled' WHERE state = 'running'")
+    with service(folder, Held(capacity=0)) as client:
+        first, again = (client.post(f"{INTERRUPTED}/resume") for _ in range(2))
+        new = first.json()
+        assert (first.status_code, again.status_code) == (202, 200)
+        assert first.headers["Location"] == again.headers["Location"] == f"/v1/jobs/{new['id']}"
+        assert new["id"] != EXPECTED["interrupted"]["id"]
+        assert (new["state"], new["kernel_version"]) == ("queued", KERNEL_VERSION)
+        assert new["notice"] == f"starts anew what job {EXPECTED['interrupted']['id']} is: {NOTICE}"
+        # asked for again, it says at most that it waits for workers
+        assert "starts anew" not in (get(client, first.headers["Location"])["notice"] or "")
+        old = get(client, INTERRUPTED)
+        assert (old["state"], old["replaced_by"]) == ("cancelled", new["id"])
+        assert client.post(f"{first.headers['Location']}/cancel").status_code == 202
+        assert client.delete(first.headers["Location"]).status_code == 204
+        assert get(client, INTERRUPTED)["replaced_by"] is None
+        assert client.post(f"{INTERRUPTED}/resume").status_code == 202
+
+
+def test_resuming_what_this_release_refuses_names_the_field(folder: Path):
+    change_ledger(
+        folder,
+        "UPDATE jobs SET state = 'cancelled', spec = json_set(spec, '$.colour', 'red')"
+        " WHERE state = 'running'",
+    )
+    with service(folder, Held()) as client:
+        answer = client.post(f"{INTERRUPTED}/resume")
+        assert answer.status_code == 422
+        assert answer.json()["errors"][0]["field"] == "colour"
+
+
+def test_results_are_read_though_their_specification_is_refused_today(folder: Path, tmp_path: Path):
+    """Release 0.1.0 had no upper bound of `settle_tolerance`."""
+    change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.settle_tolerance', 1e-3)")
+    with service(folder, Held()) as client:
+        assert client.post("/v1/jobs", json=get(client, DONE)["spec"]).status_code == 422
+        assert get(client, f"{DONE}/diagram", omega=0.5)["complete"]
+        (tmp_path / "sweep.nc").write_bytes(client.get(f"{DONE}/export", params={"format": "nc"}).content)
+        assert "it cannot start anew: settle_tolerance" in get(client, INTERRUPTED)["error"]
+    with xarray.open_dataset(tmp_path / "sweep.nc") as sweep:
+        assert json.loads(sweep.attrs["spec"])["settle_tolerance"] == 1e-3
+
+
+def test_a_done_job_is_not_resumed_and_its_sweep_submitted_again_is_another_job(folder: Path):
+    with service(folder, Held(capacity=0)) as client:
+        refused = client.post(f"{DONE}/resume")
+        assert refused.status_code == 409
+        assert "submit the sweep again" in refused.json()["detail"]
+        answer = client.post("/v1/jobs", json=get(client, DONE)["spec"])
+        assert answer.status_code == 202
+        assert answer.json()["id"] != EXPECTED["done"]["id"]
+        old = get(client, DONE)
+        assert (old["state"], old["replaced_by"]) == ("done", answer.json()["id"])
+
+
+def test_a_key_used_for_a_job_of_another_kernel_version_is_free(folder: Path):
+    with service(folder, Held()):
+        pass  # brings the ledger to this version
+    change_ledger(folder, "INSERT INTO keys VALUES ('k', 'the body of then', 1, 4e9)")
+    with service(folder, Held(capacity=0)) as client:
+        spec = get(client, DONE)["spec"]
+        statuses = [
+            client.post("/v1/jobs", json=spec, headers={"Idempotency-Key": "k"}).status_code for _ in range(2)
+        ]
+    assert statuses == [202, 200]
+
+
+def test_no_number_of_this_kernel_is_added_to_an_earlier_job(folder: Path):
+    with service(folder, Held()) as client:
+        for path, query in (
+            (f"{DONE}/threshold", {"tolerance": 1e-6}),
+            (f"{DONE}/trajectory", {"gamma": 2.0, "omega": 0.5}),
+        ):
+            answer = client.get(path, params=query)
+            assert answer.status_code == 409
+            assert answer.json()["detail"].startswith(f"the sweep was {NOTICE}: submit the sweep again")
+
+
+def test_exports_say_which_kernel_computed_them(folder: Path, tmp_path: Path):
+    with service(folder, Held()) as client:
+        for format in ("nc", "parquet"):
+            answer = client.get(f"{DONE}/export", params={"format": format})
+            assert answer.status_code == 200
+            (tmp_path / f"sweep.{format}").write_bytes(answer.content)
+    with xarray.open_dataset(tmp_path / "sweep.nc") as sweep:
+        netcdf = dict(sweep.attrs)
+    metadata = parquet.read_schema(tmp_path / "sweep.parquet").metadata
+    for attributes in (netcdf, {name.decode(): text.decode() for name, text in metadata.items()}):
+        assert attributes["kernel_version"] == "1"
+        assert attributes["comment"].startswith("computed by kernel version 1; the release that wrote")
+
+
+def test_estimates_take_no_speed_from_another_kernel(folder: Path):
+    with service(folder, Held()) as client:
+        with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
+            assert ledger.paces(10, 10_000) == []
+        assert get(client, DONE)["progress"]["chunks_done"] == 1
+
+
+# Damage
+
+
+def test_a_chunk_damaged_before_the_start_is_given_up(folder: Path):
+    flip(store_of(folder, "done") / "flight_time/c/0/0/0/0/0")
+    executor = Held(capacity=0)
+    with service(folder, executor) as client:
+        wait_for(lambda: bool(get(client, DONE)["state"] == "failed"))
+        job = get(client, DONE)
+        assert job["error"].startswith("chunk 0 (rest, gamma 1 to 3, omega 0.5 to 1, xi 0.26): its")
+        assert NOTICE in job["error"]
+        assert [(failure["chunk"], failure["tries"]) for failure in job["failures"]] == [(0, 0)]
+        assert job["progress"]["cells_done"] == 0
+        line = get(client, f"{DONE}/diagram", omega=0.5)
+        assert not line["complete"]
+        assert line["outcome"] == [0] * 9
+        answer = client.post(f"{DONE}/resume")
+        assert answer.status_code == 202
+        assert answer.json()["id"] == get(client, DONE)["replaced_by"]
+
+
+def test_a_chunk_damaged_later_is_reported_once_and_missing_from_then_on(folder: Path):
+    with service(folder, Held()) as client:
+        manager = client.app.state.service.manager  # type: ignore[attr-defined]
+        wait_for(lambda: manager._is_verified(EXPECTED["done"]["id"]))
+        flip(store_of(folder, "done") / "flight_time/c/0/0/0/0/0")
+        refused = client.get(f"{DONE}/diagram", params={"omega": 0.5})
+        assert refused.status_code == 503
+        assert "damaged and missing from now on: chunk 0" in refused.json()["detail"]
+        assert not get(client, f"{DONE}/diagram", omega=0.5)["complete"]
+        assert get(client, DONE)["state"] == "failed"
+
+
+def test_damaged_metadata_stay_damaged_and_the_answer_says_so(folder: Path):
+    (store_of(folder, "done") / "zarr.json").write_text("{")
+    with service(folder, Held()) as client:
+        answer = client.get(f"{DONE}/diagram", params={"omega": 0.5})
+        assert answer.status_code == 500
+        assert answer.json()["detail"] == f"stored results are damaged: the store's metadata ({NOTICE})"
+        assert get(client, DONE)["state"] == "done"
+    assert (store_of(folder, "done") / "zarr.json").read_text() == "{"
+
+
+# Client and command line
+
+
+# A store of the format of then, with this kernel
+
+
+def test_a_job_begun_in_the_first_format_goes_on_in_it(tmp_path: Path):
+    """As a development version before 0.2.0 left it: some chunks are done, one writer was killed."""
+    with service(tmp_path / "new", executor := Inline()) as client:
+        new = finished(client, RAMP)
+    executor.close()
+    url, old = tmp_path / "new" / "stores" / f"{new[9:]}.zarr", tmp_path / "old"
+    with service(old, Held(capacity=0)) as client:
+        assert client.post("/v1/jobs", json=RAMP).headers["Location"] == new
+    cut = store.chunk_shape(str(url))
+    first, spec = old / "stores" / url.name, SweepSpec(**RAMP)
+    plan, laid_out = make_plan(spec, chunk_shape=cut), replace(layout(spec, cut), format=1)
+    shutil.rmtree(first, ignore_errors=True)
+    store.create(str(first), laid_out)
+    reports = [run_task(spec, chunk, str(first)) for chunk in plan[: len(plan) // 2]]
+    change_ledger(old, "UPDATE jobs SET store_format = 1")
+    with Ledger(old / "ledger.sqlite") as ledger, ledger.writing() as writing:
+        job = writing.find(new[9:])
+        assert job is not None
+        writing.mark_done(job, reports)
+    leftover = first / "outcome/c/0/0/0/0.0123.partial"
+    leftover.write_bytes(b"half")
+    with service(old, executor := Scripted()) as client:
+        wait_for(lambda: get(client, new)["state"] == "done")
+        assert len(executor.tried) == len(plan) - len(reports)
+        wait_for(lambda: not leftover.exists())
+        wait_for(lambda: client.app.state.service.manager._is_verified(new[9:]))  # type: ignore[attr-defined]
+        assert client.get(f"{new}/zarr/outcome/c/0/0/0/0").status_code == 200
+        assert get(client, f"{new}/diagram", omega=0.5, xi=0.26, direction="up")["complete"]
+    executor.close()
+    there = {key.replace(".", "/"): content for key, content in files(first).items() if "/c" in key}
+    assert there == {key.replace(".", "/"): content for key, content in files(url).items() if "/c" in key}
+    assert store.format_of(str(first)) == 1

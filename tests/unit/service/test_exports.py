@@ -1,0 +1,453 @@
+"""A sweep as a file, as a mode map, and as the store itself over HTTP: the same numbers everywhere."""
+
+import errno
+import io
+import json
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import xarray
+from fastapi.testclient import TestClient
+from pyarrow import parquet
+from scripted import Held
+from served import RAMP, computing, finished, get, occupied, service, taken
+
+from kernel.labels import LABELS
+from kernel.params import KERNEL_VERSION, Outcome
+from service import formats
+from service.api import schemas
+from service.background import InThisProcess
+from service.errors import ExportFailed, NoSpace, TooLarge
+from service.jobs.model import JobState
+from service.render import export, netcdf, netcdf_writer
+from service.render import parquet as parquet_file
+from service.render.blocks import Block
+from service.results import provenance
+from service.results.counting import MODE_ARRAYS
+from service.results.mode_map import modes
+from service.results.selection import Sweep
+from service.software import processor, software
+from worker import schema, store
+from worker.cost import estimate
+from worker.plan import make_plan
+from worker.schema import layout
+from worker.spec import SweepSpec
+
+
+class Done:
+    """A finished job, the client that made it, and its store as xarray reads it from the disk."""
+
+    def __init__(self, client: TestClient, folder: Path, spec: Mapping[str, Any] = RAMP) -> None:
+        self.client = client
+        self.here = finished(client, dict(spec))
+        (url,) = folder.rglob("*.zarr")
+        self.store = xarray.open_zarr(url, chunks=None).load()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    folder = tmp_path_factory.mktemp("data")
+    with computing(folder, turn_seconds=0.01) as client:
+        yield Done(client, folder)
+
+
+def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
+    answer = done.client.get(f"{done.here}/export?format=nc")
+    assert answer.status_code == 200
+    assert answer.headers["Content-Disposition"].endswith('.nc"')
+    assert int(answer.headers["Content-Length"]) == len(answer.content)
+    assert answer.headers["Bounce-Complete"] == "true"
+    (tmp_path / "sweep.nc").write_bytes(answer.content)
+    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
+        for name, array in done.store.variables.items():
+            np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
+            assert dataset[name].dims == array.dims
+        assert dataset["flight_time"].attrs["units"] == "rad"
+        assert dataset["outcome"].dtype == np.uint8
+        assert SweepSpec.from_json(dataset.attrs["spec"]) == SweepSpec(**RAMP)
+        assert dataset.direction_code.attrs["flag_meanings"] == "up down"
+        np.testing.assert_array_equal(
+            dataset.direction_code.attrs["flag_values"], dataset.direction_code.values
+        )
+        assert dataset.direction_code.attrs["flag_values"].dtype == np.uint8
+        assert {name: dataset.attrs[name] for name in done.store.attrs} == done.store.attrs
+
+
+def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_path: Path):
+    """Texts and numbers only; what the store says, and the run."""
+    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
+        attributes = dict(dataset.attrs)
+    for rows in ("cells", "flights"):
+        content = done.client.get(f"{done.here}/export?format=parquet&layout={rows}").content
+        metadata = parquet.read_schema(io.BytesIO(content)).metadata
+        assert {name.decode(): value.decode() for name, value in metadata.items()} == {
+            name: str(value) for name, value in attributes.items()
+        }
+    job = get(done.client, done.here)
+    assert all(isinstance(value, str | int | float) for value in attributes.values())
+    assert attributes["job"] == job["id"]
+    assert attributes["core_seconds"] == job["core_seconds"] > 0
+    assert attributes["software"] == f"bouncing-spring {software().release}, kernel version {KERNEL_VERSION}"
+    assert json.loads(attributes["libraries"]) == {"python": software().python, **software().libraries}
+    assert attributes["processor"] == processor()
+    accepted, computing, ended = attributes["history"].splitlines()
+    assert accepted == f"{job['created'][:19]}Z accepted"
+    assert computing.endswith(f"Z computing with {attributes['software']}")
+    assert ended == f"{job['finished'][:19]}Z done"
+
+
+def test_a_row_for_every_flight_that_is_kept(done: Done):
+    cells, flights = (
+        parquet.read_table(
+            io.BytesIO(done.client.get(f"{done.here}/export?format=parquet&layout={layout}").content)
+        ).to_pylist()
+        for layout in ("cells", "flights")
+    )
+    lists = ("flight_time", "takeoff_phase", "end_state")
+    assert flights == [
+        {name: value for name, value in cell.items() if name not in lists}
+        | {"flight": number, "flight_time": time, "takeoff_phase": phase}
+        for cell in cells
+        for number, (time, phase) in enumerate(zip(cell["flight_time"], cell["takeoff_phase"], strict=True))
+    ]
+    assert len(flights) > len(cells)
+
+
+def test_parquet_holds_a_row_for_every_cell(done: Done):
+    answer = done.client.get(f"{done.here}/export?format=parquet")
+    table = parquet.read_table(io.BytesIO(answer.content))
+    assert table.num_rows == done.store.outcome.size
+    names = [outcome.name.lower() for outcome in Outcome]
+    for row in table.to_pylist():
+        cell = done.store.sel({name: row[name] for name in ("direction", "xi", "omega", "gamma")})
+        assert row["outcome"] == names[int(cell.outcome)]
+        assert row["flights"] == int(cell.flights)
+        kept = min(row["flights"], 8)
+        assert row["flight_time"] == cell.flight_time.values[:kept].tolist()
+        assert row["takeoff_phase"] == cell.takeoff_phase.values[:kept].tolist()
+    assert SweepSpec.from_json(table.schema.metadata[b"spec"]) == SweepSpec(**RAMP)
+
+
+def test_every_stored_variable_is_in_every_format(done: Done, tmp_path: Path):
+    """A variable added to `worker.schema` needs no change in the modules that render it."""
+    stored = {array.name for array in (*schema.RECORD, schema.END_STATE, schema.OUTCOME)}
+    axes = {coordinate.name for coordinate in schema.COORDINATES}
+    netcdf = tmp_path / "sweep.nc"
+    netcdf.write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
+    with xarray.open_dataset(netcdf, engine="h5netcdf") as dataset:
+        assert set(dataset.variables) == stored | axes | {"direction_code"}
+    content = done.client.get(f"{done.here}/export?format=parquet").content
+    assert set(parquet.read_schema(io.BytesIO(content)).names) == stored | axes
+    stored.remove(schema.END_STATE.name)  # for a ramp to go on, not for people to look at
+    line = {"omega": 0.5, "xi": 0.26}
+    diagram = get(done.client, f"{done.here}/diagram", **line)
+    assert stored <= set(diagram)
+    header = done.client.get(f"{done.here}/diagram", params={"format": "csv", **line}).text.splitlines()[0]
+    columns = {column.removesuffix("_rad") for column in header.split(",")}
+    assert columns == (stored - {"flights"}) | axes | {"flight"}  # a row is a flight: nothing to count
+    assert set(MODE_ARRAYS) < set(schemas.Modes.model_fields)
+
+
+def test_small_chunks_are_gathered_in_row_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Many chunks make few groups; a group ends with the batch that fills it."""
+    table = pa.schema([("number", pa.int64())])
+    batches = [pa.record_batch([np.arange(40)], schema=table) for _ in range(10)]
+    assert [len(group) for group in parquet_file._groups(batches)] == [10]
+    monkeypatch.setattr(parquet_file, "GROUP_ROWS", 100)
+    assert [len(group) for group in parquet_file._groups(batches)] == [3, 3, 3, 1]
+    monkeypatch.setattr(parquet_file, "GROUP_BYTES", 640)
+    assert [len(group) for group in parquet_file._groups(batches)] == [2] * 5
+
+
+def test_a_sweep_of_many_chunks_has_one_row_group(done: Done):
+    assert get(done.client, done.here)["progress"]["chunks_total"] > 1
+    content = done.client.get(f"{done.here}/export?format=parquet").content
+    assert parquet.read_metadata(io.BytesIO(content)).num_row_groups == 1
+
+
+def test_every_format_has_a_media_type():
+    assert {*formats.TABLES, *formats.PICTURES, *formats.EXPORTS} == set(formats.MEDIA_TYPES)
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet"])
+def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        answer = client.get(f"{here}/export?format={format}")
+        assert answer.headers["Bounce-Complete"] == "false"
+        if format == "parquet":
+            table = parquet.read_table(io.BytesIO(answer.content)).to_pydict()
+            assert set(table["outcome"]) == {"missing"}
+            assert set(map(len, table["flight_time"])) == {0}
+
+
+def test_nothing_is_left_of_a_file_that_was_sent(done: Done, tmp_path: Path):
+    (exports,) = Path(str(done.client.app.state.service.settings.data)).glob("exports")  # type: ignore[attr-defined]
+    assert list(exports.iterdir()) == []
+
+
+def test_what_a_killed_export_left_is_swept_at_the_start(tmp_path: Path):
+    (tmp_path / "exports").mkdir()
+    (tmp_path / "exports" / "half.nc").write_bytes(b"x")
+    with service(tmp_path, Held()):
+        assert not list(tmp_path.rglob("half.nc"))
+
+
+def test_a_sweep_too_large_for_one_file_is_refused(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0), max_export_bytes=1000) as client:
+        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
+        answer = client.get(f"{here}/export?format=nc")
+        assert answer.status_code == 413
+        assert "the limit for one file is 1,000" in answer.json()["detail"]
+
+
+def test_a_file_may_have_as_many_bytes_as_the_limit():
+    spec = SweepSpec(**RAMP)
+    plan = make_plan(spec)
+    size = estimate(spec, len(plan)).bytes
+    export.check_size(Sweep(spec, ""), plan, size)
+    with pytest.raises(TooLarge, match=f"holds {size:,} bytes; the limit for one file is {size - 1:,}"):
+        export.check_size(Sweep(spec, ""), plan, size - 1)
+
+
+def test_a_block_is_written_if_it_fits_on_the_disk_beside_what_is_spared(monkeypatch: pytest.MonkeyPatch):
+    """Two arrays of 800 bytes."""
+    block = Block("up", {}, {"one": np.zeros(100), "two": np.zeros((10, 10))})
+    free = export.SPARE + 1600
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    assert list(export._while_there_is_room([block, block], Path())) == [block, block]
+    free -= 1
+    with pytest.raises(NoSpace, match="less than 16,777,216 bytes would stay free"):
+        list(export._while_there_is_room([block], Path()))
+
+
+@pytest.fixture
+def whole(done: Done) -> export.Export:
+    """The sweep of `done` as a table."""
+    job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+    url = done.client.app.state.service.settings.store_of(job.id)  # type: ignore[attr-defined]
+    spec = SweepSpec(**RAMP)
+    return export.Export(Sweep(spec, url), make_plan(spec, chunk_shape=job.chunk_shape), "parquet")
+
+
+def test_files_are_written_where_this_user_alone_finds_them(whole: export.Export, tmp_path: Path):
+    folder = tmp_path / "deep" / "exports"
+    open_before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(20):
+        with export.make(InThisProcess(), whole, folder) as file:
+            assert file.read(4) == b"PAR1"
+        assert list(folder.iterdir()) == []
+    assert folder.stat().st_mode & 0o7777 == 0o700
+    assert len(list(Path("/proc/self/fd").iterdir())) < open_before + 10
+
+
+def test_only_a_full_disk_is_told_as_one(whole: export.Export, tmp_path: Path):
+    (tmp_path / "full").symlink_to("/dev/full")
+    with pytest.raises(NoSpace, match=r"^no space left for the export file: "):
+        export.write(whole, tmp_path / "full")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError):
+        export.write(whole, tmp_path / "folder")
+
+
+def test_why_a_file_of_netcdf_could_not_be_written():
+    """The process that writes it reports an error, or has died."""
+    netcdf._check(b"null", 0)
+    with pytest.raises(ExportFailed, match=r"the process that writes the file has died \(-11\)"):
+        netcdf._check(b"", -11)
+    with pytest.raises(OSError, match="No space left on device") as full:
+        netcdf._check(json.dumps({"errno": errno.ENOSPC, "text": "OSError: it is full"}).encode(), 0)
+    assert full.value.errno == errno.ENOSPC
+    with pytest.raises(ExportFailed, match=r"^RuntimeError: it is broken$"):
+        netcdf._check(json.dumps({"errno": None, "text": "RuntimeError: it is broken"}).encode(), 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "number"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC),
+        (RuntimeError("Can't write data (file write failed: errno = 28, error message = ...)"), 28),
+        (OSError("Unable to create file (errno = 13)"), 13),
+        (ValueError("no such thing"), None),
+    ],
+)
+def test_the_number_of_an_error_may_be_in_its_text_alone(error: Exception, number: int | None):
+    assert netcdf_writer.number(error) == number
+
+
+def test_the_history_of_results_that_are_repaired_has_no_end(done: Done):
+    job = done.client.app.state.service.ledger.find(done.here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+    whole = provenance._history(job).splitlines()
+    assert [line.split(" ")[1] for line in whole] == ["accepted", "computing", "done"]
+    assert provenance._history(replace(job, state=JobState.RUNNING)).splitlines() == whole[:2]
+    assert provenance._history(replace(job, finished=None)).splitlines() == whole[:2]
+
+
+def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
+    with taken(done.client, "export"):
+        answer = done.client.get(f"{done.here}/export?format=nc")
+    assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (429, True)
+    assert done.client.get(f"{done.here}/export?format=nc").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "query", ["", "?format=xls", "?format=nc&keep=1", "?format=nc&layout=flights", "?format=parquet&layout=x"]
+)
+def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):
+    assert done.client.get(f"{done.here}/export{query}").status_code == 422
+
+
+# Mode maps
+
+
+@pytest.mark.parametrize("direction", ["up", "down", None])
+def test_the_mode_map_is_the_stores_plane(done: Done, direction: str | None):
+    query = {"xi": 0.26, **({"direction": direction} if direction else {})}
+    mode_map = get(done.client, f"{done.here}/modes", **query)
+    stored = done.store.sel(xi=0.26, direction=direction or "up")
+    assert (mode_map["xi"], mode_map["direction"], mode_map["complete"]) == (0.26, direction or "up", True)
+    assert mode_map["omega"] == [0.5, 0.7]
+    for name in ("outcome", "bounces", "periods"):
+        assert mode_map[name] == stored[name].values.tolist()
+
+
+def test_a_mode_map_needs_a_xi_of_the_grid(done: Done):
+    assert "xi: is required" in done.client.get(f"{done.here}/modes").json()["detail"]
+    assert done.client.get(f"{done.here}/modes?xi=3").status_code == 422
+    assert done.client.get(f"{done.here}/modes?xi=0.26&direction=rest").status_code == 422
+
+
+def test_a_mode_map_of_a_hundred_thousand_cells_takes_little(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        spec = SweepSpec(
+            gamma={"start": 1, "stop": 5, "num": 400},
+            omega={"start": 0.3, "stop": 1, "num": 250},
+            xi=0.1,
+            keep=1,
+        )
+        here = client.post("/v1/jobs", json=spec.as_submitted()).headers["Location"]
+        url = client.app.state.service.settings.store_of(here.rsplit("/", 1)[1])  # type: ignore[attr-defined]
+        plan = make_plan(spec, chunk_shape=client.app.state.service.ledger.find(here[9:]).chunk_shape)  # type: ignore[attr-defined]
+        store.create(url, layout(spec, plan.chunk_shape))
+        for chunk in plan:
+            record = {
+                array.name: np.ones((*chunk.shape, *(1 for _ in array.extra_dims)), array.dtype)
+                for array in schema.arrays(spec)
+            }
+            store.write_chunk(url, chunk, record)
+        began = time.process_time()
+        mode_map = get(client, f"{here}/modes")
+        took = time.process_time() - began
+        assert (len(mode_map["outcome"]), len(mode_map["outcome"][0]), mode_map["complete"]) == (
+            250,
+            400,
+            True,
+        )
+        assert took < 2.0
+        assert modes(Sweep(spec, url), None, None, 10**6).complete
+
+
+# The store over HTTP
+
+
+def test_a_link_in_a_store_is_not_followed(tmp_path: Path):
+    with computing(tmp_path / "data") as client:
+        here = finished(client, RAMP)
+        (store_,) = tmp_path.rglob("*.zarr")
+        (tmp_path / "secret").mkdir()
+        (tmp_path / "secret" / "0").write_bytes(b"secret")
+        key = "outcome/c.0.0.0.0"
+        assert client.get(f"{here}/zarr/{key}").status_code == 200
+        for part, target in (((store_ / key), "secret/0"), ((store_ / key).parent, "secret")):
+            part.rename(part.with_name("aside"))
+            part.symlink_to(tmp_path / target)
+            answer = client.get(f"{here}/zarr/{key}")
+            assert (answer.status_code, b"secret" in answer.content) == (404, False)
+            part.unlink()
+            part.with_name("aside").rename(part)
+
+
+@pytest.mark.parametrize("method", ["PUT", "POST", "DELETE", "PATCH"])
+def test_the_store_is_read_only(done: Done, method: str):
+    assert done.client.request(method, f"{done.here}/zarr/zarr.json").status_code == 405
+
+
+ATTRACTORS: dict[str, dict[str, Any]] = {
+    "basin": {"protocol": {"kind": "basin", "rows": 8, "columns": 6}, "gamma": [0.6, 1.27], "exponents": 1},
+    "multistability": {"protocol": {"kind": "multistability"}, "gamma": [3.4, 3.6]},
+}
+
+
+@pytest.fixture(scope="module", params=ATTRACTORS)
+def attractors(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    spec = ATTRACTORS[request.param] | {"omega": [0.5], "xi": 0.26, "model": {"kind": "rigid"}, "settle": 200}
+    folder = tmp_path_factory.mktemp(request.param)
+    with computing(folder) as client:
+        yield Done(client, folder, spec)
+
+
+def test_netcdf_holds_what_is_stored_of_attractors(attractors: Done, tmp_path: Path):
+    (tmp_path / "a.nc").write_bytes(attractors.client.get(f"{attractors.here}/export?format=nc").content)
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
+        assert set(dataset.variables) == set(attractors.store.variables)
+        for name, array in attractors.store.variables.items():
+            np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
+            assert dataset[name].attrs.get("units") == array.attrs.get("units")
+
+
+def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
+    content = attractors.client.get(f"{attractors.here}/export?format=parquet").content
+    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
+    stored = attractors.store
+    assert len(rows) == int(stored.attractor_count.sum())
+    for row in rows:
+        cell = stored.sel({axis: row[axis] for axis in ("gamma", "omega", "xi")} | {"id": row["id"]})
+        assert row["fraction"] == cell.fraction.item()
+        assert row["attractor_outcome"] == LABELS[cell.attractor_outcome.item()]
+        assert row["attractor_state"] == cell.attractor_state.values.tolist()
+        flights = cell.flight_time.values
+        assert row["flight_time"] == flights[np.isfinite(flights)].tolist()
+        if "starts" in row:
+            assert row["starts"] == np.flatnonzero(cell.attractor.values == row["id"]).tolist()
+            np.testing.assert_array_equal(row["lyapunov"], cell.lyapunov.values)
+
+
+def test_parquet_holds_a_row_for_every_flight_of_an_attractor(attractors: Done):
+    content = attractors.client.get(f"{attractors.here}/export?format=parquet&layout=flights").content
+    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
+    times = attractors.store.flight_time
+    assert len(rows) == int(np.isfinite(times).sum())
+    for row in rows:
+        place = {axis: row[axis] for axis in ("gamma", "omega", "xi", "id")}
+        assert row["flight_time"] == times.sel(place).values[row["flight"]]
+
+
+def test_an_answer_of_attractors_says_whether_it_is_complete(attractors: Done, tmp_path: Path):
+    spec = get(attractors.client, attractors.here)["spec"]
+    path = {"basin": "basins?gamma=0.6", "multistability": "multistability"}[spec["protocol"]["kind"]]
+    answer = attractors.client.get(f"{attractors.here}/{path}")
+    assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "true")
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=spec).headers["Location"]
+        answer = client.get(f"{here}/{path}")
+        assert (answer.status_code, answer.headers["Bounce-Complete"]) == (200, "false")
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet"])
+def test_basins_not_begun_export_no_attractor(tmp_path: Path, format: str):
+    spec = ATTRACTORS["basin"] | {"omega": 0.5, "xi": 0.26}
+    with service(tmp_path, Held(capacity=0)) as client:
+        here = client.post("/v1/jobs", json=spec).headers["Location"]
+        answer = client.get(f"{here}/export?format={format}")
+        assert answer.headers["Bounce-Complete"] == "false"
+        if format == "parquet":
+            assert parquet.read_table(io.BytesIO(answer.content)).num_rows == 0

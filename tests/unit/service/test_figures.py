@@ -1,0 +1,109 @@
+"""The figures that there are, their parameters, and how captions sort claims."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from service import presets
+from service.figures import ball, catalogue, hysteresis
+from service.figures.caption import Caption, Verdict, compared, left_open
+from worker.spec import SweepSpec
+
+#: The fold of (1,1) at Ω = 0.6, ξ = 0.05: docs/hysteresis.md.
+FOLD_060 = 0.5532446
+
+
+def test_every_figure_is_listed_by_its_number_with_valid_sweeps():
+    assert list(catalogue.FIGURES) == list(range(1, 10))
+    for number, figure in catalogue.FIGURES.items():
+        assert figure.number == number
+        assert figure.title
+        names = [SweepSpec.parse(dict(sweep)).name for sweep in figure.sweeps]
+        assert all(re.match(rf"figure {number}(,|$)", name) for name in names)
+        assert len(set(names)) == len(names)
+
+
+def test_the_parameters_are_the_papers():
+    spring, ball, _ = (SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[3].sweeps)
+    assert spring.xi / spring.omega == pytest.approx(650)
+    assert (spring.xi, ball.model.kind, ball.model.restitution) == (10, "ball", 0)
+    spring, ball, _ = (SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[4].sweeps)
+    assert spring.xi / spring.omega == pytest.approx(650)
+    assert (spring.xi, ball.model.kind, ball.model.restitution) == (0.5, "ball", 0.15)
+    assert SweepSpec.parse(dict(catalogue.FIGURES[5].sweeps[0])).xi == (0.01, 0.05, 0.2, 1.0)
+    assert SweepSpec.parse(dict(catalogue.FIGURES[7].sweeps[0])).omega == (0.67, 1.0, 1.24)
+    assert SweepSpec.parse(dict(catalogue.FIGURES[8].sweeps[0])).gamma == (1.0, 2.0, 3.0)
+    near_two = [SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[7].sweeps[1:]]
+    assert {sweep.omega for sweep in near_two} == {1.0}
+    loop = SweepSpec.parse(dict(catalogue.FIGURES[9].sweeps[0]))
+    assert (loop.xi, loop.protocol.direction, loop.settle + loop.observe) == (0.05, "both", 120)
+
+
+@pytest.mark.parametrize("which", ["10", "0", "-1", "one", "ALL", ""])
+def test_an_unknown_figure_names_those_there_are(which: str):
+    with pytest.raises(
+        catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, hysteresis, branches"
+    ):
+        catalogue.figures(which)
+
+
+@pytest.mark.parametrize(("deviation", "small"), [(0.049, True), (ball.VISIBLE, False)])
+def test_a_difference_that_can_be_seen_is_not_small(deviation: float, small: bool):
+    comparison = ball.Comparison(10, 10, np.full(10, deviation))
+    for claim in (ball._small_differences(comparison), ball._indistinguishable(comparison)):
+        assert claim.verdict == (Verdict.AGREES if small else Verdict.CONTRADICTS)
+
+
+def test_ramps_that_start_on_a_cycle_pass_its_fold():
+    """docs/hysteresis.md: steps of 1e-5, the fold between two of them, 6 cells below it."""
+    (sweep,) = presets.seeded(0.6, presets.XI)
+    spec = SweepSpec.parse(sweep)
+    gamma = spec.axis_values("gamma")
+    fold = FOLD_060
+    assert np.diff(gamma) == pytest.approx(1e-5)
+    assert (np.count_nonzero(gamma < fold), np.count_nonzero(gamma > fold)) == (6, 25)
+    assert np.abs(gamma - fold).min() == pytest.approx(5e-6, abs=1e-8)
+    assert spec.directions == ("down",)
+    assert (spec.settle, spec.observe, spec.settle_until, spec.keep) == (300, 100, 8000, 1)
+    assert sweep["protocol"]["start"] == {"bounces": 1, "periods": 1}
+    assert not presets.seeded(0.9, presets.XI)  # bouncing does not end at a fold of one flight
+
+
+def test_branches_are_drawn_over_loops_at_each_frequency():
+    branches = next(each for each in presets.EXPLANATIONS if each.name == "branches")
+    (sweep,) = branches.sweeps()
+    spec = SweepSpec.parse(sweep)
+    assert spec.axis_values("omega").tolist() == [0.46, 0.6, 0.82]
+    gamma = spec.axis_values("gamma")
+    assert (gamma[0], gamma[-1]) == (0.45, 1.5)
+    assert np.diff(gamma) == pytest.approx(0.003)
+    assert spec.directions == ("up", "down")
+    assert (spec.settle, spec.observe, spec.keep) == (300, 60, 24)
+
+
+@pytest.mark.parametrize(
+    ("values", "indices"),
+    [
+        ([3, 1, 2, 0, 3], [1, 3]),
+        ([3, 1, 1.01, 0, 3], [3]),  # too shallow on one side
+        ([1, 2, 3], []),
+        ([3, 1, 1, 2], [2]),
+        ([3, 1, 2, np.nan], [1]),  # the grid does not hold the last threshold
+    ],
+)
+def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]):
+    assert hysteresis.minima(np.array(values, float), 0.5) == indices
+
+
+def test_caption_sorts_claims():
+    claims = (
+        compared(True, "one"),
+        compared(np.bool_(False), "two"),
+        left_open("three"),
+        compared(True, "four"),
+    )
+    sorted_ = ["Fig. 5. A line.", "Agrees: one; four.", "Contradicts: two.", "Left open by the paper: three."]
+    assert str(Caption(5, "A line.", claims)) == "\n".join(sorted_)
+    assert str(Caption(5, "A line.", ())) == "Fig. 5. A line."

@@ -1,0 +1,295 @@
+"""Endpoints of jobs: idempotency keys, estimates, lists, links, ETags, resume, delete, events, metrics."""
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scripted import DEADLINE, Held, sweep, wait_for
+from served import FIGURE_2, computing, finished, get, occupied, service
+
+from service.api import progress_stream
+from service.jobs.ledger import Ledger
+from service.jobs.model import NewJob
+
+SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
+
+
+# Idempotency keys
+
+
+def test_a_request_repeated_under_its_key_changes_nothing(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        first = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "a-1"})
+        here = first.headers["Location"]
+        client.post(f"{here}/cancel")
+        wait_for(lambda: get(client, here)["state"] in ("cancelled", "running"))
+        headers = {"Idempotency-Key": "a-1", "Content-Type": "application/json"}
+        again = client.post("/v1/jobs", content=json.dumps(SWEEP, indent=4).encode(), headers=headers)
+        assert (first.status_code, again.status_code) == (202, 200)
+        assert again.json()["id"] == first.json()["id"]
+
+
+def test_a_cancelled_job_resumes_under_a_new_key_only(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        here = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"}).headers["Location"]
+        client.post(f"{here}/cancel")
+        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+        assert get(client, here)["state"] == "cancelled"
+        assert client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "l"}).status_code == 202
+        assert get(client, here)["state"] == "queued"
+
+
+def test_a_key_for_another_body_is_refused(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+        answer = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
+        assert answer.status_code == 409
+        assert "another specification" in answer.json()["detail"]
+        assert get(client, "/v1/jobs")["total"] == 1
+
+
+def test_a_key_expires(tmp_path: Path):
+    with service(tmp_path, Held(), key_seconds=0.05) as client:
+        client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+        time.sleep(0.1)
+        answer = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
+        assert answer.status_code == 202
+
+
+def test_keys_survive_a_restart(tmp_path: Path):
+    for status in (202, 200):
+        with service(tmp_path, Held(capacity=0)) as client:
+            answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": "k"})
+            assert answer.status_code == status
+    with service(tmp_path, Held(capacity=0)) as client:
+        other = client.post("/v1/jobs", json={**SWEEP, "xi": 0.3}, headers={"Idempotency-Key": "k"})
+        assert other.status_code == 409
+
+
+@pytest.mark.parametrize("key", ["", "two words", "x" * 256, "tab\t"])
+def test_a_key_must_be_ascii_without_spaces(tmp_path: Path, key: str):
+    with service(tmp_path, Held()) as client:
+        answer = client.post("/v1/jobs", json=SWEEP, headers={"Idempotency-Key": key})
+        assert answer.status_code == 422
+        assert answer.json()["errors"][0]["field"] == "idempotency-key"
+        assert "pattern" not in answer.json()["detail"]
+
+
+# Estimates
+
+
+def test_validate_only_accepts_nothing_and_estimates_the_cost(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        answer = client.post("/v1/jobs?validate_only=true", json=FIGURE_2)
+        assert answer.status_code == 200
+        cost = answer.json()
+        assert (cost["cells"], cost["basis"]) == (111, "table")
+        assert cost["bytes"] == 111 * (64 * 16 + 13)
+        assert cost["chunks"] >= 1
+        assert cost["core_seconds"] > 0
+        assert get(client, "/v1/jobs")["total"] == 0
+
+
+def test_validate_only_still_refuses(tmp_path: Path):
+    with service(tmp_path, Held(), max_cells=100) as client:
+        assert client.post("/v1/jobs?validate_only=true", json=FIGURE_2).status_code == 413
+        wrong = client.post("/v1/jobs?validate_only=true", json={**SWEEP, "omega": -1})
+        assert wrong.status_code == 422
+
+
+def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
+    with computing(tmp_path) as client:
+        work = {
+            **SWEEP,
+            "gamma": {"start": 1.5, "stop": 5.0, "num": 400},
+            "settle": 3000,
+            "model": {"kind": "rigid"},
+        }
+        here = finished(client, work)
+        cost = client.post("/v1/jobs?validate_only=true", json={**work, "xi": 0.2}).json()
+        assert cost["basis"] == "measured"
+        with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
+            (pace,) = ledger.paces(5, 10_000)
+        assert cost["core_seconds"] == pytest.approx(pace.seconds, rel=1e-9)
+        soft = client.post("/v1/jobs?validate_only=true", json={**work, "model": {"kind": "soft"}}).json()
+        assert soft["basis"] == "table"
+        assert get(client, here)["state"] == "done"
+
+
+# Lists
+
+
+def test_pages_have_no_gaps_and_no_repeats(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        ids = [job["id"] for job in get(client, "/v1/jobs")["jobs"]]
+        ids += [client.post("/v1/jobs", json={**SWEEP, "xi": xi / 100}).json()["id"] for xi in range(1, 7)]
+        page = get(client, "/v1/jobs", limit=3)
+        found = [job["id"] for job in page["jobs"]]
+        client.post("/v1/jobs", json={**SWEEP, "xi": 0.9})  # comes before the first page
+        client.post(f"/v1/jobs/{found[-1]}/cancel")
+        assert client.delete(f"/v1/jobs/{found[-1]}").status_code == 204  # the job of the cursor
+        while page["next"] is not None:
+            page = get(client, "/v1/jobs", limit=3, cursor=page["next"])
+            found += [job["id"] for job in page["jobs"]]
+        assert found == ids[::-1]
+
+
+def test_the_last_page_has_no_next_even_if_it_is_full(tmp_path: Path):
+    with occupied(tmp_path) as client:
+        for xi in (0.1, 0.2):
+            client.post("/v1/jobs", json={**SWEEP, "xi": xi})
+        assert get(client, "/v1/jobs", limit=3)["next"] is None
+        assert get(client, "/v1/jobs", limit=1, state="queued")["next"] is not None
+        assert get(client, "/v1/jobs", limit=1, state="done")["next"] is None
+
+
+# Links
+
+
+def test_links_name_every_resource_and_no_path_of_the_machine(tmp_path: Path):
+    with computing(tmp_path) as client:
+        view = get(client, finished(client, SWEEP))
+        assert str(tmp_path) not in json.dumps(view)
+        assert set(view["links"]) >= {"diagram", "threshold", "modes", "events", "export", "zarr", "resume"}
+        for name in ("self", "diagram", "threshold", "modes", "events"):
+            assert client.get(view["links"][name]).status_code == 200, name
+        assert client.get(f"{view['links']['export']}?format=nc").status_code == 200
+        assert client.get(f"{view['links']['zarr']}/zarr.json").status_code == 200
+
+
+# Conditional requests
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        "diagram",
+        "diagram?format=csv",
+        "diagram?format=png",
+        "threshold",
+        "modes",
+        "zarr/zarr.json",
+        "zarr/gamma/c/0",
+    ],
+)
+def test_results_of_a_done_job_answer_304(tmp_path: Path, part: str):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        first = client.get(f"{here}/{part}")
+        tag = first.headers["ETag"]
+        assert (first.status_code, tag[0]) == (200, '"')
+        assert client.get(f"{here}/{part}").content == first.content  # as a strong tag requires
+        again = client.get(f"{here}/{part}", headers={"If-None-Match": f'"other", {tag}'})
+        assert (again.status_code, again.content, again.headers["ETag"]) == (304, b"", tag)
+        assert client.get(f"{here}/{part}", headers={"If-None-Match": '"other"'}).content == first.content
+        assert client.delete(here).status_code == 204
+        assert client.get(f"{here}/{part}", headers={"If-None-Match": tag}).status_code == 404
+        finished(client, SWEEP)
+        assert (
+            client.get(f"{here}/{part}").headers["ETag"] != tag
+        )  # accepted again, perhaps with another name
+
+
+def test_incomplete_results_and_errors_have_no_tag(tmp_path: Path):
+    with service(tmp_path, held := Held()) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        wait_for(lambda: held.held() > 0)
+        incomplete = client.get(f"{here}/diagram")
+        assert (incomplete.status_code, "ETag" in incomplete.headers) == (200, False)
+    with computing(tmp_path) as client:
+        finished(client, SWEEP)
+        tag = client.get(f"{here}/diagram").headers["ETag"]
+        wrong = client.get(f"{here}/diagram?omega=77", headers={"If-None-Match": '"other", *'})
+        assert (wrong.status_code, "ETag" in wrong.headers) == (422, False)
+        assert client.get(f"{here}/zarr/nothing", headers={"If-None-Match": "*"}).status_code == 404
+        assert client.get(f"{here}/diagram", headers={"If-None-Match": tag}).status_code == 304
+
+
+# Resume, delete
+
+
+def test_resume_continues_a_cancelled_job_and_refuses_a_done_one(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        answer = client.post(f"{here}/resume")
+        assert (answer.status_code, answer.json()["detail"][:15]) == (409, "the job is done")
+    with occupied(tmp_path / "2") as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        assert client.post(f"{here}/resume").status_code == 200
+        client.post(f"{here}/cancel")
+        answer = client.post(f"{here}/resume")
+        assert (answer.status_code, answer.json()["state"]) == (202, "queued")
+
+
+def test_deleting_a_job_removes_its_results(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        assert list((tmp_path / "stores").glob("*.zarr"))
+        answer = client.delete(here)
+        assert (answer.status_code, answer.content) == (204, b"")
+        wait_for(lambda: not list((tmp_path / "stores").glob("*.zarr")))
+        for path in (here, f"{here}/diagram", f"{here}/zarr/zarr.json", f"{here}/events"):
+            assert client.get(path).status_code == 404
+        assert client.delete(here).status_code == 404
+        assert finished(client, SWEEP) == here  # and it can be submitted again
+
+
+# Events
+
+
+def events(text: str) -> list[tuple[str, dict[str, Any]]]:
+    blocks = [block.split("\n") for block in text.strip().split("\n\n") if not block.startswith(":")]
+    return [
+        (block[0].removeprefix("event: "), json.loads(block[1].removeprefix("data: "))) for block in blocks
+    ]
+
+
+def test_a_finished_job_sends_one_event(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        answer = client.get(f"{here}/events")
+        assert answer.headers["Content-Type"].startswith("text/event-stream")
+        ((name, view),) = events(answer.text)
+        assert (name, view["state"], view["spec"]) == ("end", "done", None)
+
+
+def test_a_listener_asks_again_after_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """However long nothing changes: the ledger is for others, too."""
+    monkeypatch.setattr(progress_stream, "POLL_SECONDS", DEADLINE)
+    asked: list[str] = []
+
+    async def listen(changes: AsyncIterator[Any]) -> None:
+        assert (await anext(changes)).state == "queued"
+        waiting = asyncio.ensure_future(anext(changes))
+        for _ in range(20):
+            await asyncio.to_thread(lambda: None)
+        assert asked == ["a" * 32]
+        waiting.cancel()
+
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        with ledger.writing() as writing:
+            writing.insert(NewJob("a" * 32, "", "{}", "3", (1, 1, 1), 1, 1), 1.0)
+        find = ledger.find
+        monkeypatch.setattr(ledger, "find", lambda job_id: asked.append(job_id) or find(job_id))
+        asyncio.run(listen(progress_stream.ProgressStream(ledger, lambda job: None).changes("a" * 32)))
+
+
+# Metrics
+
+
+def test_metrics_count_requests_and_jobs(tmp_path: Path):
+    with computing(tmp_path) as client:
+        here = finished(client, SWEEP)
+        client.get(f"{here}/nowhere")
+        client.get("/v1/jobs/none")
+        text = client.get("/metrics").text
+    assert 'bounce_jobs{state="done"} 1.0' in text
+    assert "bounce_cells_done 60.0" in text
+    assert "bounce_ready 1.0" in text
+    assert 'bounce_http_requests_total{method="GET",route="/v1/jobs/{job_id}",status="404"} 1.0' in text
+    assert 'bounce_http_requests_total{method="POST",route="/v1/jobs",status="202"} 1.0' in text
+    assert here.rsplit("/", 1)[1] not in text

@@ -1,0 +1,159 @@
+"""Jobs whose model a worker chooses: recorded before anything is computed, shown, and reproducible."""
+
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from scripted import wait_for
+from served import service
+
+from worker import store
+from worker.executors.errors import ClusterLost, WorkerDied
+from worker.executors.inline import Inline
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+
+SWEEP: dict[str, Any] = {
+    "name": "auto",
+    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
+    "omega": 0.5,
+    "xi": 0.26,
+    "model": {"kind": "auto", "tolerance": 1e-3, "restitution": 0.0, "penetration": 1e-6},
+    "keep": 8,
+}
+FIELDS = ("flight_time", "takeoff_phase", "outcome", "bounces", "periods")
+
+
+class Unlucky(Inline):
+    """Calls fail with these errors, one after the other, before they succeed."""
+
+    def __init__(self, *errors: Exception) -> None:
+        super().__init__()
+        self.errors, self.calls = list(errors), 0
+
+    def call(self, function: Any, *arguments: Any) -> Any:
+        self.calls += 1
+        return super().call(self._raise if self.errors else function, *arguments)
+
+    def _raise(self, *_: Any) -> None:
+        raise self.errors.pop(0)
+
+
+def ended(client: TestClient, spec: dict[str, Any] = SWEEP) -> dict[str, Any]:
+    """The job, finished."""
+    here = client.post("/v1/jobs", json=spec).headers["Location"]
+    wait_for(lambda: client.get(here).json()["state"] not in ("queued", "running"))
+    return client.get(here).json()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient, dict[str, Any], Path]]:
+    folder = tmp_path_factory.mktemp("auto")
+    with closing(Inline()) as executor, service(folder, executor) as client:
+        yield client, ended(client), folder
+
+
+def test_the_job_shows_what_was_chosen_and_why(done):
+    _, job, _ = done
+    assert job["state"] == "done", job["error"]
+    choice = job["choice"]
+    assert choice["model"] == "rigid"
+    assert choice["reason"].startswith(
+        "rigid: the cheapest within 0.001 rad of exact soft in 95% of the cells"
+    )
+    assert [row["model"] for row in choice["table"]] == ["ball", "rigid", "soft"]
+    assert all(row["measured"] > 0.0 and row["cells"] == 46 for row in choice["table"])
+    assert job["spec"]["model"]["kind"] == "auto"
+
+
+def test_the_store_has_the_choice_without_timings(done):
+    _, job, folder = done
+    attributes = store.read_attrs(str(folder / "stores" / f"{job['id']}.zarr"))
+    assert attributes["model"] == "rigid"
+    assert attributes["choice"]["reason"] == job["choice"]["reason"]
+    assert "measured" not in json.dumps(attributes["choice"])
+    assert attributes["spec"]["model"]["kind"] == "auto"
+
+
+def test_its_numbers_are_those_of_the_model_chosen(done):
+    client, job, folder = done
+    rigid = ended(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}})
+    one, two = (
+        store.read_slice(str(folder / "stores" / f"{each['id']}.zarr"), FIELDS) for each in (job, rigid)
+    )
+    assert one["flight_time"].shape == (1, 1, 1, 46, 8)
+    for name in FIELDS:
+        np.testing.assert_array_equal(one[name], two[name])
+    assert rigid["choice"] is None
+
+
+def test_its_diagram_names_the_chosen_model(done):
+    client, job, _ = done
+    picture = client.get(f"/v1/jobs/{job['id']}/diagram", params={"format": "svg"})
+    assert picture.status_code == 200
+    assert b"rigid contact" in picture.content
+
+
+def test_a_choice_whose_worker_or_cluster_is_lost_is_made_again(tmp_path: Path):
+    errors = (
+        WorkerDied("out of memory"),
+        ClusterLost("no scheduler"),
+        ClusterLost("none"),
+        WorkerDied("again"),
+    )
+    with closing(Unlucky(*errors)) as executor, service(tmp_path, executor) as client:
+        assert ended(client)["choice"]["model"] == "rigid"
+    assert executor.calls == 5
+
+
+def test_a_choice_that_kills_every_worker_fails_the_job_which_may_be_tried_again(tmp_path: Path):
+    errors = [WorkerDied("out of memory")] * 3
+    with closing(Unlucky(*errors)) as executor, service(tmp_path, executor) as client:
+        job = ended(client)
+        assert (job["state"], job["error"]) == ("failed", "the job cannot start: WorkerDied: out of memory")
+        assert ended(client)["state"] == "done"
+
+
+def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_path: Path):
+    """The service stops between the two; the next one computes with the recorded choice."""
+
+    class Refusing(Unlucky):
+        def submit(self, *_: Any, **__: Any) -> Any:
+            raise ClusterLost("nobody computes")
+
+    with closing(Refusing()) as executor, service(tmp_path, executor) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+        wait_for(lambda: client.get(here).json()["state"] == "running")
+        chosen = client.get(here).json()["choice"]
+    with closing(Unlucky()) as executor, service(tmp_path, executor) as client:
+        job = ended(client)
+    assert executor.calls == 0
+    assert (job["state"], job["choice"]) == ("done", chosen)
+
+
+def test_a_service_that_stops_while_choosing_chooses_again(tmp_path: Path):
+    class Unreachable(Unlucky):
+        def call(self, *_: Any) -> Any:
+            raise ClusterLost("nobody is there")
+
+    with closing(Unreachable()) as executor, service(tmp_path, executor) as client:
+        here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
+    with closing(Unlucky()) as executor, service(tmp_path, executor) as client:
+        wait_for(lambda: client.get(here).json()["state"] == "done")
+    assert executor.calls == 1
+
+
+def test_the_plan_is_that_of_the_model_chosen(tmp_path: Path):
+    """A ball costs a fortieth, so that the job has fewer chunks."""
+    rest = SWEEP | {"gamma": {"start": 0.1, "stop": 0.4, "num": 2000}, "observe": 1}
+    with closing(Inline()) as executor, service(tmp_path, executor) as client:
+        job = ended(client, rest)
+    assert job["choice"]["model"] == "ball"
+    exact, ball = (len(make_plan(SweepSpec(**rest | {"model": {"kind": kind}}))) for kind in ("soft", "ball"))
+    assert job["progress"]["chunks_done"] == job["progress"]["chunks_total"] == ball < exact
+    assert job["progress"]["cells_done"] == 2000

@@ -1,0 +1,136 @@
+"""The API document: valid, with names that a person would choose, and enough to generate a client from."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
+
+from service.api.app import create_app
+from service.api.openapi import EXAMPLES
+from service.results.trajectory import TrajectorySpec
+from service.settings import Settings
+from worker.executors.inline import Inline
+from worker.spec.window import Window
+from worker.studies import from_json
+
+
+def document_of(folder: Path, **settings: Any) -> dict[str, Any]:
+    executor = Inline()
+    try:
+        return create_app(Settings(data=folder, **settings), executor).openapi()
+    finally:
+        executor.close()
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return document_of(tmp_path_factory.mktemp("data"))
+
+
+def operations(document: dict[str, Any]) -> list[dict[str, Any]]:
+    return [operation for methods in document["paths"].values() for operation in methods.values()]
+
+
+def test_it_is_valid_and_of_the_version_it_names(document: dict[str, Any]):
+    assert document["openapi"].startswith("3.1.")
+    OpenAPIV31SpecValidator(document).validate()
+    assert "itemSchema" not in json.dumps(document)  # of 3.2, which the validator does not know
+
+
+def test_every_operation_has_a_name_of_its_own_and_a_tag(document: dict[str, Any]):
+    tags = {tag["name"] for tag in document["tags"]}
+    names = [operation["operationId"] for operation in operations(document)]
+    assert len(set(names)) == len(names) > 20
+    assert all(re.fullmatch("[a-z]+(_[a-z]+)+", name) for name in names)
+    assert {tag for operation in operations(document) for tag in operation["tags"]} == tags
+
+
+def test_every_error_is_a_problem_document(document: dict[str, Any]):
+    for operation in operations(document):
+        for status, answer in operation["responses"].items():
+            if status >= "4":
+                assert list(answer["content"]) == ["application/problem+json"], operation["operationId"]
+
+
+def test_the_fields_of_a_sweep_have_meanings_and_defaults(document: dict[str, Any]):
+    schema = document["components"]["schemas"]["SweepSpec"]
+    for name, field in schema["properties"].items():
+        if name == "name":
+            continue
+        assert field["description"].endswith("."), name
+        assert name in schema["required"] or "default" in field or "Default: " in field["description"], name
+    assert schema["properties"]["observe"]["minimum"] == 1
+
+
+def test_a_default_that_is_an_object_is_told_in_the_description(document: dict[str, Any]):
+    fields = document["components"]["schemas"]["SweepSpec"]["properties"]
+    assert fields["protocol"]["x-default"] == {"kind": "rest"}
+    assert fields["protocol"]["description"].endswith(' Default: {"kind": "rest"}.')
+    assert fields["model"]["x-default"]["rest_length"] is None
+    told = json.loads(fields["model"]["description"].partition(" Default: ")[2].removesuffix("."))
+    assert told == {
+        name: value for name, value in fields["model"]["x-default"].items() if name != "rest_length"
+    }
+    assert not [field for field in fields.values() if "x-default" in field and "default" in field]
+    assert fields["settle"]["default"] == 200
+    assert "x-default" not in fields["settle"]
+
+
+def test_answers_have_their_formats_and_bodies_their_models(document: dict[str, Any]):
+    diagram = document["paths"]["/v1/jobs/{job_id}/diagram"]["get"]["responses"]["200"]["content"]
+    assert {"application/json", "text/csv", "image/png", "image/svg+xml", "application/pdf"} <= {
+        name.partition(";")[0] for name in diagram
+    }
+    events = document["paths"]["/v1/jobs/{job_id}/events"]["get"]["responses"]["200"]["content"]
+    assert events["text/event-stream"]["schema"] == {"description": "server-sent events"}
+    for path, names in {
+        "/v1/jobs": ["SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"],
+        "/v1/jobs/{job_id}/refine": ["Window"],
+    }.items():
+        body = document["paths"][path]["post"]["requestBody"]
+        assert body["required"] is True
+        schema = body["content"]["application/json"]["schema"]
+        references = [each["$ref"] for each in schema.get("oneOf", [schema])]
+        assert references == [f"#/components/schemas/{name}" for name in names]
+    assert not {"HTTPValidationError", "ValidationError"} & set(document["components"]["schemas"])
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_are_accepted(document: dict[str, Any], name: str):
+    (example,) = document["components"]["schemas"][name]["examples"]
+    text = json.dumps(example)
+    if name == "Window":
+        Window.from_json(text)
+    elif name == "TrajectorySpec":
+        TrajectorySpec(**json.loads(text))
+    else:
+        assert type(from_json(text)).__name__ == name
+
+
+def test_no_default_is_an_object(document: dict[str, Any]):
+    """openapi-python-client leaves out operations whose bodies have one."""
+
+    def defaults(part: Any) -> Iterator[object]:
+        if isinstance(part, dict):
+            yield part.get("default")
+            part = list(part.values())
+        for inner in part if isinstance(part, list) else ():
+            yield from defaults(inner)
+
+    found = list(defaults(document))
+    assert 200 in found
+    assert not any(isinstance(default, dict) for default in found)
+
+
+@pytest.mark.parametrize("token", [None, "a-token-of-the-service"])
+def test_it_says_whether_a_token_is_needed(tmp_path: Path, token: str | None):
+    document = document_of(tmp_path, token=token)
+    (scheme,) = document["components"]["securitySchemes"].values()
+    assert (scheme["type"], scheme["scheme"]) == ("http", "bearer")
+    assert document.get("security") == ([{"token": []}] if token else None)
+    assert document["paths"]["/healthz"]["get"]["security"] == []
+    assert "security" not in document["paths"]["/v1/jobs"]["post"]

@@ -1,0 +1,192 @@
+"""Thresholds say what they know: 24 sweeps, and the answer for each, by the worker's rule and over HTTP.
+
+A row gives the outcomes of the cells along gamma, 1.0 at the first, in steps of 0.1: r at rest, p periodic,
+a aperiodic, s settling, u unresolved, d diverged, . missing. The outcomes are put into the store of a
+finished job, so that every case takes the way from the store to the answer. What the kernel itself gives is
+tested in tests/unit/worker/test_thresholds.py.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from scripted import Held
+from served import computing, finished, get, service
+
+from kernel.params import Outcome
+from service.settings import Settings
+from worker import schema, store
+from worker.analysis.thresholds import Status, endless_rest, on_grid
+from worker.plan import make_plan
+from worker.spec import SweepSpec
+
+OUTCOMES: Final = {
+    "r": Outcome.AT_REST, "p": Outcome.PERIODIC, "a": Outcome.APERIODIC, "s": Outcome.SETTLING,
+    "u": Outcome.UNRESOLVED, "d": Outcome.DIVERGED, ".": Outcome.MISSING,
+}  # fmt: skip
+
+NOT_RAMPED: Final = (None, "not ramped")
+
+
+class Case(NamedTuple):
+    """Rows of outcomes per direction and Ω, and per Ω the answer: (value or None, status)."""
+
+    name: str
+    rows: dict[str, tuple[str, ...]]
+    up: tuple[tuple[float | None, str], ...]
+    down: tuple[tuple[float | None, str], ...] = (NOT_RAMPED,)
+    xi: float = 0.26
+    omega: tuple[float, ...] = (0.5,)
+
+
+def rest(name: str, row: str, value: float | None, status: str) -> Case:
+    return Case(name, {"rest": (row,)}, ((value, status),))
+
+
+def loop(
+    name: str, rows: tuple[str, str], up: tuple[float | None, str], down: tuple[float | None, str]
+) -> Case:
+    return Case(name, {"up": (rows[0],), "down": (rows[1],)}, (up,), (down,))
+
+
+CASES: Final = [
+    rest("found", "rrrpp", 1.3, "found"),
+    rest("found, aperiodic at once", "rraaa", 1.2, "found"),
+    rest("the grid too high", "ppppp", None, "below the grid"),
+    rest("the grid too low", "rrrrr", None, "above the grid"),
+    rest("one gamma, which bounces", "p", None, "below the grid"),
+    rest("one gamma, at rest", "r", None, "above the grid"),
+    rest("bouncing with a gap of rest", "rrprp", 1.2, "found"),
+    rest("settling at the edge", "rrspp", None, "settling"),
+    rest("settling far above the edge", "rrpsp", 1.2, "found"),
+    rest("settling at the lowest gamma", "srrpp", None, "settling"),
+    rest("settling at the highest gamma alone", "rrrrs", None, "settling"),
+    rest("unresolved at the edge", "rrupp", None, "unresolved"),
+    rest("diverged at the edge", "rrdpp", None, "diverged"),
+    rest("missing at the edge", "rr.pp", None, "missing"),
+    rest("nothing computed", ".....", None, "missing"),
+    Case("no gamma bounces: an undamped spring at sqrt(2)", {"rest": ("rrrrr",)}, ((None, "never bounces"),),
+         xi=0.0, omega=(float(np.sqrt(2.0)),)),
+    Case("a gap in omega", {"rest": ("rrppp", "rrrrr", "ppppp", "rrrpp")},
+         ((1.2, "found"), (None, "above the grid"), (None, "below the grid"), (1.3, "found")),
+         (NOT_RAMPED,) * 4, omega=(0.4, 0.5, 0.6, 0.7)),
+    Case("a ramp up alone", {"up": ("rrrpp",)}, ((1.3, "found"),)),
+    Case("a ramp down alone", {"down": ("rppaa",)}, (NOT_RAMPED,), ((1.1, "found"),)),
+    Case("a ramp down that never bounces", {"down": ("rrrrr",)}, (NOT_RAMPED,), ((None, "never bounces"),)),
+    loop("hysteresis", ("rrrpp", "rpppp"), (1.3, "found"), (1.1, "found")),
+    loop("up found, down below the grid", ("rrrpp", "ppppp"), (1.3, "found"), (None, "below the grid")),
+    loop("up found, settling where bouncing ends", ("rrrpp", "rrspp"), (1.3, "found"), (None, "settling")),
+    loop("up found, down unresolved and not computed", ("rrrpp", "..upp"), (1.3, "found"), (None, "missing")),
+]  # fmt: skip
+
+
+def test_there_are_24_cases_of_every_status():
+    assert len({case.name for case in CASES}) == len(CASES) == 24
+    told = {status for case in CASES for _, status in (*case.up, *case.down)}
+    assert told == set(Status) - {Status.NOT_REFINED}  # that one is of refinements
+
+
+def spec_of(case: Case) -> SweepSpec:
+    cells = len(next(iter(case.rows.values()))[0])
+    direction = "both" if len(case.rows) == 2 else next(iter(case.rows))
+    protocol = {"kind": "rest"}
+    if direction != "rest":
+        protocol = {"kind": "ramp", "axis": "gamma", "direction": direction}
+    return SweepSpec(
+        name=case.name, gamma=[round(1.0 + 0.1 * i, 1) for i in range(cells)], omega=list(case.omega),
+        xi=case.xi, protocol=protocol, model={"kind": "rigid"}, settle=0, observe=1, keep=1,
+    )  # fmt: skip
+
+
+def outcomes_of(case: Case) -> dict[str, np.ndarray]:
+    """By direction, (n_omega, n_gamma)."""
+    return {
+        direction: np.array([[OUTCOMES[letter] for letter in row] for row in rows], np.uint8)
+        for direction, rows in case.rows.items()
+    }
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_the_worker_reads_the_grid(case: Case):
+    spec = spec_of(case)
+    gamma, endless = spec.axis_values("gamma"), endless_rest(spec, spec.axis_values("omega"), case.xi)
+    for direction, rows in outcomes_of(case).items():
+        down = direction == "down"
+        for row, never, expected in zip(rows, endless, case.down if down else case.up, strict=True):
+            found = on_grid(row, down, bool(never))
+            value = gamma[found.bouncing] if found.status is Status.FOUND else None
+            assert (value, found.status) == expected
+
+
+@pytest.mark.parametrize(
+    ("row", "between"),
+    [
+        ("rrpp", (1, 2)),
+        ("rrsp", (1, 3)),
+        ("rsudpp", (0, 4)),
+        ("rrsrp", (None, None)),
+        ("rr.p", (None, None)),
+        ("rrss", (None, None)),
+        ("srrp", (None, None)),
+    ],
+)
+def test_cells_that_do_not_tell_are_left_to_refinement(row: str, between: tuple[int | None, int | None]):
+    for down in (False, True):
+        found = on_grid(np.array([OUTCOMES[letter] for letter in row], np.uint8), down, endless=False)
+        assert (found.resting, found.bouncing) == between
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with computing(tmp_path_factory.mktemp("data")) as client:
+        yield client
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_the_service_answers_it(case: Case, client: TestClient):
+    here = submitted(client, case)
+    answer = get(client, f"{here}/threshold")
+    for name, expected in (("up", case.up), ("down", case.down)):
+        assert list(zip(answer[name], answer[f"{name}_status"], strict=True)) == list(expected)
+    assert answer["complete"] == all("." not in row for rows in case.rows.values() for row in rows)
+
+
+def test_of_a_job_not_begun_they_are_missing(tmp_path: Path):
+    with service(tmp_path, Held(capacity=0)) as client:
+        spec = spec_of(CASES[0]).as_submitted()
+        here = client.post("/v1/jobs", json=spec).headers["Location"]
+        for query in ({}, {"tolerance": 1e-3}):
+            answer = get(client, f"{here}/threshold", **query)
+            assert (answer["up"], answer["up_status"]) == ([None], ["missing"])
+            assert (answer["down"], answer["down_status"]) == ([None], ["not ramped"])
+            assert (answer["tolerance"], answer["complete"]) == (query.get("tolerance"), False)
+
+
+def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch):
+    here = submitted(client, CASES[0])
+    monkeypatch.setattr("service.results.thresholds.MAX_SECONDS", 0.0)
+    answer = client.get(f"{here}/threshold", params={"tolerance": 1e-3})
+    assert answer.status_code == 413
+    assert "tolerance: refining 1 values of omega" in answer.json()["detail"]
+
+
+def submitted(client: TestClient, case: Case) -> str:
+    """The path of a finished job whose store holds the outcomes of the case."""
+    spec = spec_of(case)
+    here = finished(client, spec.as_submitted())
+    settings: Settings = client.app.state.service.settings  # type: ignore[attr-defined]
+    url = settings.store_of(here.rsplit("/", 1)[-1])
+    length, outcomes = schema.sizes(spec), outcomes_of(case)
+    for chunk in make_plan(spec).chunks:
+        cells = dict(zip(schema.CELL_DIMS, chunk.slices, strict=True))
+        record: dict[str, Any] = {
+            array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
+            for array in schema.arrays(spec)
+        }
+        plane = outcomes[spec.directions[chunk.direction]]
+        record["outcome"] = plane[cells["omega"], cells["gamma"]][None]
+        store.write_chunk(url, chunk, record)
+    return here

@@ -1,0 +1,226 @@
+"""Access tokens: files of named ones, and the one that a service makes and its user's clients find."""
+
+import json
+import os
+import stat
+import webbrowser
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from service import tokens
+from service.cli.main import main
+from service.client import Client
+from service.errors import NotStarted
+from service.settings import Settings
+
+ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
+
+
+def written(folder: Path, text: str, mode: int = 0o600) -> Path:
+    file = folder / "tokens"
+    file.write_text(text)
+    file.chmod(mode)
+    return file
+
+
+# Files of named tokens
+
+
+def test_a_file_names_one_token_on_each_line(tmp_path: Path):
+    file = written(tmp_path, f"# lab\nana: {ANA}\n\n  ben@lab.example :{BEN}:x  \n")
+    assert tokens.read_tokens(file, private=True) == {"ana": ANA, "ben@lab.example": f"{BEN}:x"}
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("", "holds no token: add a line NAME: TOKEN"),
+        ("# nobody\n", "holds no token"),
+        (f"{ANA}\n", "line 1: must be NAME: TOKEN"),
+        ("ana:\n", "line 1: must be NAME: TOKEN"),
+        (f": {ANA}\n", "line 1: the name must be at most 64 letters"),
+        (f"a b: {ANA}\n", "line 1: the name must be"),
+        (f"-a: {ANA}\n", "line 1: the name must be"),
+        (f"{'a' * 65}: {ANA}\n", "line 1: the name must be"),
+        (f"ben: {BEN}\nana: s3cret\n", "line 2: the token of ana must be at least 16 ASCII characters"),
+        ("ana: s3cret with spaces in it\n", "line 1: the token of ana must be"),
+        (f"ana: {ANA}\nana: {BEN}\n", "line 2: the name ana is given twice"),
+        (f"ana: {ANA}\nben: {ANA}\n", "line 2: the token of ben is that of another name too"),
+        (f"an\u00e4: {ANA}\n", "must be ASCII text"),
+    ],
+)
+def test_a_line_that_breaks_a_rule_is_named_and_its_token_not_shown(tmp_path: Path, text: str, rule: str):
+    file = written(tmp_path, text)
+    with pytest.raises(NotStarted) as refused:
+        Settings(token_file=file).access_tokens()
+    assert str(refused.value).startswith(f"token_file: {file}")
+    assert rule in str(refused.value)
+    assert not [secret for secret in (ANA, BEN, "s3cret") if secret in str(refused.value)]
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
+def test_a_file_that_is_open_to_others_is_refused(tmp_path: Path, mode: int):
+    file = written(tmp_path, f"ana: {ANA}", mode)
+    with pytest.raises(
+        NotStarted, match=f"open to other users \\(mode 0{mode:o}\\): close it with `chmod 600"
+    ):
+        Settings(token_file=file).access_tokens()
+    assert Settings(token_file=file, private=False).access_tokens() == {ANA: "ana"}
+
+
+def test_a_missing_file_is_named_before_the_service_starts(tmp_path: Path):
+    done = CliRunner().invoke(
+        main,
+        ["serve", "--port", "0", "--data", str(tmp_path / "data"), "--token-file", str(tmp_path / "none")],
+    )
+    assert done.exit_code == 1
+    assert f"token_file: {tmp_path / 'none'}: No such file" in done.output
+
+
+def test_a_token_has_16_printable_characters_or_more():
+    assert tokens.is_valid("x" * 16)
+    assert not tokens.is_valid("x" * 15)
+    for character in (" ", "\t", "\x7f", "é"):
+        assert not tokens.is_valid("x" * 16 + character)
+
+
+# The token that a service makes
+
+
+def test_a_file_that_cannot_be_completed_leaves_nothing(tmp_path: Path):
+    def fail(file: Path) -> None:
+        assert file.parent == tmp_path
+        raise KeyboardInterrupt
+
+    def lose(file: Path) -> None:
+        file.unlink()
+        raise KeyboardInterrupt
+
+    for before in (fail, lose):
+        with pytest.raises(KeyboardInterrupt):
+            tokens.write_private(tmp_path / "token.json", "text", before_replace=before)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_token_is_looked_for_in_the_folder_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "another"))
+    token = tokens.own_token(tmp_path, port=8000)
+    assert tokens.find_token(8000, tmp_path) == token
+    assert tokens.find_token(8000) is None
+    assert tokens.data_folder() == tmp_path / "another"
+    monkeypatch.setenv("BOUNCE_DATA", "")
+    assert tokens.data_folder() == Path("bounce-data")
+
+
+def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
+    token = tokens.own_token(tmp_path, port=1)
+    assert tokens.is_valid(token)
+    assert len(token) == 43  # of 32 random bytes
+    assert stat.S_IMODE((tmp_path / tokens.FILE_NAME).stat().st_mode) == 0o600
+    assert tokens.own_token(tmp_path, port=2) == token
+    assert [path.name for path in tmp_path.iterdir()] == [tokens.FILE_NAME]
+    (tmp_path / tokens.FILE_NAME).unlink()
+    assert tokens.own_token(tmp_path, port=1) != token
+
+
+def test_a_token_is_found_for_its_own_port_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    assert tokens.find_token(8000) is None
+    token = tokens.own_token(tmp_path, port=8000)
+    assert tokens.find_token(8000) == token
+    assert tokens.find_token(8001) is None  # another's service
+    with Client("http://127.0.0.1:8000") as client, Client("http://127.0.0.1:8001") as other:
+        assert (client._transport.token, other._transport.token) == (token, None)
+    with Client("http://name:password@127.0.0.1:8000") as client:
+        assert client._transport.token is None  # the address has its own
+    tokens.own_token(tmp_path, port=None)  # stopped: somebody else may listen there now
+    assert tokens.find_token(8000) is None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", "{", "[]", '{"token": "short", "port": 1}', '{"token": 5, "port": 1}'),
+        json.dumps({"token": ANA, "port": "1"}),
+    ],
+)
+def test_a_damaged_file_counts_as_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    file = tmp_path / tokens.FILE_NAME
+    file.write_text(content)
+    file.chmod(0o600)
+    assert tokens.find_token(1) is None
+    assert tokens.is_valid(tokens.own_token(tmp_path, port=1))
+
+
+@pytest.mark.parametrize("planted", ["open", "link", "pipe", "folder"])
+def test_a_file_that_others_may_have_made_does_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, planted: str
+):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    file, elsewhere = tmp_path / tokens.FILE_NAME, tmp_path / "elsewhere"
+    token = tokens.own_token(tmp_path, port=1)
+    if planted == "open":
+        file.chmod(0o644)
+    else:
+        file.rename(elsewhere)
+        {
+            "link": lambda: file.symlink_to(elsewhere),
+            "pipe": lambda: os.mkfifo(file, 0o600),
+            "folder": file.mkdir,
+        }[planted]()
+    assert tokens.find_token(1) is None
+    if planted != "folder":
+        assert tokens.own_token(tmp_path, port=1) != token
+        assert tokens.find_token(1) is not None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
+def test_a_file_of_another_user_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    tokens.own_token(tmp_path, port=1)
+    os.chown(tmp_path / tokens.FILE_NAME, 65534, 65534)
+    assert tokens.find_token(1) is None
+
+
+def test_the_pages_address_has_the_token_in_its_fragment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    token = tokens.own_token(tmp_path, port=8000)
+
+    def printed(*options: str) -> str:
+        done = CliRunner().invoke(main, ["open", "--print", *options])
+        assert done.exit_code == 0
+        return done.output.strip()
+
+    assert printed() == f"http://127.0.0.1:8000/#token={token}"
+    assert printed("--url", "http://localhost:8000") == f"http://localhost:8000/#token={token}"
+    for other in ("http://127.0.0.1:8001", "http://192.0.2.7:8000", "https://example.org"):
+        assert printed("--url", other) == f"{other}/"
+    assert printed("--token", "one/of#mine&=more") == "http://127.0.0.1:8000/#token=one%2Fof%23mine%26%3Dmore"
+
+
+def test_the_page_is_opened_without_its_token_on_a_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    token, opened, opens = tokens.own_token(tmp_path, port=8000), list[str](), True
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or opens)
+
+    def printed(*options: str) -> str:
+        done = CliRunner().invoke(main, ["open", *options])
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    assert printed() == ""
+    assert opened == [(tmp_path / "open.html").as_uri()]
+    assert f"url=http://127.0.0.1:8000/#token={token}" in (tmp_path / "open.html").read_text()
+    assert stat.S_IMODE((tmp_path / "open.html").stat().st_mode) == 0o600
+    assert printed("--url", "http://127.0.0.1:8001") == ""
+    assert opened[1:] == ["http://127.0.0.1:8001/"]
+    opens = False
+    assert printed("--url", "http://127.0.0.1:8001") == "http://127.0.0.1:8001/\n"
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "missing"))
+    refused = CliRunner().invoke(main, ["open", "--token", token])
+    assert (refused.exit_code, "use --print, or set BOUNCE_DATA" in refused.stderr) == (1, True)

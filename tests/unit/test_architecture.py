@@ -1,0 +1,172 @@
+"""The architecture is a failing check: who may import whom, and what no file may say."""
+
+import ast
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import grimp
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from paths import ROOT
+
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = PYPROJECT["project"]
+TOP_LEVEL = ("kernel", "worker", "service")
+SOURCES = tuple(sorted(path for package in TOP_LEVEL for path in (ROOT / package).rglob("*.py")))
+#: Packages that hold nothing themselves.
+PARENTS = {"kernel", "worker", "service"}
+OURS = (*TOP_LEVEL, "tests", "benchmarks", ".ci")
+
+#: Libraries that a package may import, itself or by way of other modules of the project.
+ALLOWED = {
+    "kernel": {"numpy", "numba"},
+    "kernel.params": {"numpy"},
+    "worker": {
+        "numpy",
+        "numba",
+        "pydantic",
+        "zarr",
+        "numcodecs",
+        "obstore",
+        "xarray",
+        "dask",
+        "distributed",
+        "yaml",
+    },
+    "worker.spec": {"numpy", "pydantic", "yaml"},
+    "worker.plan": {"numpy", "pydantic", "yaml"},
+    "service.client": {
+        "httpx2",
+        "numpy",
+        "xarray",
+        "pandas",
+        "matplotlib",
+        "rich",
+        "pydantic",
+        "zarr",
+        "obstore",
+        "yaml",
+        "IPython",
+    },
+}
+
+#: What a specification is made of: light, so that clients can hold one.
+SPECIFICATION = {
+    "worker.spec", "kernel.params", "kernel.portable_math", "kernel.restitution", "kernel.step_limits",
+    "kernel.branches",
+}  # fmt: skip
+
+#: Of the project's own modules, all that these may reach.
+REACHABLE = {
+    "worker.spec": SPECIFICATION,
+    "worker.plan": SPECIFICATION | {"worker.plan", "worker.cost", "worker.schema"},
+    "service.client": SPECIFICATION
+    | {"kernel.labels", "service.client", "service.formats", "service.tokens"},
+}
+
+#: Packages whose face is their __init__; all others are empty.
+FACES = {"worker/spec", "worker/store", "service/client"}
+
+#: Modules of one folder at most, __init__ apart.
+MOST_MODULES = 16
+
+
+@pytest.fixture(scope="module")
+def imports() -> grimp.ImportGraph:
+    return grimp.build_graph(*TOP_LEVEL, include_external_packages=True, cache_dir=None)
+
+
+def within(module: str, package: str) -> bool:
+    return module == package or module.startswith(f"{package}.")
+
+
+def reached(graph: grimp.ImportGraph, package: str) -> set[str]:
+    """Every module that importing `package` may load, the libraries by their top-level names."""
+    inside = {module for module in graph.modules if within(module, package)}
+    return inside.union(*(graph.find_upstream_modules(module) for module in inside))
+
+
+def is_ours(module: str) -> bool:
+    return module.split(".", maxsplit=1)[0] in TOP_LEVEL
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_package_uses_only_its_libraries(imports: grimp.ImportGraph, package: str):
+    libraries = {module for module in reached(imports, package) if not is_ours(module)}
+    assert libraries - sys.stdlib_module_names <= ALLOWED[package]
+
+
+@pytest.mark.parametrize("package", REACHABLE)
+def test_package_reaches_only_its_neighbours(imports: grimp.ImportGraph, package: str):
+    modules = {module for module in reached(imports, package) if is_ours(module)} - PARENTS
+    allowed = REACHABLE[package]
+    assert {module for module in modules if not any(within(module, name) for name in allowed)} == set()
+
+
+def libraries_imported(*folders: str) -> set[str]:
+    """Top-level names of what the files of these folders import, less Python's and the project's own."""
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    nodes = [node for path in files for node in ast.walk(ast.parse(path.read_text()))]
+    named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    named |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    neighbours = {path.stem for path in files} | {*OURS}
+    return {name.split(".", maxsplit=1)[0] for name in named} - sys.stdlib_module_names - neighbours
+
+
+@pytest.mark.parametrize(
+    ("folders", "extras"),
+    [(TOP_LEVEL, ["s3", "notebook"]), (["tests"], ["test"]), (["benchmarks"], ["bench", "test"])],
+    ids=["program", "tests", "benchmarks"],
+)
+def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Sequence[str]):
+    wanted = [
+        *PROJECT["dependencies"],
+        *(one for name in extras for one in PROJECT["optional-dependencies"][name]),
+    ]
+    asked_for = {canonicalize_name(Requirement(one).name) for one in wanted}
+    other_name = {"yaml": "pyyaml", "sksundae": "scikit-sundae", "PIL": "pillow"}
+    imported = {canonicalize_name(other_name.get(name, name)) for name in libraries_imported(*folders)}
+    assert imported - asked_for == set()
+
+
+def test_packages_are_the_three_of_the_design():
+    built = {
+        package.split(".")[0] for package in PYPROJECT["tool"]["setuptools"]["packages"]["find"]["include"]
+    }
+    assert built == set(TOP_LEVEL)
+    without_init = {path.parent for path in SOURCES} - {
+        path.parent for path in SOURCES if path.name == "__init__.py"
+    }
+    assert without_init == set()
+
+
+def test_only_faces_have_code_in_their_init():
+    with_code = [path for path in SOURCES if path.name == "__init__.py" and path.read_text().strip()]
+    assert {str(path.parent.relative_to(ROOT)) for path in with_code} == FACES
+
+
+@pytest.mark.parametrize("path", [pytest.param(path, id=str(path.relative_to(ROOT))) for path in SOURCES])
+def test_module_says_what_it_is(path: Path):
+    text = path.read_text()
+    assert not text.strip() or ast.get_docstring(ast.parse(text))
+
+
+def test_no_folder_is_crowded():
+    folders = Counter(path.parent for path in SOURCES if path.name != "__init__.py")
+    folders.update(path.parent for path in (ROOT / "service" / "static").rglob("*.js"))
+    assert {str(folder): n for folder, n in folders.items() if n > MOST_MODULES} == {}
+
+
+def test_client_exports_what_it_promises():
+    import service.client
+
+    assert {"Client", "Job"} <= set(service.client.__all__)
+    for name in service.client.__all__:
+        assert getattr(service.client, name).__module__.startswith(("service.client", "worker.spec")), name
+    assert set(service.client.__all__) <= set(dir(service.client))
+    with pytest.raises(AttributeError, match="has no attribute 'Speck'"):
+        service.client.Speck  # noqa: B018

@@ -1,0 +1,506 @@
+"""Basins: their specification, the attractors that are told apart, and what is stored, however it is cut."""
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import paths
+import pytest
+import xarray
+
+from kernel.line import LineRun
+from kernel.models.rigid import plate
+from kernel.params import STATE_FIELDS, Line, Outcome
+from worker import store, studies, tasks
+from worker.basins import attractors, steps
+from worker.basins.attractors import Attractor, Found, Request, find, ks_distance
+from worker.basins.schema import empty_record
+from worker.basins.spec import UNTIL, BasinSpec
+from worker.basins.starts import starts_of
+from worker.basins.study import (
+    BASINS,
+    MAX_ATTRACTORS,
+    _arrays,
+    _fill_in,
+    _fill_in_numbers,
+    _sizes,
+    entropies,
+    make_plan,
+    rules_of,
+    run_chunk,
+    start_seconds,
+)
+from worker.cost import cell_seconds, period_seconds
+from worker.plan import MAX_CHUNK_BYTES, TARGET_SECONDS
+from worker.spec import SpecError
+from worker.tasks import ChunkCancelled, ChunkPaused
+
+GOLDEN = json.loads((paths.GOLDEN / "basins.json").read_text())
+
+SPEC: dict[str, Any] = {
+    "gamma": 1.27, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
+    "protocol": {"kind": "basin", "plane": "drop", "rows": 16, "columns": 16, "height": 10.0},
+}  # fmt: skip
+
+
+def basin(**fields: Any) -> BasinSpec:
+    """A specification like SPEC with some fields of the protocol, or others, changed."""
+    protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
+    return BasinSpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
+
+
+def computed(url: str, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> xarray.Dataset:
+    plan = BASINS.plan(spec, chunk_shape)
+    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    for chunk in plan:
+        report = run_chunk(spec, chunk, url)
+        assert sum(report.outcomes) == report.cells == chunk.cells
+    return xarray.open_zarr(url, chunks=None).load()
+
+
+def search(
+    gamma: float, omega: float, xi: float, side: int = 32, others: Sequence[float] = (), **fields: Any
+) -> Found:
+    """The attractors of side * side drops on a rigid plate, and of `others`: drops from that height."""
+    spec = basin(gamma=gamma, omega=omega, xi=xi, rows=side, columns=side, **fields)
+
+    def run(request: Request, reduce: Callable[[Line], Any]) -> Any:
+        cells = [np.full(len(request.states), x) for x in (gamma, omega, xi)]
+        line = LineRun(
+            *cells, plate=plate(restitution=0.0 * cells[0]), carry=False, settle=request.settle,
+            observe=request.observe, keep=request.keep, micro_flight=spec.micro_flight,
+            exponents=request.exponents, states=request.states,
+        )  # fmt: skip
+        line.advance()
+        return reduce(line.line)
+
+    starts = starts_of(spec, gamma, omega, xi)
+    added = np.repeat(starts[:1], len(others), axis=0)
+    added[:, STATE_FIELDS.index("gap")] = others
+    return find(np.concatenate([starts, added]), rules_of(spec), run)
+
+
+def told(found: Found) -> list[tuple[int, int, int]]:
+    return [(a.outcome, a.bounces, a.periods) for a in found.attractors]
+
+
+@pytest.mark.parametrize("reference", GOLDEN["cells"], ids=lambda cell: f"gamma {cell['gamma']}")
+def test_fractions_and_entropies_are_those_of_the_reference(tmp_path: Path, reference: dict[str, Any]):
+    cell = {name: reference[name] for name in ("gamma", "omega", "xi")}
+    expected = reference["attractors"]
+    # Those that have not settled in a quarter of the reference's time go on by themselves.
+    spec = basin(rows=128, columns=128, settle=reference["settle"] // 4, **cell)
+    stored = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0)
+    n = int(stored.attractor_count)
+    assert n == len(expected)
+    for i, (bounces, periods, longest, fraction) in enumerate(expected):
+        assert (int(stored.bounces[i]), int(stored.periods[i])) == (bounces, periods)
+        assert float(stored.longest_flight[i]) == pytest.approx(longest, abs=1e-6)
+        assert float(stored.fraction[i]) == pytest.approx(fraction, abs=reference["tolerance"])
+        assert float(stored.fraction[i]) == float((stored.attractor == i + 1).mean())
+    assert float(stored.undecided) == 0.0
+    for name in ("basin_entropy", "boundary_entropy"):
+        if reference[name] is not None:
+            assert float(stored[name]) == pytest.approx(reference[name], abs=1e-6)
+
+
+def test_three_cycles_of_one_mode_are_three_attractors():
+    found = search(1.0, 0.34, 0.05, settle=1500)
+    assert told(found) == [(Outcome.PERIODIC, 1, 1)] * 3
+    assert [round(a.longest_flight, 3) for a in found.attractors] == [5.179, 1.054, 2.905]
+
+
+def test_a_start_that_diverges_belongs_to_no_attractor():
+    found = search(3.6, 0.5, 0.26, side=8, others=[1e300])
+    assert len(found.attractors) == 2
+    assert sorted(set(found.ids[:-1].tolist())) == [1, 2]
+    assert found.ids[-1] == 0
+    assert sum(a.fraction for a in found.attractors) == pytest.approx(64 / 65)
+
+
+def test_one_chaotic_set_is_one_attractor_whatever_was_settled():
+    """A grouping by extremes splits it into several."""
+    for settle in (20, 100, 500):
+        found = search(5.0, 0.5, 0.26, settle=settle, exponents=1)
+        assert told(found) == [(Outcome.APERIODIC, 0, 0)], settle
+        assert found.attractors[0].fraction == 1.0
+        assert math.isinf(found.attractors[0].lifetime)
+        assert found.attractors[0].lyapunov[0] == pytest.approx(0.52, abs=0.05)
+
+
+def test_a_torus_beside_a_cycle():
+    found = search(3.8, 1.0, 0.05, settle=1500, exponents=1)
+    assert told(found) == [(Outcome.APERIODIC, 0, 0), (Outcome.PERIODIC, 2, 2)]
+    assert [a.fraction for a in found.attractors] == pytest.approx([0.711, 0.289], abs=0.02)
+    assert abs(found.attractors[0].lyapunov[0]) < 1e-3
+
+
+def test_a_long_cycle_is_found_again_by_its_representatives():
+    """(16,20): a window of 60 plate periods shows it three times, if at all."""
+    found = search(3.7994, 0.3455, 0.05, side=8, settle=500)
+    assert [(a.bounces, a.periods) for a in found.attractors] == [(16, 20), (2, 6)]
+    assert (found.ids > 0).all()
+
+
+def test_a_torus_that_all_but_closes_is_one_attractor():
+    """After 80 flights the smaller one repeats so nearly that some starts seem to be on a cycle."""
+    found = search(2.2139, 0.6482, 0.05, side=16, settle=1500)
+    assert [a.outcome for a in found.attractors] == [Outcome.APERIODIC] * 2
+    assert [a.fraction for a in found.attractors] == pytest.approx([0.879, 0.121], abs=0.002)
+    assert (found.ids > 0).all()
+
+
+def test_a_long_transient_is_no_attractor():
+    """Chaos that lasts 5,000 plate periods, before (1,1)."""
+    found = search(12.8726, 1.0616, 0.1, side=8, settle=500)
+    assert (found.attractors[0].bounces, found.attractors[0].periods) == (1, 1)
+    assert found.attractors[0].fraction > 0.95
+
+
+def test_starts_that_have_hardly_settled_make_no_attractors_of_their_own():
+    """After 10 periods many starts are on no cycle yet, or on one to 1e-3."""
+    for settle in (10, 60):
+        found = search(3.6, 0.5, 0.26, settle=settle, observe=20)
+        assert told(found) == [(Outcome.PERIODIC, 3, 4), (Outcome.PERIODIC, 1, 2)], settle
+        assert (found.ids > 0).all()
+
+
+def test_a_state_of_each_attractor_stays_on_it():
+    found = search(1.27, 0.5, 0.26)
+    for attractor in found.attractors:
+        repeated = attractor.flight_time[np.isfinite(attractor.flight_time)][-5:]
+        assert len(repeated) == 5
+        np.testing.assert_allclose(repeated, attractor.longest_flight, atol=1e-6)
+        assert attractor.state[0] == 0.0
+
+
+def test_distances_of_distributions():
+    x = np.linspace(0.0, 1.0, 100)
+    assert ks_distance(x, x) == 0.0
+    assert ks_distance(x, x + 2.0) == 1.0
+    assert ks_distance(x, np.linspace(0.0, 0.5, 50)) == pytest.approx(0.5, abs=0.02)
+    rows = np.stack([x[::10], x[::10] + 2.0])
+    distance = attractors._distance_of_rows(rows, np.zeros_like(rows), x, np.zeros(100))
+    assert distance[0] < 0.15
+    assert distance[1] == 1.0
+
+
+def test_two_interleaved_distributions_are_two_attractors_whatever_their_extremes():
+    """Samples of two distributions with the same extremes, in any order."""
+    generator = np.random.default_rng(5)
+
+    def sample(i: int) -> attractors._Sample:
+        x = generator.beta(0.5, 0.5, 800) if i % 2 else generator.beta(2.0, 2.0, 800)
+        x[:2] = 0.0, 1.0
+        return attractors._Sample(x, np.zeros(800), np.zeros(6), (0, 0))
+
+    samples = [sample(i) for i in range(12)]
+    assert attractors._linked(samples) == [[0, 2, 4, 6, 8, 10], [1, 3, 5, 7, 9, 11]]
+
+
+def test_entropies_of_known_maps():
+    halves = np.ones((16, 16), np.uint8)
+    halves[:, 8:] = 2
+    assert entropies(halves) == (0.0, 0.0)
+    mixed = halves.copy()
+    mixed[:8, :4] = 2
+    expected = math.log(2.0)
+    assert entropies(mixed) == pytest.approx((expected / 4.0, expected))
+    assert all(math.isnan(x) for x in entropies(np.ones((7, 16), np.uint8)))
+    undecided = mixed.copy()
+    undecided[0, 0] = 0
+    share = 31 / 63
+    expected = -(share * math.log(share) + (1.0 - share) * math.log(1.0 - share))
+    assert entropies(undecided) == pytest.approx((expected / 4.0, expected))
+    assert entropies(np.zeros((8, 8), np.uint8)) == (0.0, 0.0)
+
+
+def test_one_start_of_a_box_counts():
+    lone = np.ones((8, 8), np.uint8)
+    lone[0, 0] = 2
+    expected = -(math.log(1 / 64) + 63 * math.log(63 / 64)) / 64
+    assert entropies(lone) == pytest.approx((expected, expected))
+    assert entropies(lone // 2) == (0.0, 0.0)  # the others undecided
+
+
+def test_rows_and_columns_beyond_whole_boxes_do_not_count():
+    ids = np.ones((17, 23), np.uint8)
+    ids[16:], ids[:, 16:] = 2, 3
+    ids[0, :4] = 4
+    share = 4 / 64
+    expected = -(share * math.log(share) + (1.0 - share) * math.log(1.0 - share))
+    assert entropies(ids) == pytest.approx((expected / 4.0, expected))
+
+
+def test_planes_of_starts():
+    drops = starts_of(basin(rows=2, columns=4), 1.27, 0.5, 0.26).reshape(2, 4, 6)
+    assert drops[:, 0, 2].tolist() == [2.5, 7.5]
+    np.testing.assert_allclose(drops[0, :, 0], [0.0, math.pi / 2, math.pi, 1.5 * math.pi])
+    np.testing.assert_allclose(drops[0, :, 3], [0.0, 1.0, 0.0, -1.0], atol=1e-15)
+    contact = starts_of(basin(plane="contact", rows=2, columns=2), 1.27, 0.5, 0.26).reshape(2, 2, 6)
+    assert (contact[..., :4] == 0.0).all()
+    np.testing.assert_allclose(contact[:, 0, 4], -0.25 / 1.27 + np.array([-5.0, 5.0]))
+    np.testing.assert_allclose(contact[0, :, 5], np.array([-5.0, 5.0]) / 0.5)
+
+
+GRID = {"gamma": [1.1, 1.27, 3.6], "xi": [0.1, 0.26], "rows": 9, "columns": 8, "settle": 200}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    data = computed(str(tmp_path_factory.mktemp("whole") / "a.zarr"), basin(**GRID))
+    return {name: data[name].values.tobytes() for name in data.data_vars}
+
+
+def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]):
+    for i, shape in enumerate(((1, 1, 1), (2, 1, 2))):
+        data = computed(str(tmp_path / f"{i}.zarr"), basin(**GRID), shape)
+        for name, content in whole.items():
+            assert data[name].values.tobytes() == content, (name, shape)
+
+
+@pytest.mark.parametrize("slice_seconds", [0.0, 0.05])
+def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes], slice_seconds: float
+):
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 65_537)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
+    plan = BASINS.plan(spec, (2, 1, 3))
+    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    done: list[int] = []
+    for attempt in itertools.count():
+        assert attempt < 5000
+        try:
+            run_chunk(spec, plan[0], url, slice_seconds)
+            break
+        except ChunkPaused:
+            kept = store.read_checkpoint(url, plan[0].index)
+            assert kept is not None
+            done.append(int(kept["steps_done"]))
+    assert attempt > 2
+    assert done == sorted(done)
+    assert slice_seconds > 0.0 or set(done) == set(range(6))  # of six cells; none is computed again
+    data = xarray.open_zarr(url, chunks=None).load()
+    for name, content in whole.items():
+        assert data[name].values.tobytes() == content, name
+
+
+def test_cells_that_take_longer_than_a_chunk_have_one_each():
+    grid = {"gamma": [1.0, 2.0, 3.0], "omega": [0.5, 0.6], "xi": [0.1, 0.26]}
+    costly = basin(**grid, rows=512, columns=512, settle=3000)
+    assert make_plan(costly).chunk_shape == (1, 1, 1)
+
+
+def test_a_chunk_takes_about_a_second_of_rows_along_gamma():
+    gamma, omega = (np.linspace(*ends, 60).tolist() for ends in ((1.0, 2.0), (0.4, 0.6)))
+    small = basin(gamma=gamma, omega=omega, rows=4, columns=4, settle=60, observe=20, keep=1)
+    cells = TARGET_SECONDS / (16 * start_seconds(small))
+    one, rows, row = make_plan(small).chunk_shape
+    assert (one, row) == (1, 60)
+    assert 1 < rows == int(cells) // 60 < 60
+    few = basin(gamma=gamma, omega=omega, rows=32, columns=16)
+    cells = int(TARGET_SECONDS / (512 * start_seconds(few)))
+    assert 1 < cells < 30
+    parts = math.ceil(60 / cells)  # of a row, as equal as can be
+    row = math.ceil(60 / parts)
+    assert make_plan(few).chunk_shape == (1, max(1, cells // row), row)
+    assert make_plan(basin(gamma=gamma[:5], omega=omega[:2], rows=1, columns=1)).chunk_shape == (1, 2, 5)
+
+
+def test_a_chunk_holds_no_more_than_its_bytes():
+    large = basin(
+        gamma=np.linspace(1.0, 2.0, 60).tolist(), rows=1, columns=1, settle=0, observe=1, keep=10_000
+    )
+    plan = make_plan(large)
+    size = BASINS.estimate(large, plan).bytes / plan.cells
+    assert size > 32 * 2 * 8 * 10_000
+    assert plan.chunk_shape[2] == math.ceil(60 / math.ceil(60 / int(MAX_CHUNK_BYTES / size)))
+
+
+def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided():
+    spec = basin(rows=6, columns=6, exponents=1, keep=2)
+    attractors = tuple(
+        Attractor(
+            Outcome.PERIODIC, i + 1, i + 2, np.array([0.5, 1.0 + i]), np.empty(0), np.full(6, float(i)),
+            7.0 + i, 0.25 + i, np.array([i, i + 1.0]), np.array([i + 2.0, i + 3.0]), np.array([0.1 * i]),
+        )
+        for i in range(MAX_ATTRACTORS + 2)
+    )  # fmt: skip
+    ids = np.arange(36, dtype=np.uint16)
+    ids[35] = MAX_ATTRACTORS + 2
+    record = empty_record(BASINS.plan(spec)[0], _arrays(spec), _sizes(spec))
+    cell = {name: array[0, 0, 0] for name, array in record.items() if array.ndim > 3}
+    _fill_in(spec, Found(ids, attractors), cell)
+    _fill_in_numbers(spec, Found(ids, attractors), record, (0, 0, 0))
+    shown = [*range(MAX_ATTRACTORS + 1), 0, 0, 0]
+    assert cell["attractor"].ravel().tolist() == shown
+    assert int(record["attractor_count"][0, 0, 0]) == MAX_ATTRACTORS + 2
+    assert float(record["undecided"][0, 0, 0]) == 4 / 36
+    last = MAX_ATTRACTORS - 1
+    for name, value in {
+        "attractor_outcome": 1, "bounces": last + 1, "periods": last + 2, "longest_flight": 1.0 + last,
+        "lifetime": 7.0 + last, "fraction": 0.25 + last,
+    }.items():  # fmt: skip
+        assert cell[name][last] == value, name
+    assert cell["flight_time"][last].tolist() == [last, last + 1]
+    assert cell["takeoff_phase"][last].tolist() == [last + 2, last + 3]
+    assert cell["attractor_state"][last].tolist() == [last] * 6
+    assert cell["lyapunov"][:, 0].tolist() == pytest.approx([0.1 * i for i in range(MAX_ATTRACTORS)])
+    none = Found(np.zeros(36, np.uint16), ())
+    _fill_in_numbers(spec, none, record, (0, 0, 0))
+    assert int(record["outcome"][0, 0, 0]) == Outcome.UNRESOLVED
+
+
+def test_what_is_stored_is_described_for_either_plane():
+    for plane, row, column in (
+        ("drop", "height of the lower mass", "plate phase at which"),
+        ("contact", "elongation beyond the static one", "velocity of the elongation"),
+    ):
+        spec = basin(plane=plane, rows=2, columns=4)
+        layout = BASINS.variables(spec, (1, 1, 1))
+        assert layout.coordinates["row"].tolist() == spec.protocol.row_values.tolist()
+        assert layout.coordinates["column"].tolist() == spec.protocol.column_values.tolist()
+        assert layout.coordinates["id"].tolist() == list(range(1, MAX_ATTRACTORS + 1))
+        assert layout.coordinate_attrs["row"]["long_name"].startswith(row)
+        assert layout.coordinate_attrs["column"]["long_name"].startswith(column)
+
+
+def test_a_start_may_take_ten_windows_unless_it_is_told_how_long():
+    spec = basin(settle=400, observe=50, exponents=2, keep=7, micro_flight=0.02)
+    assert spec.until == UNTIL * 450 == 4500
+    assert rules_of(spec) == (400, 50, 4500, 7, 0.02, 2, True)
+    told = basin(settle=400, observe=50, settle_until=900)
+    assert told.until == 900
+    assert not rules_of(told).extends
+    assert not spec.sweep().settle_early
+
+
+def test_as_many_starts_as_a_cell_may_have():
+    assert basin(rows=512, columns=512).protocol.rows == 512
+    with pytest.raises(SpecError, match="must be at most 1 with"):
+        studies.parse(SPEC | {"protocol": {"kind": "multistability", "rows": 2, "columns": 1025}})
+
+
+def test_a_chunk_without_a_store_is_not_begun(tmp_path: Path):
+    spec = basin()
+    with pytest.raises(store.StoreMissing):
+        run_chunk(spec, BASINS.plan(spec)[0], str(tmp_path / "none.zarr"), 0.0)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_chunk_that_the_store_does_not_have_is_not_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    spec, url = basin(gamma=[1.1, 1.27]), str(tmp_path / "a.zarr")
+    store.create(url, BASINS.variables(spec, (1, 1, 1)))
+    monkeypatch.setattr(steps, "LineRun", None)
+    with pytest.raises(store.StoreConflict, match="spans gamma 0 to 2, but chunks here are 1 long"):
+        run_chunk(spec, BASINS.plan(spec, (1, 1, 2))[0], url)
+
+
+def test_a_cancelled_chunk_writes_nothing(tmp_path: Path):
+    spec, url = basin(), str(tmp_path / "a.zarr")
+    plan = BASINS.plan(spec)
+    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    store.set_cancelled(url)
+    with pytest.raises(ChunkCancelled):
+        run_chunk(spec, plan[0], url)
+    assert (xarray.open_zarr(url, chunks=None).outcome.values == Outcome.MISSING).all()
+
+
+@pytest.mark.parametrize("kind", ["soft", "ball", "stepped"])
+def test_other_contacts_have_basins(tmp_path: Path, kind: str):
+    model = {"kind": kind, "penetration": 0.01} if kind != "ball" else {"kind": kind}
+    spec = basin(model=model, rows=4, columns=4, settle=60, observe=20, settle_until=200)
+    stored = computed(str(tmp_path / "a.zarr"), spec).isel(xi=0, omega=0, gamma=0)
+    n = int(stored.attractor_count)
+    assert n >= 1
+    assert float(stored.fraction[:n].sum()) + float(stored.undecided) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"rows": 0}, "protocol.rows: must be at least 1, not 0"),
+        ({"rows": 1024, "columns": 512}, "protocol.rows: must be at most 512 with 512 columns"),
+        ({"height": -1.0}, "protocol.height: must be above 0"),
+        ({"plane": "phase"}, "protocol.plane: must be 'drop' or 'contact', not text 'phase'"),
+        ({"plane": "contact", "model": {"kind": "ball"}}, "protocol.plane: must be 'drop' where"),
+        ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
+        ({"exponents": 4}, "exponents: must be at most 3"),
+        (
+            {"settle_until": 10},
+            "settle_until: must be at least settle + 2 * observe, or null: less has no effect; 620",
+        ),
+        ({"setle": 10}, "setle: is not a field here; did you mean 'settle'?"),
+    ],
+)
+def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
+    with pytest.raises(SpecError) as caught:
+        basin(**changes)
+    assert rule in str(caught.value)
+
+
+def test_a_misspelt_field_of_the_protocol_is_named():
+    with pytest.raises(SpecError, match="protocol: 'hight' is not a field here; did you mean 'height'"):
+        studies.parse(SPEC | {"protocol": {"kind": "basin", "hight": 3}})
+
+
+def test_the_same_basin_is_the_same_job_whatever_its_name():
+    spec = basin()
+    assert studies.parse(spec.as_submitted()) == spec
+    assert basin(name="another").job_id("3") == spec.job_id("3")
+    assert basin(rows=17).job_id("3") != spec.job_id("3")
+    assert isinstance(studies.study_of(spec), type(BASINS))
+
+
+def test_cost_grows_with_the_starts_and_with_settle_until():
+    def seconds(**fields: Any) -> Any:
+        spec = basin(**fields)
+        return BASINS.estimate(spec, BASINS.plan(spec))
+
+    small, large = seconds(rows=16), seconds(rows=64)
+    assert large.core_seconds == pytest.approx(4.0 * small.core_seconds)
+    assert large.longest_core_seconds > 5.0 * large.core_seconds
+    assert seconds(settle_until=100_000).longest_core_seconds > 10.0 * large.core_seconds
+
+
+def test_cost_is_that_of_every_start_without_exponents():
+    spec = basin(gamma=[1.1, 1.27, 3.6], rows=4, columns=5, exponents=2, settle=20, observe=10)
+    plain = spec.sweep().model_copy(update={"exponents": 0})
+    plan = BASINS.plan(spec, (1, 1, 2))
+    cost = BASINS.estimate(spec, plan)
+    assert (cost.cells, cost.chunks) == (3, 2)
+    assert cost.core_seconds == pytest.approx(60 * cell_seconds(plain))
+    assert cost.longest_core_seconds == pytest.approx(60 * period_seconds(plain) * spec.until)
+    record = empty_record(BASINS.plan(spec, (1, 1, 3))[0], _arrays(spec), _sizes(spec))
+    assert cost.bytes == sum(array.nbytes for array in record.values())
+
+
+@pytest.mark.parametrize(
+    ("flights", "near"),
+    [
+        ([1.0, 2.0], True),
+        ([2.01, 0.99], True),
+        ([2.01, np.nan], True),
+        ([2.1, 1.0], False),
+        ([0.51], True),
+        ([2.99], True),
+        ([0.49, 3.01], True),
+        ([0.47], False),
+        ([3.03], False),
+        ([np.nan], False),
+    ],
+)
+def test_flights_are_near_to_a_set_from_either_side(flights: list[float], near: bool):
+    found = attractors._near(np.array([flights]), np.array([0.5, 1.0, 2.0, 3.0]))
+    assert found.tolist() == [near]
+
+
+def test_a_flight_may_be_just_as_far_as_a_near_one():
+    assert attractors._near(np.array([[0.0]]), np.array([attractors.NEAR_CYCLE])).tolist() == [True]

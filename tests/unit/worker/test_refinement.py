@@ -1,0 +1,489 @@
+"""Adaptive maps: the refinement of a tile, and maps against full grids."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kernel.params import Outcome
+from worker import schema, store, tasks
+from worker.cost import check_size, computed_shares, estimate
+from worker.plan import MAX_TILE_BYTES, TILE_SIDE, make_plan, tile_shape
+from worker.refinement import NOTHING, Beyond, Refinement, _cuts, classes, first_round
+from worker.schema import MODE_ARRAYS, layout
+from worker.spec import SweepSpec
+from worker.spec.errors import SpecInvalid, SpecTooLarge
+from worker.spec.refine import COARSEST, MAX_COARSEST, MAX_MODE_PERIODS, Refine
+from worker.tasks import ChunkPaused, run_chunk
+
+#: A plane with the threshold, modes, chaos and tongues; rows and columns that no number of blocks fits.
+SPACE: dict[str, Any] = {
+    "omega": {"start": 0.35, "stop": 1.0, "num": 45},
+    "gamma": {"start": 0.4, "stop": 3.4, "num": 52},
+    "xi": 0.05,
+    "model": {"kind": "rigid"},
+    "settle": 60,
+    "observe": 40,
+    "keep": 8,
+}
+#: Tiles of it, in place of the default ones, which are larger than the plane.
+TILE = (1, 17, 17)
+
+
+def sweep(**changes: Any) -> SweepSpec:
+    return SweepSpec(**SPACE | changes)
+
+
+def adaptive(**refine: Any) -> SweepSpec:
+    return sweep(refine={"by": "mode", "coarsest": 8} | refine)
+
+
+def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
+    """The plane of a map, computed chunk by chunk in this process."""
+    plan = make_plan(spec, chunk_shape=shape)
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    for chunk in plan:
+        run_chunk(spec, chunk, str(url))
+    return plane(spec, url)
+
+
+def plane(spec: SweepSpec, url: Path) -> dict[str, np.ndarray]:
+    stored = store.read_slice(str(url), [array.name for array in schema.arrays(spec)], complete=True)
+    return {name: array[0, 0] for name, array in stored.items()}
+
+
+def files(url: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(url)): path.read_bytes() for path in url.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+    return compute(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
+
+
+def refined(
+    kinds: np.ndarray, refine: Refine, tile: tuple[slice, slice] = (slice(None), slice(None))
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells of a tile are computed, and every cell's source, of a map that bounces `kinds` times."""
+    (top, bottom, _), (left, right, _) = (span.indices(n) for span, n in zip(tile, kinds.shape, strict=True))
+    beyond = top, kinds.shape[0] - bottom, left, kinds.shape[1] - right
+    refinement = Refinement((bottom - top, right - left), refine, beyond)
+    above, below, before, after = refinement.surroundings
+    kinds = kinds[top - above : bottom + below, left - before : right + after]
+    arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
+    computed = np.zeros(kinds.shape, np.bool_)
+    while refinement.cells.size:
+        assert not computed.flat[refinement.cells].any(), "computed twice"
+        computed.flat[refinement.cells] = True
+        refinement.split(*arrays)
+    inside = refinement.inside
+    return computed[inside], refinement.sources(arrays[0][inside]).reshape(arrays[0][inside].shape)
+
+
+MODE = Refine(by="mode", coarsest=8)
+
+
+def test_of_a_uniform_tile_corners_and_centres_are_computed():
+    computed, source = refined(np.ones((17, 17), int), MODE)
+    expected = np.zeros((17, 17), np.bool_)
+    expected[::8, ::8] = expected[4::8, 4::8] = True
+    assert np.array_equal(computed, expected)
+    assert computed.flat[source].all()
+
+
+def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
+    _, source = refined(np.ones((9, 9), int), MODE)
+    vertices = {(0, 0), (0, 8), (4, 4), (8, 0), (8, 8)}
+    for cell in np.ndindex(9, 9):
+        taken = tuple(int(i) for i in divmod(source[cell], 9))
+        assert taken in vertices
+        nearest = min((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in vertices)
+        assert (cell[0] - taken[0]) ** 2 + (cell[1] - taken[1]) ** 2 == nearest
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)]
+)
+@pytest.mark.parametrize("margin", [False, True])
+def test_every_shape_of_tile_is_covered(shape, margin):
+    rng = np.random.default_rng(7)
+    for kinds in (np.ones(shape, int), rng.integers(1, 3, shape)):
+        computed, source = refined(kinds, MODE.model_copy(update={"margin": margin}))
+        assert computed.flat[source].all()
+        assert np.array_equal(source[computed], np.flatnonzero(computed))
+        assert computed[[0, 0, -1, -1], [0, -1, 0, -1]].all()
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, -0.7])
+def test_straight_borders_are_found_exactly(slope):
+    row, column = np.mgrid[:65, :65]
+    kinds = np.where(column - 30.5 > slope * (row - 32), 2, 1)
+    computed, source = refined(kinds, Refine(by="mode", coarsest=64))
+    assert np.array_equal(kinds.flat[source], kinds)
+    assert np.mean(computed) < 0.15
+
+
+def island(rows: int, columns: int) -> np.ndarray:
+    """Kinds of cells: a disc, a thin tongue from it to the right, and a corner of another kind."""
+    row, column = np.ogrid[:rows, :columns]
+    kinds = np.ones((rows, columns), np.int64)
+    kinds[(row - 9) ** 2 + (column - 7) ** 2 < 23] = 2
+    kinds[(row == 9 + (column - 11) // 5) & (column > 11)] = 3
+    kinds[row + columns - 1 - column < 4] = 4
+    return kinds
+
+
+#: By, margin, coarsest, cells beyond; rounds and hash.
+CHOSEN: list[tuple[str, bool, int, Beyond, list[Any]]] = [
+    ("mode", False, 8, NOTHING, [[32, 42, 68, 30, 7, 13, 7, 13, 6, 5, 7, 2], "1d8fbc77ccadbaad"]),
+    ("mode", True, 8, NOTHING, [[32, 54, 82, 80, 14], "1bbe081958e42c1b"]),
+    ("bouncing", False, 5, NOTHING, [[59, 10, 12, 2], "157fc858dbe73877"]),
+    ("bouncing", True, 16, NOTHING, [[13, 8, 8, 15, 7], "66d2bbd7133bc68f"]),
+    ("mode", True, 16, (16, 16, 16, 16), [[41, 8], "27d162c970728889"]),
+    ("mode", True, 20, (20, 20, 20, 20), [[32, 26, 15], "56b616c555b1d4d0"]),
+]
+
+
+@pytest.mark.parametrize(("by", "margin", "coarsest", "beyond", "expected"), CHOSEN)
+def test_the_same_tile_is_always_refined_the_same_way(
+    by: str, margin: bool, coarsest: int, beyond: Beyond, expected: list
+):
+    """Stored maps depend on it: rounds, computed cells, and a hash of all cells' sources."""
+    above, below, left, right = beyond
+    kinds = island(above + 21 + below, left + 27 + right)
+    outcomes = np.array([0, Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, Outcome.AT_REST])[kinds]
+    tile = Refinement((21, 27), Refine(by=by, margin=margin, coarsest=coarsest), beyond)
+    rounds = []
+    while tile.cells.size:
+        rounds.append(len(tile.cells))
+        tile.split(outcomes, kinds, kinds % 2 + 1)
+    sources = tile.sources(outcomes[tile.inside]).astype("<i8")
+    assert [rounds, hashlib.sha256(sources.tobytes()).hexdigest()[:16]] == expected
+
+
+def test_the_first_rounds_of_a_map_are_those_of_its_tiles():
+    plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=TILE)
+    cells = [Refinement((chunk.shape[1], chunk.shape[2]), MODE).cells.size for chunk in plan]
+    assert len(plan) == 24
+    assert first_round(plan.grid, plan.chunk_shape, MODE) == sum(cells)
+
+
+def test_where_aperiodic_and_settling_cells_mix_aperiodic_ones_stand_for_all():
+    outcome = np.full((9, 9), Outcome.SETTLING)
+    outcome[0, 8] = outcome[8, 8] = Outcome.APERIODIC
+    none = np.zeros_like(outcome)
+    tile = Refinement(outcome.shape, MODE)
+    tile.split(outcome, none, none)
+    assert not tile.cells.size
+    source = tile.sources(outcome).reshape(outcome.shape)
+    computed = np.zeros(outcome.shape, np.bool_)
+    computed[[0, 0, 4, 8, 8], [0, 8, 4, 0, 8]] = True
+    assert np.all(outcome.flat[source][~computed] == Outcome.APERIODIC)
+    assert np.array_equal(source[computed], np.flatnonzero(computed))
+
+
+def test_a_tongue_that_one_block_sees_is_followed_into_the_next_ones():
+    kinds = np.ones((65, 65), int)
+    kinds[31:34] = 2  # through the centre of the first blocks' rows only where they are split
+    kinds[:, 40:] = 1
+    computed, source = refined(kinds, Refine(by="mode", coarsest=32))
+    assert np.array_equal(kinds.flat[source], kinds)
+    assert computed[31:34, :40].any(axis=0).all()
+
+
+def test_a_margin_computes_more_and_misses_no_more(full):
+    kinds = full["bounces"] * 100 + full["periods"]
+    plain, sources = refined(kinds, MODE)
+    wide, wide_sources = refined(kinds, MODE.model_copy(update={"margin": True}))
+    assert wide.sum() > plain.sum()
+    assert np.sum(kinds.flat[wide_sources] != kinds) <= np.sum(kinds.flat[sources] != kinds)
+
+
+def wave() -> np.ndarray:
+    """Kinds of 65 x 65 cells: two regions, their border a wave around column 33."""
+    row, column = np.mgrid[:65, :65]
+    return np.where(column > 33 + 2.2 * np.sin(row / 11), 2, 1)
+
+
+#: Tiles of these whose borders lie on corners of the whole map's blocks.
+QUARTERS = [
+    (slice(*rows), slice(*columns)) for rows in ((0, 33), (32, 65)) for columns in ((0, 33), (32, 65))
+]
+
+
+@pytest.mark.parametrize("tile", QUARTERS, ids=["upper left", "upper right", "lower left", "lower right"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice], turned: bool):
+    kinds = wave().T.copy() if turned else wave()
+    margin = Refine(by="mode", coarsest=16, margin=True)
+    whole, _ = refined(kinds, margin)
+    computed, source = refined(kinds, margin, tile)
+    away = np.ones((65, 65), np.bool_)
+    away[32], away[:, 32] = False, False  # the border itself: cells between corners beyond it are left out
+    assert np.array_equal(computed & away[tile], whole[tile] & away[tile])
+    assert not (computed & ~whole[tile]).any()
+    assert computed.flat[source].all()
+
+
+def test_a_change_just_beyond_the_border_widens_the_margin():
+    kinds = wave()
+    margin = Refine(by="mode", coarsest=16, margin=True)
+    tile = QUARTERS[0]
+    assert (kinds[tile] == 1).all()
+    computed, _ = refined(kinds, margin, tile)
+    alone, _ = refined(np.ascontiguousarray(kinds[tile]), margin)
+    assert computed[:, 25:].sum() > 2 * alone[:, 25:].sum()
+    plain, _ = refined(kinds, margin.model_copy(update={"margin": False}), tile)
+    assert plain.sum() == 9 + 4
+
+
+def test_without_a_margin_a_tile_depends_on_its_own_cells_alone():
+    kinds = wave()
+    for tile in QUARTERS:
+        computed, source = refined(kinds, MODE, tile)
+        alone, own = refined(np.ascontiguousarray(kinds[tile]), MODE)
+        assert np.array_equal(computed, alone)
+        assert np.array_equal(source, own)
+
+
+def test_surroundings_are_within_the_map_and_no_wider_than_a_block():
+    margin = Refine(by="mode", coarsest=8, margin=True)
+    assert Refinement((17, 17), margin, (0, 3, 8, 90)).surroundings == (0, 3, 8, 8)
+    assert Refinement((17, 17), MODE, (0, 3, 8, 90)).surroundings == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("beyond", [(0, 0, 1, 2), (3, 8, 0, 5), (1, 1, 1, 1), (0, 7, 0, 0)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 5), (10, 17)])
+def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
+    margin = Refine(by="mode", coarsest=4, margin=True)
+    rng = np.random.default_rng(3)
+    above, below, left, right = beyond
+    kinds = rng.integers(1, 3, (above + shape[0] + below, left + shape[1] + right))
+    tile = slice(above, above + shape[0]), slice(left, left + shape[1])
+    computed, source = refined(kinds, margin, tile)
+    assert computed.shape == shape
+    assert computed.flat[source].all()
+    assert np.array_equal(source[computed], np.flatnonzero(computed))
+
+
+@pytest.mark.parametrize(
+    ("tile", "cells", "spans"),
+    [
+        ((0, 8), 9, [(0, 4), (4, 8)]),
+        ((3, 9), 12, [(0, 3), (3, 7), (7, 9), (9, 11)]),
+        ((1, 4), 6, [(0, 1), (1, 4), (4, 5)]),  # one cell before, one beyond
+        ((2, 2), 3, [(0, 2), (2, 2)]),  # a tile of one cell
+    ],
+)
+def test_spans_reach_from_the_first_cell_to_the_last(tile, cells, spans):
+    assert _cuts(*tile, cells, 4) == spans
+
+
+def test_blocks_of_the_tile_lie_in_it_whole_and_those_that_matter_have_a_cell_of_it():
+    margin = Refine(by="mode", coarsest=4, margin=True)
+    tile = Refinement((9, 9), margin, (8, 8, 8, 8))
+    rows, columns = (range(span.start, span.stop) for span in tile.inside)
+    edges = range(0, 17, 2)
+    blocks = np.array([(top, top + 2, left, left + 2) for top in edges for left in edges])
+    within = [
+        {top, bottom} <= set(rows) and {left, right} <= set(columns) for top, bottom, left, right in blocks
+    ]
+    touching = [
+        top <= rows[-1] and bottom >= rows[0] and left <= columns[-1] and right >= columns[0]
+        for top, bottom, left, right in blocks
+    ]
+    assert sum(within) == 16
+    assert sum(touching) == 36
+    assert tile._within(blocks).tolist() == within
+    assert tile._touching(blocks).tolist() == touching
+
+
+def test_bouncing_tells_rest_from_motion_and_modes_tell_short_cycles_apart():
+    outcome = np.array(
+        [Outcome.AT_REST, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.PERIODIC, Outcome.APERIODIC]
+    )
+    bounces, periods = np.array([0, 1, 1, 7, 0]), np.array([0, 1, 2, 9, 0])
+    by_bouncing = classes(Refine(by="bouncing", coarsest=8), outcome, bounces, periods)
+    assert by_bouncing[0] != by_bouncing[1] == by_bouncing[2] == by_bouncing[3] == by_bouncing[4]
+    by_mode = classes(MODE, outcome, bounces, periods)
+    assert len(set(by_mode.tolist())) == 4
+    assert by_mode[3] == by_mode[4]  # longer cycles and none are one class
+    periods = np.array([MAX_MODE_PERIODS, MAX_MODE_PERIODS + 1])
+    longest, longer = classes(MODE, np.full(2, Outcome.PERIODIC), np.ones(2, int), periods)
+    assert longest != longer == by_mode[4]
+
+
+@pytest.mark.parametrize("by", ["mode", "bouncing"])
+@pytest.mark.parametrize("margin", [False, True])
+def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by, margin):
+    refine = Refine(by=by, coarsest=8, margin=margin)
+    found = compute(sweep(refine=refine), tmp_path / "a.zarr")
+    computed = found["computed"] == 1
+    assert 0.05 < computed.mean() < 0.9
+    for name, array in full.items():
+        assert array[computed].tobytes() == found[name][computed].tobytes(), name
+    assert np.isnan(found["flight_time"][~computed]).all()
+    assert not found["flights"][~computed].any()
+    kinds = [classes(refine, *(plane[name] for name in MODE_ARRAYS)) for plane in (full, found)]
+    assert np.mean(kinds[0] != kinds[1]) < (0.04 if by == "mode" else 0.001)
+
+
+def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_path):
+    found = compute(adaptive(), tmp_path / "a.zarr")
+    cells = np.stack([found[name] for name in MODE_ARRAYS], axis=-1)
+    for rows in range(0, 45, 17):
+        for columns in range(0, 52, 17):
+            tile = np.s_[rows : rows + 17, columns : columns + 17]
+            computed = found["computed"][tile] == 1
+            known = {tuple(cell) for cell in cells[tile][computed].tolist()}
+            assert {tuple(cell) for cell in cells[tile][~computed].tolist()} <= known
+
+
+@pytest.mark.parametrize("margin", [False, True])
+def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
+    spec = adaptive(margin=margin)
+    compute(spec, tmp_path / "whole.zarr")
+    monkeypatch.setattr(tasks, "FIRST_STEPS", 16384)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    plan, url = make_plan(spec, chunk_shape=TILE), tmp_path / "paused.zarr"
+    store.create(str(url), layout(spec, plan.chunk_shape))
+    pauses = 0
+    for chunk in plan:
+        while True:
+            try:
+                run_chunk(spec, chunk, str(url), 0.0)
+            except ChunkPaused:
+                pauses += 1
+                assert pauses < 10_000
+            else:
+                break
+    assert pauses > len(plan)
+    assert files(url) == files(tmp_path / "whole.zarr")
+
+
+def test_a_repaired_chunk_has_its_bytes_again(tmp_path):
+    spec, url = adaptive(), tmp_path / "a.zarr"
+    compute(spec, url)
+    before, plan = files(url), make_plan(spec, chunk_shape=TILE)
+    store.discard(str(url), layout(spec, plan.chunk_shape), plan[3])
+    assert files(url) != before
+    run_chunk(spec, plan[3], str(url))
+    assert files(url) == before
+
+
+def test_a_map_with_exponents_has_those_of_computed_cells(tmp_path):
+    spec = adaptive().model_copy(update={"exponents": 1, "settle": 10, "observe": 10})
+    found = compute(spec, tmp_path / "a.zarr")
+    bouncing = (found["computed"] == 1) & (found["outcome"] != Outcome.AT_REST)
+    assert np.isfinite(found["lyapunov"][bouncing, 0]).any()
+    assert np.isnan(found["lyapunov"][found["computed"] == 0]).all()
+
+
+@pytest.mark.parametrize("coarsest", [2, 3, 16, 64, 128])
+def test_tiles_are_whole_blocks_and_bounded(coarsest):
+    for keep in (1, 64, 1000, 10_000):
+        spec = sweep(keep=keep, refine={"by": "mode", "coarsest": coarsest})
+        one, side, same = tile_shape(spec, coarsest)
+        assert (one, side) == (1, same)
+        assert 1 <= side <= TILE_SIDE + 1
+        assert side**2 * schema.bytes_per_cell(spec) <= MAX_TILE_BYTES
+        if keep <= 64:
+            assert (side - 1) % coarsest == 0
+
+
+def test_a_tile_has_one_xi():
+    with pytest.raises(ValueError, match="one xi"):
+        make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}), chunk_shape=(2, 17, 17))
+    plan = make_plan(sweep(xi=[0.05, 0.1], refine={"by": "mode"}))
+    assert {chunk.shape[0] for chunk in plan} == {1}
+
+
+def test_a_line_along_gamma_is_refined_too(tmp_path):
+    spec = sweep(omega=0.5, refine={"by": "bouncing", "coarsest": 16})
+    found = compute(spec, tmp_path / "line.zarr", None)
+    whole = compute(sweep(omega=0.5), tmp_path / "full.zarr", None)
+    assert np.array_equal(found["outcome"] == Outcome.AT_REST, whole["outcome"] == Outcome.AT_REST)
+    assert found["computed"].sum() < 20
+
+
+@pytest.mark.parametrize(
+    ("refine", "field", "rule"),
+    [
+        ({}, "refine.by", "is required"),
+        ({"by": "flights"}, "refine.by", "'mode' or 'bouncing'"),
+        ({"by": 3}, "refine.by", "'mode' or 'bouncing'"),
+        ({"by": "mode", "coarsest": 1}, "refine.coarsest", "at least 2"),
+        ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
+        ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
+        ({"by": "mode", "coarsest": None}, "refine.coarsest", "whole number"),
+        ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
+        ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
+        ("mode", "refine", "object"),
+        (True, "refine", "object"),
+        ([], "refine", "object"),
+    ],
+)
+def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
+    with pytest.raises(SpecInvalid) as caught:
+        sweep(refine=refine)
+    [problem] = caught.value.problems
+    assert problem.field == field
+    assert rule in problem.rule
+
+
+def test_a_ramp_is_not_refined():
+    with pytest.raises(SpecInvalid, match="rest"):
+        sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
+
+
+def test_the_width_of_the_first_blocks_depends_on_what_is_told_apart():
+    for by, coarsest in COARSEST.items():
+        spec = sweep(refine={"by": by})
+        assert spec.refine == Refine(by=by, coarsest=coarsest, margin=False)
+        assert SweepSpec.from_json(json.dumps(spec.as_submitted())) == spec
+        assert spec.job_id("3") == sweep(refine={"by": by, "coarsest": coarsest}).job_id("3")
+
+
+def test_a_full_sweep_has_the_id_it_had_and_the_parent_is_a_label():
+    assert "refine" not in sweep().canonical()
+    assert "parent" not in sweep().canonical()
+    window = sweep(refine={"by": "mode"}, parent="0" * 32)
+    assert window.job_id("3") == sweep(refine={"by": "mode"}).job_id("3") != sweep().job_id("3")
+    with pytest.raises(SpecInvalid, match="parent"):
+        sweep(parent="job 7")
+
+
+def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
+    spec = sweep(
+        omega={"start": 0.2, "stop": 1.2, "num": 10_000}, gamma={"start": 0.9, "stop": 6, "num": 10_000},
+        keep=64, refine={"by": "mode"},
+    )  # fmt: skip
+    cost = estimate(spec, len(make_plan(spec)))
+    low, high = cost.computed_cells
+    assert cost.cells == 10**8
+    assert 10**5 < low < high < 10**7
+    assert 0 < cost.least_core_seconds < cost.core_seconds
+    check_size(cost)
+    with pytest.raises(SpecTooLarge, match=f"{high} computed cells"):
+        check_size(cost, max_cells=high - 1)
+    with pytest.raises(SpecTooLarge, match="bytes"):
+        check_size(cost, max_bytes=cost.bytes - 1)
+    assert cost.longest_core_seconds is None
+    longer = spec.model_copy(update={"settle_until": 10_000})
+    longest = estimate(longer, cost.chunks).longest_core_seconds
+    assert longest is not None
+    # settle + observe is 100 periods, settle_until a hundred times that, of the cells that are computed.
+    assert 10 * cost.core_seconds < longest < 1_000 * cost.core_seconds
+    coarse = sweep(refine={"by": "mode"})
+    assert computed_shares(coarse, coarse.refine)[1] == 1.0
+
+
+def test_the_measured_share_is_in_the_range_of_the_estimate(tmp_path):
+    for by in ("mode", "bouncing"):
+        spec = sweep(refine={"by": by})
+        share = compute(spec, tmp_path / f"{by}.zarr", None)["computed"].mean()
+        low, high = computed_shares(spec, spec.refine)
+        assert low <= share <= high
