@@ -52,17 +52,12 @@ def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, errors: list
             for _ in range(2):
                 processes.worker("--lifetime", f"{lifetime:.0f}s", "--lifetime-restart")
             with running(tmp_path / "data", executor) as service:
-                job = service.submit(costing(chunks=100, seconds=0.3))
-                wait_for(
-                    lambda: service.job(job).state is JobState.DONE,
-                    lambda: f"{service.job(job)}\n{processes.log()}",
-                    600,
+                ended = service.jobs_until(
+                    lambda: processes.has_logged("worker-lifetime-reached"), 600, chunks=100, seconds=0.3
                 )
-                ended = service.job(job)
         finally:
             executor.close()
-        assert "worker-lifetime-reached" in processes.log()
-    assert ended.chunks_done == ended.chunks_total
+    assert all(job.chunks_done == job.chunks_total for job in ended)
     assert blamed(errors) == []
 
 

@@ -51,7 +51,18 @@ BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
 
 
 def pids(executor: Dask) -> list[int]:
-    return list(executor._connection.client.run(os.getpid).values())
+    """Of both workers, once both answer: one that was killed counts until the scheduler has noticed."""
+    found: list[int] = []
+
+    def answered() -> bool:
+        try:
+            found[:] = executor._connection.client.run(os.getpid).values()
+        except (OSError, TimeoutError):  # a connection to one that has died
+            return False
+        return len(found) == 2
+
+    wait_for(answered)
+    return found
 
 
 def wait_until_ready(executor: Dask) -> None:
