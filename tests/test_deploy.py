@@ -4,11 +4,11 @@ import re
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 import yaml
 from documents import DOCUMENTS, blocks
+from extras import LINT, program
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
@@ -21,7 +21,7 @@ LOCK = (ROOT / "requirements.lock").read_text()
 
 
 def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [Path(sys.executable).with_name(name), *arguments]
+    command = [program(name, LINT), *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
 
 
@@ -239,7 +239,8 @@ def test_build_context_holds_what_the_image_copies():
 def test_lock_has_every_library_at_a_version_the_project_takes():
     project, pins = PROJECT["project"], locked()
     build = PROJECT["dependency-groups"]["build"]
-    for text in (*project["dependencies"], *project["optional-dependencies"]["s3"], *build):
+    extras = [text for name in ("s3", "parquet") for text in project["optional-dependencies"][name]]
+    for text in (*project["dependencies"], *extras, *build):
         requirement = Requirement(text)
         locked_pins = pins.get(canonicalize_name(requirement.name), [])
         assert locked_pins, f"{requirement} is not in requirements.lock: renew it (CONTRIBUTING.md)"

@@ -5,7 +5,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 import tomllib
 from contextlib import closing
 from pathlib import Path
@@ -15,6 +14,7 @@ from urllib.parse import unquote
 import pytest
 import yaml
 from documents import DOCUMENTS, Block, Failed, Session, blocks, text
+from extras import LINT, program
 from paths import CACHE, GOLDEN, ROOT
 
 from worker.kernel_cache import warm
@@ -402,7 +402,7 @@ def test_sections_that_code_cites_exist():
 
 
 def test_citation_is_valid_and_of_this_version():
-    command = [Path(sys.executable).with_name("check-jsonschema"), "CITATION.cff"]
+    command = [program("check-jsonschema", LINT), "CITATION.cff"]
     command += ["--builtin-schema", "vendor.citation-file-format"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

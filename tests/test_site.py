@@ -8,6 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from extras import SYSTEM
+
+pytest.importorskip("mkdocs", reason=SYSTEM)
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from openapi_spec_validator import OpenAPIV31SpecValidator
+from extras import SYSTEM
 from scripted import DEADLINE, wait_for
 
 from service.api.app import create_app
@@ -44,8 +44,9 @@ def operations(document: dict[str, Any]) -> list[dict[str, Any]]:
 
 def test_it_is_valid_and_of_the_version_it_names(document: dict[str, Any]):
     assert document["openapi"].startswith("3.1.")
-    OpenAPIV31SpecValidator(document).validate()
     assert "itemSchema" not in json.dumps(document)  # of 3.2, which the validator does not know
+    validator = pytest.importorskip("openapi_spec_validator", reason=SYSTEM)
+    validator.OpenAPIV31SpecValidator(document).validate()
 
 
 def test_every_operation_has_a_name_of_its_own_and_a_tag(document: dict[str, Any]):
@@ -146,6 +147,7 @@ def test_it_says_whether_a_token_is_needed(tmp_path: Path, token: str | None):
 def test_a_generated_client_submits_a_sweep(
     tmp_path: Path, document: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ):
+    pytest.importorskip("openapi_python_client", reason=SYSTEM)
     source, package = tmp_path / "openapi.json", tmp_path / "generated"
     source.write_text(json.dumps(document))
     (tmp_path / "options.yml").write_text("post_hooks: []\n")
