@@ -53,7 +53,10 @@ def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, errors: list
                 processes.worker("--lifetime", f"{lifetime:.0f}s", "--lifetime-restart")
             with running(tmp_path / "data", executor) as service:
                 ended = service.jobs_until(
-                    lambda: processes.has_logged("worker-lifetime-reached"), 600, chunks=100, seconds=0.3
+                    lambda: processes.has_logged("worker-lifetime-reached"),
+                    chunks=100,
+                    seconds=0.3,
+                    patience=600,
                 )
         finally:
             executor.close()

@@ -43,15 +43,17 @@ class Running:
         wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
         return self.job(job)
 
-    def jobs_until(self, came: Callable[[], bool], seconds: float = DEADLINE, **cost: Any) -> list[JobRecord]:
+    def jobs_until(
+        self, came: Callable[[], bool], *, chunks: int, seconds: float, patience: float = DEADLINE
+    ) -> list[JobRecord]:
         """Have jobs of such a cost computed, one after the other, until something has come, and all are done.
 
         However fast the machine is, there is work when it comes.
         """
         jobs: list[JobRecord] = []
         while not jobs or not came():
-            job = self.submit(costing(f"number {len(jobs)}", **cost))
-            jobs.append(self.until(job, JobState.DONE, JobState.FAILED, seconds=seconds))
+            job = self.submit(costing(f"number {len(jobs)}", chunks, seconds))
+            jobs.append(self.until(job, JobState.DONE, JobState.FAILED, seconds=patience))
             assert jobs[-1].state is JobState.DONE, jobs[-1]
         return jobs
 
