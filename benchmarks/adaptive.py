@@ -33,7 +33,7 @@ from service.jobs.model import JobState
 from service.settings import Settings
 from worker import store
 from worker.executors.dask import Dask
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 from worker.plan import make_plan
 from worker.refinement import Refinement, classes
 from worker.schema import MODE_ARRAYS, layout
@@ -230,7 +230,7 @@ def main() -> None:
                 ratios = [f"{name} {taken['full'] / seconds:.2f}" for name, seconds in taken.items()]
                 print(f"{xi:g}, {side:,}², full {taken['full']:.1f} core-s; ratios:", *ratios[1:], flush=True)
         return
-    warm()  # so that one process compiles instead of three
+    use_cache()  # so that one process compiles instead of three
     rows = []
     with serving() as service:
         service.run(sweep(0.26, 129, options.keep))  # starts the workers

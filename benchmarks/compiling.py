@@ -20,8 +20,8 @@ from benchmarks.tables import short, table
 _START = """
 import json, resource, sys, time
 began = time.perf_counter()
-from worker.kernel_cache import warm
-warm(sys.argv[1])
+from worker.kernel_cache import use_cache
+use_cache(sys.argv[1])
 used = resource.getrusage(resource.RUSAGE_SELF)
 print(json.dumps([time.perf_counter() - began, used.ru_utime + used.ru_stime]))
 """

@@ -69,7 +69,7 @@ def queue(folder: Path) -> None:
 
 def warmed(cache: Path) -> None:
     """Compile all kernels into a cache."""
-    code = f"from worker.kernel_cache import warm; warm({str(cache)!r})"
+    code = f"from worker.kernel_cache import use_cache; use_cache({str(cache)!r})"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -1,7 +1,6 @@
 """Fixtures and settings of all tests: one kernel cache, one cluster of two worker processes, small sweeps.
 
-The cache is claimed before anything imports a kernel, and kept between runs in `.numba-cache`, so that only
-the first run compiles. Tests depend neither on the program's environment variables, nor on proxies, nor on
+The cache is kept between runs in `.numba-cache`, so that only the first run compiles. Tests depend neither on the program's environment variables, nor on proxies, nor on
 signals that the calling shell ignores.
 """
 
@@ -15,16 +14,15 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis
 from paths import CACHE, TESTS
+from scripted import small
 
+from worker.executors.dask import Dask
+from worker.executors.inline import Inline
 from worker.kernel_cache import use_cache
+from worker.spec import SweepSpec
 
+os.environ["NUMBA_CACHE_DIR"] = str(CACHE)  # of the processes that tests start, too
 use_cache(CACHE)
-
-from scripted import small  # noqa: E402 - the cache comes first
-
-from worker.executors.dask import Dask  # noqa: E402
-from worker.executors.inline import Inline  # noqa: E402
-from worker.spec import SweepSpec  # noqa: E402
 
 for name in [name for name in os.environ if name.startswith("BOUNCE_")]:
     if not name.startswith(("BOUNCE_TEST_", "BOUNCE_FUZZ")):
@@ -78,7 +76,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.fixture(scope="session")
 def cluster() -> Iterator[Dask]:
     """A Dask executor on two worker processes, shared by all tests: leave it running."""
-    use_cache(CACHE)
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()

@@ -69,7 +69,25 @@ def _end_now() -> None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):  # nobody reads it
             stream.flush()
+    _remove_semaphores()
     os._exit(INTERRUPTED)
+
+
+def _remove_semaphores() -> None:
+    """Remove the semaphores that this process shares with those that it has started.
+
+    A process that ends in this way runs no finalizers, and multiprocessing's tracker would remove what is
+    left with a warning on the terminal. Other finalizers may wait for threads: they are not run.
+    """
+    if "multiprocessing.synchronize" not in sys.modules:  # nothing was shared
+        return
+    from multiprocessing import synchronize, util
+
+    remove = synchronize.SemLock._cleanup  # type: ignore[attr-defined]
+    for finalizer in list(util._finalizer_registry.values()):  # type: ignore[attr-defined]
+        if finalizer._callback is remove:
+            with suppress(Exception):  # another thread has removed it
+                finalizer()
 
 
 if __name__ == "__main__":

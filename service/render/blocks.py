@@ -1,7 +1,7 @@
 """What the files of a whole study share: which arrays they hold, and the chunks in order."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from worker import schema
 from worker.schema import Layout
 from worker.spec import SweepSpec
 from worker.studies import Plan
+
+#: Bytes of a table's rows that are held in memory until they are written together.
+GROUP_BYTES: Final = 16 * 2**20
 
 
 def exported(study: Stored[Any], layout: Layout) -> tuple[schema.Array, ...]:

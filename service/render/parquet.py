@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from kernel.labels import LABELS
-from service.render.blocks import Block, exported, is_of_flights, of_sweep
+from service.render.blocks import GROUP_BYTES, Block, exported, is_of_flights, of_sweep
 from service.render.study_rows import lists, rows_of, schema_of
 from service.results.counting import LABEL
 from service.results.selection import Stored, Sweep
@@ -18,10 +18,9 @@ from worker import schema
 from worker.schema import Layout
 from worker.spec import AXES, SweepSpec
 
-#: A row group is written once it has as many rows or bytes: large enough to be read fast, small enough to be
-#: skipped, and held in memory until then.
+#: A row group is written once it has as many rows, or GROUP_BYTES: large enough to be read fast, small enough
+#: to be skipped, and held in memory until then.
 GROUP_ROWS: Final = 2**17
-GROUP_BYTES: Final = 16 * 2**20
 
 #: Rows of cells that become rows of flights at once.
 _SLICE_ROWS: Final = 2**12

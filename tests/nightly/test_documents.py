@@ -6,11 +6,11 @@ import pytest
 from documents import LONG, Session, run_in_order
 from paths import CACHE
 
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 
 @pytest.mark.parametrize("document", LONG)
 def test_blocks_run_in_order(document: str, tmp_path: Path):
-    warm(CACHE)  # otherwise the time to compile counts as time to start the service
+    use_cache(CACHE)  # otherwise the time to compile counts as time to start the service
     with Session(tmp_path) as session:
         run_in_order(session, document)

@@ -58,7 +58,14 @@ class Processes:
 
     def log(self) -> str:
         """The ends of all logs."""
-        return "\n".join(file.read_text()[-3000:] for file in sorted(self._folder.glob("process-*.log")))
+        return "\n".join(text[-3000:] for text in self._logs())
+
+    def has_logged(self, text: str) -> bool:
+        """Whether any process has written this, however long ago."""
+        return any(text in log for log in self._logs())
+
+    def _logs(self) -> list[str]:
+        return [file.read_text() for file in sorted(self._folder.glob("process-*.log"))]
 
     def end(self) -> None:
         for process in reversed(self.processes):

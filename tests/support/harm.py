@@ -20,7 +20,7 @@ from scripted import wait_for
 
 from worker import watchdog
 from worker.executors.dask import Dask
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 from worker.plan import Chunk
 from worker.spec import SweepSpec
 from worker.tasks import ChunkReport, run_chunk
@@ -104,7 +104,7 @@ MEMORY = 600 << 20
 @contextmanager
 def fragile_cluster() -> Iterator[Dask]:
     """An executor on two workers that fail as a sweep's name says."""
-    warm(CACHE)
+    use_cache(CACHE)
     with dask.config.set({"distributed.worker.memory.terminate": False}):  # the watchdog is under test
         executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
     executor._connection.client.register_plugin(Harm())
@@ -114,8 +114,19 @@ def fragile_cluster() -> Iterator[Dask]:
         executor.close()
 
 
-def pids(executor: Dask) -> list[int]:
-    return list(executor._connection.client.run(os.getpid).values())
+def pids(executor: Dask, workers: int = 2) -> list[int]:
+    """Of all workers, once that many answer: one that was killed counts until the scheduler has noticed."""
+    found: list[int] = []
+
+    def answered() -> bool:
+        try:
+            found[:] = executor._connection.client.run(os.getpid).values()
+        except (OSError, TimeoutError):  # a connection to one that has died
+            return False
+        return len(found) == workers
+
+    wait_for(answered)
+    return found
 
 
 def wait_until_ready(executor: Dask) -> None:

@@ -1,6 +1,6 @@
 """Jobs without HTTP: a job manager with its ledger, a counting executor, sweeps of a chosen cost."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,6 +42,20 @@ class Running:
     def until(self, job: JobRecord, *states: JobState, seconds: float = DEADLINE) -> JobRecord:
         wait_for(lambda: self.job(job).state in states, lambda: f"{self.job(job)} is not {states}", seconds)
         return self.job(job)
+
+    def jobs_until(
+        self, came: Callable[[], bool], *, chunks: int, seconds: float, patience: float = DEADLINE
+    ) -> list[JobRecord]:
+        """Have jobs of such a cost computed, one after the other, until something has come, and all are done.
+
+        However fast the machine is, there is work when it comes.
+        """
+        jobs: list[JobRecord] = []
+        while not jobs or not came():
+            job = self.submit(costing(f"number {len(jobs)}", chunks, seconds))
+            jobs.append(self.until(job, JobState.DONE, JobState.FAILED, seconds=patience))
+            assert jobs[-1].state is JobState.DONE, jobs[-1]
+        return jobs
 
     def outcomes(self, job: JobRecord) -> np.ndarray:
         return store.read_slice(self.settings.store_of(job.id), ("outcome",))["outcome"]

@@ -16,10 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from worker.kernel_cache import claim_cache, warm
+from worker.kernel_cache import use_cache
 
-claim_cache(sys.argv[3])
-warm(sys.argv[3])
+use_cache(sys.argv[3])
 
 from service.jobs import supervisor  # noqa: E402 - the cache comes first
 from service.jobs.ledger import Ledger  # noqa: E402

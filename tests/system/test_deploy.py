@@ -3,8 +3,8 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
+from extras import LINT, program
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
@@ -13,7 +13,7 @@ LOCK = (ROOT / "requirements.lock").read_text()
 
 
 def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [Path(sys.executable).with_name(name), *arguments]
+    command = [program(name, LINT), *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
 
 

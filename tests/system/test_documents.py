@@ -3,16 +3,16 @@
 import json
 import re
 import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
 from documents import DOCUMENTS, LONG, Block, Failed, Session, blocks, run_in_order, runnable, text
+from extras import LINT, program
 from paths import CACHE, ROOT
 
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 #: What must not be hidden in a block of plain text.
 LOOKS_RUNNABLE = re.compile(
@@ -25,7 +25,7 @@ ALL_BLOCKS = tuple(block for name in DOCUMENTS for block in blocks(name))
 @pytest.fixture(scope="module")
 def compiled_kernels() -> None:
     """Compile the kernels first: otherwise the time to compile counts as time to start the service."""
-    warm(CACHE)
+    use_cache(CACHE)
 
 
 @pytest.mark.essential
@@ -87,7 +87,7 @@ def test_block_is_well_formed(block: Block):
 
 
 def test_citation_is_valid_and_of_this_version():
-    command = [Path(sys.executable).with_name("check-jsonschema"), "CITATION.cff"]
+    command = [program("check-jsonschema", LINT), "CITATION.cff"]
     command += ["--builtin-schema", "vendor.citation-file-format"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

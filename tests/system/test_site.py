@@ -8,7 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from extras import SYSTEM
 from paths import ROOT
+
+pytest.importorskip("mkdocs", reason=SYSTEM)
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,16 @@ import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import grimp
 import pytest
+from extras import LINT
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
+
+if TYPE_CHECKING:
+    import grimp
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
@@ -76,15 +80,17 @@ MOST_MODULES = 16
 
 
 @pytest.fixture(scope="module")
-def imports() -> grimp.ImportGraph:
-    return grimp.build_graph(*TOP_LEVEL, include_external_packages=True, cache_dir=None)
+def imports() -> "grimp.ImportGraph":
+    """Which module imports which."""
+    builder = pytest.importorskip("grimp", reason=LINT)
+    return builder.build_graph(*TOP_LEVEL, include_external_packages=True, cache_dir=None)
 
 
 def within(module: str, package: str) -> bool:
     return module == package or module.startswith(f"{package}.")
 
 
-def reached(graph: grimp.ImportGraph, package: str) -> set[str]:
+def reached(graph: "grimp.ImportGraph", package: str) -> set[str]:
     """Every module that importing `package` may load, the libraries by their top-level names."""
     inside = {module for module in graph.modules if within(module, package)}
     return inside.union(*(graph.find_upstream_modules(module) for module in inside))
@@ -95,13 +101,13 @@ def is_ours(module: str) -> bool:
 
 
 @pytest.mark.parametrize("package", ALLOWED)
-def test_package_uses_only_its_libraries(imports: grimp.ImportGraph, package: str):
+def test_package_uses_only_its_libraries(imports: "grimp.ImportGraph", package: str):
     libraries = {module for module in reached(imports, package) if not is_ours(module)}
     assert libraries - sys.stdlib_module_names <= ALLOWED[package]
 
 
 @pytest.mark.parametrize("package", REACHABLE)
-def test_package_reaches_only_its_neighbours(imports: grimp.ImportGraph, package: str):
+def test_package_reaches_only_its_neighbours(imports: "grimp.ImportGraph", package: str):
     modules = {module for module in reached(imports, package) if is_ours(module)} - PARENTS
     allowed = REACHABLE[package]
     assert {module for module in modules if not any(within(module, name) for name in allowed)} == set()
@@ -119,7 +125,11 @@ def libraries_imported(*folders: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("folders", "extras"),
-    [(TOP_LEVEL, ["s3", "notebook"]), (["tests"], ["test"]), (["benchmarks"], ["bench", "test"])],
+    [
+        (TOP_LEVEL, ["s3", "notebook", "parquet"]),
+        (["tests"], ["test", "system", "lint"]),
+        (["benchmarks"], ["bench", "test", "system"]),
+    ],
     ids=["program", "tests", "benchmarks"],
 )
 def test_whatever_is_imported_is_asked_for(folders: Sequence[str], extras: Sequence[str]):

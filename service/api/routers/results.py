@@ -21,7 +21,7 @@ from service.jobs.model import JobRecord, JobState
 from service.render import answers
 from service.render import export as export_files
 from service.render import orbits as orbits_text
-from service.render.parquet import GROUP_BYTES
+from service.render.blocks import GROUP_BYTES
 from service.results import orbits, thresholds
 from service.results.mode_map import comparison_memory, plane_size
 from service.results.multistability import plane_memory
@@ -195,7 +195,7 @@ def _export_memory(service: ServiceDep, job: JobRecord, query: parameters.Export
 @router.get(
     "/export",
     summary="Export the job's results as a file",
-    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
+    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 501, 507)},
 )
 @costly(_export_memory, "export")
 def export_job(

@@ -28,7 +28,7 @@ from paths import CACHE, ROOT
 from running import costing
 from scripted import free_port, wait_for
 
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 PARTS = ("dask_gateway", "dask_gateway_server", "sqlalchemy")
 pytestmark = [
@@ -108,7 +108,7 @@ class Recipe:
 
 @pytest.fixture
 def recipe(tmp_path: Path) -> Iterator[Recipe]:
-    warm(CACHE)
+    use_cache(CACHE)
     recipe = Recipe(tmp_path)
     with recipe.started("dask-gateway-server") as process:
         recipe.process = process

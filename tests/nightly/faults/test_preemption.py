@@ -8,12 +8,11 @@ import pytest
 from blame import blamed, noting_errors
 from dask_processes import dask_processes
 from paths import CACHE
-from running import costing, running
+from running import running
 from scripted import wait_for
 
-from service.jobs.model import JobState
 from worker.executors.dask import Dask
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 PATIENCE = 240.0
 
@@ -24,7 +23,7 @@ LIFETIME, STARTS = 5.0, 3.0
 @pytest.fixture
 def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
     """What chunks came back with, of all jobs of the test."""
-    warm(CACHE)
+    use_cache(CACHE)
     return noting_errors(monkeypatch)
 
 
@@ -42,15 +41,13 @@ def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, errors: list
             for _ in range(2):
                 processes.worker("--lifetime", f"{lifetime:.0f}s", "--lifetime-restart")
             with running(tmp_path / "data", executor) as service:
-                job = service.submit(costing(chunks=100, seconds=0.3))
-                wait_for(
-                    lambda: service.job(job).state is JobState.DONE,
-                    lambda: f"{service.job(job)}\n{processes.log()}",
-                    600,
+                ended = service.jobs_until(
+                    lambda: processes.has_logged("worker-lifetime-reached"),
+                    chunks=100,
+                    seconds=0.3,
+                    patience=600,
                 )
-                ended = service.job(job)
         finally:
             executor.close()
-        assert "worker-lifetime-reached" in processes.log()
-    assert ended.chunks_done == ended.chunks_total
+    assert all(job.chunks_done == job.chunks_total for job in ended)
     assert blamed(errors) == []

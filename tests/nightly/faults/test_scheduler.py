@@ -24,7 +24,7 @@ from benchmarks.serving import Cluster, Restarted
 from service.api.monitoring import Readiness
 from service.jobs.model import JobRecord, JobState
 from worker.executors.dask import Dask
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 #: The longest time (s) until the job goes on: scheduler and workers have to start. 15 on a quiet machine.
 BACK = float(os.environ.get("BOUNCE_TEST_BACK", "60"))
@@ -35,7 +35,7 @@ FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
 
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[Restarted, str]]:
-    warm(CACHE)
+    use_cache(CACHE)
     cluster = Cluster(tmp_path, free_port(), {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)})
     yield cluster.scheduler, cluster.address
     cluster.end()

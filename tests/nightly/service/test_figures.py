@@ -22,9 +22,9 @@ if __name__ == "__main__":
 
     from paths import CACHE
 
-    from worker.kernel_cache import warm
+    from worker.kernel_cache import use_cache
 
-    warm(CACHE)  # before kernels are declared below
+    use_cache(CACHE)  # before kernels are declared below
 
 from artists import difference
 from drawn_figures import (

@@ -7,8 +7,8 @@ from paths import ROOT
 
 KERNEL = """
 import sys
-from worker.kernel_cache import claim_cache
-print(claim_cache(sys.argv[1]))
+from worker.kernel_cache import use_cache
+print(use_cache(sys.argv[1]))
 import hashlib
 import numpy as np
 from kernel.line import run_line

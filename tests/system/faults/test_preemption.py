@@ -13,7 +13,7 @@ from scripted import wait_for
 from service.jobs.model import JobRecord, JobState
 from worker.executors.dask import Dask
 from worker.executors.errors import WorkerDied, WorkerLeft
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 PATIENCE = 240.0
 
@@ -21,7 +21,7 @@ PATIENCE = 240.0
 @pytest.fixture
 def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
     """What chunks came back with, of all jobs of the test."""
-    warm(CACHE)
+    use_cache(CACHE)
     return noting_errors(monkeypatch)
 
 

@@ -18,7 +18,7 @@ from service.jobs.model import JobRecord, JobState
 from worker import studies
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0
 
@@ -26,7 +26,7 @@ PATIENCE = 180.0
 @pytest.fixture(scope="module")
 def workers() -> Iterator[Dask]:
     """Two worker processes of this module, which it kills."""
-    warm(CACHE)
+    use_cache(CACHE)
     executor = Dask(workers=2, kernel_cache=CACHE)
     yield executor
     executor.close()

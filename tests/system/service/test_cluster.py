@@ -146,21 +146,6 @@ def test_the_data_is_closed_to_others_unless_that_is_not_wanted(
         os.umask(before)
 
 
-@pytest.mark.parametrize("cache", [None, Path("cache")])
-def test_kernels_are_loaded_before_the_first_request_if_they_are_kept(
-    monkeypatch: pytest.MonkeyPatch, cache: Path | None
-):
-    loaded, done = list[bool](), threading.Event()
-    monkeypatch.setattr(embedded, "claim_cache", lambda: cache)
-    monkeypatch.setattr(
-        embedded, "warm", lambda: (loaded.append(threading.current_thread().daemon), done.set())
-    )
-    embedded._warm_in_background()
-    if cache is not None:
-        assert done.wait(DEADLINE)
-    assert loaded == ([] if cache is None else [True])  # the end of the process does not wait for it
-
-
 def test_a_connection_with_certificates_is_encrypted():
     files = {f"scheduler_{name}": Path(f"{name}.pem") for name in ("ca", "cert", "key")}
     assert _tls(embedded.settings(**files)).require_encryption is True

@@ -13,21 +13,10 @@ from typing import Any, NamedTuple
 
 import httpx2
 import pytest
-import requests
-import schemathesis
-
-# Loaded here, not when it is needed: Python 3.11 cannot compile modules while other threads do.
-import schemathesis.specs.openapi.schemas
+from extras import SYSTEM
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from hypothesis.errors import FlakyStrategyDefinition
-from schemathesis import GenerationMode
-from schemathesis.checks import not_a_server_error
-from schemathesis.specs.openapi.checks import (
-    content_type_conformance,
-    response_schema_conformance,
-    status_code_conformance,
-)
 from scripted import DEADLINE
 from served import finished
 
@@ -35,6 +24,20 @@ from service.server import embedded
 from service.settings import Settings
 from worker.executors.inline import Inline
 from worker.tasks import ChunkReport
+
+pytest.importorskip("schemathesis", reason=SYSTEM)
+import requests
+import schemathesis
+
+# Loaded here, not when it is needed: Python 3.11 cannot compile modules while other threads do.
+import schemathesis.specs.openapi.schemas
+from schemathesis import GenerationMode
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
 
 #: Seconds for a response on a busy machine.
 TIMEOUT = 60

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from extras import SYSTEM
 from scripted import DEADLINE, wait_for
 
 from service.api.app import create_app
@@ -34,6 +35,7 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def test_a_generated_client_submits_a_sweep(
     tmp_path: Path, document: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ):
+    pytest.importorskip("openapi_python_client", reason=SYSTEM)
     source, package = tmp_path / "openapi.json", tmp_path / "generated"
     source.write_text(json.dumps(document))
     (tmp_path / "options.yml").write_text("post_hooks: []\n")

@@ -20,7 +20,7 @@ from service.server.cluster import connected_cluster
 from service.settings import Settings
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0
 
@@ -48,7 +48,7 @@ def options(files: dict[str, Path]) -> list[str]:
 
 @pytest.mark.timeout(600)
 def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
-    warm(CACHE)
+    use_cache(CACHE)
     files = certificates(tmp_path)
     written = tmp_path / "scheduler.json"
     with dask_processes(tmp_path / "dask") as processes:

@@ -70,7 +70,11 @@ def test_a_signal_leaves_no_folder_and_no_process(tmp_path: Path, number: signal
     """The service of its own that `bounce tradeoff` computes with."""
     env = os.environ | {"TMPDIR": str(tmp_path), "NUMBA_CACHE_DIR": str(CACHE)}
     command = [sys.executable, "-m", "service.cli.main", "tradeoff", "--workers", "1"]
-    with subprocess.Popen(command, env=env, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        command, env=env, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
+        # Not ignored, as `nohup` has it for all that it starts.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # noqa: PLW1509
+    ) as process:  # fmt: skip
         assert process.stderr
         lines = iter(process.stderr.readline, b"")
         assert next(line for line in lines if line.startswith(b"measuring"))

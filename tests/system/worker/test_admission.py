@@ -29,7 +29,7 @@ from worker.executors import admission
 from worker.executors.admission import Probe, Requirements, facts, run_if_admitted
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost, WorkerRefused
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 from worker.tasks import ChunkCancelled, ChunkPaused
 
 PATIENCE = 240.0
@@ -136,7 +136,7 @@ def without_the_folder(processes: Processes, folder: Path) -> None:
 
 @pytest.fixture
 def processes(tmp_path: Path) -> Iterator[Processes]:
-    warm(CACHE)
+    use_cache(CACHE)
     with dask_processes(tmp_path / "dask") as processes:
         yield processes
 

@@ -118,8 +118,8 @@ def test_interrupted_by_cancel_and_resumed(spec, expected, tmp_path):
 
 WRITER = """
 import sys
-from worker.kernel_cache import claim_cache
-claim_cache()
+from worker.kernel_cache import use_cache
+use_cache()
 from worker.plan import make_plan
 from worker.spec import SweepSpec
 from worker.tasks import run_chunk

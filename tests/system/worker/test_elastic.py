@@ -20,7 +20,7 @@ from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
 from worker.executors.errors import ClusterLost
 from worker.executors.targets import Made
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 
 PATIENCE = 180.0
 
@@ -38,7 +38,7 @@ def local_cluster(workers: int) -> LocalCluster:
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[LocalCluster]]:
     """Clusters that a test makes; closed at its end."""
-    warm(CACHE)
+    use_cache(CACHE)
     clusters: list[LocalCluster] = []
     with dask.config.set(SCHEDULER_SETTINGS):
         yield clusters

@@ -108,12 +108,6 @@ def test_cancelling_a_future_withdraws_its_chunk(cluster, small_spec, tmp_path):
     assert not store.read_chunk(url, plan[1], ["outcome"])["outcome"].any()
 
 
-def test_two_workers_never_share_a_kernel_cache(cluster):
-    caches = cluster._connection.client.run(lambda: os.environ["NUMBA_CACHE_DIR"])
-    assert len(set(caches.values())) == 2
-    assert os.environ["NUMBA_CACHE_DIR"] not in caches.values()
-
-
 def test_workers_share_the_memory_however_many_cores_there_are(cluster):
     limits = cluster._connection.client.run(lambda dask_worker: dask_worker.memory_manager.memory_limit)
     assert set(limits.values()) == {system.MEMORY_LIMIT // 2}

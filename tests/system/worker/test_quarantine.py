@@ -20,7 +20,7 @@ from worker.executors.dask import Dask
 from worker.executors.errors import WorkerLeft
 from worker.executors.quarantine import MARKS, Quarantine
 from worker.executors.worker_plugin import rest
-from worker.kernel_cache import warm
+from worker.kernel_cache import use_cache
 from worker.plan import make_plan
 from worker.schema import layout
 
@@ -39,7 +39,7 @@ def break_disk() -> None:
 def test_one_of_two_workers_fails_everything(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ):
-    warm(CACHE)
+    use_cache(CACHE)
     monkeypatch.setattr(dask, "REST_SECONDS", 5.0)
     executor = Dask(workers=2, kernel_cache=CACHE)
     try:
@@ -69,7 +69,7 @@ def test_one_of_two_workers_fails_everything(
 
 
 def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
-    warm(CACHE)
+    use_cache(CACHE)
     executor = Dask(workers=2, kernel_cache=CACHE)
     try:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
@@ -90,7 +90,7 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
 
 def test_a_cluster_that_is_closed_leaves_nothing_behind(tmp_path: Path):
     """No process, no thread that would connect again, no file; `stores` are not asked for on one machine."""
-    warm(CACHE)
+    use_cache(CACHE)
     executor = Dask(workers=1, kernel_cache=CACHE, stores=str(tmp_path / "stores"))
     try:
         connection, workers = executor._connection, executor._workers

@@ -10,8 +10,8 @@ import httpx2
 import numpy as np
 import pytest
 import xarray
+from extras import SYSTEM
 from fastapi.testclient import TestClient
-from moto.server import ThreadedMotoServer
 from pyarrow import parquet
 from scripted import DEADLINE, Held, wait_for
 from served import RAMP, finished, get, service
@@ -27,6 +27,8 @@ from worker.spec import SweepSpec
 from worker.store import backend
 from worker.studies import run_task
 from worker.tasks import Terms, on_terms
+
+ThreadedMotoServer = pytest.importorskip("moto.server", reason=SYSTEM).ThreadedMotoServer
 
 BUCKET_URL = "s3://results/of/sweeps"
 

@@ -3,16 +3,12 @@
 These tests fail where numba has changed what `kernel.numerics.compilation` rests on.
 """
 
-import os
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from paths import ROOT
 
 from kernel.models import rigid
 from kernel.numerics import compilation
@@ -87,7 +83,7 @@ def test_on_another_processor_only_machine_code_is_made_anew(folder, monkeypatch
     assert codes(folder) == [before, after, f"{before}.another"]
 
 
-@pytest.mark.parametrize("damage", [lambda content: content[:-100], lambda content: b"", lambda content: b"?" * 500])
+@pytest.mark.parametrize("damage", [lambda code: code[:-100], lambda code: b"", lambda code: b"?" * 500])
 def test_a_damaged_file_is_compiled_again(folder, damage):
     entry(quadrupled)(2.0)
     whole = {name: (folder / name).read_bytes() for name in codes(folder)}
@@ -166,27 +162,3 @@ def test_a_function_is_chosen_by_type_in_compiled_code_and_in_python():
     assert (number(plate), asked(plate)) == (7.0, 8.0)
     with pytest.raises(TypeError, match="not implemented for float"):
         number(1.0)
-
-
-RUN = """
-import numpy as np
-from kernel.line import run_line
-from kernel.models import rigid
-axis = np.linspace(1.0, 3.0, 5)
-line = run_line(axis, axis, 0.1 * axis, plate=rigid.plate(restitution=np.full(5, 0.3)), carry=False,
-                settle=50, observe=50, keep=8)
-print(line.flight_time.tobytes().hex())
-"""
-
-
-@pytest.mark.parametrize("variable", ["BOUNCE_PLAIN_NJIT"])
-def test_plain_njit_gives_the_same_bytes(variable):
-    """The switch back, should numba change."""
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", RUN], cwd=ROOT, capture_output=True, text=True, check=True,
-            env=os.environ | {"PYTHONPATH": str(ROOT)} | more,
-        )
-        for more in ({}, {variable: "1"})
-    ]  # fmt: skip
-    assert runs[0].stdout == runs[1].stdout

@@ -24,9 +24,9 @@ if __name__ == "__main__":
 
     from paths import CACHE
 
-    from worker.kernel_cache import warm
+    from worker.kernel_cache import use_cache
 
-    warm(CACHE)  # before kernels are declared below
+    use_cache(CACHE)  # before kernels are declared below
 
 from paths import GOLDEN, ROOT
 from scripted import wait_for

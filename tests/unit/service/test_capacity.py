@@ -29,7 +29,7 @@ from service.api.capacity import CLIENT_GONE, MUCH, PIECE, Capacity, Lease, List
 from service.errors import Busy, TooManyListeners
 from service.jobs.on_demand import Pending
 from service.render import answers
-from service.render.parquet import GROUP_BYTES
+from service.render.blocks import GROUP_BYTES
 from service.results.mode_map import comparison_memory
 from service.results.selection import BASE_MEMORY, MAX_READ
 from service.server.web_server import limited

@@ -9,6 +9,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from extras import SYSTEM
 from scripted import wait_for
 
 from service.client.display import (
@@ -182,6 +183,7 @@ def test_a_terminal_has_a_bar_with_what_is_known(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_notebook_shows_a_job_in_one_place(monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("IPython", reason=SYSTEM)
     from IPython.display import HTML, DisplayHandle
 
     monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from openapi_spec_validator import OpenAPIV31SpecValidator
+from extras import SYSTEM
 
 from service.api.app import create_app
 from service.api.openapi import EXAMPLES
@@ -37,8 +37,9 @@ def operations(document: dict[str, Any]) -> list[dict[str, Any]]:
 
 def test_it_is_valid_and_of_the_version_it_names(document: dict[str, Any]):
     assert document["openapi"].startswith("3.1.")
-    OpenAPIV31SpecValidator(document).validate()
     assert "itemSchema" not in json.dumps(document)  # of 3.2, which the validator does not know
+    validator = pytest.importorskip("openapi_spec_validator", reason=SYSTEM)
+    validator.OpenAPIV31SpecValidator(document).validate()
 
 
 def test_every_operation_has_a_name_of_its_own_and_a_tag(document: dict[str, Any]):

@@ -268,6 +268,7 @@ def run_slices(spec: SweepSpec, chunk, url: str) -> tuple[ChunkReport, int]:
 def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes, steps):
     monkeypatch.setattr(tasks, "FIRST_STEPS", steps)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)  # and the same pauses
     spec = small_spec(**changes)
     plan, whole = stored(tmp_path / "whole", spec)
     _, url = stored(tmp_path, spec, plan.chunk_shape)
@@ -283,6 +284,8 @@ def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeyp
 def paused(tmp_path, small_spec, monkeypatch) -> tuple[SweepSpec, Plan, str]:
     """A sweep computed one by one whose first chunk has paused after some of its lines, in another."""
     monkeypatch.setattr(tasks, "FIRST_STEPS", 100)
+    monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    monkeypatch.setattr(tasks, "KEPT_BYTES", 2**60)  # and the same pauses
     spec = small_spec(model={"kind": "soft"}, protocol=ramp("gamma", "up"), exponents=1)
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     done = 0

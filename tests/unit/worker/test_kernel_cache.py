@@ -1,0 +1,135 @@
+"""The folder of compiled kernels: whose it is, and what identifies it."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from paths import ROOT
+
+from worker import kernel_cache
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A cache that this user's processes have made, and one of its kernels."""
+    folder = kernel_cache._made(tmp_path / "deep" / "cache")
+    (folder / "run").write_bytes(b"code")
+    return tmp_path / "deep" / "cache"
+
+
+def refusal(root: Path) -> str:
+    with pytest.raises(
+        kernel_cache.CacheRefused, match="so others could run code here; remove it"
+    ) as refused:
+        kernel_cache._made(root)
+    return str(refused.value)
+
+
+def test_a_cache_is_made_for_this_user_alone(tmp_path):
+    umask = os.umask(0)
+    try:
+        folder = kernel_cache._made(tmp_path / "deep" / "cache")
+    finally:
+        os.umask(umask)
+    for each in (folder, folder.parent, folder.parents[1]):
+        assert each.stat().st_mode & 0o777 == 0o700
+
+
+def test_every_process_of_the_same_sources_has_the_same_folder(root):
+    assert kernel_cache._made(root) == kernel_cache._made(root)
+
+
+def test_a_copy_of_the_sources_has_the_same_digest_and_a_change_another(tmp_path, monkeypatch):
+    before = kernel_cache._digest()
+    shutil.copytree(ROOT / "kernel", tmp_path / "kernel")
+    monkeypatch.setattr(kernel_cache, "find_spec", lambda name: kernel_cache_spec(tmp_path / "kernel"))
+    assert kernel_cache._digest() == before
+    with (tmp_path / "kernel" / "numerics" / "quartic.py").open("a") as source:
+        source.write("# another digit\n")
+    assert kernel_cache._digest() != before
+
+
+def kernel_cache_spec(folder: Path):
+    from importlib.machinery import ModuleSpec
+
+    spec = ModuleSpec("kernel", None, is_package=True)
+    spec.submodule_search_locations = [str(folder)]
+    return spec
+
+
+@pytest.mark.parametrize(
+    ("variables", "expected"),
+    [
+        ({"NUMBA_CACHE_DIR": "/somewhere"}, Path("/somewhere")),
+        ({"XDG_CACHE_HOME": "/cache"}, Path("/cache/bouncing-spring")),
+        ({"HOME": "/home/ana"}, Path("/home/ana/.cache/bouncing-spring")),
+    ],
+)
+def test_the_root_comes_from_the_environment(variables, expected, monkeypatch):
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert kernel_cache.default_root() == expected
+
+
+def test_where_no_cache_can_be_kept_there_is_one_for_the_process(tmp_path, monkeypatch):
+    file = tmp_path / "no folder"
+    file.write_text("")
+    monkeypatch.setattr(kernel_cache.tempfile, "tempdir", str(tmp_path))
+    folder = kernel_cache._made(file)
+    assert folder.is_dir()
+    assert folder.parents[1] == tmp_path
+
+
+@pytest.mark.parametrize("inner", ["", "*", "*/run"])
+def test_a_cache_that_others_can_write_to_is_refused(root, inner):
+    for each in (root, *root.rglob("*")):
+        each.chmod(0o755)
+    kernel_cache._made(root)
+    [opened] = root.glob(inner) if inner else [root]
+    opened.chmod(0o775)
+    assert f"{opened} can be written by other users (mode 0775)" in refusal(root)
+
+
+def test_behind_a_closed_folder_permissions_do_not_matter(root):
+    for each in root.rglob("*"):
+        each.chmod(0o777)
+    kernel_cache._made(root)
+
+
+def test_a_cache_in_a_folder_where_others_could_replace_it_is_refused(root):
+    above = root.parent
+    above.chmod(0o777)
+    try:
+        assert f"{above} can be written by every user" in refusal(root)
+        above.chmod(0o1777)
+        kernel_cache._made(root)
+    finally:
+        above.chmod(0o700)
+
+
+def test_a_link_in_a_cache_is_refused(root, tmp_path):
+    (root / "digest").symlink_to(tmp_path)
+    assert f"{root / 'digest'} is a link" in refusal(root)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
+@pytest.mark.parametrize("inner", ["", "*/run"])
+def test_a_cache_of_another_user_is_refused(root, inner):
+    [given] = root.glob(inner) if inner else [root]
+    os.chown(given, 65534, 65534)
+    assert f"{given} belongs to another user" in refusal(root)
+
+
+def test_caches_of_other_sources_are_removed_after_two_weeks(root):
+    long_ago = time.time() - 15 * 24 * 3600
+    for name in ("old", "recent"):
+        (root / name).mkdir(mode=0o700)
+        (root / name / "used").touch()
+    os.utime(root / "old" / "used", (long_ago, long_ago))
+    (root / "somebody's").mkdir(mode=0o700)
+    kept = kernel_cache._made(root)
+    assert sorted(path.name for path in root.iterdir()) == sorted([kept.name, "recent", "somebody's"])
