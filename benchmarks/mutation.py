@@ -515,9 +515,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200, help="changes to try")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="folder that keeps what is measured, and the results")
-    parser.add_argument(
-        "--tests", nargs="*", help="test files; by default those of service and worker"
-    )
+    parser.add_argument("--tests", nargs="*", help="test files; by default those of service and worker")
     parser.add_argument("--only", default="", help="change files whose path begins so")
     parser.add_argument("--seconds", type=float, default=1200.0, help="for one test file to be measured")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin nothing after so long")
