@@ -1,4 +1,4 @@
-"""The documents: what they print can be typed in as it stands, and what they list is what the code has."""
+"""The documents: what they list is what the code has, and what they name is there."""
 
 import inspect
 import json
@@ -56,9 +56,6 @@ def table(document: str, heading: str, nth: int = 0) -> list[list[str]]:
 def code(cell: str) -> list[str]:
     """The words in a cell that are set as code."""
     return re.findall(r"`([^`]+)`", cell)
-
-
-# The documents run.
 
 
 def test_blocks_are_left_out_for_a_known_reason_only():

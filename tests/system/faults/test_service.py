@@ -110,6 +110,7 @@ def calm(lives: Lives) -> dict[str, bytes]:
     return lives.files()
 
 
+@pytest.mark.essential
 @pytest.mark.parametrize("times", [1, 3])
 @pytest.mark.parametrize("step", STEPS)
 def test_killed_at_a_step_nothing_is_lost_and_little_is_computed_again(
@@ -199,7 +200,6 @@ def serving(folder: Path, *, ignoring_sigint: bool = False) -> Iterator[Serving]
         assert left == [], "processes outlived the service"
 
 
-@pytest.mark.essential
 def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
     """kill -9 with chunks at its workers; SIGTERM with a request that never ends; SIGINT, ignored at first.
 

@@ -4,9 +4,12 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
-import paths
+import pytest
+from kernel_runs import Model, run
+from paths import ROOT, SUPPORT
 
 INTERPRETED = """
 import json
@@ -25,7 +28,7 @@ def test_interpreted_kernels_say_the_same():
     for disabled in ("0", "1"):
         environment = os.environ | {
             "NUMBA_DISABLE_JIT": disabled,
-            "PYTHONPATH": os.pathsep.join(map(str, (paths.SUPPORT, paths.ROOT))),
+            "PYTHONPATH": os.pathsep.join(map(str, (SUPPORT, ROOT))),
         }
         done = subprocess.run(
             [sys.executable, "-c", INTERPRETED], env=environment, capture_output=True, text=True, check=True,
@@ -34,3 +37,37 @@ def test_interpreted_kernels_say_the_same():
     for compiled, interpreted in zip(*printed, strict=True):
         for one, other in zip(compiled, interpreted, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+MODELS = [
+    pytest.param(Model.RIGID, {}, id="rigid"),
+    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, e = 0.5"),
+    pytest.param(Model.SOFT, {"restitution": 0.05}, id="adhesive"),
+    pytest.param(Model.SOFT, {"restitution": 0.3, "adhesive": False}, id="nonadhesive"),
+]
+
+
+def numbers() -> np.ndarray:
+    """A small line of every model, from rest and as a ramp."""
+    rows = []
+    for model, contact in (case.values for case in MODELS):
+        for carry in (False, True):
+            line = run([2.5, 2.6], 0.7, 0.05, model, settle=1, observe=2, keep=4, carry=carry, **contact)
+            rows.append(np.nan_to_num([*line.flight_time.ravel(), *line.end_state.ravel()]))
+    return np.array(rows)
+
+
+def test_without_compilation_the_numbers_are_the_same():
+    """NUMBA_DISABLE_JIT=1 runs the same sources in Python, as coverage does."""
+    script = "import test_interpreted as t; print(*(x.hex() for x in t.numbers().ravel()))"
+    path = os.pathsep.join(map(str, (Path(__file__).parent, SUPPORT, ROOT)))
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    interpreted = [float.fromhex(x) for x in done.stdout.split()]
+    assert interpreted == pytest.approx(numbers().ravel(), abs=1e-12)

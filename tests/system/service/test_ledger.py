@@ -2,41 +2,27 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pytest
-from paths import SUPPORT
+from ledgers import current
+from paths import ROOT, SUPPORT
 
 from service.jobs.ledger import Ledger
-from service.jobs.model import JobRecord
-
-
-@pytest.fixture
-def ledger(tmp_path: Path) -> Iterator[Ledger]:
-    with Ledger(tmp_path / "ledger.sqlite") as ledger:
-        yield ledger
-
-
-def current(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
-    job = ledger.find(job_id)
-    assert job is not None
-    return job
 
 
 def test_what_a_transaction_returned_survives_a_kill(tmp_path: Path):
     """A process that marks chunks one by one and prints each is killed in the middle."""
     program = (
         "import sys; from pathlib import Path; sys.path[:0] = sys.argv[2:]\n"
-        "from service.jobs.ledger import Ledger; from test_ledger import accept, reports\n"
+        "from service.jobs.ledger import Ledger; from ledgers import accept, reports\n"
         "ledger = Ledger(Path(sys.argv[1])); job = accept(ledger, chunks=100000)\n"
         "for chunk in range(100000):\n"
         "    with ledger.writing() as writing: writing.mark_done(job, reports(chunk))\n"
         "    print(chunk, flush=True)\n"
     )
     path = tmp_path / "ledger.sqlite"
-    command = [sys.executable, "-c", program, str(path), str(Path(__file__).parent), str(SUPPORT)]
+    command = [sys.executable, "-c", program, str(path), str(SUPPORT), str(ROOT)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         printed = [int(process.stdout.readline()) for _ in range(50)]

@@ -549,6 +549,3 @@ def test_a_traceback_goes_to_the_log_and_not_to_the_caller(
     assert "ZeroDivisionError" in line["traceback"]
     assert line["id"] == answer.headers["X-Request-Id"]
     assert line["id"] in answer.json()["detail"]
-
-
-# TLS to the scheduler

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ledgers import accept, current, new_job, reports
 
 from kernel.params import KERNEL_VERSION
 from service.errors import DataFolderBusy, IllegalTransition, LedgerUnavailable, LedgerUnusable
@@ -18,7 +19,7 @@ from service.jobs import ledger as ledgers
 from service.jobs.ledger import RESERVE, Ledger
 from service.jobs.ledger_files import OpenFiles, as_found, aside, copies_of, lock_of, shm_of, size_of, wal_of
 from service.jobs.migrations import MIGRATIONS
-from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState, NewJob
+from service.jobs.model import UNFINISHED, Failure, JobRecord, JobState
 from service.jobs.transactions import VERIFIED_PAGE, DeletionStep, StoredChunk
 from worker.tasks import ChunkReport
 
@@ -27,26 +28,6 @@ from worker.tasks import ChunkReport
 def ledger(tmp_path: Path) -> Iterator[Ledger]:
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         yield ledger
-
-
-def new_job(job_id: str = "a" * 32, chunks: int = 4) -> NewJob:
-    return NewJob(job_id, "a name", '{"gamma": 1.0}', "1", (1, 2, 3), chunks, 10 * chunks)
-
-
-def accept(ledger: Ledger, job_id: str = "a" * 32, chunks: int = 4) -> JobRecord:
-    with ledger.writing() as writing:
-        writing.insert(new_job(job_id, chunks), now=100.0)
-    return current(ledger, job_id)
-
-
-def current(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
-    job = ledger.find(job_id)
-    assert job is not None
-    return job
-
-
-def reports(*chunks: int) -> list[ChunkReport]:
-    return [ChunkReport(chunk, 10, 0.5, 0.4, f"sum {chunk}", (0, 10, 0, 0, 0, 0)) for chunk in chunks]
 
 
 def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:

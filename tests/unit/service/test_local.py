@@ -289,7 +289,7 @@ def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tm
         np.testing.assert_array_equal(dataset.attractor, local.run(basins, progress=False).attractor)
 
 
-# Interrupted
+# Cancelled
 
 
 def test_a_run_whose_progress_cannot_be_shown_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
