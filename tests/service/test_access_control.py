@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from distributed import LocalCluster, Security
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
-from scripted import Held, sweep, wait_for
+from scripted import DEADLINE, Held, sweep, wait_for
 
 from service.api.app import create_app
 from service.api.middleware.access_log import AccessLog
@@ -572,4 +572,4 @@ def test_tls_to_the_scheduler(tmp_path: Path):
         assert cluster.scheduler_address.startswith("tls://")
         settings = embedded.settings(**given, **{name: tmp_path / name for name in files})
         with embedded.running(settings) as address, Client(address) as client:
-            assert client.submit(SWEEP).wait(progress=False, timeout=60).state == "done"
+            assert client.submit(SWEEP).wait(progress=False, timeout=DEADLINE).state == "done"
