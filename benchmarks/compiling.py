@@ -1,59 +1,123 @@
-"""How long a process takes to have every kernel compiled: with a fresh cache, and with a warm one.
+"""What compiling costs: commands with an empty cache, against another checkout's, in turn.
 
-    python -m benchmarks.compiling [--repeat 3] [--fresh 1]
+    python -m benchmarks.compiling [--repeat 3] [--against FOLDER] [commands]
 
-Each start is a process of its own with `worker.kernel_cache.warm`, as in a worker: wall and processor time
-from its first instruction, imports included, until every contact model's kernels are ready.
+Runs `bounce figure 2`, `bounce run` of one `rigid` and of one `soft` sweep, and a process that compiles every
+kernel, each with a cache of its own. Prints the medians of the processor time of all processes that a
+command starts, and of the wall time, and each as a share of `bounce figure 2` of the other checkout (of this
+one without `--against`). FOLDER is a checkout with an environment of its own in `.venv`.
 """
 
 import argparse
 import json
 import os
+import resource
 import statistics
 import subprocess
-import sys
 import tempfile
+import time
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from benchmarks.machine import describe
 from benchmarks.tables import short, table
 
-_START = """
-import json, resource, sys, time
-began = time.perf_counter()
-from worker.kernel_cache import use_cache
-use_cache(sys.argv[1])
-used = resource.getrusage(resource.RUSAGE_SELF)
-print(json.dumps([time.perf_counter() - began, used.ru_utime + used.ru_stime]))
+HERE: Final = Path(__file__).parents[1]
+_GRID: Final[dict[str, Any]] = {"gamma": {"start": 0.5, "stop": 6.0, "num": 111}, "omega": 0.5, "xi": 0.26}
+_MODELS: Final[dict[str, Any]] = {
+    "rigid": {"kind": "rigid"},
+    "soft": {"kind": "soft", "restitution": 0.01, "penetration": 1e-3},
+}
+#: Compiles every contact model, its exponents and its trajectories.
+_ALL: Final = """
+try:
+    from worker.kernel_cache import use_cache as claim
+except ImportError:
+    from worker.kernel_cache import claim_cache as claim
+claim()
+import numpy as np
+from kernel.interface import dimension
+from kernel.line import LineRun
+from kernel.params import Cell
+from kernel.trajectory import sample
+from worker.spec.contact_models import CONTACT_MODELS
+from worker.tasks import plate_of
+axis = np.ones(1)
+for kind, model in CONTACT_MODELS.items():
+    plate = plate_of(model.fields(kind=kind), axis, axis, axis)
+    for exponents in {0, dimension(plate)}:
+        LineRun(axis, axis, axis, plate=plate, carry=False, settle=0, observe=1, keep=1,
+                exponents=exponents).advance()
+    sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
 """
+COMMANDS: Final = ("figure 2", "rigid", "soft", "all models")
 
 
-def start(root: str) -> tuple[float, float]:
-    """Wall and processor seconds of a process that starts with the caches in `root`."""
-    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    done = subprocess.run(
-        [sys.executable, "-c", _START, root], env=environment, capture_output=True, text=True, check=True
-    )
-    wall, processor = json.loads(done.stdout)
-    return wall, processor
+class Cost(NamedTuple):
+    """Seconds."""
+
+    processor: float
+    wall: float
+
+
+def words(checkout: Path, command: str, folder: Path) -> list[str]:
+    """The command line, which writes into `folder` only."""
+    programs = checkout / ".venv" / "bin"
+    if command == "figure 2":
+        return [str(programs / "bounce"), "figure", "2", "-o", str(folder / "figure.png")]
+    if command in _MODELS:
+        (folder / "sweep.json").write_text(json.dumps({**_GRID, "model": _MODELS[command]}))
+        return [
+            str(programs / "bounce"),
+            "run",
+            str(folder / "sweep.json"),
+            "-o",
+            str(folder / "diagram.png"),
+        ]
+    return [str(programs / "python"), "-c", _ALL]
+
+
+def cost(checkout: Path, command: str) -> Cost:
+    """What a command costs with an empty cache."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(checkout)}
+        before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        line = words(checkout, command, folder)
+        subprocess.run(line, env=environment, cwd=folder, capture_output=True, check=True)
+        wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return Cost(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall)
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeat", type=int, default=3, help="starts with a warm cache")
-    parser.add_argument("--fresh", type=int, default=1, help="starts with a fresh cache")
+    parser.add_argument("commands", nargs="*", help=f"of: {', '.join(COMMANDS)}")
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--against", type=Path, help="another checkout")
     arguments = parser.parse_args()
+    checkouts = {"this checkout": HERE}
+    if arguments.against:
+        checkouts["the other"] = arguments.against.resolve()
+    commands = [command for command in COMMANDS if command in (arguments.commands or COMMANDS)]
     print(describe(), flush=True)
-    times: dict[str, list[tuple[float, float]]] = {"fresh cache": [], "warm cache": []}
-    for _ in range(arguments.fresh):
-        with tempfile.TemporaryDirectory() as root:
-            times["fresh cache"].append(start(root))
-            times["warm cache"] += [start(root) for _ in range(arguments.repeat)]
+    medians = {}
+    for command in commands:
+        costs: dict[str, list[Cost]] = {name: [] for name in checkouts}
+        for _ in range(arguments.repeat):
+            for name, checkout in checkouts.items():
+                costs[name].append(cost(checkout, command))
+        for name, each in costs.items():
+            medians[command, name] = Cost(*map(statistics.median, zip(*each, strict=True)))
+        print(command, costs, flush=True)
+    whole = medians.get(("figure 2", list(checkouts)[-1]))
     rows = [
-        (name, *(short(statistics.median(each)) for each in zip(*starts, strict=True)))
-        for name, starts in times.items()
+        (command, name, short(spent.processor), short(spent.wall))
+        + ((short(spent.processor / whole.processor), short(spent.wall / whole.wall)) if whole else ("", ""))
+        for (command, name), spent in medians.items()
     ]
-    print("\n" + table(["", "wall time, s", "processor time, s"], rows))
+    heads = ["", "checkout", "processor, s", "wall, s", "share of processor", "share of wall"]
+    print("\n" + table(heads, rows))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Fixtures and settings of all tests: one kernel cache, one cluster of two worker processes, small sweeps.
 
-The cache is kept between runs in `.numba-cache`, so that only the first run compiles. Tests depend neither on the program's environment variables, nor on proxies, nor on
-signals that the calling shell ignores.
+The cache is kept between runs in `.numba-cache`, so that only the first run compiles. Tests
+depend neither on the program's environment variables, nor on proxies, nor on signals that the calling shell
+ignores.
 """
 
 import os

@@ -25,11 +25,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple
 
-import llvmlite.binding as llvm
 from numba import types
 from numba.core import typed_passes as typed
 from numba.core import untyped_passes as untyped
 from numba.core.codegen import CodeLibrary, JITCodeLibrary
+from numba.core.codegen import ll as llvm
 from numba.core.compiler import CompilerBase, CompileResult, Flags
 from numba.core.compiler_machinery import PassManager
 from numba.core.environment import lookup_environment

@@ -56,7 +56,7 @@ def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterat
                 now = text() if callable(text) else text
                 seconds = time.monotonic() - began
                 if _is_terminal(out):
-                    print(f"\r{now} ({duration(seconds)})\033[K", end="", file=out, flush=True)
+                    print(f"\r{now} ({duration(seconds)})", end="", file=out, flush=True)
                     pause = 1.0
                 else:
                     print(f"{now} ({duration(seconds)})" if shown else now, file=out, flush=True)

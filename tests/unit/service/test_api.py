@@ -47,7 +47,7 @@ def test_a_submission_is_accepted_and_returns_the_jobs_location(tmp_path: Path):
         assert answer.headers["Retry-After"] == "0"
         assert set(view) == {
             *("id", "name", "state", "progress", "error", "failures"),
-            *("created", "started", "finished", "spec", "choice", "links"),
+            *("created", "started", "finished", "spec", "choice", "links", "compiling"),
             *("kernel_version", "notice", "replaced_by", "owner", "repairing", "pinned", "core_seconds"),
         }
         assert (view["name"], view["state"], view["error"]) == ("figure 2, coarse", "queued", None)

@@ -263,7 +263,8 @@ def test_a_listener_asks_again_after_a_while(tmp_path: Path, monkeypatch: pytest
     asked: list[str] = []
 
     async def listen(changes: AsyncIterator[Any]) -> None:
-        assert (await anext(changes)).state == "queued"
+        job, compiling = await anext(changes)
+        assert (job.state, compiling) == ("queued", None)
         waiting = asyncio.ensure_future(anext(changes))
         for _ in range(20):
             await asyncio.to_thread(lambda: None)
