@@ -469,7 +469,7 @@ def test_a_slow_trajectory_is_waited_for(browser: Any, address: str, loop: str):
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.keyboard.press("Enter")
-        page.locator(".trajectory .computing", has_text="compiled").wait_for()
+        page.locator(".trajectory .computing", has_text="compiles").wait_for()
         screenshot(page, "computing")
         held[0].continue_()
         page.locator(".trajectory .player[data-phase]").wait_for()

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -270,8 +271,11 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
 
     def running() -> set[object]:
         """Worker processes, and threads that keep a connection."""
-        children = psutil.Process().children(recursive=True)
-        workers = {process.pid for process in children if "spawn_main" in " ".join(process.cmdline())}
+        workers = set()
+        for process in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):  # it has ended
+                if "spawn_main" in " ".join(process.cmdline()):
+                    workers.add(process.pid)
         return workers | {thread for thread in threading.enumerate() if thread.name == "scheduler"}
 
     before = running()

@@ -64,7 +64,7 @@ def kernel_cache_spec(folder: Path):
     [
         ({"NUMBA_CACHE_DIR": "/somewhere"}, Path("/somewhere")),
         ({"XDG_CACHE_HOME": "/cache"}, Path("/cache/bouncing-spring")),
-        ({"HOME": "/home/ana"}, Path("/home/ana/.cache/bouncing-spring")),
+        ({"HOME": "/ana"}, Path("/ana/.cache/bouncing-spring")),
     ],
 )
 def test_the_root_comes_from_the_environment(variables, expected, monkeypatch):
