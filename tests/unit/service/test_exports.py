@@ -191,6 +191,7 @@ def test_a_job_not_begun_exports_as_missing_cells(tmp_path: Path, format: str):
 
 
 def test_nothing_is_left_of_a_file_that_was_sent(done: Done, tmp_path: Path):
+    done.client.get(f"{done.here}/export?format=nc").raise_for_status()
     (exports,) = Path(str(done.client.app.state.service.settings.data)).glob("exports")  # type: ignore[attr-defined]
     assert list(exports.iterdir()) == []
 
