@@ -59,7 +59,7 @@ def _compile() -> None:
 
 
 def _end_with_parent() -> None:
-    sys.stdin.buffer.read()  # until the pipe is closed
+    os.read(0, 1)  # returns when the pipe is closed; sys.stdin would abort the exit
     os._exit(0)
 
 
