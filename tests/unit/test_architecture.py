@@ -13,6 +13,7 @@ from extras import LINT
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
+from tables import for_each
 
 if TYPE_CHECKING:
     import grimp
@@ -100,7 +101,7 @@ def is_ours(module: str) -> bool:
     return module.split(".", maxsplit=1)[0] in TOP_LEVEL
 
 
-@pytest.mark.parametrize("package", ALLOWED)
+@for_each("package", ALLOWED)
 def test_package_uses_only_its_libraries(imports: "grimp.ImportGraph", package: str):
     libraries = {module for module in reached(imports, package) if not is_ours(module)}
     assert libraries - sys.stdlib_module_names <= ALLOWED[package]
@@ -159,7 +160,7 @@ def test_only_faces_have_code_in_their_init():
     assert {str(path.parent.relative_to(ROOT)) for path in with_code} == FACES
 
 
-@pytest.mark.parametrize("path", [pytest.param(path, id=str(path.relative_to(ROOT))) for path in SOURCES])
+@for_each("path", [pytest.param(path, id=str(path.relative_to(ROOT))) for path in SOURCES])
 def test_module_says_what_it_is(path: Path):
     text = path.read_text()
     assert not text.strip() or ast.get_docstring(ast.parse(text))

@@ -12,6 +12,7 @@ from urllib.parse import unquote
 import pytest
 from documents import DOCUMENTS, blocks, text
 from paths import GOLDEN, ROOT
+from tables import for_each
 
 SET_UP = """\
 python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/bounce figure 2 -o figure-2.png
@@ -93,7 +94,7 @@ def anchors(page: str) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES)
+@for_each("page", PAGES)
 def test_links_lead_somewhere(page: str):
     for link in re.findall(r"\]\(([^)\s]+)\)", text(page)):
         if "://" in link:
@@ -105,7 +106,7 @@ def test_links_lead_somewhere(page: str):
             assert anchor in anchors(str(target.resolve().relative_to(ROOT))), link
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page != "CHANGELOG.md"])
+@for_each("page", [page for page in PAGES if page != "CHANGELOG.md"])
 def test_named_modules_and_tests_exist(page: str):
     content = text(page)
     for name in re.findall(r"-m benchmarks\.(\w+)", content):

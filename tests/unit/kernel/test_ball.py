@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from kernel_runs import Model, run_line
 from scipy.optimize import brentq
+from tables import for_each
 
 from kernel import interface, restitution
 from kernel.cell import CACHE_SIZE
@@ -114,8 +115,8 @@ def test_period_doubling(epsilon: float, n: int):
     assert bisect(dies_out, flip - 0.01, flip + 0.01) == pytest.approx(flip, abs=1e-6)
 
 
-@pytest.mark.parametrize("n", [1, 2])
-@pytest.mark.parametrize("epsilon", [0.15, 0.5, 0.8])
+@for_each("n", [1, 2])
+@for_each("epsilon", [0.15, 0.5, 0.8])
 def test_saddle_node(epsilon: float, n: int):
     """The (1, n) orbit of a partially elastic ball appears at n pi (1 - e)/(1 + e)."""
 
@@ -177,7 +178,7 @@ def test_landings_take_few_evaluations():
         assert abs(gap_after(gamma, phi, gap, gap1, end.tau)) < 1e-13 * scale
 
 
-@pytest.mark.parametrize("epsilon", [0.0, 0.15, 0.25, 0.5, 0.9, 0.99])
+@for_each("epsilon", [0.0, 0.15, 0.25, 0.5, 0.9, 0.99])
 def test_every_cell_is_resolved(epsilon: float):
     gammas = np.concatenate([np.linspace(0.5, 8.0, 700), np.logspace(1, 2, 100)])
     line = run(gammas, epsilon, settle=60, observe=40)
@@ -240,8 +241,8 @@ def hops_one_by_one(gamma: float, phi: float, hop: float, epsilon: float) -> flo
     return phases[-1] - phi
 
 
-@pytest.mark.parametrize("epsilon", [0.05, 0.3, 0.7, 0.95])
-@pytest.mark.parametrize("phi", [1.2, 2.0, math.pi, 5.0])
+@for_each("epsilon", [0.05, 0.3, 0.7, 0.95])
+@for_each("phi", [1.2, 2.0, math.pi, 5.0])
 def test_chatter_ends_when_its_hops_do(epsilon: float, phi: float):
     gamma = 2.0
     press, press1 = 1.0 / gamma - math.cos(phi), math.sin(phi)

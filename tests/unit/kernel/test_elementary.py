@@ -8,6 +8,7 @@ from pathlib import Path
 import mpmath
 import numpy as np
 import pytest
+from tables import for_each
 
 import kernel
 from kernel import portable_math
@@ -83,7 +84,7 @@ def arguments_of(name, rng):
             return any_doubles(rng)
 
 
-@pytest.mark.parametrize("name", ["log", "log1p", "exp", "asinh", "atanh"])
+@for_each("name", ["log", "log1p", "exp", "asinh", "atanh"])
 def test_one_argument_to_two_units_in_the_last_place(name):
     function, exact = getattr(portable_math, name), getattr(mpmath, name)
     with mpmath.workdps(360):  # 1 + 1e-300 needs so many
@@ -136,7 +137,7 @@ def test_sincos_of_any_argument_to_two_units_in_the_last_place():
 SPECIAL = (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, -5e-324, 1.0, -1.0, 1.7e308, -1.7e308, 0.5, 2.0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("name", "numpys"),
     [("log", "log"), ("log1p", "log1p"), ("exp", "exp"), ("asinh", "arcsinh"), ("atanh", "arctanh")],
 )
@@ -158,7 +159,7 @@ def test_special_values_of_two_arguments(name, numpys):
             assert math.isnan(value) or math.copysign(1.0, value) == math.copysign(1.0, expected), (x, y)
 
 
-@pytest.mark.parametrize("name", COMPILED)
+@for_each("name", COMPILED)
 def test_compiled_code_gives_the_same_bytes_as_python(name):
     rng = np.random.default_rng(4)
     numbers = [*SPECIAL, *any_doubles(rng, 100), *rng.normal(size=100)]
@@ -193,13 +194,13 @@ def violations(tree):
 MODULES = sorted(path for path in Path(kernel.__path__[0]).rglob("*.py") if path.parent.name != "branches")
 
 
-@pytest.mark.parametrize("module", [str(m.relative_to(kernel.__path__[0])) for m in MODULES])
+@for_each("module", [str(m.relative_to(kernel.__path__[0])) for m in MODULES])
 def test_no_module_calls_functions_whose_last_digit_depends_on_the_machine(module):
     source = (Path(kernel.__path__[0]) / module).read_text()
     assert list(violations(ast.parse(source))) == []
 
 
-@pytest.mark.parametrize(
+@for_each(
     "line",
     [
         "math.hypot(x, y)",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
 from paths import GOLDEN
+from tables import for_each
 
 from kernel import interface
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes, labels
@@ -31,7 +32,7 @@ def exponents_of(line: Line) -> np.ndarray:
 # --- periodic cells -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("orbit", [o for o in ORBITS if o["stable"]], ids=name_of)
+@for_each("orbit", [o for o in ORBITS if o["stable"]])
 def test_in_a_cycle_they_are_the_logarithms_of_its_multipliers(orbit):
     """On the closed-form orbit over 3,000 periods. Those of a complex pair differ by 1e-3 within a cycle."""
     cell = Cell(orbit["gamma"], orbit["omega"], orbit["xi"])
@@ -45,7 +46,7 @@ def test_in_a_cycle_they_are_the_logarithms_of_its_multipliers(orbit):
     assert exponents_of(line) == pytest.approx(orbit["lyapunov"], abs=1e-6)
 
 
-@pytest.mark.parametrize("orbit", ORBITS, ids=name_of)
+@for_each("orbit", ORBITS)
 def test_the_map_over_a_cycle_is_that_of_the_closed_form(orbit):
     """M_stuck(2 pi k - T) B(T) of docs/model.md, section 7: stable orbits and the unstable one."""
     cell = interface.prepare(
@@ -201,7 +202,7 @@ def test_failed_cells_have_none():
     assert np.all(np.isnan(line.lyapunov))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("model", "restitution", "most"),
     [
         (Model.RIGID, 0.0, 3),

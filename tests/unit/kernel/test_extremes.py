@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from kernel_runs import TWO_PI, Model, compile_models, examples, phases, recorded, run, run_setting
 from naive import Setting
 from plates import HARD_CONTACTS
+from tables import for_each
 
 from kernel.numerics.first_root import HORIZON
 from kernel.params import Line, Outcome
@@ -43,8 +44,8 @@ def check_line(line: Line, periods: int) -> None:
         assert line.flights[0] == 0
 
 
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("contact", CONTACTS)
+@for_each("cell", CELLS)
+@for_each("contact", CONTACTS)
 def test_extreme_cells_end_with_an_outcome_in_time(cell, contact):
     s = settings_of(cell, contact)
     began = time.process_time()
@@ -84,7 +85,7 @@ def test_any_cell_ends_with_an_outcome_in_time(s):
     assert line.outcome[0] != Outcome.UNRESOLVED or s.restitution > 0.99 or resonant(s)
 
 
-@pytest.mark.parametrize(("e", "d", "omega", "xi"), HARD_CONTACTS)
+@for_each(("e", "d", "omega", "xi"), HARD_CONTACTS)
 def test_every_cell_of_a_hard_contact_ends(e, d, omega, xi):
     gamma = np.append(np.linspace(1.0, 6.0, 101), [2.81, 4.21])
     line = run(gamma, omega, xi, Model.SOFT, restitution=e, penetration=d, adhesive=False, settle=60)

@@ -11,6 +11,7 @@ from kernel_runs import Step, examples, one_phase
 from mpmath import mp, mpf
 from naive import Setting, State
 from naive_exact import Exact, exact, instants, lowest, response
+from tables import for_each
 
 from kernel.numerics import oscillator
 from kernel.numerics.first_root import (
@@ -217,8 +218,8 @@ def test_the_end_of_a_hop_keeps_its_digits(gamma, omega, xi, phi, gap1, q, q1, b
 # --- close calls ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("above", [1e-3, 1e-6, 1e-9, 1e-12])
-@pytest.mark.parametrize(("omega", "xi"), [(0.4, 0.3), (1.0, 0.05), (3.0, 0.0), (30.0, 1.0)])
+@for_each("above", [1e-3, 1e-6, 1e-9, 1e-12])
+@for_each(("omega", "xi"), [(0.4, 0.3), (1.0, 0.05), (3.0, 0.0), (30.0, 1.0)])
 def test_a_graze_of_the_normal_force(omega, xi, above):
     """Driven steadily, n = 2/Gamma - |N| cos(.): how near it comes to zero is ours to set."""
     w, b = 1.0 / omega**2, 2.0 * xi / omega
@@ -259,8 +260,8 @@ def test_a_graze_of_the_plate(above):
             assert step.tau < float(dip) <= step.tau + 3.0 * math.sqrt(above)
 
 
-@pytest.mark.parametrize("omega", [1e-3, 0.5, 30.0])
-@pytest.mark.parametrize("speed", [1e-9, 1e-7, 1e-5, 1e-3])
+@for_each("omega", [1e-3, 0.5, 30.0])
+@for_each("speed", [1e-9, 1e-7, 1e-5, 1e-3])
 def test_a_hop_of_any_size_keeps_its_digits(speed, omega):
     """It lasts about twice its speed over n, in a hundred-millionth of a turn."""
     s = Setting(1.5, omega, 0.26, restitution=1.0)
@@ -325,8 +326,8 @@ def _rough_terms(p: Rough, tau: float) -> Terms:
     return Terms(value, -1.0, 0.0, 0.0, 1e15, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0)
 
 
-@pytest.mark.parametrize("error", [0.0, 1e-12, 1e-5, 1e-2])
-@pytest.mark.parametrize("guess", [0.0, 0.3, 1.0, 1.9999, 2.0])
+@for_each("error", [0.0, 1e-12, 1e-5, 1e-2])
+@for_each("guess", [0.0, 0.3, 1.0, 1.9999, 2.0])
 def test_polishing_ends_however_rough_the_function(error, guess):
     tau, ending, used = polish(Rough(error), 0.0, 2.0, guess, 1000)
     assert ending == ROOT
@@ -347,7 +348,7 @@ def _wave_terms(p: Wave, tau: float) -> Terms:
     return Terms(sin, cos, -sin, -cos, p.bound, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 1e-16)
 
 
-@pytest.mark.parametrize("guess", [1e-3, 0.5, 0.5 * math.pi, 1.6, 3.0, 4.7])
+@for_each("guess", [1e-3, 0.5, 0.5 * math.pi, 1.6, 3.0, 4.7])
 def test_polishing_halves_where_a_step_leaves_the_bracket(guess):
     tau, ending, used = polish(Wave(1.0), 0.0, 4.71, guess, 100)
     assert (tau, ending) == (pytest.approx(math.pi, abs=1e-15), ROOT)
@@ -365,8 +366,8 @@ NEAR = [0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3]
 RATIOS = [0.0, 1e-9, 0.1, 0.9, *(1.0 - x for x in NEAR), *(1.0 + x for x in NEAR), 1.1, 10.0, 1e3, 1e6]
 
 
-@pytest.mark.parametrize("ratio", RATIOS)
-@pytest.mark.parametrize("rate", [1e-3, 1.0, 1e3])
+@for_each("ratio", RATIOS)
+@for_each("rate", [1e-3, 1.0, 1e3])
 def test_the_oscillator_at_every_damping(ratio, rate):
     """Within a few digits' rounding of what it is made of, however near critical."""
     osc = oscillator.oscillator(ratio * rate, rate * rate)
@@ -430,7 +431,7 @@ def test_a_motion_in_coordinates_is_the_same_motion(ratio, rate, x, v, tau):
         assert abs(after) <= 0.1 * now.size * (1.0 + 1e-12)
 
 
-@pytest.mark.parametrize("ratio", [1.01, 2.0, 1e2, 1e4, 1e6])
+@for_each("ratio", [1.01, 2.0, 1e2, 1e4, 1e6])
 def test_the_creep_of_an_overdamped_motion_keeps_its_digits(ratio):
     """x'' of the slow exponential, 1/(2 ratio)**4 of what it would be a difference of."""
     osc = oscillator.oscillator(ratio, 1.0)

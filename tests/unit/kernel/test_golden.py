@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from kernel_runs import Model, last_cycle, recorded, run
 from paths import GOLDEN
+from tables import for_each
 
 from kernel.params import Outcome
 
@@ -21,7 +22,7 @@ def label(cell) -> str:
 FACTS = read("facts.json")
 
 
-@pytest.mark.parametrize("cell", read("rigid.json"), ids=label)
+@for_each("cell", read("rigid.json"))
 def test_rigid_reference(cell):
     line = run(cell["gamma"], cell["omega"], cell["xi"], settle=500, observe=40)
     assert line.outcome[0] == Outcome.PERIODIC
@@ -29,7 +30,7 @@ def test_rigid_reference(cell):
     assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-9)
 
 
-@pytest.mark.parametrize("cell", read("soft.json"), ids=label)
+@for_each("cell", read("soft.json"))
 def test_soft_reference(cell):
     contact = {name: cell[name] for name in ("restitution", "penetration", "adhesive")}
     line = run(cell["gamma"], cell["omega"], cell["xi"], Model.SOFT, **contact, settle=500, observe=40)
@@ -38,7 +39,7 @@ def test_soft_reference(cell):
     assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-8)
 
 
-@pytest.mark.parametrize("cell", FACTS["cycles"], ids=label)
+@for_each("cell", FACTS["cycles"])
 def test_the_papers_cycles(cell):
     line = run(cell["gamma"], cell["omega"], cell["xi"], settle=500, observe=40)
     assert [line.bounces[0], line.periods[0]] == cell["mode"]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from tables import for_each
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
@@ -59,7 +59,7 @@ def line_of(case: str) -> Line:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("case", CASES)
+@for_each("case", CASES)
 def test_the_bytes_are_those_of_this_kernel_version(case):
     line = line_of(case)
     assert line.outcome[0] == Outcome.AT_REST

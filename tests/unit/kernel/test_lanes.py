@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 from kernel_runs import Model, run_line
+from tables import for_each
 
 import kernel.line
 from kernel.models.lockstep import FEW
@@ -25,7 +26,7 @@ def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0,
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 10.0, 1e3, 9e4])
+@for_each("scale", [1e-6, 1.0, 10.0, 1e3, 9e4])
 def test_sincos_against_50_digits(scale):
     for x in np.random.default_rng(1).uniform(-scale, scale, 400):
         sin, cos = elementary.sincos_small(float(x))
@@ -55,7 +56,7 @@ def test_exp_against_50_digits():
     assert 0.0 < elementary.exp(-1e9) < 1e-130
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("omega", "xi"),
     [
         (0.5, 0.26),
@@ -75,7 +76,7 @@ def test_exp_against_50_digits():
         (0.7, 1.003),
     ],
 )
-@pytest.mark.parametrize("restitution", [0.0, 0.4])
+@for_each("restitution", [0.0, 0.4])
 def test_short_runs_agree_to_rounding(omega, xi, restitution):
     """Four plate periods leave chaos no time: every flight agrees."""
     gamma = np.linspace(0.6, 5.9, 2 * LANES + 5)
@@ -132,8 +133,8 @@ def ramps(lines: int, length: int = 7) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )
 
 
-@pytest.mark.parametrize("lines", [1, FEW, FEW + 1, LANES // 2 + 1, 2 * LANES + 1])
-@pytest.mark.parametrize("restitution", [0.0, 0.3])
+@for_each("lines", [1, FEW, FEW + 1, LANES // 2 + 1, 2 * LANES + 1])
+@for_each("restitution", [0.0, 0.3])
 def test_a_line_does_not_depend_on_the_others(lines, restitution):
     """Same bytes however many lines of a ramp run beside it, in whatever order."""
     length = 7
@@ -232,7 +233,7 @@ def soft(gamma, omega, xi, contact, *, settle=0, observe=3, lines=0, in_lanes=Tr
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("contact", CONTACTS, ids=str)
+@for_each("contact", CONTACTS)
 def test_soft_short_runs_agree_to_rounding(contact):
     """Three plate periods leave chaos little time: nearly every flight agrees, the first ones all."""
     rng = np.random.default_rng(5)

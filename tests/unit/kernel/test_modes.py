@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kernel_runs import TWO_PI, Model, examples, run
 from naive import cycle
+from tables import for_each
 
 from kernel.cell import KEPT_FLIGHTS, Window, allocate_flights, classify, start_run
 from kernel.modes import find_cycle
@@ -31,8 +32,8 @@ def repeated(
     return flown, first + np.concatenate([[0.0], np.cumsum(spans)[:-1]])
 
 
-@pytest.mark.parametrize("times", [3, 4, 10])
-@pytest.mark.parametrize(("flights", "periods"), [
+@for_each("times", [3, 4, 10])
+@for_each(("flights", "periods"), [
     ([4.855], 1), ([3.72, 6.28], 2), ([11.2], 2), ([5.08, 1.84, 4.88], 4), ([0.1, 0.2, 0.3, 0.4, 5.0], 1),
 ])  # fmt: skip
 def test_a_cycle_seen_three_times_is_found(flights, periods, times):
@@ -110,7 +111,7 @@ def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():
     assert line.outcome[0] == Outcome.APERIODIC
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("restitution", "cell", "mode"),
     [
         (0.95, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (6, 1)),
@@ -118,7 +119,7 @@ def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():
         (0.99, (5.064393900886782, 1.462037452302902, 0.07543424170733475), (8, 1)),
     ],
 )
-@pytest.mark.parametrize("keep", [1, 8_000])
+@for_each("keep", [1, 8_000])
 def test_hops_beyond_number_do_not_hide_a_mode(restitution, cell, mode, keep):
     """140 to 730 hops in each plate period: 256 flights would hold two cycles, or less than one."""
     line = run(*cell, restitution=restitution, settle=200, observe=100, keep=keep, micro_flight=0.05)

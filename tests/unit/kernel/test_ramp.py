@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
+from tables import for_each
 
 from kernel.params import STATE_FIELDS, Cell, Line, Outcome, Start
 from kernel.threshold import threshold
@@ -50,8 +51,8 @@ def from_si(physical: np.ndarray, gamma: float, omega: float) -> np.ndarray:
     return physical / np.array([amplitude, amplitude * angular, amplitude, amplitude * angular])
 
 
-@pytest.mark.parametrize(("model", "contact"), MODELS)
-@pytest.mark.parametrize(("old", "new"), [
+@for_each(("model", "contact"), MODELS)
+@for_each(("old", "new"), [
     (Cell(2.5, 0.7, 0.05), Cell(2.4, 0.7, 0.05)),
     (Cell(2.5, 0.7, 0.05), Cell(2.5, 0.8, 0.05)),
     (Cell(2.5, 0.7, 0.05), Cell(2.5, 0.7, 0.4)),
@@ -123,8 +124,8 @@ def test_from_rest_is_a_ramp_of_one_cell():
 # --- cutting --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("model", "contact"), MODELS)
-@pytest.mark.parametrize("axis", AXES)
+@for_each(("model", "contact"), MODELS)
+@for_each("axis", AXES)
 def test_a_ramp_gives_the_same_bytes_however_it_is_cut(model, contact, axis):
     gamma, omega, xi = line_of(axis)
     window = {"settle": 5, "observe": 7, "keep": 16, "carry": True}

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from kernel_runs import TWO_PI, Model, run
+from tables import for_each
 
 from kernel import interface
 from kernel.models.ball import BallPlate
@@ -47,8 +48,8 @@ def arrivals(which: Model, omega: float, xi: float):
         yield after, end[0], tuple(end[2:] * before / after)
 
 
-@pytest.mark.parametrize(("omega", "xi"), CELLS)
-@pytest.mark.parametrize("which", KINDS)
+@for_each(("omega", "xi"), CELLS)
+@for_each("which", KINDS)
 def test_an_up_ramp_at_rest_stays_at_rest_up_to_eq_25(which, omega, xi):
     _, line = up(which, omega, xi)
     assert np.all(line.outcome == Outcome.AT_REST)
@@ -67,8 +68,8 @@ def test_at_the_threshold_to_the_last_digit_there_is_an_answer(which, carry):
             assert line.outcome[0] not in (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 
-@pytest.mark.parametrize(("omega", "xi"), RINGING)
-@pytest.mark.parametrize("which", KINDS)
+@for_each(("omega", "xi"), RINGING)
+@for_each("which", KINDS)
 def test_a_cell_that_rests_costs_one_evaluation_however_long_its_window(which, omega, xi):
     """Three plate periods or 300,000, from cell to cell of a ramp."""
     for gamma, phi, state in arrivals(which, omega, xi):
@@ -80,7 +81,7 @@ def test_a_cell_that_rests_costs_one_evaluation_however_long_its_window(which, o
             assert end.tau == TWO_PI * periods
 
 
-@pytest.mark.parametrize(("omega", "xi"), CELLS)
+@for_each(("omega", "xi"), CELLS)
 def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, xi):
     for gamma, phi, (_, _, q, q1) in list(arrivals(Model.RIGID, omega, xi))[::6]:
         s = cell(Model.RIGID, gamma, omega, xi)
@@ -99,8 +100,8 @@ def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, 
         assert used > 30
 
 
-@pytest.mark.parametrize(("omega", "xi"), RINGING)
-@pytest.mark.parametrize("which", KINDS)
+@for_each(("omega", "xi"), RINGING)
+@for_each("which", KINDS)
 def test_from_rest_too_a_cell_is_searched_only_while_its_first_shaking_lasts(which, omega, xi):
     """From the start at phase zero: as many evaluations for 1,000 plate periods as for a million."""
     for part in (0.3, 0.6, 0.9, 0.97):

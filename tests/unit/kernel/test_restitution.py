@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from mpmath import mp, mpf
+from tables import for_each
 
 from kernel import restitution
 from kernel.models import contact_law
@@ -25,7 +26,7 @@ def exponent(zeta: mpf) -> mpf:
     return mp.re(2 * zeta * mp.acos(zeta) / mp.sqrt(mp.mpc(1 - zeta * zeta)))
 
 
-@pytest.mark.parametrize("zeta", ZETAS)
+@for_each("zeta", ZETAS)
 def test_restitution_without_adhesion(zeta):
     with mp.workdps(40):
         log = exponent(mpf(float(zeta)))
@@ -34,7 +35,7 @@ def test_restitution_without_adhesion(zeta):
         assert abs(got / true - 1) <= 1e-15 * (1 + log)
 
 
-@pytest.mark.parametrize("zeta", [x for x in ZETAS if x < 1.0])
+@for_each("zeta", [x for x in ZETAS if x < 1.0])
 def test_restitution_with_adhesion(zeta):
     with mp.workdps(40):
         log = mp.pi * mpf(float(zeta)) / mp.sqrt(1 - mpf(float(zeta)) ** 2)
@@ -42,7 +43,7 @@ def test_restitution_with_adhesion(zeta):
         assert abs(got - mp.exp(-log)) <= 1e-15 * (1 + log) * mp.exp(-log) + 1e-307
 
 
-@pytest.mark.parametrize("e", RESTITUTIONS)
+@for_each("e", RESTITUTIONS)
 def test_damping_ratio(e):
     """To rounding of ln e, also where e is next to 1."""
     with mp.workdps(40):

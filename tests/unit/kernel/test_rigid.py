@@ -5,6 +5,7 @@ import pytest
 from kernel_runs import TWO_PI, Model, last_cycle, phases, recorded, run, run_setting
 from naive import Setting, trajectory
 from naive_exact import flight
+from tables import for_each
 
 from kernel.numerics.first_root import ROOT
 from kernel.params import Outcome
@@ -26,7 +27,7 @@ CELLS = [
 ]
 
 
-@pytest.mark.parametrize("cell", CELLS, ids=lambda s: f"{s.gamma}-{s.omega}-{s.xi:.3g}-{s.restitution}")
+@for_each("cell", CELLS)
 def test_every_flight_is_the_integrated_one(cell):
     """The last hops of chatter are summed, so that only flights above a thousandth are compared."""
     longer = 1e-3 if cell.restitution else 0.0
@@ -94,9 +95,7 @@ def test_a_landing_gives_back_the_restitution(restitution):
     assert steps[0].after[1] == pytest.approx(-restitution * impact, rel=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("omega", "xi"), [(0.3, 0.2), (0.5, 0.26), (1.0, 0.05), (1.2, 1.0), (3.0, 0.7), (20.0, 2.0)]
-)
+@for_each(("omega", "xi"), [(0.3, 0.2), (0.5, 0.26), (1.0, 0.05), (1.2, 1.0), (3.0, 0.7), (20.0, 2.0)])
 def test_ascending_threshold(omega, xi):
     """Raised slowly, the mass takes off at Eq. 25's Gamma and not before."""
     steps = np.concatenate([np.linspace(0.5, 0.999, 40), 1.0 + np.array([-1e-6, -1e-8, 1e-8, 1e-6])])
@@ -115,8 +114,8 @@ def test_the_driven_spring_grows_at_exact_resonance():
     assert exactly.end_state[0] == pytest.approx(beside.end_state[0], rel=1e-3, abs=1e-3)
 
 
-@pytest.mark.parametrize("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])
-@pytest.mark.parametrize("xi", [0.0, 0.05, 1.0])
+@for_each("omega", [0.03, 0.22389726922908548, 0.5, 1.0, 3.0])
+@for_each("xi", [0.0, 0.05, 1.0])
 def test_gamma_two_exactly(omega, xi):
     """From rest n = 0 at phi = 0 there, and for xi = 0 its rate as well; no jump there."""
     line = run([2.0 * (1.0 - 1e-10), 2.0, 2.0 * (1.0 + 1e-10)], omega, xi, settle=0, observe=1)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tables import for_each
 
 from kernel.line import LineRun, run_line
 from kernel.models.ball import BallPlate
@@ -63,8 +64,8 @@ class Ring:
         return find_repetition(*self.arrays, self.first, self.size, self.recorded, left)
 
 
-@pytest.mark.parametrize(("flights", "periods"), [(1, 1), (1, 3), (2, 2), (3, 2), (7, 4), (LONGEST, 11)])
-@pytest.mark.parametrize("first", [0, 5])
+@for_each(("flights", "periods"), [(1, 1), (1, 3), (2, 2), (3, 2), (7, 4), (LONGEST, 11)])
+@for_each("first", [0, 5])
 def test_a_cycle_is_found_once_it_was_followed_often_enough(flights: int, periods: int, first: int):
     ring = Ring(first, 5 * LONGEST + 3)
     ring.turns(flights, periods, TURNS - 1)
@@ -88,7 +89,7 @@ def test_take_offs_on_either_side_of_phase_zero_are_neighbours():
     assert ring.found() == (1, 1)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("moved", "repeats"),
     [
         (lambda turn: 1e-11 * 0.5**turn, True),  # falls to nothing
@@ -121,7 +122,7 @@ def test_the_more_is_left_the_less_may_they_drift():
     assert ring.found(left=int(2 * AGREE / 1e-12)) == (0, 0)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@for_each("seed", range(60))
 def test_the_flights_recorded_are_those_of_the_turns_left_out(seed: int):
     """Against a run that records flight by flight, and forgets those before the window when that begins."""
     random = np.random.default_rng(seed)
@@ -177,7 +178,7 @@ def steps_of(run: LineRun) -> int:
     return steps
 
 
-@pytest.mark.parametrize(("plate", "in_lanes"), LANES)
+@for_each(("plate", "in_lanes"), LANES)
 def test_the_record_is_that_of_all_cycles(plate: str, in_lanes: bool):
     full, early = (line_run(plate, early, in_lanes=in_lanes) for early in (False, True))
     for run in (full, early):

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
+from tables import for_each
 
 from kernel.modes import CLOSE, FEWEST, find_cycle, is_settling, limit_cycle
 from kernel.params import Cell, Line, Outcome, Start
@@ -39,9 +40,9 @@ def modes_of(times: np.ndarray) -> tuple[int, int]:
     return bounces, limit_cycle(times, phases, bounces)
 
 
-@pytest.mark.parametrize("flights", [30, 100, 256])
-@pytest.mark.parametrize("decades", [3.0, 1.0, 0.3])
-@pytest.mark.parametrize("cubic", [0.0, -1.0])
+@for_each("flights", [30, 100, 256])
+@for_each("decades", [3.0, 1.0, 0.3])
+@for_each("cubic", [0.0, -1.0])
 def test_an_alternating_approach_to_one_flight_is_no_cycle_of_two(decades, cubic, flights):
     """The difference falls by so many decades over the window, or faster by the cubic term.
 
@@ -53,8 +54,8 @@ def test_an_alternating_approach_to_one_flight_is_no_cycle_of_two(decades, cubic
     assert modes_of(times) == (2, 1)
 
 
-@pytest.mark.parametrize("start", [1.00002, 0.99998, 1.0])
-@pytest.mark.parametrize("size", [1e-4, 1e-2, 0.5])
+@for_each("start", [1.00002, 0.99998, 1.0])
+@for_each("size", [1e-4, 1e-2, 0.5])
 def test_a_true_cycle_of_two_flights_stays_one(size, start):
     """Flights near the limit of the flip's other side, approached from above, from below, and reached."""
     r = -0.02
@@ -82,7 +83,7 @@ def test_flights_of_a_cycle_that_is_complete():
     assert modes_of(cycle) == (6, 6)
 
 
-@pytest.mark.parametrize(("gamma", "omega", "xi", "repeating", "true"), MULTIPLES)
+@for_each(("gamma", "omega", "xi", "repeating", "true"), MULTIPLES)
 def test_cells_that_were_given_a_multiple_of_their_mode(gamma, omega, xi, repeating, true):
     line = run(gamma, omega, xi, settle=200, observe=100, keep=256)
     times, phases = (array[0, : line.flights[0]] for array in (line.flight_time, line.takeoff_phase))
@@ -111,8 +112,8 @@ def test_spirals_settle(rate, size):
     assert settles(spiral(rate, size))
 
 
-@pytest.mark.parametrize("size", [1.0, 0.1, 0.9 * CLOSE])
-@pytest.mark.parametrize("turn", [0.381966, 0.27639, math.sqrt(2.0) - 1.0])
+@for_each("size", [1.0, 0.1, 0.9 * CLOSE])
+@for_each("turn", [0.381966, 0.27639, math.sqrt(2.0) - 1.0])
 def test_quasi_periodic_flights_do_not_settle(size, turn):
     assert not settles(spiral(0.0, size, turn=turn))
 
@@ -198,9 +199,9 @@ def settles_by_its_flights(line: Line, i: int, longer_than: float = 0.0) -> bool
     return is_settling(line.flight_time[i, counted], line.takeoff_phase[i, counted])
 
 
-@pytest.mark.parametrize("observe", [30, 80])
-@pytest.mark.parametrize("carry", [False, True])
-@pytest.mark.parametrize(
+@for_each("observe", [30, 80])
+@for_each("carry", [False, True])
+@for_each(
     ("model", "restitution"), [(Model.RIGID, 0.0), (Model.RIGID, 0.3), (Model.SOFT, 0.01), (Model.BALL, 0.5)]
 )
 def test_the_window_and_what_follows_it_decide_as_one(model, restitution, carry, observe):

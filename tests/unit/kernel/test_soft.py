@@ -24,6 +24,7 @@ from mpmath import mp, mpf
 from naive import Setting, bounce, damping_for, restitution_of, trajectory
 from naive_exact import pressed
 from paths import GOLDEN
+from tables import for_each
 
 from kernel.models.contact_law import damping_ratio
 from kernel.models.soft_contact import from_modes, liftoff_function, soft_spring, to_modes
@@ -63,8 +64,8 @@ def test_every_flight_is_the_integrated_one(cell):
 # --- an isolated impact ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("adhesive", [True, False])
-@pytest.mark.parametrize("zeta", [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 1.001, 1.5, 4.0])
+@for_each("adhesive", [True, False])
+@for_each("zeta", [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 1.001, 1.5, 4.0])
 def test_restitution_is_that_of_an_integrated_impact(zeta, adhesive):
     expected = 0.0 if adhesive and zeta >= 1.0 else bounce(zeta, adhesive)
     # adhesive leaves only after more and more of the plate's time: nothing is left of it near 1
@@ -87,8 +88,8 @@ def test_restitution_is_continuous_through_critical_damping():
     assert values[99] == pytest.approx(values[101], abs=1e-9)
 
 
-@pytest.mark.parametrize("adhesive", [True, False])
-@pytest.mark.parametrize("e", [0.05, 0.2, 0.5, 0.9, 1.0])
+@for_each("adhesive", [True, False])
+@for_each("e", [0.05, 0.2, 0.5, 0.9, 1.0])
 def test_the_kernels_contact_gives_the_requested_restitution(e, adhesive):
     """A fast impact on a stiff plate, the spring too soft to be felt; the trap would give 0.2137 for 0.05."""
     s = Setting(100.0, 1000.0, 0.0, True, e, 1e-6, adhesive)
@@ -122,8 +123,8 @@ def test_an_isolated_contact_lasts_as_long_as_eq_11_says():
 # --- stiffness ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("penetration", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
-@pytest.mark.parametrize(("e", "adhesive"), [(0.0, True), (0.01, True), (0.3, True), (0.05, False)])
+@for_each("penetration", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+@for_each(("e", "adhesive"), [(0.0, True), (0.01, True), (0.3, True), (0.05, False)])
 def test_take_off_keeps_its_digits_however_stiff_the_contact(penetration, e, adhesive):
     """After a hard landing, against 80 digits: n is 1/d**2 times what little the gap is."""
     s = Setting(1.5, 0.5, 0.26, True, e, penetration, adhesive)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pytest
 from mpmath import mp, mpc, mpf
+from tables import for_each
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
@@ -60,7 +60,7 @@ def contacts() -> dict[str, Any]:
     return json.loads(FILE.read_text())
 
 
-@pytest.mark.parametrize("part", range(10))
+@for_each("part", range(10))
 def test_take_offs_of_strongly_damped_contacts_are_exact(part):
     golden = contacts()
     assert len(golden["contacts"]) == CONTACTS

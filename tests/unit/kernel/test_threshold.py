@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from paths import GOLDEN
 from scipy.optimize import minimize_scalar
+from tables import for_each
 
 from kernel.threshold import takeoff_phase, threshold
 
@@ -24,8 +25,8 @@ def least_gamma(omega: float, xi: float) -> tuple[float, float]:
     return 2.0 / float(loss.max()), float(phi[np.argmax(loss)])
 
 
-@pytest.mark.parametrize("xi", [0.01, 0.05, 0.2, 1.0, 30.0])
-@pytest.mark.parametrize("omega", [1e-3, 0.1, 0.5, 0.99, 1.0, math.sqrt(4 / 3), math.sqrt(2.0), 2.0, 40.0])
+@for_each("xi", [0.01, 0.05, 0.2, 1.0, 30.0])
+@for_each("omega", [1e-3, 0.1, 0.5, 0.99, 1.0, math.sqrt(4 / 3), math.sqrt(2.0), 2.0, 40.0])
 def test_eq_25_and_eq_24_are_the_onset(omega, xi):
     gamma, phase = least_gamma(omega, xi)
     assert threshold(omega, xi) == pytest.approx(gamma, rel=1e-9)
@@ -33,18 +34,18 @@ def test_eq_25_and_eq_24_are_the_onset(omega, xi):
     assert abs(off) < 2e-5
 
 
-@pytest.mark.parametrize("xi", XI)
+@for_each("xi", XI)
 def test_one_at_the_square_root_of_four_thirds_for_every_damping(xi):
     assert threshold(math.sqrt(4.0 / 3.0), xi) == pytest.approx(1.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("xi", XI)
+@for_each("xi", XI)
 def test_closed_forms_at_resonance_and_at_the_square_root_of_two(xi):
     assert threshold(1.0, xi) == pytest.approx(4.0 * xi / math.sqrt(1.0 + 16.0 * xi**2), rel=1e-13)
     assert threshold(math.sqrt(2.0), xi) == pytest.approx(math.sqrt(1.0 + 1.0 / (8.0 * xi**2)), rel=1e-13)
 
 
-@pytest.mark.parametrize("xi", XI)
+@for_each("xi", XI)
 def test_limits(xi):
     assert threshold(1e-8, xi) == pytest.approx(1.0, abs=1e-9)
     assert threshold(1e9, xi) == pytest.approx(2.0, abs=1e-9)
@@ -55,7 +56,7 @@ def test_undamped():
     assert threshold(np.sqrt(2.0), 0.0) > 1e7  # infinite, but for the rounding of the root of two
 
 
-@pytest.mark.parametrize("xi", [0.0, 0.01, 0.05, 0.2, 0.3])
+@for_each("xi", [0.0, 0.01, 0.05, 0.2, 0.3])
 def test_extrema(xi):
     """Omega**2 = (3 -+ sqrt(1 + 48 xi**2))/(2 (1 - 6 xi**2)); both exist below xi = 1/sqrt(6)."""
     root = math.sqrt(1.0 + 48.0 * xi**2)

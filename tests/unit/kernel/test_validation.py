@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kernel_runs import Model, assert_same_bytes, run_line
+from tables import for_each
 
 from kernel import line
 from kernel.models.rigid import RigidPlate
@@ -36,8 +37,8 @@ ARRAYS = ("gamma", "omega", "xi", "restitution", "penetration")
 EXCLUSIVE_LOWER_BOUND = {"gamma": 0.0, "omega": 0.0, "penetration": 0.0}
 
 
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, -1.0, -1e-300])
+@for_each("name", ARRAYS)
+@for_each("bad", [math.nan, math.inf, -math.inf, -1.0, -1e-300])
 def test_numbers_outside_their_range(name, bad):
     array = ONE.copy()
     array[1] = bad
@@ -58,8 +59,8 @@ def test_restitution_lies_between_none_and_all():
         call(restitution=1.0000001 * ONE)
 
 
-@pytest.mark.parametrize("name", ARRAYS)
-@pytest.mark.parametrize(
+@for_each("name", ARRAYS)
+@for_each(
     ("bad", "why"),
     [
         (ONE.astype(np.float32), "float64 array, got float32"),
@@ -75,20 +76,6 @@ def test_restitution_lies_between_none_and_all():
         (np.ones((3, 1)), "shape"),
         (np.ones(4), "shape"),
     ],
-    ids=[
-        "float32",
-        "int",
-        "complex",
-        "text",
-        "list",
-        "number",
-        "none",
-        "scalar",
-        "0-d",
-        "empty",
-        "2-d",
-        "longer",
-    ],
 )
 def test_arrays_of_another_kind_or_shape(name, bad, why):
     with pytest.raises(KernelInputError, match=why) as refused:
@@ -97,7 +84,7 @@ def test_arrays_of_another_kind_or_shape(name, bad, why):
     assert refused.value.argument == name or (name == "gamma" and refused.value.argument == "omega")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("name", "bad"),
     [
         ("settle", -1), ("settle", 1.0), ("settle", True), ("settle", "10"), ("settle", None),
@@ -114,7 +101,7 @@ def test_windows_that_cannot_be(name, bad):
         call(**{name: bad})
 
 
-@pytest.mark.parametrize("bad", ["soft", -1, None, (np.zeros(3),), Cell(1.0, 1.0, 0.0)])
+@for_each("bad", ["soft", -1, None, (np.zeros(3),), Cell(1.0, 1.0, 0.0)])
 def test_plates_of_an_unknown_type(bad):
     with pytest.raises(KernelInputError, match=rf"^plate: .*not a {type(bad).__name__}$") as refused:
         line.run_line(1.5 * ONE, ONE, ONE, plate=bad, carry=False, settle=2, observe=3, keep=4)
@@ -132,7 +119,7 @@ def test_a_plate_for_another_number_of_cells():
 STATE = np.zeros(len(STATE_FIELDS))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("start", "why"),
     [
         (Start(np.zeros(5), Cell(1.0, 1.0, 0.0)), "6 finite numbers: phase, in_flight, gap"),
@@ -189,8 +176,8 @@ def test_numpy_integers_are_integers():
     assert_same_bytes(call(settle=np.int64(2), observe=np.int32(3), keep=np.uint8(4)), call())
 
 
-@pytest.mark.parametrize("name", ["gamma", "omega", "xi", "penetration"])
-@pytest.mark.parametrize("bad", [1.1e30, 1e300, 0.9e-30, 5e-324])
+@for_each("name", ["gamma", "omega", "xi", "penetration"])
+@for_each("bad", [1.1e30, 1e300, 0.9e-30, 5e-324])
 def test_numbers_whose_products_overflow(name, bad):
     with pytest.raises(KernelInputError) as refused:
         call(**{name: bad * ONE})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
+from tables import for_each
 
 from service.client import BounceError, Ramp, Range, Rigid, SweepSpec
 from service.local import run
@@ -99,7 +100,7 @@ def test_thresholds_are_drawn_as_thresholds():
     assert len(given.lines) == len(names)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("where", "message"),
     [
         ({}, r"select of direction \(2 values\), omega \(2 values\), gamma \(9 values\)"),

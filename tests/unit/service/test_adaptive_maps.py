@@ -12,6 +12,7 @@ import xarray as xr
 from fastapi.testclient import TestClient
 from scripted import Held, wait_for
 from served import computing, finished, get, service
+from tables import for_each
 
 from worker.plan import make_plan
 from worker.refinement import Refinement
@@ -161,7 +162,7 @@ def test_a_window_is_an_adaptive_sweep_on_a_finer_grid(client: TestClient, full:
     assert client.post(f"{full}/refine", json=body).status_code == 200
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("body", "field"),
     [
         ({"gamma": [1.1, 0.6]}, "gamma"),

@@ -4,6 +4,7 @@ import stat
 from pathlib import Path
 
 import pytest
+from tables import for_each
 
 from service import address
 
@@ -57,7 +58,7 @@ def test_a_file_that_others_can_write_does_not_count(tmp_path: Path):
         assert address.find(tmp_path) is None
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"url": 1}', "é"])
+@for_each("content", ["", "[]", "{}", '{"url": 1}', "é"])
 def test_another_content_does_not_count(tmp_path: Path, content: str):
     with address.recorder(tmp_path) as record:
         record(URL)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
+from tables import for_each
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
@@ -320,7 +321,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
         yield Answers(service)
 
 
-@pytest.mark.parametrize("case", CASES)
+@for_each("case", CASES)
 def test_an_answer_says_what_it_did(answers: Answers, case: str):
     golden = json.loads(ANSWERS.read_text())["answers"]
     assert list(_differences(json.loads(json.dumps(answers.told(case))), golden[case])) == []

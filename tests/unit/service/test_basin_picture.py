@@ -7,6 +7,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from tables import for_each
 
 from kernel.params import Outcome
 from service.render import basins
@@ -117,7 +118,7 @@ def test_before_the_cell_is_computed_the_legend_says_so():
     assert legend(empty) == [(basins.UNDECIDED, "not computed")]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("share", "text"),
     [(1.0, "100.0 %"), (0.001, "0.1 %"), (0.0123, "1.2 %"), (0.00099, "0.099 %"), (float("nan"), "nan %")],
 )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from tables import for_each
 
 from kernel.branches.events import Branch
 from kernel.branches.starts import cycles_at
@@ -64,7 +65,7 @@ def test_cycles_are_compared_cell_by_cell_where_both_are_periodic():
     assert ball.compare(first, aperiodic)[:2] == ball.compare(aperiodic, first)[:2] == (0, 0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("same", "of", "deviation", "indistinguishable", "small"),
     [
         (20, 20, 0.01, AGREES, AGREES),
@@ -152,7 +153,7 @@ def test_what_is_near_a_value_includes_the_ends_of_the_range():
     assert sections._longest(cells, np.zeros(5, bool)) == 0.0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("begins", "verdict"),
     [(2.25, CONTRADICTS), (2.5, AGREES), (3.0, AGREES), (3.5, AGREES), (3.75, CONTRADICTS)],
 )
@@ -220,7 +221,7 @@ def repeating(
     return sections._one_period(cells)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("stop", "hop", "verdict"),
     [
         (2.5, 0.125, CONTRADICTS),
@@ -380,9 +381,7 @@ def test_ramps_from_a_cycle_confirm_a_fold_within_a_distance():
 # Branches
 
 
-@pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "10⁻⁶"), (3e-7, "10⁻⁶"), (2e-6, "10⁻⁵"), (0.5, "10⁰"), (50.0, "10²")]
-)
+@for_each(("value", "text"), [(0.0, "10⁻⁶"), (3e-7, "10⁻⁶"), (2e-6, "10⁻⁵"), (0.5, "10⁰"), (50.0, "10²")])
 def test_a_distance_is_told_as_the_next_power_of_ten(value: float, text: str):
     assert branches._power(value) == text
 

@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import xarray
+from tables import for_each
 
 from service.cli import orbits, results
 from service.cli.output import (
@@ -145,7 +146,7 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
     assert last == "the job is not done: thresholds may be missing"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("tolerance", "number"),
     [(0.5, "0.512346"), (1e-4, "0.512346"), (1e-5, "0.5123457"), (3e-8, "0.5123456789"),
      (1e-12, "0.512345678901")],

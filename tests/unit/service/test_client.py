@@ -12,6 +12,7 @@ import pytest
 import xarray
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, TWO_LINES, Held, Scripted, sweep, wait_for
+from tables import for_each
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -84,7 +85,7 @@ def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, 
         assert client.submit(form).id == job.id
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("change", "field", "rule"),
     [
         ({"omega": -1.0}, "omega", "at least"),
@@ -119,7 +120,7 @@ def test_what_json_cannot_carry_is_refused_before_it_is_sent(client: Client):
             client.submit(spec)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("name", "content", "word"),
     [
         ("missing.json", None, "No such file"),
@@ -157,7 +158,7 @@ def test_a_job_is_found_again(client: Client, job: Job):
     assert same.refresh() is same
 
 
-@pytest.mark.parametrize("id", ["0" * 32, "", "..", "../healthz", "x" * 32, "A" * 32, "\ud800", "a" * 33])
+@for_each("id", ["0" * 32, "", "..", "../healthz", "x" * 32, "A" * 32, "\ud800", "a" * 33])
 def test_an_unknown_id_is_not_found(client: Client, id: str):
     with pytest.raises(NotFound, match="no job has the id") as caught:
         client.job(id)
@@ -362,7 +363,7 @@ def test_short_flights_can_be_left_out(job: Job):
     assert float(shortest.where(long).min()) > 6.0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("line", "field"),
     [
         ({"omega": 3.0}, "omega"),

@@ -19,6 +19,7 @@ from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held
 from served import RAMP, computing, finished, get, occupied, service, taken
+from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import KERNEL_VERSION, Outcome
@@ -300,7 +301,7 @@ def test_more_files_at_a_time_than_allowed_are_told_to_wait(done: Done):
     assert done.client.get(f"{done.here}/export?format=nc").status_code == 200
 
 
-@pytest.mark.parametrize(
+@for_each(
     "query", ["", "?format=xls", "?format=nc&keep=1", "?format=nc&layout=flights", "?format=parquet&layout=x"]
 )
 def test_an_export_needs_a_format_and_rows_that_it_has(done: Done, query: str):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from tables import for_each
 
 from service import presets
 from service.figures import ball, catalogue, hysteresis
@@ -41,7 +42,7 @@ def test_the_parameters_are_the_papers():
     assert (loop.xi, loop.protocol.direction, loop.settle + loop.observe) == (0.05, "both", 120)
 
 
-@pytest.mark.parametrize("which", ["10", "0", "-1", "one", "ALL", ""])
+@for_each("which", ["10", "0", "-1", "one", "ALL", ""])
 def test_an_unknown_figure_names_those_there_are(which: str):
     with pytest.raises(
         catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, hysteresis, branches"
@@ -83,7 +84,7 @@ def test_branches_are_drawn_over_loops_at_each_frequency():
     assert (spec.settle, spec.observe, spec.keep) == (300, 60, 24)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("values", "indices"),
     [
         ([3, 1, 2, 0, 3], [1, 3]),

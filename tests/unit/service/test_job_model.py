@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from tables import for_each
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
@@ -33,8 +34,8 @@ ALLOWED = {
 }
 
 
-@pytest.mark.parametrize("new", JobState)
-@pytest.mark.parametrize("old", JobState)
+@for_each("new", JobState)
+@for_each("old", JobState)
 def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
     if (old, new) in ALLOWED:
         check_transition(old, new)
@@ -72,7 +73,7 @@ def test_eta_is_unknown_without_a_rate():
     assert Progress(5, 9, 500, 1000).eta_seconds is None
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("state", "finished", "repairing"),
     [
         (JobState.RUNNING, 5.0, True),
@@ -132,14 +133,13 @@ def test_a_job_of_another_kernel_says_so_and_what_replaces_it():
     assert record(kernel_version="0", replaced_by="b" * 32).notice == f"{told}, as job {'b' * 32}"
 
 
-@pytest.mark.parametrize(
+@for_each(
     "change",
     [
         {"id": "b" * 32}, {"state": JobState.DONE}, {"error": "because"}, {"choice": "{}"},
         {"chunks_done": 4}, {"started": 51.0}, {"finished": 60.0}, {"owner": "ann"}, {"pinned": True},
         {"kernel_version": "0"},
     ],
-    ids=lambda change: next(iter(change)),
 )  # fmt: skip
 def test_what_a_job_shows_has_another_revision_when_it_changes(change: dict[str, Any]):
     assert record(**change).revision != record().revision
@@ -150,7 +150,7 @@ def failures(*tries: int) -> list[Failure]:
     return [Failure(number, f"chunk {number}", "no", None, count) for number, count in enumerate(tries)]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("given", "summary"),
     [
         (failures(), None),

@@ -11,6 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 from served import get, service
+from tables import for_each
 
 from kernel.params import KERNEL_VERSION
 from service.api.conditional import job_headers
@@ -74,7 +75,7 @@ def test_a_view_names_the_chunks_that_failed():
     assert shown.model_dump() == failure._asdict()
 
 
-@pytest.mark.parametrize("change", [
+@for_each("change", [
     {"failures": 1}, {"notice": "no workers yet"}, {"job": record(chunks_done=5)},
     {"job": record(state=JobState.DONE)}, {"job": record(pinned=True)},
 ])  # fmt: skip
@@ -120,7 +121,7 @@ def retry_after(client: TestClient, job: JobRecord) -> str | None:
         return client.get(f"/v1/jobs/{job.id}").headers.get("Retry-After")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("seconds_left", "expected"), [(100.0, "5"), (30.0, "1"), (19.0, None), (1000.0, "10"), (1e6, "10")]
 )
 def test_a_job_is_polled_less_often_the_longer_it_takes(

@@ -16,6 +16,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
+from tables import for_each
 
 from service.api.middleware import access_log
 from service.api.middleware.access_log import AccessLog
@@ -118,7 +119,7 @@ def expressions() -> list[str]:
     return [target["expr"] for panel in DASHBOARD["panels"] for target in panel["targets"]]
 
 
-@pytest.mark.parametrize("expression", expressions())
+@for_each("expression", expressions())
 def test_the_dashboard_asks_for_what_there_is(expression: str, measured: dict[str, Any]):
     """Names, labels and the values of labels; `instance` and `le` are Prometheus's own."""
     selectors = _SELECTOR.findall(expression)

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from extras import SYSTEM
+from tables import for_each
 
 from service.api.app import create_app
 from service.api.openapi import EXAMPLES
@@ -100,7 +101,7 @@ def test_answers_have_their_formats_and_bodies_their_models(document: dict[str, 
     assert not {"HTTPValidationError", "ValidationError"} & set(document["components"]["schemas"])
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@for_each("name", EXAMPLES)
 def test_examples_are_accepted(document: dict[str, Any], name: str):
     (example,) = document["components"]["schemas"][name]["examples"]
     text = json.dumps(example)

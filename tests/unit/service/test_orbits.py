@@ -13,6 +13,7 @@ from fastapi.testclient import TestClient
 from scripted import Held, wait_for
 from served import computing, get
 from served import service as begun
+from tables import for_each
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
@@ -114,7 +115,7 @@ def test_a_branch_that_leaves_gamma_max_is_several_pieces(service: TestClient):
     assert all(event["gamma"] <= 0.9 for event in cut["events"])
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("query", "rule"),
     [
         ({"modes": "2-2"}, "of one bounce, as 1-1 and 1-2"),

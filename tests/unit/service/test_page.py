@@ -14,6 +14,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import Held
 from served import computing, finished, get, service
+from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
@@ -107,7 +108,7 @@ def test_the_page_s_files_refer_to_each_other_and_to_nothing_missing(client: Tes
     assert shipped - seen == {"/static/index.html"}
 
 
-@pytest.mark.parametrize("file", sorted(page.FILES.rglob("*.*")), ids=lambda file: str(file.name))
+@for_each("file", sorted(page.FILES.rglob("*.*")))
 def test_files_name_no_other_host(file: Path):
     text = file.read_text()
     assert set(re.findall(r"https?://[^\s\"'`)]+", text)) <= {"http://www.w3.org/2000/svg"}
@@ -125,7 +126,7 @@ LAYERS: dict[str, set[str]] = {
 }
 
 
-@pytest.mark.parametrize("folder", LAYERS)
+@for_each("folder", LAYERS)
 def test_scripts_import_only_from_the_layers_below(folder: str):
     files = sorted((SCRIPTS / folder).glob("*.js"))
     assert 0 < len(files) <= 16
@@ -248,7 +249,7 @@ def test_as_many_flights_as_are_allowed_are_sent_as_points(client: TestClient, l
     assert "flight_time" not in arrays
 
 
-@pytest.mark.parametrize("length", range(9))
+@for_each("length", range(9))
 def test_arrays_begin_at_multiples_of_eight_bytes(length: int):
     arrays = {
         "three": np.arange(3, dtype=np.uint8),
@@ -295,7 +296,7 @@ def test_a_mode_map_is_compressed_and_points_are_not(
     assert response.headers.get("content-encoding") == encoding
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("query", "field"),
     [
         ({}, "omega"),

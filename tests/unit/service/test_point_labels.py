@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
+from tables import for_each
 
 from service.render import point_labels
 from service.render.point_labels import BESIDE, DIRECTIONS, GAP, MARKER, ROUNDS, PointLabel, place
@@ -169,7 +170,7 @@ def test_places_go_round_the_point_nearer_ones_first():
 BOX = Bbox.from_extents(2.0, 3.0, 6.0, 5.0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("start", "end", "crosses"),
     [
         ((0.0, 4.0), (10.0, 4.0), True),
@@ -195,7 +196,7 @@ def test_points_of_lines_within_a_box_are_counted_with_its_border():
     assert point_labels._covered(BOX, np.empty((0, 2))) == 0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("panel", "inside"),
     [
         ((1.9, 2.9, 6.1, 5.1), True),

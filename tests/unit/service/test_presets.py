@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import pytest
+from tables import for_each
 
 from service import presets
 from worker.spec import SweepSpec
@@ -39,7 +40,7 @@ def has(spec: SweepSpec, cells: dict[str, Any]) -> bool:
     return ends | window == cells
 
 
-@pytest.mark.parametrize("name", SWEEPS)
+@for_each("name", SWEEPS)
 def test_a_sweep_of_a_figure_has_these_cells_and_this_window(sweeps: dict[str, SweepSpec], name: str):
     assert has(sweeps[name], SWEEPS[name])
 

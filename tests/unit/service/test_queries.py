@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scripted import small as spec
+from tables import for_each
 
 from kernel.params import Outcome
 from kernel.threshold import threshold
@@ -219,7 +220,7 @@ def test_points_are_counted_before_anything_is_read(sweep: Sweep, reads: list[st
     assert reads == []
 
 
-@pytest.mark.parametrize(("max_points", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
+@for_each(("max_points", "every"), [(80, 1), (79, 2), (40, 2), (39, 3), (8, 10), (7, None)])
 def test_a_refusal_names_the_thinning_that_fits(sweep: Sweep, max_points: int, every: int | None):
     """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
     point = {"omega": 0.5, "xi": 0.05}
@@ -234,7 +235,7 @@ def test_a_refusal_names_the_thinning_that_fits(sweep: Sweep, max_points: int, e
             diagrams.diagram(sweep, "gamma", point, None, 0.0, max_points, every - 1)
 
 
-@pytest.mark.parametrize("every", [1, 2, 3, 4, 7, 10, 99])
+@for_each("every", [1, 2, 3, 4, 7, 10, 99])
 def test_every_nth_cell_is_the_one_of_the_whole(sweep: Sweep, every: int):
     for along, point in (("gamma", {"omega": 0.7, "xi": 0.26}), ("omega", {"gamma": 2.0, "xi": 0.26})):
         whole = diagrams.diagram(sweep, along, point, None, 0.0, 1000)
@@ -326,7 +327,7 @@ TWO_FLIGHTS = lines.FlightLine(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("edges", "log", "window"),
     [
         ((None, None, 1.0, None), False, (0.5, 2.0, 1.0, 7.0)),
@@ -381,7 +382,7 @@ def test_a_line_for_the_page_however_long(sweep: Sweep, monkeypatch: pytest.Monk
 # Planes and thresholds
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("low", "high", "inside"),
     [
         (1.0, 2.0, [1.0, 1.5, 2.0]),

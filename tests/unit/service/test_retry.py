@@ -5,6 +5,7 @@ import math
 from concurrent.futures import CancelledError
 
 import pytest
+from tables import for_each
 
 from service.jobs.retry import (
     BUCKET_SECONDS,
@@ -36,7 +37,7 @@ READ_ONLY = OSError(errno.EROFS, "Read-only file system")
 INTERRUPTED = OSError(errno.EIO, "Input/output error")
 
 
-@pytest.mark.parametrize(("error", "history", "action"), [
+@for_each(("error", "history", "action"), [
     # cancelled: nothing is counted, whatever happened before
     (ChunkCancelled("cancelled"), FRESH, Action.REQUEUE),
     (ChunkCancelled("cancelled"), LAST_TRY, Action.REQUEUE),

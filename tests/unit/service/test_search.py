@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted import Held, sweep
 from served import service
+from tables import for_each
 
 from kernel.params import KERNEL_VERSION
 from service.jobs.ledger import Ledger
@@ -123,8 +124,8 @@ WRONG_CURSORS = (
 )
 
 
-@pytest.mark.parametrize("cursor", WRONG_CURSORS)
-@pytest.mark.parametrize("order", list(JobOrder))
+@for_each("cursor", WRONG_CURSORS)
+@for_each("order", list(JobOrder))
 def test_a_cursor_of_another_list_is_refused(order: JobOrder, cursor: str):
     with pytest.raises(InvalidCursor):
         JobSearch(order=order).read_cursor(cursor)

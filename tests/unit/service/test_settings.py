@@ -5,19 +5,20 @@ from typing import Any
 
 import pytest
 from pydantic import ValidationError
+from tables import for_each
 
 from service.errors import NotStarted
 from service.settings import Settings
 
 
-@pytest.mark.parametrize("name", sorted(Settings.model_fields))
+@for_each("name", sorted(Settings.model_fields))
 def test_every_setting_is_described_in_one_sentence(name: str):
     description = Settings.model_fields[name].description or ""
     assert description.endswith(".")
     assert description[0].isupper() or description[0] == "`"
 
 
-@pytest.mark.parametrize(("given", "rule"), [
+@for_each(("given", "rule"), [
     ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_file"),
     ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
     ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
@@ -33,7 +34,7 @@ def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: s
         Settings(**given)
 
 
-@pytest.mark.parametrize("given", [
+@for_each("given", [
     {"host": "LocalHost"},
     {"host": "::1"},
     {"scheduler": "tcp://127.0.0.1:1"},

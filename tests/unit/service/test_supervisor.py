@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import pytest
 from running import costing
 from scripted import DEADLINE, Held, small, sweep
+from tables import for_each
 
 from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
@@ -487,7 +488,7 @@ def test_a_turn_that_took_less_leaves_its_time_to_others(tmp_path: Path):
 # What it asks for
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("value", "rounded"),
     [(0.0, 0.0), (-1.0, 0.0), (1234.0, 1300.0), (1200.0, 1200.0), (7.0, 7.0), (0.0123, 0.013), (99.1, 100.0)],
 )

@@ -15,6 +15,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import Held
 from served import computing, finished, get, service
+from tables import for_each
 
 from kernel.params import Outcome
 from service.settings import Settings
@@ -109,7 +110,7 @@ def outcomes_of(case: Case) -> dict[str, np.ndarray]:
     }
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@for_each("case", CASES)
 def test_the_worker_reads_the_grid(case: Case):
     spec = spec_of(case)
     gamma, endless = spec.axis_values("gamma"), endless_rest(spec, spec.axis_values("omega"), case.xi)
@@ -121,7 +122,7 @@ def test_the_worker_reads_the_grid(case: Case):
             assert (value, found.status) == expected
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("row", "between"),
     [
         ("rrpp", (1, 2)),
@@ -145,7 +146,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@for_each("case", CASES)
 def test_the_service_answers_it(case: Case, client: TestClient):
     here = submitted(client, case)
     answer = get(client, f"{here}/threshold")

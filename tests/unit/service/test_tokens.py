@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from tables import for_each
 
 from service import tokens
 from service.cli.main import main
@@ -33,7 +34,7 @@ def test_a_file_names_one_token_on_each_line(tmp_path: Path):
     assert tokens.read_tokens(file, private=True) == {"ana": ANA, "ben@lab.example": f"{BEN}:x"}
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "rule"),
     [
         ("", "holds no token: add a line NAME: TOKEN"),

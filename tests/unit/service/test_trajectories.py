@@ -11,6 +11,7 @@ from fastapi.testclient import TestClient
 from kernel_runs import Model, run_line, sample
 from scripted import Held
 from served import service, taken
+from tables import for_each
 
 from kernel.branches.starts import cycles_at
 from kernel.params import Cell, KernelInputError, Line
@@ -85,7 +86,7 @@ def test_a_start_on_a_cycle(client: TestClient):
         assert document["cycle"]["admissible"] == 0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("changes", "field", "rule"),
     [
         (
@@ -175,8 +176,8 @@ def test_a_start_in_contact_is_that_of_the_plane(client: TestClient):
     assert length - weight == pytest.approx(-2.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("settle", [60, 3, 1])
-@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
+@for_each("settle", [60, 3, 1])
+@for_each("model", MODELS)
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
     flights = trajectory(client, model=model, settle=settle)["flights"]
     kind = Model[model["kind"].upper()]
@@ -264,7 +265,7 @@ BAD: dict[str, tuple[Any, int, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD)
+@for_each("case", BAD)
 def test_bad_trajectory(client: TestClient, case: str):
     body, status, message = BAD[case]
     content = body if isinstance(body, bytes) else json.dumps(body).encode()

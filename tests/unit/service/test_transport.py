@@ -26,6 +26,7 @@ import httpx2
 import pytest
 from answering import ID, LOST, Answer, scripted, view
 from scripted import DEADLINE, wait_for
+from tables import for_each
 
 from service.client import (
     BadRequest,
@@ -71,7 +72,7 @@ def test_an_unreachable_service_is_reported_with_what_to_do(unused_address: str)
     assert caught.value.url == unused_address
 
 
-@pytest.mark.parametrize("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
+@for_each("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[::1", "/v1"])
 def test_an_invalid_address_is_refused(url: str):
     with pytest.raises(ServiceUnreachable):
         Client(url)
@@ -257,7 +258,7 @@ def test_an_empty_token_is_none():
 # Answers
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("status", "kind"),
     [
         (400, BadRequest),
@@ -320,7 +321,7 @@ def test_only_a_submission_has_an_invalid_specification(status: int):
             assert isinstance(caught.value, InvalidSpecification) is (invalid and status != 413)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("given", "seconds"),
     [("0", 0.0), ("2.5", 2.5), ("-1", None), ("inf", None), ("nan", None), ("Wed, 21 Oct 2026", None)],
 )
@@ -349,7 +350,7 @@ def test_busy_carries_retry_after():
     assert caught.value.retry_after == 7.0
 
 
-@pytest.mark.parametrize(
+@for_each(
     "answer",
     [
         Answer(200, b"<html>hello</html>"),
@@ -776,7 +777,7 @@ def test_a_plain_line_shows_percent_cells_and_time_left():
     assert line == "01234567 three: running, 24% (1,234 of 5,000 cells), 1 h 6 min left"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("seconds", "text"),
     [(0.4, "0 s"), (59.6, "1 min 0 s"), (125, "2 min 5 s"), (3600, "1 h 0 min"), (4e6, "1,111 h 6 min")],
 )
@@ -811,7 +812,7 @@ def group(**arrays: dict[str, Any]) -> dict[str, Any]:
     return {"zarr_format": 3, "node_type": "group", "attributes": {}, "consolidated_metadata": kept}
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("document", "why"),
     [
         (
@@ -906,7 +907,7 @@ def serving(contents: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
             thread.join()
 
 
-@pytest.mark.parametrize(
+@for_each(
     "url",
     [
         *("http://me:s3cret@host:bad", "http://me:s3cret@[::1", "me:s3cret@host", "//me:s3cret@host"),

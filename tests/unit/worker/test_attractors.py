@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp
+from tables import for_each
 
 from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
@@ -428,7 +429,7 @@ def test_distances_are_those_of_kolmogorov_and_smirnov():
             assert [ks_distance(a, b) for a, b in pairs] == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("flights", "distance"),
     [
         ((0.5, 9.0, 9.0, 9.0), 0.75),

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 from pydantic import AfterValidator, TypeAdapter, ValidationError
+from tables import for_each
 
 from worker.spec.axes import MAX_AXIS_VALUES, NUMBER, WHOLE, Axis, Range, values_of, within
 
@@ -28,7 +29,7 @@ def test_both_bounds_are_accepted(value: float):
     assert AXIS.validate_python({**ends, "num": 2}) == Range(**ends, num=2)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("axis", "rule"),
     [
         (np.nextafter(1e-6, 0.0), "must be at least 1e-06"),
@@ -68,7 +69,7 @@ def test_a_list_has_as_many_values_as_a_range_may_have():
     assert Range(start=1.0, stop=2.0, num=MAX_AXIS_VALUES).num == MAX_AXIS_VALUES
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("given", "problem"),
     [
         ((2.0, 1.0, 2, "linear"), "start"),

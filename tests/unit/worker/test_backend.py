@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tables import for_each
 
 from worker import store
 from worker.store import backend, checkpoints
@@ -68,7 +69,7 @@ def test_links_inside_a_store_are_not_followed_and_those_above_it_are(url: str, 
         assert backend.read_parts(str(tmp_path / "other"), key, [(0, 2)]) == [b"01"]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("span", "part"),
     [((8, 5), b"89"), ((10, 1), b""), ((-3, 3), b"789"), ((-3, 2), b"78"), ((-20, 20), b"0123456789")],
 )
@@ -76,7 +77,7 @@ def test_parts_count_from_either_end(url: str, span: tuple[int, int], part: byte
     assert backend.read_parts(url, "a", [span]) == [part]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("first", "last", "expected"),
     [
         (0, 0, Excerpt(b"0", 0, 10)),

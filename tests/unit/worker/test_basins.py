@@ -11,6 +11,7 @@ import numpy as np
 import paths
 import pytest
 import xarray
+from tables import for_each
 
 from kernel.line import LineRun
 from kernel.models.rigid import plate
@@ -425,7 +426,7 @@ def test_other_contacts_have_basins(tmp_path: Path, kind: str):
     assert float(stored.fraction[:n].sum()) + float(stored.undecided) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("changes", "rule"),
     [
         ({"rows": 0}, "protocol.rows: must be at least 1, not 0"),
@@ -484,7 +485,7 @@ def test_cost_is_that_of_every_start_without_exponents():
     assert cost.bytes == sum(array.nbytes for array in record.values())
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("flights", "near"),
     [
         ([1.0, 2.0], True),

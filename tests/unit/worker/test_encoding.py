@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from tables import for_each
 
 from worker.store.encoding import ArrayForm, decode, encode, form_of, spans_of
 
@@ -23,8 +24,8 @@ def test_a_chunk_that_is_no_shard_has_no_index():
     assert np.all(edge[:, 2:] == 7)
 
 
-@pytest.mark.parametrize("inner", [(2, 4), (1, 2), (2, 2), (4, 1)])
-@pytest.mark.parametrize("shape", [(4, 4), (3, 4), (2, 3), (1, 1)])
+@for_each("inner", [(2, 4), (1, 2), (2, 2), (4, 1)])
+@for_each("shape", [(4, 4), (3, 4), (2, 3), (1, 1)])
 def test_a_shard_has_the_inner_chunks_with_cells(inner: tuple[int, int], shape: tuple[int, int]):
     shard, values = form(inner=inner), np.arange(16, dtype=np.int32).reshape(4, 4)[: shape[0], : shape[1]]
     assert shard.sharded

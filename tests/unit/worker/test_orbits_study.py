@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from tables import for_each
 
 import worker.orbits
 from kernel.branches.events import POINTS, Kind, branch_and_events, flight_times
@@ -153,7 +154,7 @@ def test_what_lies_at_gamma_max_is_stored(tmp_path: Path):
         assert np.isfinite(cell.gamma).sum() == np.count_nonzero(branch.gamma <= most)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("changes", "rule"),
     [
         ({"modes": ["2-2"]}, "modes[0]: must be of one bounce"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tables import for_each
 
 import kernel.line  # noqa: F401 - registers the models' lanes
 from kernel.interface import advance_lanes
@@ -216,7 +217,7 @@ def test_chunks_of_cells_side_by_side_fill_the_lanes(kind, settle):
     assert all(chunk.cells == LANES for chunk in make_plan(full))
 
 
-@pytest.mark.parametrize("kind", CONTACT_MODELS)
+@for_each("kind", CONTACT_MODELS)
 def test_those_models_fill_lanes_that_the_kernel_computes_in_lanes(kind):
     spec = sweep(gamma=100, model={"kind": kind})
     module = importlib.import_module(CONTACT_MODELS[kind].kernel)
@@ -236,7 +237,7 @@ def test_a_chunk_of_a_ramp_holds_whole_lines_where_they_fit():
     assert make_plan(spec, chunk_cells=20).chunk_shape == (1, 17, 1)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("lines", "cells", "shape"),
     [
         (200, 1600, (1, 50, 29)),  # 7 equal parts
@@ -277,7 +278,7 @@ def test_a_chunk_costs_an_eighth_of_the_sweep_within_bounds(gamma):
     assert len(make_plan(spec)) == math.ceil(gamma / math.ceil(seconds / cell_seconds(spec)))
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("grid", "cells", "shape"),
     [
         ((1, 1, 101), 100, (1, 1, 51)),
@@ -319,7 +320,7 @@ def test_a_chunk_that_is_long_in_bytes_can_be_halved():
     assert make_plan(sweep(omega=6, gamma=100, keep=10_000), chunk_cells=300).chunk_shape == (1, 3, 100)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("keep", "coarsest", "side"),
     [
         (1, 2, 129),
@@ -417,7 +418,7 @@ def test_cells_side_by_side_are_cheaper_than_those_one_after_the_other():
     assert cell_seconds(soft, alone=True) == pytest.approx(periods * SOFT_ALONE_US * 1e-6)
 
 
-@pytest.mark.parametrize("kind", ["soft", "rigid", "ball", "stepped", "auto"])
+@for_each("kind", ["soft", "rigid", "ball", "stepped", "auto"])
 def test_cycles_that_are_repeated_cost_less_and_cells_of_a_ramp_more(kind):
     model, row = {"kind": kind}, CONTACT_MODELS[kind]
     computed = cell_seconds(sweep(model=model, settle_early=False))
@@ -471,7 +472,7 @@ def test_cells_alone_in_their_lanes_cost_more_and_others_do_not():
         assert cell_seconds(one_by_one, alone=True) == cell_seconds(one_by_one)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("restitution", "lines", "us"),
     [
         (0.0, 1, RIGID_ALONE_US),
@@ -588,7 +589,7 @@ def test_of_an_adaptive_map_the_computed_cells_are_counted():
     check_size(found, max_cells=high)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("refine", "side", "shares"),
     [
         ({"by": "bouncing"}, 1025, (2 / 64**2 + 0.001, 2 / 64**2 + 0.03)),

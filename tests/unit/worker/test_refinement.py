@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tables import for_each
 
 from kernel.params import Outcome
 from worker import schema, store, tasks
@@ -104,10 +105,8 @@ def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
         assert (cell[0] - taken[0]) ** 2 + (cell[1] - taken[1]) ** 2 == nearest
 
 
-@pytest.mark.parametrize(
-    "shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)]
-)
-@pytest.mark.parametrize("margin", [False, True])
+@for_each("shape", [(1, 1), (1, 2), (2, 1), (1, 30), (30, 1), (2, 2), (3, 3), (2, 30), (23, 31)])
+@for_each("margin", [False, True])
 def test_every_shape_of_tile_is_covered(shape, margin):
     rng = np.random.default_rng(7)
     for kinds in (np.ones(shape, int), rng.integers(1, 3, shape)):
@@ -147,7 +146,7 @@ CHOSEN: list[tuple[str, bool, int, Beyond, list[Any]]] = [
 ]
 
 
-@pytest.mark.parametrize(("by", "margin", "coarsest", "beyond", "expected"), CHOSEN)
+@for_each(("by", "margin", "coarsest", "beyond", "expected"), CHOSEN)
 def test_the_same_tile_is_always_refined_the_same_way(
     by: str, margin: bool, coarsest: int, beyond: Beyond, expected: list
 ):
@@ -214,8 +213,8 @@ QUARTERS = [
 ]
 
 
-@pytest.mark.parametrize("tile", QUARTERS, ids=["upper left", "upper right", "lower left", "lower right"])
-@pytest.mark.parametrize("turned", [False, True])
+@for_each("tile", QUARTERS)
+@for_each("turned", [False, True])
 def test_a_margin_does_not_end_at_the_border_of_a_tile(tile: tuple[slice, slice], turned: bool):
     kinds = wave().T.copy() if turned else wave()
     margin = Refine(by="mode", coarsest=16, margin=True)
@@ -255,8 +254,8 @@ def test_surroundings_are_within_the_map_and_no_wider_than_a_block():
     assert Refinement((17, 17), MODE, (0, 3, 8, 90)).surroundings == (0, 0, 0, 0)
 
 
-@pytest.mark.parametrize("beyond", [(0, 0, 1, 2), (3, 8, 0, 5), (1, 1, 1, 1), (0, 7, 0, 0)])
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 5), (10, 17)])
+@for_each("beyond", [(0, 0, 1, 2), (3, 8, 0, 5), (1, 1, 1, 1), (0, 7, 0, 0)])
+@for_each("shape", [(1, 1), (1, 9), (2, 5), (10, 17)])
 def test_a_tile_with_any_surroundings_is_covered(shape, beyond):
     margin = Refine(by="mode", coarsest=4, margin=True)
     rng = np.random.default_rng(3)
@@ -383,7 +382,7 @@ def test_a_map_with_exponents_has_those_of_computed_cells(tmp_path):
     assert np.isnan(found["lyapunov"][found["computed"] == 0]).all()
 
 
-@pytest.mark.parametrize("coarsest", [2, 3, 16, 64, 128])
+@for_each("coarsest", [2, 3, 16, 64, 128])
 def test_tiles_are_whole_blocks_and_bounded(coarsest):
     for keep in (1, 64, 1000, 10_000):
         spec = sweep(keep=keep, refine={"by": "mode", "coarsest": coarsest})
@@ -410,7 +409,7 @@ def test_a_line_along_gamma_is_refined_too(tmp_path):
     assert found["computed"].sum() < 20
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("refine", "field", "rule"),
     [
         ({}, "refine.by", "is required"),

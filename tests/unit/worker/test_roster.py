@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from distributed import Status
+from tables import for_each
 
 from worker.executors import roster as rosters
 from worker.executors.base import ClusterState
@@ -58,7 +59,7 @@ def test_only_the_last_workers_are_remembered(monkeypatch: pytest.MonkeyPatch):
     assert [roster.is_leaving(worker) for worker in "abc"] == [True, False, True]
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("state", "fault", "explanation"),
     [
         (ClusterState(True, 1), None, None),

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scripted import small
+from tables import for_each
 
 from kernel.params import KERNEL_VERSION, STATE_FIELDS, Outcome
 from worker import schema
@@ -59,7 +60,7 @@ def test_the_shapes_of_a_sweep():
     assert cut.separator == "."
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("sizes", "inner"),
     [
         ({"x": 2**21}, None),  # 16 MiB
@@ -101,7 +102,7 @@ def test_cells_of_a_grid_without_directions_are_described():
     assert sized(x=3, y=2).describe((slice(0, 3), slice(1, 2))) == "y 1, x 0 to 2"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("key", "known"),
     [
         ("zarr.json", True),

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
+from tables import for_each
 
 from kernel.params import Cell
 from kernel.step_limits import (
@@ -321,13 +322,13 @@ def test_a_spring_that_rebounds_has_one_exponent_more(restitution, most):
         assert "must be at most 3" in message(exponents=4, model=model)
 
 
-@pytest.mark.parametrize(("gamma", "expected"), AXIS_RULES, ids=range(len(AXIS_RULES)))
+@for_each(("gamma", "expected"), AXIS_RULES)
 def test_axis_rule_says(gamma, expected):
     assert message(gamma=gamma) == expected
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"), RULES, ids=range(len(RULES))
+@for_each(
+    ("changes", "expected"), RULES
 )  # fmt: skip
 def test_rule_says(changes, expected):
     assert message(**changes) == expected
@@ -445,7 +446,7 @@ def test_long_values_are_echoed_shortly():
     assert describe(object()) == "a value of type object"
 
 
-@pytest.mark.parametrize("data", [None, [1], "text", 3, True])
+@for_each("data", [None, [1], "text", 3, True])
 def test_specification_must_be_an_object(data):
     with pytest.raises(SpecInvalid, match=r"^a specification must be an object, not "):
         SweepSpec.parse(data)
@@ -532,7 +533,7 @@ def test_xi_may_be_zero_and_minus_zero_is_the_same():
     assert sweep(xi=0).job_id("1") == sweep(xi=-0.0).job_id("1") == sweep(xi=[-0.0]).job_id("1")
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("changes", "expected"),
     [
         (
@@ -636,7 +637,7 @@ def test_same_sweep_written_differently_is_the_same_job():
     assert int(one.job_id("1"), 16) >= 0
 
 
-@pytest.mark.parametrize(
+@for_each(
     "changes",
     [
         {"gamma": 2.0000000000000004},
@@ -869,7 +870,7 @@ UNREADABLE = [
 ]
 
 
-@pytest.mark.parametrize(("text", "expected"), UNREADABLE, ids=range(len(UNREADABLE)))
+@for_each(("text", "expected"), UNREADABLE)
 def test_unreadable_text_says(text, expected):
     with pytest.raises(SpecUnreadable) as caught:
         SweepSpec.from_json(text)
@@ -881,7 +882,7 @@ def test_number_too_large_for_json_readers_is_not_finite():
         SweepSpec.from_json('{"gamma": 1e999, "omega": 1, "xi": 1}')
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("name", "content", "expected"),
     [
         ("a.txt", b"", "a specification file ends in .json, .toml or .yaml"),
@@ -914,7 +915,7 @@ def test_unreadable_file_says(tmp_path, name, content, expected):
 LONG_KEY = ".".join("a" * 20_000)  # tomllib alone takes half a minute for it
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("text", "line"),
     [
         (f"{LONG_KEY} = 1", 1),
@@ -925,7 +926,6 @@ LONG_KEY = ".".join("a" * 20_000)  # tomllib alone takes half a minute for it
         (f'x = "{chr(92)}"" # "\n{LONG_KEY} = 1', 2),
         ("\t.\t".join(["'a b'", '"c.d"'] * 9) + " = 1", 1),
     ],
-    ids=["key", "table", "inline", "strings", "literals", "escapes", "quoted"],
 )
 def test_long_dotted_keys_are_refused_before_they_are_parsed(tmp_path, text, line):
     (tmp_path / "a.toml").write_text(text)
@@ -933,8 +933,8 @@ def test_long_dotted_keys_are_refused_before_they_are_parsed(tmp_path, text, lin
         SweepSpec.from_file(tmp_path / "a.toml")
 
 
-@pytest.mark.parametrize("name", [LONG_KEY[:199], "a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s # x"])
-@pytest.mark.parametrize("quote", ['"', "'", 3 * '"', 3 * "'"])
+@for_each("name", [LONG_KEY[:199], "a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s # x"])
+@for_each("quote", ['"', "'", 3 * '"', 3 * "'"])
 def test_dots_in_strings_and_comments_are_no_keys(tmp_path, name, quote):
     line = f"name = {quote}{name}{quote}  # {LONG_KEY}"
     (tmp_path / "a.toml").write_text(f"{line}\ngamma = 1.5\nomega = 1.0\nxi = 0.5\nmodel.kind = 'rigid'\n")

@@ -4,6 +4,7 @@ import pickle
 from typing import Any
 
 import pytest
+from tables import for_each
 
 from worker.spec import SweepSpec
 from worker.spec.errors import (
@@ -25,7 +26,7 @@ def problems(**fields: Any) -> list[Problem]:
     return list(caught.value.problems)
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("value", "described"),
     [
         (None, "null"),
@@ -85,7 +86,7 @@ def test_errors_keep_their_problems():
     assert str(BrokenRuleError("num", "must be less")) == "must be less"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("field", "value", "rule"),
     [
         ("keep", 0, "must be at least 1, not 0"),

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 from pydantic import ValidationError
+from tables import for_each
 
 from worker.spec import SweepSpec
 from worker.spec.errors import SpecInvalid
@@ -49,7 +50,7 @@ def test_without_ends_a_window_is_the_whole_map():
     assert found.omega.model_dump() == {"start": 0.25, "stop": 1.0, "num": 129, "spacing": "linear"}
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("ends", "finer", "expected"),
     [
         ([1.5, 2.5], 4, (1.5, 2.5, 401)),
@@ -83,7 +84,7 @@ def test_a_window_has_a_part_of_the_map(ends: list[float]):
     assert problem(gamma=ends) == "gamma: must overlap the sweep, which is from 1 to 3"
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("asked", "given"), [(0.0, 0.0), (0.0624, 0.0), (0.0626, 0.125), (0.3, 0.125), (0.4, 0.5), (0.5, 0.5)]
 )
 def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):

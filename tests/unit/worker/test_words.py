@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tables import for_each
 
 import worker.analysis.words
 from kernel.branches.events import Events, Kind
@@ -106,7 +107,7 @@ def test_a_cycle_gone_through_three_times_ends_where_its_flights_are_equal():
     assert below.gamma.tolist() == branch.gamma[:5].tolist()
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("times", "phases", "bounces", "flights"),
     [
         ([1, 2, 1, 2], [0, 3, 0, 3], 2, 2),
@@ -131,7 +132,7 @@ def test_a_round_is_the_fewest_flights_that_repeat(
     assert _round(np.array(times, float), np.array(phases, float), bounces) == flights
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("change", "lies"),
     [
         ({}, True),
@@ -147,7 +148,7 @@ def test_a_round_is_the_fewest_flights_that_repeat(
         ({"gamma": 3.01, "flight_time": (5.45, 4.1)}, False),
     ],
 )
-@pytest.mark.parametrize("backwards", [False, True])
+@for_each("backwards", [False, True])
 def test_a_cycle_on_a_branch_lies_between_two_of_its_points(change: dict, lies: bool, backwards: bool):
     branch = doubled(5.0 + APART, 5.0 - 2.0 * APART)
     if backwards:

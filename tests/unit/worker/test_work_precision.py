@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from paths import GOLDEN
+from tables import for_each
 
 from worker.analysis.work_precision import (
     CELLS_PER_LINE,
@@ -36,7 +37,7 @@ def test_cells_are_computed_from_rest():
     assert line.flights.max() > 0
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("scheme", "restitution", "adhesive"),
     [
         ("verlet", 0.01, True),

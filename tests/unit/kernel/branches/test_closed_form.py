@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from kernel_runs import run
 from paths import GOLDEN
+from tables import for_each
 
 from kernel.branches.admissibility import Reason
 from kernel.branches.closed_form import floquet, gamma_slope, multipliers, orbit
@@ -32,7 +33,7 @@ def one(line: Branch) -> dict[str, float]:
     return {name: np.asarray(value)[0] for name, value in line._asdict().items() if np.ndim(value)}
 
 
-@pytest.mark.parametrize("cell", REFERENCE["floquet"], ids=lambda c: f"{c['gamma']}-{c['omega']}")
+@for_each("cell", REFERENCE["floquet"])
 def test_reference_orbits(cell):
     point = one(branch(cell["omega"], cell["xi"], cell["mode"][1], np.array([cell["flight_time"]])))
     # flight_time is given to 12 digits: what depends on it steeply differs by some 1e-10
@@ -46,14 +47,14 @@ def test_reference_orbits(cell):
     assert point["admissible"] == 0
 
 
-@pytest.mark.parametrize("cell", REFERENCE["floquet"], ids=lambda c: f"{c['gamma']}-{c['omega']}")
+@for_each("cell", REFERENCE["floquet"])
 def test_energy_and_momentum_of_a_cycle(cell):
     e = energy(cell["omega"], cell["xi"], cell["mode"][1], np.array([cell["flight_time"]]))
     for name, value in cell["energy"].items():
         assert getattr(e, name)[0] == pytest.approx(value, abs=1e-9), name
 
 
-@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+@for_each(("omega", "xi"), SPRINGS)
 def test_balance_along_whole_branches(omega, xi):
     t = flight_times(omega, xi, 2)[2:-2]
     e = energy(omega, xi, 2, t)
@@ -140,8 +141,8 @@ def naive_velocity(omega: float, xi: float, periods: int, t: float, at: np.ndarr
     return np.array(values) / abs(z)
 
 
-@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
-@pytest.mark.parametrize("periods", [1, 2])
+@for_each(("omega", "xi"), SPRINGS)
+@for_each("periods", [1, 2])
 def test_the_four_conditions(omega, xi, periods):
     k = spring(omega, xi)
     for t in (0.9, 2.5, 4.0, 5.8, 5.8 + (periods - 1) * 6.0):
@@ -151,7 +152,7 @@ def test_the_four_conditions(omega, xi, periods):
         assert found == pytest.approx(expected, rel=1e-6 if xi > 0.99 else 1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+@for_each(("omega", "xi"), SPRINGS)
 def test_short_flights_begin_at_eq_25(omega, xi):
     """Gamma - Gamma_th is proportional to T**2, to rounding down to T = 1e-5."""
     t = 1e-2 * min(1.0, omega / max(xi, 1.0)) * np.array([1.0, 0.1, 1e-3])
@@ -162,7 +163,7 @@ def test_short_flights_begin_at_eq_25(omega, xi):
     assert abs(above[2]) < 1e-9 + 2.0 * abs(curvature) * t[2] ** 2
 
 
-@pytest.mark.parametrize(("omega", "xi"), SPRINGS)
+@for_each(("omega", "xi"), SPRINGS)
 def test_series_and_closed_forms_meet(omega, xi):
     """Across each time at which another formula takes over, Gamma goes on with its slope."""
     k = spring(omega, xi)
@@ -195,7 +196,7 @@ def test_multipliers():
     assert mu[0, 0].imag < 0.0 < mu[0, 1].imag
 
 
-@pytest.mark.parametrize(
+@for_each(
     ("omega", "xi", "periods", "argument"),
     [(0.0, 0.1, 1, "omega"), (math.nan, 0.1, 1, "omega"), (0.5, -0.1, 1, "xi"), (1.0, 0.0, 1, "xi"),
      (0.5, 0.1, 0, "periods"), (1e-6, 0.1, 1, "omega")],

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from paths import GOLDEN
+from tables import for_each
 
 from kernel.branches.descent import descend, lifetime
 from kernel.branches.thresholds import EQ_25, UNRESOLVED, thresholds
@@ -15,7 +16,7 @@ from kernel.threshold import threshold
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
 
-@pytest.mark.parametrize("cell", REFERENCE["threshold_down"], ids=lambda c: str(c["omega"]))
+@for_each("cell", REFERENCE["threshold_down"])
 def test_descending_threshold(cell):
     found = thresholds(cell["omega"], cell["xi"])
     assert found.cause == "fold (1,1)"
@@ -28,7 +29,7 @@ def test_descending_threshold(cell):
     assert given == pytest.approx(balance.dashpot + balance.impact, abs=1e-9)
 
 
-@pytest.mark.parametrize("cell", REFERENCE["jump_up"], ids=lambda c: str(c["omega"]))
+@for_each("cell", REFERENCE["jump_up"])
 def test_jump(cell):
     assert thresholds(cell["omega"], cell["xi"]).jump == pytest.approx(cell["gamma_jump"], abs=1e-9)
 
