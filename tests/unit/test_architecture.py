@@ -4,7 +4,7 @@ import ast
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -114,10 +114,18 @@ def test_package_reaches_only_its_neighbours(imports: "grimp.ImportGraph", packa
     assert {module for module in modules if not any(within(module, name) for name in allowed)} == set()
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All statements within, without looking into expressions."""
+    for block in ("body", "handlers", "orelse", "finalbody", "cases"):
+        for child in getattr(node, block, ()):
+            yield child
+            yield from statements(child)
+
+
 def libraries_imported(*folders: str) -> set[str]:
     """Top-level names of what the files of these folders import, less Python's and the project's own."""
     files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
-    nodes = [node for path in files for node in ast.walk(ast.parse(path.read_text()))]
+    nodes = [node for path in files for node in statements(ast.parse(path.read_text()))]
     named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     named |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
     neighbours = {path.stem for path in files} | {*OURS}

@@ -43,6 +43,19 @@ STEPS = (
     "chunk marked",
     "job ends",
 )
+ESSENTIAL = ("chunk half written", "in the transaction", "job ends")
+
+#: The step, and how many times it comes before the service is killed.
+KILLS = [
+    pytest.param(
+        step,
+        times,
+        marks=pytest.mark.essential if times == 1 and step in ESSENTIAL else (),
+        id=f"{step}-{times}",
+    )
+    for step in STEPS
+    for times in (1, 3)
+]
 
 SWEEP: dict[str, Any] = {
     "gamma": {"start": 2.0, "stop": 5.0, "num": 40},
@@ -110,9 +123,7 @@ def calm(lives: Lives) -> dict[str, bytes]:
     return lives.files()
 
 
-@pytest.mark.essential
-@pytest.mark.parametrize("times", [1, 3])
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize(("step", "times"), KILLS)
 def test_killed_at_a_step_nothing_is_lost_and_little_is_computed_again(
     lives: Lives, calm: dict[str, bytes], step: str, times: int
 ):

@@ -253,14 +253,13 @@ def test_the_threshold_is_marked_where_it_is_in_the_picture(omega: float):
     ],
     ids=["one cell", "no flight", "logarithmic", "huge flights", "tiny flights"],
 )
-@pytest.mark.parametrize("format", ["png", "svg"])
-def test_odd_diagrams_can_be_drawn(diagram: Diagram, format: str):
-    assert len(draw([diagram], spec(), format)) > 1000
+def test_odd_diagrams_can_be_drawn(diagram: Diagram):
+    assert len(draw([diagram], spec(), "png")) > 1000
 
 
 def test_pictures_may_be_drawn_by_many_at_once():
-    diagrams = [long(50, 4, seed) for seed in range(8)]
+    diagrams = [long(50, 4, seed) for seed in range(4)]
     alone = [draw([diagram], spec(), "png") for diagram in diagrams]
-    with ThreadPoolExecutor(8) as threads:
+    with ThreadPoolExecutor(4) as threads:
         together = list(threads.map(lambda diagram: draw([diagram], spec(), "png"), diagrams))
     assert together == alone
