@@ -16,7 +16,7 @@ from kernel.models.stepped import SteppedPlate
 from kernel.params import Line, Outcome
 
 #: At rest, periodic, settling and chaotic cells: more than there are lanes.
-GAMMA = np.concatenate([[0.4], np.linspace(1.05, 7.0, 23)])
+GAMMA = np.concatenate([[0.4], np.linspace(1.05, 7.0, 17)])
 OMEGA, XI = np.full_like(GAMMA, 0.6), np.full_like(GAMMA, 0.05)
 E, D = np.full_like(GAMMA, 0.3), np.full_like(GAMMA, 1e-2)
 

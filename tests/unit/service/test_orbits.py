@@ -340,11 +340,14 @@ def test_words_of_the_cells_answer_where_the_closed_form_is_unresolved(service: 
     assert "the sweep's contact is soft" in refused(service, where, 422, predict="words")
 
 
-def test_every_omega_is_predicted_when_asked_for(service: TestClient, client: Client):
-    many = RAMP | {"gamma": [0.5, 0.6], "omega": {"start": 0.6, "stop": 0.65, "num": 201}}
+def test_every_omega_is_predicted_when_asked_for(
+    service: TestClient, client: Client, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(thresholds, "MAX_PREDICTED", 20)
+    many = RAMP | {"gamma": [0.5, 0.6], "omega": {"start": 0.6, "stop": 0.65, "num": 21}}
     job = client.submit(many).wait(progress=False)
     some, all_ = job.threshold(), job.threshold(predict="all", progress=False)
-    assert set(some.cause.values.tolist()) == {"not predicted: ask for all above 200 values of omega"}
+    assert set(some.cause.values.tolist()) == {"not predicted: ask for all above 20 values of omega"}
     assert np.isfinite(all_.predicted_down.values).all()
     assert float(all_.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
     assert set(job.threshold(predict="none").cause.values.tolist()) == {"not predicted"}
