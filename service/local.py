@@ -133,8 +133,8 @@ def run_to_file(
         fixed_axes(parsed, where.along, where.values)
         resolve_direction(parsed, where.direction)
     with computed(parsed, partial_of(target), workers=workers, progress=progress) as (record, job):
-        sweep = Sweep(job.spec, job.store_url, complete=True, job=record.id)
-        other = Stored(job.spec, job.store_url, complete=True, job=record.id)
+        sweep = Sweep(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
+        other = Stored(job.spec, job.store_url, complete=True, job=record.id, forms=job.forms)
         study = sweep if isinstance(parsed, SweepSpec) else other
         limits = _settings(partial_of(target))
         with complete_file(target) as file:

@@ -260,7 +260,7 @@ def run_chunk(spec: OrbitsSpec, chunk: Block, store_url: str) -> ChunkReport:
     Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
     """
     began = time.perf_counter()
-    store.check_chunk(store_url, chunk)
+    store.check_chunk(store_url, chunk, ARRAYS)
     record = _empty_record(spec, chunk)
     xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(_DIMS, chunk.slices, strict=True))
     next_check = -math.inf

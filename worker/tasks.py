@@ -150,7 +150,8 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str, slice_seconds: floa
     chunk's cells stay missing and the chunk can be run again.
     """
     began = time.perf_counter()
-    store.check_chunk(store_url, chunk)  # fail before computing, which can take minutes
+    # Fail before computing, which can take minutes.
+    store.check_chunk(store_url, chunk, schema.arrays(spec))
     record = _empty_record(spec, _surrounded(spec, chunk))
     slice_seconds = max(slice_seconds, sum(array.nbytes for array in record.values()) / KEPT_BYTES)
     work = _SweepWork(store_url, chunk.index, record, began, slice_seconds)

@@ -76,7 +76,9 @@ def stored(service: Service, job: JobRecord) -> Stored[Specification]:
     prepared = service.manager.preparer.prepare(job)
     kind = next((kind for spec, kind in _STORED.items() if isinstance(prepared.spec, spec)), Stored)
     done = job.state is JobState.DONE
-    return kind(prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id)
+    return kind(
+        prepared.spec, prepared.store_url, done, job.kernel_version, job.repairing, job.id, prepared.forms
+    )
 
 
 _STORED: Final[Mapping[type, type[Stored[Any]]]] = {

@@ -16,6 +16,7 @@ from typing import Any, Final
 from kernel.params import KERNEL_VERSION
 from service.jobs.model import JobRecord
 from service.settings import Settings
+from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.cost import Cost
 from worker.refinement import first_round
@@ -45,6 +46,7 @@ class PreparedJob:
     store_url: str
     attributes: Mapping[str, Any]  # of the store: the chosen model, the same for the same sweep
     store_format: int = STORE_FORMAT
+    outdated: bool = False  # computed by another kernel version, which may have stored otherwise
 
     @property
     def study(self) -> Study:
@@ -55,6 +57,16 @@ class PreparedJob:
     def layout(self) -> Layout:
         """What is stored, and how it is cut."""
         return layout_of(self.study, self.submitted, self.plan.chunk_shape, self.store_format)
+
+    @cached_property
+    def forms(self) -> Mapping[str, store.ArrayForm] | None:
+        """How the arrays are stored; None of an outdated job, whose store alone knows."""
+        return None if self.outdated else store.forms_in(self.layout)
+
+    @cached_property
+    def metadata(self) -> Mapping[str, bytes] | None:
+        """Metadata and coordinates of the store by key; None of an outdated job."""
+        return None if self.outdated else store.metadata_of(self.layout, self.attributes)
 
     @property
     def core_seconds(self) -> float:
@@ -74,6 +86,21 @@ class PreparedJob:
     @cached_property
     def _cost(self) -> Cost:
         return self.study.estimate(self.spec, self.plan)
+
+    def read_file(self, key: str) -> bytes | None:
+        """What the store has under a key, if that is what the job stores there; None if it has nothing.
+
+        Raises StoreDamaged.
+        """
+        if not self.layout.has_key(key):
+            return None
+        if key.partition("/")[0] in self.layout.names and not key.endswith("zarr.json"):
+            forms = store.stored_forms(self.store_url, self.forms)
+            return store.read_file(self.store_url, key, forms)
+        content = store.read_key(self.store_url, key)
+        if content is not None and self.metadata is not None and content != self.metadata.get(key):
+            raise store.StoreDamaged(f"{key}: is not what the store's specification says")
+        return content
 
     def describe(self, chunk: Chunk) -> str:
         """A chunk's number and cells: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""
@@ -135,6 +162,7 @@ class JobPreparer:
             store_url=self._settings.store_of(job.id),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
             store_format=job.store_format,
+            outdated=job.outdated,
         )
         _, replaced = self._jobs.pop(_key(job), (None, 0))
         self._jobs[_key(job)] = (prepared, len(job.spec))

@@ -28,6 +28,7 @@ from service.jobs.transactions import Unfinished
 from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState, Executor
+from worker.executors.errors import ReportMismatch
 from worker.store import StoreConflict
 from worker.studies import Chunk
 from worker.tasks import SLICE_SECONDS, ChunkPaused, ChunkReport, Terms
@@ -251,14 +252,18 @@ class Supervisor:
     def _on_finished(self, run: JobRun, finished: ChunkFinished) -> None:
         """Keep a chunk's report, or see to its error."""
         chunk = finished.chunk
-        self._account(run, finished)
+        error = _error_of(finished.future) or _mismatch(run.prepared.plan[chunk], finished.future.result())
+        self._account(run, finished, error)
         run.remove_in_flight(chunk)
-        error = _error_of(finished.future)
         if error is None:
             report = finished.future.result()
             run.unsaved_reports.append(report)
             self.tally.add_computed(report.seconds)
             return
+        if isinstance(error, store.StoreDamaged):
+            prepared = run.prepared
+            with suppress(OSError):  # the next try says what is wrong
+                store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
         self._on_error(run, chunk, error)
 
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
@@ -271,9 +276,8 @@ class Supervisor:
             self._slots = 0
         run.apply(chunk, action, error, recompute_predecessor)
 
-    def _account(self, run: JobRun, finished: ChunkFinished) -> None:
+    def _account(self, run: JobRun, finished: ChunkFinished, error: BaseException | None) -> None:
         """Tell the rotation how long a chunk took since it was submitted: a slice at most."""
-        error = _error_of(finished.future)
         if error is None:
             seconds = min(finished.future.result().seconds, self._rotation.slice_seconds)
         else:
@@ -620,3 +624,13 @@ def _two_digits(value: float) -> float:
 def _error_of(future: "Future[ChunkReport]") -> BaseException | None:
     """Why a future that is done has no report; None if it has one."""
     return CancelledError() if future.cancelled() else future.exception()
+
+
+def _mismatch(chunk: Chunk, report: ChunkReport) -> ReportMismatch | None:
+    """What is wrong about a report, if it is not one of this chunk."""
+    if (report.index, report.cells, sum(report.outcomes)) == (chunk.index, chunk.cells, chunk.cells):
+        return None
+    return ReportMismatch(
+        f"the worker reported chunk {report.index} of {report.cells} cells, "
+        f"not chunk {chunk.index} of {chunk.cells}"
+    )

@@ -22,7 +22,7 @@ from kernel.params import KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller, OnDemandCache
-from service.results.selection import Sweep, nearest_index, resolve_direction
+from service.results.selection import Sweep, check_metadata, nearest_index, resolve_direction
 from worker.analysis.prediction import predict
 from worker.analysis.words import Words, continue_words
 from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
@@ -165,6 +165,7 @@ def words(
     if not job.chunks_done:
         found = Words((), (), ())
     else:
+        check_metadata(sweep)
         call = (continue_words, sweep.spec, sweep.url, *index, gamma_max, sweep.complete)
         key = ("words", job.id, job.chunks_done, *index, gamma_max)
         (found,) = on_demand.get(key, lambda executor: [executor.call(*call)])

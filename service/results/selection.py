@@ -48,6 +48,8 @@ class Stored(Generic[_Spec_co]):
     kernel_version: str = KERNEL_VERSION  # that computed it
     repairing: bool = False  # damage was found: no answer is complete until the job is done again
     job: str | None = None  # its id
+    #: How its arrays are stored; None of another kernel version, whose store alone knows.
+    forms: Mapping[str, store.ArrayForm] | None = None
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -172,12 +174,17 @@ def read_stored(
     Raises a `store.StoreError`.
     """
     try:
-        return store.read_slice(study.url, names, **indices, complete=study.complete)
+        return store.read_slice(study.url, names, **indices, complete=study.complete, forms=study.forms)
     except store.StoreMissing as error:
         if study.complete:
             raise store.StoreDamaged(str(error)) from error
         # The job is still queued: its store is created with the first chunk.
         return empty()
+
+
+def check_metadata(study: Stored[Specification]) -> None:
+    """Raise a `store.StoreError` unless what a worker is to read is laid out as the specification says."""
+    store.stored_forms(study.url, study.forms)
 
 
 def _fill_values(spec: SweepSpec, names: Sequence[str], selected: Indices) -> dict[str, NDArray[Any]]:

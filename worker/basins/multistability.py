@@ -340,7 +340,7 @@ def run_chunk(
     `slice_seconds` core-seconds are over, or a `store.StoreError`.
     """
     began = time.perf_counter()
-    store.check_chunk(store_url, chunk)
+    store.check_chunk(store_url, chunk, _ARRAYS)
     record = empty_record(chunk, _ARRAYS, sizes_of_attractors(spec, MAX_ATTRACTORS))
     cycles = np.full((*chunk.shape, MAX_ATTRACTORS, CYCLE), np.nan)
     kept = record | {"cycle": cycles}

@@ -129,7 +129,7 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
     `slice_seconds` core-seconds are over, or a `store.StoreError`.
     """
     began = time.perf_counter()
-    store.check_chunk(store_url, chunk)
+    store.check_chunk(store_url, chunk, _arrays(spec))
     record = empty_record(chunk, _arrays(spec), _sizes(spec))
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]
     work = Steps(store_url, chunk.index, record, began, slice_seconds)

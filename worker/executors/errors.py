@@ -5,6 +5,7 @@ ExecutorError
 ├── WorkerLost      its worker process died before the task began
 ├── WorkerLeft      its worker was told to leave, by a batch queue, its lifetime or an operator
 ├── WorkerRefused   its worker may not compute: it differs from the service, or does not see the stores
+├── ReportMismatch  its worker reported another chunk than the one it was given
 └── ClusterLost     the scheduler is gone, or was never reached
 """
 
@@ -27,6 +28,10 @@ class WorkerLeft(ExecutorError):
 
 class WorkerRefused(ExecutorError):
     """The worker may not compute; the message says why."""
+
+
+class ReportMismatch(ExecutorError):
+    """The worker reported another chunk than the one it was given, or other cells."""
 
 
 class ClusterLost(ExecutorError):

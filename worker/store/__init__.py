@@ -6,13 +6,11 @@ Code outside this package uses only the names listed here. In worker, only this 
 from worker.store.backend import (
     ROOT,
     UNREACHABLE,
-    Excerpt,
     check_address,
     created_at,
     in_bucket,
     is_writable,
     names_in,
-    read_excerpt,
     read_key,
     remove,
     rename_for_deletion,
@@ -20,6 +18,7 @@ from worker.store.backend import (
 from worker.store.cancel_flag import clear_cancelled, is_cancelled, set_cancelled, sweep_leftovers
 from worker.store.checkpoints import checkpoints_in, read_checkpoint, remove_checkpoint, write_checkpoint
 from worker.store.chunks import Stored, checksum_of, discard, find_corrupt, stored_sizes, sync_folders
+from worker.store.encoding import ArrayForm, forms_in
 from worker.store.errors import (
     ChunkCoords,
     PlaceUnusable,
@@ -30,11 +29,13 @@ from worker.store.errors import (
 )
 from worker.store.metadata import read_spec, write_spec
 from worker.store.probe import read_probe, write_probe
+from worker.store.reader import read_file, stored_forms
 from worker.store.store import (
     check_chunk,
     chunk_shape,
     create,
     format_of,
+    metadata_of,
     read_attrs,
     read_chunk,
     read_coordinates,
@@ -46,8 +47,8 @@ from worker.store.store import (
 __all__ = [
     "ROOT",
     "UNREACHABLE",
+    "ArrayForm",
     "ChunkCoords",
-    "Excerpt",
     "PlaceUnusable",
     "StoreConflict",
     "StoreDamaged",
@@ -65,15 +66,17 @@ __all__ = [
     "discard",
     "find_corrupt",
     "format_of",
+    "forms_in",
     "in_bucket",
     "is_cancelled",
     "is_writable",
+    "metadata_of",
     "names_in",
     "read_attrs",
     "read_checkpoint",
     "read_chunk",
     "read_coordinates",
-    "read_excerpt",
+    "read_file",
     "read_key",
     "read_probe",
     "read_slice",
@@ -83,6 +86,7 @@ __all__ = [
     "rename_for_deletion",
     "repair_metadata",
     "set_cancelled",
+    "stored_forms",
     "stored_sizes",
     "sweep_leftovers",
     "sync_folders",

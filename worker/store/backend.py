@@ -12,7 +12,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
@@ -79,31 +79,6 @@ def read_key(url: str, key: str) -> bytes | None:
         return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return None
-
-
-class Excerpt(NamedTuple):
-    """Some of the bytes under a key."""
-
-    content: bytes
-    first: int  # position of the first of them
-    size: int  # of all that is under the key
-
-
-def read_excerpt(url: str, key: str, first: int | None, last: int | None) -> Excerpt | None:
-    """The bytes from `first` to `last`, both included, under a key; None if there is nothing.
-
-    first: None for the last `last` bytes. last: None for all that follow. Of bytes beyond the end, none.
-    """
-    try:
-        size = int(_bucket(url).head(key)["size"]) if in_bucket(url) else Path(url, key).stat().st_size
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    low = max(size - (last or 0), 0) if first is None else min(first, size)
-    high = size if first is None or last is None else min(last + 1, size)
-    if low >= high:
-        return Excerpt(b"", low, size)
-    parts = read_parts(url, key, [(low, high - low)])
-    return None if parts is None else Excerpt(parts[0], low, size)
 
 
 def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:

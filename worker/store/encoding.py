@@ -1,10 +1,14 @@
 """One array's chunk as bytes: little-endian numbers in zstd, in a shard where inner chunks are smaller.
 
 The bytes are those that zarr writes, but for the order of inner chunks in a shard, which the format leaves
-open.
+open, and for a seal behind each inner chunk: a skippable frame of zstd, which decoders pass over. It holds a
+digest of the job, the array, the position and the compressed bytes. The bytes of a chunk follow from its
+job's specification, so a chunk with its own seal is the chunk that was stored.
 """
 
-from collections.abc import Mapping, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import blake2b
 from itertools import product
 from math import prod
 from typing import Any, Final, NamedTuple
@@ -14,12 +18,18 @@ from numcodecs.checksum32 import CRC32C
 from numcodecs.zstd import compress, decompress
 from numpy.typing import NDArray
 
+from worker.schema import Layout
+
 #: Of zstd, whose frames carry a checksum.
 LEVEL: Final = 3
 #: Offset and length of an inner chunk that a shard does not have.
 _ABSENT: Final = 2**64 - 1
 _INDEX_ENTRY: Final = 16
 _CRC: Final = 4
+#: Head of a seal: the magic number of a skippable frame, and the bytes that follow.
+_SEALED_BYTES: Final = 16
+_SEAL_HEAD: Final = struct.pack("<II", 0x184D2A5B, _SEALED_BYTES)
+_SEAL_BYTES: Final = len(_SEAL_HEAD) + _SEALED_BYTES
 #: Puts the checksum of a shard's index behind it, and compares it.
 _CHECKED: Final = CRC32C(location="end")
 
@@ -34,6 +44,7 @@ class ArrayForm(NamedTuple):
     chunks: tuple[int, ...]  # of a file
     inner: tuple[int, ...]  # of what is compressed together: `chunks`, unless these are shards
     separator: str  # between the coordinates in the keys of chunks
+    seal: str | None = None  # the job and the array's name; None of stores whose chunks have no seals
 
     @property
     def sharded(self) -> bool:
@@ -51,22 +62,24 @@ class ArrayForm(NamedTuple):
         return _INDEX_ENTRY * prod(self.inner_counts) + _CRC
 
 
-def encode(form: ArrayForm, values: NDArray[Any]) -> bytes:
+def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> bytes:
     """A chunk's bytes. `values`: of its cells that are in the grid, fewer than a chunk's at the edge."""
     block = values
     if values.shape != form.chunks:
         block = np.full(form.chunks, form.fill, form.dtype)
         block[tuple(slice(n) for n in values.shape)] = values
-    if not form.sharded:
-        return _compressed(form, block)
     counts = form.inner_counts
+    if not form.sharded:
+        return _compressed(form, block, position(form, coords, ()))
     index = np.full((prod(counts), 2), _ABSENT, "<u8")
     parts, offset = [], 0
-    for number, coords in enumerate(product(*map(range, counts))):
-        first = [at * n for at, n in zip(coords, form.inner, strict=True)]
+    for number, inner in enumerate(product(*map(range, counts))):
+        first = [at * n for at, n in zip(inner, form.inner, strict=True)]
         if all(at < n for at, n in zip(first, values.shape, strict=True)):
             part = _compressed(
-                form, block[tuple(slice(at, at + n) for at, n in zip(first, form.inner, strict=True))]
+                form,
+                block[tuple(slice(at, at + n) for at, n in zip(first, form.inner, strict=True))],
+                position(form, coords, inner),
             )
             index[number] = offset, len(part)
             offset += len(part)
@@ -74,34 +87,107 @@ def encode(form: ArrayForm, values: NDArray[Any]) -> bytes:
     return b"".join([*parts, _CHECKED.encode(index.tobytes())])
 
 
-def decode(form: ArrayForm, content: bytes) -> NDArray[Any]:
-    """The values of an inner chunk. Raises RuntimeError or ValueError for damaged bytes."""
+def decode(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> NDArray[Any]:
+    """The values of the inner chunk at a position. Raises RuntimeError or ValueError for damaged bytes."""
+    check_seal(form, content, at)
     values = np.empty(form.inner, form.dtype)  # a damaged header may declare a far larger size
     decompress(content, values)
     return values
 
 
+def position(form: ArrayForm, coords: Sequence[int], inner: Sequence[int]) -> tuple[int, ...]:
+    """Where an inner chunk is in the array, in inner chunks; coordinates that are left out are 0."""
+    dims = len(form.dims)
+    outer, within = ([*part, *[0] * (dims - len(part))] for part in (coords, inner))
+    return tuple(c * n + i for c, n, i in zip(outer, form.inner_counts, within, strict=True))
+
+
+def check_seal(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> None:
+    """Raise ValueError unless an inner chunk's bytes are those that were stored at this position."""
+    if form.seal is not None:
+        body = memoryview(content)[:-_SEAL_BYTES]
+        if content[-_SEAL_BYTES:] != _seal(form, body, at):
+            raise ValueError("its bytes are not those that were stored here")
+
+
+def check_file(form: ArrayForm, content: bytes, coords: Sequence[int]) -> None:
+    """Raise ValueError unless a chunk's file is that which was stored at these coordinates."""
+    if not form.sharded:
+        check_seal(form, content, position(form, coords, ()))
+        return
+    entries = _index(form, content[-form.index_bytes :])
+    for inner in product(*map(range, form.inner_counts)):
+        offset, length = (int(number) for number in entries[inner])
+        if offset != _ABSENT:
+            check_seal(form, content[offset : offset + length], position(form, coords, inner))
+
+
+def _seal(form: ArrayForm, body: memoryview | bytes, at: tuple[int, ...]) -> bytes:
+    fact = f"{form.seal} {form.dtype.str} {form.shape} {form.chunks} {form.inner} {at}\n"
+    digest = blake2b(fact.encode(), digest_size=_SEALED_BYTES)
+    digest.update(body)
+    return _SEAL_HEAD + digest.digest()
+
+
 def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) -> list[tuple[int, int]]:
     """Offset and length of inner chunks, by their coordinates in a shard. Raises ValueError for damage."""
-    try:
-        entries = bytes(_CHECKED.decode(index))
-    except RuntimeError as error:
-        raise ValueError(f"the index of the shard is damaged: {error}") from None
-    if len(index) != form.index_bytes:
-        raise ValueError("the shard is cut off")
-    table = np.frombuffer(entries, "<u8").reshape(*form.inner_counts, 2)
+    table = _index(form, index)
     spans = [(int(table[coords][0]), int(table[coords][1])) for coords in inner]
     if any(offset == _ABSENT for offset, _ in spans):
         raise ValueError("the shard lacks a chunk")
     return spans
 
 
-def form_of(metadata: Mapping[str, Any]) -> ArrayForm:
-    """From the metadata of an array. Raises KeyError, TypeError or ValueError for what we do not write."""
+def _index(form: ArrayForm, index: bytes) -> NDArray[np.uint64]:
+    """(inner_counts, 2) offset and length of the inner chunks of a shard. Raises ValueError for damage."""
+    try:
+        entries = bytes(_CHECKED.decode(index))
+    except RuntimeError as error:
+        raise ValueError(f"the index of the shard is damaged: {error}") from None
+    if len(index) != form.index_bytes:
+        raise ValueError("the shard is cut off")
+    return np.frombuffer(entries, "<u8").reshape(*form.inner_counts, 2)
+
+
+def forms_in(layout: Layout) -> dict[str, ArrayForm]:
+    """How the arrays of a layout are stored, by name."""
+    return {
+        array.name: ArrayForm(
+            np.dtype(array.dtype).newbyteorder("<"),
+            array.fill,
+            array.dims,
+            layout.shape(array),
+            layout.chunk_shape(array),
+            layout.inner_shape(array) or layout.chunk_shape(array),
+            layout.separator,
+            seal_of(layout.identity.get("job"), array.name, layout.separator),
+        )
+        for array in layout.arrays
+    }
+
+
+def seal_of(job: Any, name: str, separator: str) -> str | None:
+    """What the seals of an array's chunks name; stores of the first format have none."""
+    return None if separator == "/" else f"{job} {name}"
+
+
+def same(form: ArrayForm, other: ArrayForm | None) -> bool:
+    """Whether two arrays are stored alike."""
+    if other is None or form._replace(fill=0) != other._replace(fill=0):
+        return False
+    return np.array_equal(form.fill, other.fill, equal_nan=True)
+
+
+def form_of(metadata: Mapping[str, Any], seal: Callable[[str], str | None] = lambda _: None) -> ArrayForm:
+    """From the metadata of an array. Raises KeyError, TypeError or ValueError for what we do not write.
+
+    seal: what the array's seals name, by its separator.
+    """
     dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
     chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
     codec = metadata["codecs"][0]
     sharded = codec["name"] == "sharding_indexed"
+    separator = metadata["chunk_key_encoding"]["configuration"]["separator"]
     return ArrayForm(
         dtype,
         _fill(dtype, metadata["fill_value"]),
@@ -109,7 +195,8 @@ def form_of(metadata: Mapping[str, Any]) -> ArrayForm:
         tuple(metadata["shape"]),
         chunks,
         tuple(codec["configuration"]["chunk_shape"]) if sharded else chunks,
-        metadata["chunk_key_encoding"]["configuration"]["separator"],
+        separator,
+        seal(separator),
     )
 
 
@@ -119,6 +206,6 @@ def _fill(dtype: np.dtype[Any], value: Any) -> Any:
     return complex(*numbers) if dtype.kind == "c" else numbers[0]
 
 
-def _compressed(form: ArrayForm, block: NDArray[Any]) -> bytes:
+def _compressed(form: ArrayForm, block: NDArray[Any], at: tuple[int, ...]) -> bytes:
     content: bytes = compress(np.ascontiguousarray(block, form.dtype), level=LEVEL, checksum=True)
-    return content
+    return content if form.seal is None else content + _seal(form, content, at)

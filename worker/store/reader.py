@@ -7,7 +7,7 @@ that `metadata.empty_store` defines.
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any, Final, NamedTuple
 
@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from worker.store.backend import ROOT, in_bucket, read_key, read_parts
 from worker.store.chunks import Index, key, threads
-from worker.store.encoding import ArrayForm, decode, form_of, spans_of
+from worker.store.encoding import (
+    ArrayForm,
+    check_file,
+    decode,
+    form_of,
+    position,
+    same,
+    seal_of,
+    spans_of,
+)
 from worker.store.errors import ChunkCoords, StoreDamaged, StoreMissing
 
 OUTCOME: Final = "outcome"
@@ -32,13 +41,17 @@ class _Part(NamedTuple):
 
 
 def read_cells(
-    url: str, names: Iterable[str], where: Mapping[str, Index] | tuple[slice, ...], complete: bool
+    url: str,
+    names: Iterable[str],
+    where: Mapping[str, Index] | tuple[slice, ...],
+    complete: bool,
+    forms: Mapping[str, ArrayForm] | None = None,
 ) -> dict[str, NDArray[Any]]:
     """The implementation of `store.read_slice` and `store.read_chunk`.
 
     where: indices along some cell dimensions by name, or slices along all of them in order.
     """
-    arrays = forms_of(root_of(url))
+    arrays = stored_forms(url, forms)
     index = where if isinstance(where, tuple) else _in_order(arrays[OUTCOME].dims, where)
     names = list(dict.fromkeys(names))
     parts = list(_parts(arrays[OUTCOME], index))
@@ -115,7 +128,8 @@ class _Reading:
 
     def _put(self, name: str, part: _Part, chunk_key: str, content: bytes) -> None:
         try:
-            values = decode(self._arrays[name], content)
+            form = self._arrays[name]
+            values = decode(form, content, position(form, part.coords, part.inner))
         except (RuntimeError, ValueError) as error:  # what codecs raise for damaged bytes
             self.damaged.setdefault(part.coords, f"{chunk_key}: cannot be decoded: {error}")
         else:
@@ -130,6 +144,35 @@ class _Reading:
         return self._cells[name]
 
 
+def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str, ArrayForm]:
+    """How a store's arrays are stored: as `forms` has it, which the store's metadata must repeat.
+
+    Raises StoreMissing, StoreDamaged.
+    """
+    stored = forms_of(root_of(url))
+    if forms is None:
+        return stored
+    if wrong := [name for name, form in forms.items() if not same(form, stored.get(name))]:
+        raise StoreDamaged(f"the store's metadata are not those of its specification: {', '.join(wrong)}")
+    return forms
+
+
+def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | None:
+    """The bytes of an array's chunk as they are stored; None if there are none. Raises StoreDamaged."""
+    name, _, rest = key.partition("/")
+    form, content = forms[name], read_key(url, key)
+    if content is None:
+        return None
+    coords = tuple(int(number) for number in rest.split(form.separator)[1:])
+    try:
+        check_file(form, content, coords)
+    except (ValueError, IndexError) as failure:
+        error = StoreDamaged(f"{key}: cannot be decoded: {failure}")
+        error.chunks = (coords[: len(forms[OUTCOME].dims)],)
+        raise error from None
+    return content
+
+
 def root_of(url: str) -> bytes:
     content = read_key(url, ROOT)
     if content is None:
@@ -141,15 +184,17 @@ def root_of(url: str) -> bytes:
 def forms_of(root: bytes) -> dict[str, ArrayForm]:
     """The arrays of cells by name, from the root's consolidated metadata."""
     try:
-        consolidated = json.loads(root).get("consolidated_metadata")
+        group = json.loads(root)
+        consolidated = group.get("consolidated_metadata")
         if not consolidated:
             raise StoreMissing("the store's creation was interrupted; create it again")
+        job = group["attributes"].get("job")
         arrays = {
-            name: form_of(metadata)
+            name: form_of(metadata, partial(seal_of, job, name))
             for name, metadata in consolidated["metadata"].items()
             if name not in metadata["dimension_names"]  # a coordinate
         }
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreDamaged(f"the store's metadata cannot be read: {type(error).__name__}: {error}") from None
     if OUTCOME not in arrays:
         raise StoreDamaged("the store's metadata cannot be read: no outcomes in it")

@@ -15,7 +15,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.errors import GroupNotFoundError
 
-from worker.schema import Layout, structured_attributes
+from worker.schema import Array, Layout, structured_attributes
 from worker.store import chunks
 from worker.store.backend import ROOT, in_bucket, make_partial_folder, open_store, read_key
 from worker.store.chunks import HasSlices, Index, Stored, fsync_files, key, write_keys
@@ -34,30 +34,42 @@ _recent: dict[str, tuple[float, Mapping[str, ArrayForm]]] = {}
 def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> None:
     """Create an empty store, with `attrs` added to the layout's attributes.
 
-    Does nothing if the store exists already, and completes one whose creation was interrupted. Raises
+    Completes a store whose creation was interrupted, and repairs metadata that differ. Raises
     `StoreConflict` if the store holds another job or has other chunks. `attrs` must not contain a time of
     day: the same layout must give the same bytes.
     """
-    if not _exists(url, layout):
-        repair_metadata(url, layout, attrs)
+    _check_identity(url, layout)
+    repair_metadata(url, layout, attrs)
 
 
 def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> list[str]:
     """Rewrite metadata and coordinates that differ from the layout's; return the keys rewritten."""
-    expected = empty_store(layout, attrs or {})
-    wrong = [name for name, content in expected.items() if read_key(url, name) != content.to_bytes()]
+    expected = metadata_of(layout, attrs)
+    wrong = [name for name, content in expected.items() if read_key(url, name) != content]
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
     make_partial_folder(url)
     if wrong:
-        write_keys(url, {name: expected[name].to_bytes() for name in wrong})
+        write_keys(url, {name: expected[name] for name in wrong})
         fsync_files(url, wrong)
     return wrong
 
 
-def check_chunk(url: str, chunk: HasSlices) -> None:
-    """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape."""
-    _owned_coords(_forms(url), url, chunk)
+def metadata_of(layout: Layout, attrs: Mapping[str, Any] | None = None) -> dict[str, bytes]:
+    """Metadata and coordinates of a store with this layout, by key; `attrs` as given to `create`."""
+    return {name: content.to_bytes() for name, content in empty_store(layout, attrs or {}).items()}
+
+
+def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
+    """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape.
+
+    arrays: what the study stores; a store that says otherwise is damaged.
+    """
+    forms = _forms(url)
+    expected = {array.name: np.dtype(array.dtype) for array in arrays}
+    if {name: form.dtype for name, form in forms.items()} != expected:
+        raise StoreDamaged(f"{url}: the store's metadata are not those of its specification")
+    _owned_coords(forms, url, chunk)
 
 
 def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> Stored:
@@ -74,7 +86,7 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
     contents = {}
     for name, array in record.items():
         form = forms[name]
-        contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]))
+        contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]), coords)
     separator = forms[OUTCOME].separator
     keys = {name: key(name, len(forms[name].dims), coords, separator) for name in record}
     try:
@@ -103,6 +115,7 @@ def read_slice(
     names: Iterable[str],
     *,
     complete: bool = False,
+    forms: Mapping[str, ArrayForm] | None = None,
     **where: Index,
 ) -> dict[str, NDArray[Any]]:
     """Part of some arrays, by index along the cell dimensions; reads only the chunks that it needs.
@@ -111,9 +124,10 @@ def read_slice(
     come last. Cells that are not computed read as fill values in every array.
 
     complete: whether every chunk has been written, so that a missing one is damage.
+    forms: `forms_in` of the study's layout, from which the store's metadata must not differ.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
-    return read_cells(url, names, where, complete)
+    return read_cells(url, names, where, complete, forms)
 
 
 def read_chunk(
@@ -156,7 +170,7 @@ def _open(url: str) -> zarr.Group:
         group = zarr.open_group(open_store(url, read_only=True), mode="r", zarr_format=3)
     except (FileNotFoundError, GroupNotFoundError):
         pass
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         failure = f"{type(error).__name__}: {error}"
     # Raised outside the `except` block, so that zarr's error is not its context: an error that a worker
     # returns is pickled with its context, and zarr's cannot be.
@@ -169,13 +183,13 @@ def _open(url: str) -> zarr.Group:
     return group
 
 
-def _exists(url: str, layout: Layout) -> bool:
-    """Whether the store exists; raises StoreConflict if its identity or its format is another."""
+def _check_identity(url: str, layout: Layout) -> None:
+    """Raise StoreConflict if there is a store whose identity or format is another."""
     identity = layout.identity
     try:
         attrs, found = read_attrs(url), format_of(url)
     except (StoreMissing, StoreDamaged):
-        return False
+        return
     if attrs.get("job") != identity["job"]:
         raise StoreConflict(f"{url}: holds job {attrs.get('job')}, not {identity['job']}")
     if attrs.get("chunk_shape") != identity["chunk_shape"]:
@@ -183,7 +197,6 @@ def _exists(url: str, layout: Layout) -> bool:
         raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
     if found != layout.format:
         raise StoreConflict(f"{url}: is of format {found}, not {layout.format}")
-    return True
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:

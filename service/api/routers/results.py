@@ -28,7 +28,6 @@ from service.results.multistability import plane_memory
 from service.results.provenance import attributes_of
 from service.results.selection import BASE_MEMORY, MAX_READ, line_flights
 from service.results.thresholds import Thresholds
-from worker import store
 from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
@@ -241,6 +240,13 @@ def _asked(byte_range: str) -> tuple[int | None, int | None] | None:
     return None if last is not None and last < first else (first, last)
 
 
+def _span(first: int | None, last: int | None, size: int) -> range:
+    """The positions of the bytes that `_asked` gives, of `size` there are."""
+    if first is None:
+        return range(max(size - (last or 0), 0), size)
+    return range(first, size if last is None else min(last + 1, size))
+
+
 @router.get(
     "/zarr/{key:path}",
     summary="Read the zarr store",
@@ -268,23 +274,21 @@ def get_zarr_file(
     bucket.
     """
     prepared = service.manager.preparer.prepare(job)
-    url = prepared.store_url
-    asked = None if if_range is not None else _asked(byte_range or "")
-    first, last = asked or (0, None)
-    excerpt = store.read_excerpt(url, key, first, last) if prepared.layout.has_key(key) else None
-    if excerpt is None:
+    content = prepared.read_file(key)
+    if content is None:
         raise NotInStore(f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
     if key == ROOT:
-        headers["Bounce-Store"] = quote(url, safe=_PLAIN)
+        headers["Bounce-Store"] = quote(prepared.store_url, safe=_PLAIN)
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
+    asked = None if if_range is not None else _asked(byte_range or "")
     if asked is None:
-        return Response(excerpt.content, media_type=media_type, headers=headers)
-    if not excerpt.content:
-        raise OutOfRange(excerpt.size)
-    end = excerpt.first + len(excerpt.content) - 1
-    headers["Content-Range"] = f"bytes {excerpt.first}-{end}/{excerpt.size}"
-    return Response(excerpt.content, HTTPStatus.PARTIAL_CONTENT, headers, media_type)
+        return Response(content, media_type=media_type, headers=headers)
+    span = _span(*asked, len(content))
+    if not span:
+        raise OutOfRange(len(content))
+    headers["Content-Range"] = f"bytes {span[0]}-{span[-1]}/{len(content)}"
+    return Response(content[span.start : span.stop], HTTPStatus.PARTIAL_CONTENT, headers, media_type)
 
 
 def _complete(complete: bool) -> dict[str, str]:

@@ -17,8 +17,8 @@ def test_a_chunk_that_is_no_shard_has_no_index():
     whole = form(inner=(4, 4))
     assert not whole.sharded
     values = np.arange(16, dtype=np.int32).reshape(4, 4)
-    assert decode(whole, encode(whole, values)).tolist() == values.tolist()
-    edge = decode(whole, encode(whole, values[:3, :2]))
+    assert decode(whole, encode(whole, values, (0, 0)), (0, 0)).tolist() == values.tolist()
+    edge = decode(whole, encode(whole, values[:3, :2], (0, 0)), (0, 0))
     assert edge[:3, :2].tolist() == values[:3, :2].tolist()
     assert np.all(edge[3] == 7)
     assert np.all(edge[:, 2:] == 7)
@@ -31,7 +31,7 @@ def test_a_shard_has_the_inner_chunks_with_cells(inner: tuple[int, int], shape: 
     assert shard.sharded
     assert shard.inner_counts == (4 // inner[0], 4 // inner[1])
     assert shard.index_bytes == 16 * 16 // (inner[0] * inner[1]) + 4
-    content = encode(shard, values)
+    content = encode(shard, values, (0, 0))
     index = content[-shard.index_bytes :]
     whole = np.full((4, 4), 7)
     whole[: shape[0], : shape[1]] = values
@@ -46,13 +46,13 @@ def test_a_shard_has_the_inner_chunks_with_cells(inner: tuple[int, int], shape: 
         assert offset == end
         end += length
         cells = tuple(slice(at, at + n) for at, n in zip(first, inner, strict=True))
-        assert decode(shard, content[offset:end]).tolist() == whole[cells].tolist()
+        assert decode(shard, content[offset:end], coords).tolist() == whole[cells].tolist()
     assert end == len(content) - shard.index_bytes
 
 
 def test_a_damaged_index_is_no_index():
     shard = form()
-    content = encode(shard, np.zeros((4, 4), np.int32))
+    content = encode(shard, np.zeros((4, 4), np.int32), (0, 0))
     index = content[-shard.index_bytes :]
     assert len(spans_of(shard, index, [(0, 0), (1, 0)])) == 2
     with pytest.raises(ValueError, match="the index of the shard is damaged"):
@@ -64,10 +64,10 @@ def test_a_damaged_index_is_no_index():
 
 def test_damaged_bytes_are_not_decoded():
     whole = form(inner=(4, 4))
-    content = bytearray(encode(whole, np.arange(16, dtype=np.int32).reshape(4, 4)))
+    content = bytearray(encode(whole, np.arange(16, dtype=np.int32).reshape(4, 4), (0, 0)))
     content[-1] ^= 1  # of the frame's checksum
     with pytest.raises((RuntimeError, ValueError)):
-        decode(whole, bytes(content))
+        decode(whole, bytes(content), (0, 0))
 
 
 METADATA = {

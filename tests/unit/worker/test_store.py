@@ -367,15 +367,15 @@ def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
     assert len(set(files(url)) - before) == len(record)
 
 
-def test_a_chunk_can_be_checked_before_it_is_computed(url, plan, tmp_path):
+def test_a_chunk_can_be_checked_before_it_is_computed(url, spec, plan, tmp_path):
     for chunk in plan:
-        store.check_chunk(url, chunk)
+        store.check_chunk(url, chunk, schema.arrays(spec))
     shifted = replace(plan[0], gamma=(2, 6))
     for wrong in (shifted, replace(plan[0], gamma=(2, 4)), replace(plan[0], omega=(0, 1))):
         with pytest.raises(store.StoreConflict, match="but chunks here are"):
-            store.check_chunk(url, wrong)
+            store.check_chunk(url, wrong, schema.arrays(spec))
     with pytest.raises(store.StoreMissing):
-        store.check_chunk(str(tmp_path / "none.zarr"), plan[0])
+        store.check_chunk(str(tmp_path / "none.zarr"), plan[0], schema.arrays(spec))
 
 
 def test_chunk_that_is_not_the_stores_own_is_refused(url, spec):
