@@ -1,6 +1,7 @@
 """Stored bytes that are flipped, truncated or deleted: reported, never returned as data, computed again."""
 
 import contextlib
+import json
 import os
 import random
 import shutil
@@ -10,7 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import zarr
 from fastapi.testclient import TestClient
 from scripted import Scripted, wait_for
 from studies import ADAPTIVE, BASINS, MULTISTABILITY
@@ -155,6 +158,98 @@ def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path, spec
             if files(service.store(here)) != intact:  # in an array that no response reads
                 assert address.startswith("end_state")
                 (service.store(here) / address).write_bytes(intact[address])
+
+
+def swap_a_file(ours: Path, theirs: Path, chance: random.Random) -> None:
+    """One array's chunk is that of another job."""
+    key = chance.choice(sorted(str(path.relative_to(ours)) for path in ours.glob("*/c.*")))
+    shutil.copy(theirs / key, ours / key)
+
+
+def swap_a_chunk(ours: Path, theirs: Path, chance: random.Random) -> None:
+    """All arrays' chunks at one place are those of another job."""
+    name = chance.choice(sorted(path.name for path in ours.glob("outcome/c.*")))
+    for path in [*ours.glob(f"*/{name}"), *ours.glob(f"*/{name}.*")]:
+        shutil.copy(theirs / path.relative_to(ours), path)
+
+
+def move_a_chunk(ours: Path, theirs: Path, chance: random.Random) -> None:
+    """All arrays' chunks are at another place of the same job."""
+    names = sorted(path.name for path in ours.glob("outcome/c.*"))
+    name, other = chance.sample(names, 2)
+    for path in [*ours.glob(f"*/{name}"), *ours.glob(f"*/{name}.*")]:
+        shutil.copy(path.with_name(path.name.replace(name, other, 1)), path)
+
+
+def edit_numbers(ours: Path, theirs: Path, chance: random.Random) -> None:
+    """Somebody writes other numbers with zarr: whole and well-formed files."""
+    array = zarr.open_group(ours, mode="r+")[chance.choice(["flight_time", "bounces", "outcome"])]
+    array[...] = np.asarray(array[...]) + 1  # type: ignore[index]
+
+
+def edit_type(ours: Path, theirs: Path, chance: random.Random) -> None:
+    edit_metadata(ours, chance, data_type="int64" if chance.random() < 0.5 else "float32")
+
+
+def edit_shape(ours: Path, theirs: Path, chance: random.Random) -> None:
+    edit_metadata(ours, chance, shape=[10**9] * 4)
+
+
+def edit_metadata(ours: Path, chance: random.Random, **fields: Any) -> None:
+    root = json.loads((ours / "zarr.json").read_text())
+    name = chance.choice(["flight_time", "bounces", "outcome"])
+    root["consolidated_metadata"]["metadata"][name] |= fields
+    (ours / "zarr.json").write_text(json.dumps(root))
+
+
+def nest(ours: Path, theirs: Path, chance: random.Random) -> None:
+    (ours / "zarr.json").write_text('{"attributes":' * 100_000 + "1" + "}" * 100_000)
+
+
+def swap_metadata(ours: Path, theirs: Path, chance: random.Random) -> None:
+    shutil.copy(theirs / "zarr.json", ours / "zarr.json")
+
+
+def swap_everything(ours: Path, theirs: Path, chance: random.Random) -> None:
+    shutil.rmtree(ours)
+    shutil.copytree(theirs, ours)
+
+
+@pytest.mark.essential
+def test_files_that_are_not_the_jobs_own_are_never_answered(tmp_path: Path):
+    """Each is whole, and would be decoded: a swapped or edited file is damage, and is repaired."""
+    chance = random.Random(8)
+    harms = [
+        swap_a_file, swap_a_chunk, move_a_chunk, edit_numbers, edit_type, edit_shape, nest, swap_metadata,
+        swap_everything,
+    ]  # fmt: skip
+    other = SWEEP | {"gamma": SWEEP["gamma"] | {"start": 0.9}}
+    with running(tmp_path) as service:
+        here, there = service.submit(SWEEP), service.submit(other)
+        ours, theirs = service.store(here), service.store(there)
+        intact = files(ours)
+        keys = ["zarr.json", *sorted(str(path.relative_to(ours)) for path in ours.glob("flight_time/c.*"))]
+        expected = [answer.content for answer in service.answers(here, SWEEP)]
+        for number in range(HTTP_TRIALS * 2):
+            harm = harms[number % len(harms)]
+            harm(ours, theirs, chance)
+            for answer, right in zip(service.answers(here, SWEEP), expected, strict=True):
+                assert answer.status_code == 503 or not answer.json()["complete"] or answer.content == right
+            for key in keys:
+                stored = service.client.get(f"{here}/zarr/{key}")
+                assert stored.status_code in (404, 503) or stored.content == intact[key], (harm, key)
+            for _ in range(12):  # each response finds one or two chunks
+                service.wait(here)
+                if all(
+                    answer.content == right
+                    for answer, right in zip(service.answers(here, SWEEP), expected, strict=True)
+                ):
+                    break
+            else:
+                raise AssertionError(f"not repaired after {harm.__name__}")
+            for key, content in intact.items():  # arrays that no response reads
+                if not (ours / key).exists() or (ours / key).read_bytes() != content:
+                    (ours / key).write_bytes(content)
 
 
 def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):

@@ -10,7 +10,6 @@ from tables import for_each
 
 from worker import store
 from worker.store import backend, checkpoints
-from worker.store.backend import Excerpt
 
 
 @pytest.fixture
@@ -54,7 +53,6 @@ def test_a_key_is_read(url: str, key: str):
 def test_where_nothing_is_nothing_is_read(url: str, key: str):
     assert backend.read_key(url, key) is None
     assert backend.read_parts(url, key, [(0, 1)]) is None
-    assert key == "folder" or backend.read_excerpt(url, key, 0, 3) is None
 
 
 def test_links_inside_a_store_are_not_followed_and_those_above_it_are(url: str, tmp_path: Path):
@@ -75,27 +73,6 @@ def test_links_inside_a_store_are_not_followed_and_those_above_it_are(url: str, 
 )
 def test_parts_count_from_either_end(url: str, span: tuple[int, int], part: bytes):
     assert backend.read_parts(url, "a", [span]) == [part]
-
-
-@for_each(
-    ("first", "last", "expected"),
-    [
-        (0, 0, Excerpt(b"0", 0, 10)),
-        (2, 4, Excerpt(b"234", 2, 10)),
-        (9, 9, Excerpt(b"9", 9, 10)),
-        (8, 20, Excerpt(b"89", 8, 10)),
-        (7, None, Excerpt(b"789", 7, 10)),
-        (0, None, Excerpt(b"0123456789", 0, 10)),
-        (None, 3, Excerpt(b"789", 7, 10)),
-        (None, 20, Excerpt(b"0123456789", 0, 10)),
-        (None, 0, Excerpt(b"", 10, 10)),
-        (10, 12, Excerpt(b"", 10, 10)),
-        (15, None, Excerpt(b"", 10, 10)),
-        (4, 3, Excerpt(b"", 4, 10)),
-    ],
-)
-def test_excerpts(url: str, first: int | None, last: int | None, expected: Excerpt):
-    assert backend.read_excerpt(url, "a", first, last) == expected
 
 
 # Writing

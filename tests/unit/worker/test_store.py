@@ -139,9 +139,7 @@ def test_attributes_with_parts_as_earlier_releases_wrote_them_are_read(url, spec
     root.write_text(json.dumps(document, indent=2))
     assert SweepSpec.parse(store.read_attrs(url)["spec"]) == spec
     assert store.chunk_shape(url) == plan.chunk_shape
-    store.create(url, layout(spec, plan.chunk_shape))  # it is the same job's: nothing to do
-    assert json.loads(root.read_text()) == document
-    assert store.repair_metadata(url, layout(spec, plan.chunk_shape)) == ["zarr.json"]
+    store.create(url, layout(spec, plan.chunk_shape))  # it is the same job's
     assert root.read_text() == now
 
 
@@ -588,7 +586,7 @@ def test_in_a_bucket_a_flag_that_is_not_set_is_remembered_for_a_moment(monkeypat
 # How chunks are stored
 
 
-def test_bytes_are_those_that_zarr_writes(url, spec, plan):
+def test_bytes_are_those_that_zarr_writes_with_a_seal_behind(url, spec, plan):
     """The last chunk along every axis is not whole."""
     for chunk in plan:
         store.write_chunk(url, chunk, record_of(spec, chunk))
@@ -598,7 +596,10 @@ def test_bytes_are_those_that_zarr_writes(url, spec, plan):
         for name, values in record_of(spec, chunk).items():
             array = group[name].with_config({"write_empty_chunks": True})
             array[chunk.slices] = values[None]
-    assert files(url) == before
+    assert files(url) == {
+        key: content[:-24] if "/c." in key and "_code" not in key else content
+        for key, content in before.items()
+    }
 
 
 def test_a_chunk_takes_few_operations(url, spec, plan, monkeypatch):
@@ -821,8 +822,9 @@ def test_stores_of_the_first_format_are_written_read_and_verified(first_format, 
     first, cut_as = first_format
     for chunk in plan:
         before = store.write_chunk(url, chunk, record_of(spec, chunk))
-        assert store.write_chunk(first, chunk, record_of(spec, chunk)) == before
-        assert list(store.find_corrupt(first, cut_as, [(chunk, before.checksum)])) == []
+        old = store.write_chunk(first, chunk, record_of(spec, chunk))
+        assert old.bytes < before.bytes  # without seals
+        assert list(store.find_corrupt(first, cut_as, [(chunk, old.checksum)])) == []
     assert (Path(first) / "outcome/c/0/1/1/2").is_file()
     assert {key.replace(".", "/") for key in files(url)} == {key.replace(".", "/") for key in files(first)}
     assert (store.format_of(first), store.format_of(url)) == (1, 2)
