@@ -153,7 +153,10 @@ def _damaged(request: Request, error: Exception) -> Response:
     """Start the repair of damaged results; 503 naming the chunks, or 500 for what cannot be repaired."""
     repairer = request.app.state.service.manager.repairer
     chunks = cast(StoreDamaged, error).chunks
-    detail, lasting = repairer.report(request.path_params.get("job_id", ""), chunks)
+    try:
+        detail, lasting = repairer.report(request.path_params.get("job_id", ""), chunks)
+    except LedgerUnavailable as unavailable:  # such as stores that are not there
+        return problem_response(unavailable)
     status = HTTPStatus.INTERNAL_SERVER_ERROR if lasting else HTTPStatus.SERVICE_UNAVAILABLE
     return ProblemResponse(status, detail)
 

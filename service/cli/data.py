@@ -72,7 +72,7 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
     if not settings.ledger_path.exists() and not adoption.has_stores(settings):
         rule = f"{settings.data} has neither a ledger nor stores: it is not the data folder of a service"
         raise click.BadParameter(rule, param_hint="'--data'")
-    with adoption.open_ledger(settings) as ledger:
+    with adoption.open_ledger(settings, adopting=True) as ledger:
         unknown = adoption.find_unknown(ledger, settings)
         ids = [Path(store).name.removesuffix(".zarr") for store in (unknown if every else stores)]
         for job_id in ids:

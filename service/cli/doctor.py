@@ -92,6 +92,10 @@ def _stores(settings: Settings) -> Iterator[Finding]:
     place = settings.stores_url
     names = store.names_in(place)
     yield Finding("stores", f"{place}: {sum(name.endswith('.zarr') for name in names)} stores")
+    ours = backup.marker_of(settings.ledger_path) if settings.ledger_path.exists() else None
+    if ours is not None and (there := store.read_marker(place)) != ours:
+        state = "is missing" if there is None else "is another ledger's"
+        yield Finding("stores", f"{place}: their marker {store.MARKER} {state}; see /readyz", ok=False)
     known = backup.known_ids(settings.ledger_path) if settings.ledger_path.exists() else set()
     for name in names:
         job_id, _, rest = name.partition(".zarr")

@@ -105,6 +105,18 @@ def known_ids(file: Path) -> set[str]:
         raise LedgerUnusable(f"{file} cannot be read: {error}") from error
 
 
+def marker_of(file: Path) -> str | None:
+    """What marks a ledger's stores; None if it has not marked any. Raises LedgerUnusable."""
+    try:
+        with _opened(file) as connection:
+            if "marker" not in _tables(connection):
+                return None
+            found = connection.execute("SELECT id FROM marker WHERE made").fetchone()
+            return None if found is None else str(found[0])
+    except sqlite3.DatabaseError as error:
+        raise LedgerUnusable(f"{file} cannot be read: {error}") from error
+
+
 @contextmanager
 def _opened(file: Path) -> Iterator[sqlite3.Connection]:
     """A connection that changes nothing, not even by applying a log: it may be another copy's."""

@@ -59,6 +59,8 @@ class Ledger:
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
         self._damage: str | None = None  # why nothing is written until the next start
         self._refused: str | None = None  # why the last transaction could not begin
+        self._check_stores: Callable[[], None] = lambda: None
+        self._stores_fault: str | None = None  # what is wrong about the stores, as found last
         self._closed = False
         with ExitStack() as opened:
             opened.enter_context(locked(path))
@@ -123,15 +125,25 @@ class Ledger:
                 self._files.note_written()
 
     def check(self) -> None:
-        """Raise LedgerUnavailable while the file must not be written: it is damaged, or another one.
+        """Raise LedgerUnavailable while nothing must be written: the file is damaged, or another one, or the
+        stores are not there.
 
         Called at every heartbeat, and before anything is stored.
         """
+        try:
+            self._check_stores()  # without a lock: a file system that hangs holds up this thread alone
+            self._stores_fault = None
+        except LedgerUnavailable as error:
+            self._stores_fault = str(error)
         with self._exclusive(), self._available():
             self._check_files()
             if self._refused:
                 self._begin()
                 self._writer.execute("ROLLBACK")
+
+    def guard(self, check_stores: Callable[[], None]) -> None:
+        """Have `check` call this too, which raises LedgerUnavailable while nothing may be stored."""
+        self._check_stores = check_stores
 
     def fault(self) -> str | None:
         """Why the ledger could not be read or written when it was last tried; waits for no writer.
@@ -187,6 +199,8 @@ class Ledger:
         if reason := self._files.replaced():
             self._rescue()
             raise LedgerUnavailable(reason)
+        if self._stores_fault is not None:
+            raise LedgerUnavailable(self._stores_fault)
         if self._files.lost_wal():
             self._reopen()
 

@@ -132,4 +132,9 @@ MIGRATIONS: Final = (
         PRIMARY KEY (job, page)
     ) WITHOUT ROWID;
     """,
+    # What marks the stores as this ledger's, and whether they were marked.
+    """
+    CREATE TABLE marker (id TEXT NOT NULL, made INTEGER NOT NULL);
+    INSERT INTO marker VALUES (lower(hex(randomblob(16))), 0);
+    """,
 )

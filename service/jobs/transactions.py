@@ -183,6 +183,11 @@ class ReadTransaction:
             Pace(_record(row), row["core_seconds"], row["cells_timed"]) for row in rows if row["cells_timed"]
         ]
 
+    def marker(self) -> tuple[str, bool]:
+        """What marks this ledger's stores, and whether they were marked."""
+        row = self._sql.execute("SELECT id, made FROM marker").fetchone()
+        return str(row["id"]), bool(row["made"])
+
     def ids(self) -> set[str]:
         """The ids of all jobs."""
         return {row[0] for row in self._sql.execute("SELECT id FROM jobs")}
@@ -366,6 +371,10 @@ class WriteTransaction(ReadTransaction):
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Remember what an idempotency key was used for."""
         self._sql.execute("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?)", (key, body, job.seq, now))
+
+    def note_marked(self) -> None:
+        """The stores are marked as this ledger's."""
+        self._sql.execute("UPDATE marker SET made = 1")
 
     def forget_keys(self, before: float) -> None:
         """Forget the keys that were used before that time, in seconds since 1970."""

@@ -12,14 +12,18 @@ import dask
 from distributed import Security
 
 from service.settings import Settings
+from worker.executors.admission import Probe
 from worker.executors.connection import SCHEDULER_SETTINGS
 from worker.executors.dask import Dask
 from worker.executors.targets import Made
 
 
 @contextmanager
-def connected_cluster(settings: Settings) -> Iterator[Dask]:
-    """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost."""
+def connected_cluster(settings: Settings, marker: str) -> Iterator[Dask]:
+    """A connection to the cluster during the block; closes a cluster created for it. Raises ClusterLost.
+
+    marker: what marks the stores, by which workers prove that they see them.
+    """
     name = settings.cluster
     cluster = Dask(
         settings.scheduler if name is None else Made(partial(_create, name), name),
@@ -27,7 +31,7 @@ def connected_cluster(settings: Settings) -> Iterator[Dask]:
         security=_tls(settings),
         workers=settings.workers,
         memory=settings.worker_memory,
-        stores=settings.stores_url,
+        stores=Probe(settings.stores_url, marker),
     )
     try:
         yield cluster

@@ -66,9 +66,9 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
     Raises NotStarted, for example if another service uses the data folder or the port.
     """
     with (
-        _listening(settings) as listener,
+        _listening(settings) as (listener, marker),
         _with_own_token(settings, listener) as complete,
-        _computing(settings, executor) as chosen,
+        _computing(settings, marker, executor) as chosen,
     ):
         with _startup_errors():
             server = WebServer(create_app(complete, chosen), settings, listener)
@@ -99,9 +99,9 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         _stopped_by_signals(),
         log_to_stderr(settings.log_level),
         _umask(settings),
-        _listening(settings) as listener,
+        _listening(settings) as (listener, marker),
         _with_own_token(settings, listener) as complete,
-        _computing(settings, None) as executor,
+        _computing(settings, marker, None) as executor,
         closing(Processes(settings.max_reads + settings.max_exports)) as background,
         address.recorder(settings.data) as record,
     ):
@@ -179,8 +179,11 @@ def _summary(settings: Settings) -> str:
 
 
 @contextmanager
-def _listening(settings: Settings) -> Iterator[socket.socket]:
-    """A socket bound to the address of the settings. Checks port and data folder before the slow startup."""
+def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
+    """A socket bound to the address of the settings, and what marks the stores.
+
+    Checks port and data folder before the slow startup.
+    """
     host, port = settings.host, settings.port
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -193,11 +196,12 @@ def _listening(settings: Settings) -> Iterator[socket.socket]:
         with _startup_errors():
             if settings.private:
                 _make_private(settings.folders)
-            open_ledger(settings).close()
+            with open_ledger(settings) as ledger, ledger.reading() as reading:
+                marker, _ = reading.marker()
             if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
                 for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
                     file.chmod(PRIVATE_FILE)
-        yield listener
+        yield listener, marker
 
 
 def _make_private(folders: Iterable[Path]) -> None:
@@ -233,7 +237,7 @@ def _with_own_token(settings: Settings, listener: socket.socket) -> Iterator[Set
 
 
 @contextmanager
-def _computing(settings: Settings, executor: Executor | None) -> Iterator[Executor]:
+def _computing(settings: Settings, marker: str, executor: Executor | None) -> Iterator[Executor]:
     """`executor`, or the cluster of the settings during the block. Raises NotStarted."""
     if executor is not None:
         yield executor
@@ -241,7 +245,7 @@ def _computing(settings: Settings, executor: Executor | None) -> Iterator[Execut
     with ExitStack() as stack:
         with _startup_errors():
             try:
-                cluster = stack.enter_context(connected_cluster(settings))
+                cluster = stack.enter_context(connected_cluster(settings, marker))
             except ClusterLost as error:
                 raise NotStarted(str(error)) from error
         yield cluster

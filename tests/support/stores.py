@@ -1,6 +1,11 @@
-"""What tests ask of a store's chunks."""
+"""What tests ask of a store's chunks, and of the folder of stores."""
 
+from pathlib import Path
+
+from service.jobs.stores.adoption import open_ledger
+from service.settings import Settings
 from worker import store
+from worker.executors.admission import Probe
 from worker.schema import Layout
 from worker.store import chunks
 from worker.store.chunks import HasSlices
@@ -13,3 +18,10 @@ def checksum(url: str, layout: Layout, chunk: HasSlices) -> str:
 def is_sound(url: str, layout: Layout, chunk: HasSlices, expected: str) -> bool:
     """Whether a chunk's stored bytes are those that were written."""
     return not list(store.find_corrupt(url, layout, [(chunk, expected)]))
+
+
+def marked(data: Path) -> Probe:
+    """What marks the stores of a data folder, which is made, as its service's."""
+    settings = Settings(data=data)
+    with open_ledger(settings) as ledger, ledger.reading() as reading:
+        return Probe(settings.stores_url, reading.marker()[0])

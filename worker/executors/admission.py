@@ -133,7 +133,7 @@ def _unseen(probe: Probe) -> str:
     try:
         from worker import store  # noqa: PLC0415 - see above
 
-        found = store.read_probe(probe.url)
+        found = store.read_marker(probe.url)
     except Exception as error:  # noqa: BLE001 - whatever keeps it from reading keeps it from computing
         return f"it cannot read {probe.url}, where the stores are: {_told(error)}"
     if found == probe.content:

@@ -15,7 +15,6 @@ from weakref import WeakSet
 from distributed import KilledWorker
 from distributed.protocol.pickle import dumps
 
-from worker import store
 from worker.executors.admission import Probe, Requirements, facts, refusal
 from worker.executors.base import USUAL, ClusterState, Compiling, Result
 from worker.executors.bundles import Bundles, Call
@@ -45,7 +44,6 @@ COMPILING_SECONDS: Final = 2.0
 #: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
 #: Why nothing can be written where the stores are.
-_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 #: Seconds between two looks at whether the workers are there to which a chunk that failed is bound.
 OTHERS_SECONDS: Final = 2.0
 #: Above that of any chunk: a request waits for the result.
@@ -71,8 +69,8 @@ class Dask:
     Without either, starts a cluster that listens on loopback only; each of its processes may use `memory`
     bytes (None: an equal share of the machine's).
 
-    Workers that differ from this process in what stored bytes depend on, or do not see the same folder (or
-    bucket) `stores`, get no chunk: see `worker.executors.admission`.
+    Workers that differ from this process in what stored bytes depend on, or do not see the folder (or bucket)
+    of `stores`, get no chunk: see `worker.executors.admission`.
 
     Returns when the workers present have been judged; later workers are judged on joining.
     Raises ClusterLost if no scheduler answers within `timeout` seconds, or no worker of its own can compute.
@@ -87,7 +85,7 @@ class Dask:
         workers: int = 2,
         memory: int | None = None,
         kernel_cache: str | Path | None = None,
-        stores: str | None = None,
+        stores: Probe | None = None,
         timeout: float = 30.0,
     ) -> None:
         self._workers: LocalWorkers | None = None
@@ -104,8 +102,7 @@ class Dask:
             if address is None and scheduler_file is None:
                 self._workers = LocalWorkers(workers, memory)
                 address = self._workers.cluster
-            own_machine = self._workers is not None or stores is None
-            probe = None if own_machine else _probe(str(stores))
+            probe = None if self._workers is not None else stores
             plugin = PreparedWorker(Requirements(facts(), probe), str(kernel_cache) if kernel_cache else None)
             self._target = _target(address, scheduler_file, timeout)
             self._connection = SchedulerConnection(
@@ -368,17 +365,6 @@ class Dask:
 def _lacks_project(error: Exception) -> bool:
     """Whether a worker without this project was given the task, before it was refused."""
     return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == "worker"
-
-
-def _probe(stores: str) -> Probe | None:
-    """The probe among the stores; None, with a warning, where it cannot be written."""
-    try:
-        return Probe(stores, store.write_probe(stores))
-    except _UNWRITABLE as error:
-        log.warning(
-            "workers are not asked whether they see %s, nothing can be written there: %s", stores, error
-        )
-        return None
 
 
 def _target(address: Any, scheduler_file: str | Path | None, timeout: float) -> Target:

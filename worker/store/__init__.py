@@ -27,8 +27,8 @@ from worker.store.errors import (
     StoreError,
     StoreMissing,
 )
+from worker.store.marker import MARKER, read_marker, write_marker
 from worker.store.metadata import read_spec, write_spec
-from worker.store.probe import read_probe, write_probe
 from worker.store.reader import read_file, stored_forms
 from worker.store.store import (
     check_chunk,
@@ -45,6 +45,7 @@ from worker.store.store import (
 )
 
 __all__ = [
+    "MARKER",
     "ROOT",
     "UNREACHABLE",
     "ArrayForm",
@@ -78,7 +79,7 @@ __all__ = [
     "read_coordinates",
     "read_file",
     "read_key",
-    "read_probe",
+    "read_marker",
     "read_slice",
     "read_spec",
     "remove",
@@ -92,6 +93,6 @@ __all__ = [
     "sync_folders",
     "write_checkpoint",
     "write_chunk",
-    "write_probe",
+    "write_marker",
     "write_spec",
 ]

@@ -17,6 +17,7 @@ from service.errors import NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, NewJob
 from service.jobs.prepare import first_cells, layout_of, parse_stored
+from service.jobs.stores.marker import StoresMarker
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice
@@ -62,9 +63,20 @@ def has_stores(settings: Settings) -> bool:
     return any(_STORE_NAME.fullmatch(name) for name in names)
 
 
-def open_ledger(settings: Settings) -> Ledger:
-    """The ledger of the settings' data folder. Raises as `Ledger` does."""
-    return Ledger(settings.ledger_path, partial(has_stores, settings))
+def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
+    """The ledger of the settings' data folder, its stores marked as its own.
+
+    Raises as `Ledger` does, and LedgerUnusable if the stores are another ledger's.
+    """
+    ledger = Ledger(settings.ledger_path, partial(has_stores, settings))
+    try:
+        marker = StoresMarker(ledger, settings)
+        marker.claim(adopting)
+    except BaseException:
+        ledger.close()
+        raise
+    ledger.guard(marker.check)
+    return ledger
 
 
 def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:

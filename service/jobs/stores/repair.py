@@ -76,7 +76,9 @@ class Repairer:
         """Have chunks of a job computed again; until then their cells read as missing.
 
         Those of an outdated job are given up: their cells stay missing, and a job that was done has failed.
+        Raises LedgerUnavailable, also where the stores are not there.
         """
+        self._ledger.check()
         with self._invalidating(job.id) as computed_again:
             with self._ledger.writing() as ledger:
                 current = ledger.find(job.id)

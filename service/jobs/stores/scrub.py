@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import Final
 
+from service.errors import LedgerUnavailable
 from service.jobs.ledger import Ledger
 from service.jobs.model import UNFINISHED, JobRecord
 from service.jobs.prepare import JobPreparer, PreparedJob
@@ -90,7 +91,9 @@ class Scrubber:
                     self._scrub(job)
                 self._find_unknown()
                 return
-            except Exception:  # such as a ledger that does not answer
+            except LedgerUnavailable:  # the supervisor says why
+                self._stop.wait(self._settings.heartbeat_seconds)
+            except Exception:
                 pause = self._settings.heartbeat_seconds
                 log.exception("scrub failed; starting again in %g s", pause)
                 self._stop.wait(pause)
@@ -116,7 +119,8 @@ class Scrubber:
                 yield job
 
     def _scrub(self, job: JobRecord) -> None:
-        """Verify one job, unless that was done not long ago."""
+        """Verify one job, unless that was done not long ago. Raises LedgerUnavailable."""
+        self._ledger.check()
         try:
             if not self._is_due(job):
                 self._verified.add(job.id)
@@ -126,6 +130,8 @@ class Scrubber:
                 ledger.finish_verification(job, time.time())
         except _Stopping:
             return
+        except LedgerUnavailable:
+            raise
         except Exception:
             log.exception("job %s cannot be verified; damage will be met when it is read", job.id)
         self._verified.add(job.id)

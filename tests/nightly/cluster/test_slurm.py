@@ -27,6 +27,7 @@ from paths import CACHE, ROOT
 from running import Running, costing, running
 from scripted import wait_for
 from slurm import Slurm, missing, slurm_running
+from stores import marked
 
 from service.jobs.model import JobRecord, JobState
 from worker.executors.connection import SCHEDULER_SETTINGS
@@ -106,7 +107,9 @@ def make(folder: Path, walltime: str = "00:10:00", prologue: Sequence[str] = ())
 
 @contextmanager
 def computing(cluster: Callable[[], Any], stores: Path | None = None) -> Iterator[Dask]:
-    executor = Dask(Made(cluster, "slurm:cluster"), timeout=60, stores=str(stores) if stores else None)
+    executor = Dask(
+        Made(cluster, "slurm:cluster"), timeout=60, stores=marked(stores.parent) if stores else None
+    )
     try:
         yield executor
     finally:

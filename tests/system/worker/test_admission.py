@@ -22,6 +22,7 @@ from distributed import Client
 from paths import CACHE, ROOT
 from running import costing, running
 from scripted import wait_for
+from stores import marked
 
 from service.api.monitoring import Readiness
 from service.jobs.model import JobState
@@ -162,7 +163,7 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
     start(processes, tmp_path)
     with Client(processes.address, timeout=60, set_as_default=False) as client:
         wait_for(lambda: client.scheduler_info()["workers"], processes.log, PATIENCE)
-    executor = Dask(processes.address, stores=str(tmp_path / "data" / "stores"), timeout=60)
+    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
     readiness = Readiness(executor, max_age=0.0)
     try:
         with running(tmp_path / "data", executor) as service:
@@ -192,7 +193,7 @@ def test_a_worker_that_dies_while_it_is_prepared_does_not_keep_the_service_from_
     processes.worker()
     with Client(processes.address, timeout=60, set_as_default=False) as client:
         wait_for(lambda: len(client.scheduler_info()["workers"]) == 2, processes.log, PATIENCE)
-    executor = Dask(processes.address, stores=str(tmp_path / "data" / "stores"), timeout=60)
+    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
     try:
         assert "the workers cannot be prepared, trying again" in caplog.text
         assert executor.call(len, "abc").result(PATIENCE) == 3
@@ -215,7 +216,7 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
     """It is given a chunk at once, before it is refused."""
     errors = noting_errors(monkeypatch)
     processes.worker()
-    executor = Dask(processes.address, stores=str(tmp_path / "data" / "stores"), timeout=60)
+    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
     try:
         with running(tmp_path / "data", executor, chunk_tries=1) as service:
             job = service.submit(costing(chunks=2000, seconds=0.1))
@@ -253,7 +254,7 @@ def test_a_refused_worker_ends_when_it_is_told_to(tmp_path: Path, processes: Pro
 
 def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, processes: Processes):
     stores = tmp_path / "data" / "stores"
-    executor = Dask(processes.address, stores=str(stores), timeout=60)
+    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
     try:
         stores.rename(tmp_path / "away")
         processes.worker()
@@ -289,8 +290,8 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
 
 def test_what_a_process_is_judged_by(tmp_path: Path):
     url = str(tmp_path / "stores")
-    content = store.write_probe(url)
-    assert store.write_probe(url) == content
+    content = "ours"
+    store.write_marker(url, content)
     here = facts()
     try:
         assert Requirements(here, Probe(url, content)).judge(1) == ""

@@ -16,6 +16,7 @@ from scripted import wait_for
 from service.jobs.model import JobState
 from worker import store, watchdog
 from worker.executors import dask
+from worker.executors.admission import Probe
 from worker.executors.dask import Dask
 from worker.executors.errors import WorkerLeft
 from worker.executors.quarantine import MARKS, Quarantine
@@ -91,7 +92,7 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
 def test_a_cluster_that_is_closed_leaves_nothing_behind(tmp_path: Path):
     """No process, no thread that would connect again, no file; `stores` are not asked for on one machine."""
     use_cache(CACHE)
-    executor = Dask(workers=1, kernel_cache=CACHE, stores=str(tmp_path / "stores"))
+    executor = Dask(workers=1, kernel_cache=CACHE, stores=Probe(str(tmp_path / "stores"), "ours"))
     try:
         connection, workers = executor._connection, executor._workers
         client, monitor, scratch = connection.client, connection._monitor, workers._scratch.folder

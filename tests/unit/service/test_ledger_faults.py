@@ -7,6 +7,7 @@ import os
 import shutil
 import sqlite3
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,7 +17,7 @@ import psutil
 import pytest
 from fastapi.testclient import TestClient
 from running import running
-from scripted import Held, sweep, wait_for
+from scripted import Held, Scripted, sweep, wait_for
 from served import FIGURE_2, finished, get, service
 
 from kernel.params import KERNEL_VERSION
@@ -186,6 +187,46 @@ def test_what_is_moved_away_is_noticed_and_all_goes_on_when_it_is_back(
     assert not (data / "stores" / f"{sweep(omega=0.77).job_id(KERNEL_VERSION)}.zarr").exists()
     path.with_name("elsewhere").rename(path)
     works(client)
+
+
+def test_where_the_stores_are_not_mounted_nothing_is_written_and_nothing_computed_again(tmp_path: Path):
+    data, mount = tmp_path / "data", tmp_path / "mount"
+    stores = str(mount / "stores")
+    with closing(Scripted()) as executor:
+        with service(data, executor, stores=stores) as client:
+            here = finished(client, FIGURE_2)
+            query = {"omega": FIGURE_2["omega"], "xi": FIGURE_2["xi"]}
+            right, tried = client.get(f"{here}/diagram", params=query).content, len(executor.tried)
+            mount.rename(tmp_path / "device")
+            mount.mkdir()
+            assert client.get(f"{here}/diagram", params=query).status_code == 503
+            refused(client, "the stores are not there: their marker .ledger is missing")
+        with service(data, executor, stores=stores) as client:
+            refused(client, "the stores are not there")
+            time.sleep(1.0)  # several heartbeats
+            assert get(client, here)["state"] == "done"
+            assert list(mount.iterdir()) == []
+            mount.rmdir()
+            (tmp_path / "device").rename(mount)
+            works(client)
+            assert client.get(f"{here}/diagram", params=query).content == right
+            assert executor.tried[tried:] == list(
+                range(get(client, "/v1/jobs")["jobs"][0]["progress"]["chunks_total"])
+            )
+
+
+def test_two_data_folders_do_not_share_stores(tmp_path: Path, inline: Inline):
+    """A job deleted in one would remove the results of the other."""
+    stores = str(tmp_path / "stores")
+    with service(tmp_path / "one", inline, stores=stores) as client:
+        here = finished(client, FIGURE_2)
+        with pytest.raises(
+            LedgerUnusable, match=r"another data folder's: .* set BOUNCE_STORES to another folder"
+        ):
+            open_ledger(Settings(data=tmp_path / "two", stores=stores))
+        works(client)
+    with open_ledger(Settings(data=tmp_path / "one", stores=stores)) as ledger:
+        assert ledger.find(here.rpartition("/")[2]) is not None
 
 
 def test_a_replaced_ledger_is_not_written_to_and_what_was_open_is_kept(data: Path, client: TestClient):

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -503,6 +504,28 @@ def test_a_job_that_the_executor_refuses_fails_with_the_reason_and_others_are_do
         assert Refusing.refusals - executor.refusals == 3 * 2
         executor.refusals = 0
         service.until(service.submit(sweep("refused")), JobState.DONE)
+
+
+class Mistaken(Scripted):
+    """A worker that computes what it is told, and first reports another chunk."""
+
+    def __init__(self, **wrong: int) -> None:
+        super().__init__()
+        self.wrong, self.mistakes = wrong, 0
+
+    def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
+        report = super()._run(spec, chunk, store_url)
+        self.mistakes += 1
+        return replace(report, **self.wrong) if self.mistakes == 1 else report
+
+
+@pytest.mark.parametrize("wrong", [{"index": 1}, {"index": 10**9}, {"index": -1}, {"cells": 10**6}])
+def test_a_report_of_another_chunk_is_the_workers_failure(tmp_path: Path, wrong: dict[str, int]):
+    with closing(Mistaken(**wrong)) as executor, running(tmp_path, executor) as service:
+        job = service.until(service.submit(sweep()), JobState.DONE)
+        assert executor.mistakes == job.chunks_total + 1
+        assert job.cells_done == job.cells_total
+        assert np.all(service.outcomes(job) != Outcome.MISSING)
 
 
 def test_a_job_that_the_executor_refuses_at_first_is_done(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Stores in folders, below zarr: keys, parts of them, partial files, flags, probes and checkpoints."""
+"""Stores in folders, below zarr: keys, parts of them, partial files, flags, markers and checkpoints."""
 
 import os
 from pathlib import Path
@@ -181,20 +181,16 @@ def test_a_flag_is_set_and_cleared(tmp_path: Path):
         assert backend.has_flag(flag) is False
 
 
-# Probes
+# Markers
 
 
-def test_a_probe_is_written_once(tmp_path: Path):
+def test_a_marker_is_read_as_it_was_written(tmp_path: Path):
     place = str(tmp_path / "stores")
-    assert store.read_probe(place) is None
-    content = store.write_probe(place)
-    assert content == store.write_probe(place) == store.read_probe(place)
-    assert len(content) == 32
-    (tmp_path / "stores" / ".probe").write_bytes(b"")  # as a disk that was full leaves it
-    again = store.write_probe(place)
-    assert again == store.read_probe(place) != content
-    (tmp_path / "stores" / ".probe").write_bytes(b"\xff")
-    assert store.read_probe(place) == "\ufffd"
+    assert store.read_marker(place) is None
+    store.write_marker(place, "ours")
+    assert store.read_marker(place) == "ours"
+    (tmp_path / "stores" / store.MARKER).write_bytes(b"\xff")
+    assert store.read_marker(place) == "\ufffd"
 
 
 # Specifications
