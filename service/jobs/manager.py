@@ -91,8 +91,8 @@ class JobManager:
         Those that another kernel version began end, each replaced by a job that computes its study anew.
         """
         self._replace_outdated()
+        self._deleter.start()  # before the others notice that stores are not there, and nothing is written
         self._scrubber.start()
-        self._deleter.start()
         self._supervisor.start()
 
     def stop(self) -> None:

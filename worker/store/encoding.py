@@ -2,8 +2,9 @@
 
 The bytes are those that zarr writes, but for the order of inner chunks in a shard, which the format leaves
 open, and for a seal behind each inner chunk: a skippable frame of zstd, which decoders pass over. It holds a
-digest of the job, the array, the position and the compressed bytes. The bytes of a chunk follow from its
-job's specification, so a chunk with its own seal is the chunk that was stored.
+digest of the job, the array, the position, and the length and the checksum of what was compressed, which zstd
+verifies. The bytes of a chunk follow from its job's specification, so a chunk with its own seal is the chunk
+that was stored.
 """
 
 import struct
@@ -29,6 +30,8 @@ _CRC: Final = 4
 #: Head of a seal: the magic number of a skippable frame, and the bytes that follow.
 _SEALED_BYTES: Final = 16
 _SEAL_HEAD: Final = struct.pack("<II", 0x184D2A5B, _SEALED_BYTES)
+#: Bytes at the end of a frame of zstd, the checksum of its content.
+_CHECKSUM_BYTES: Final = 4
 _SEAL_BYTES: Final = len(_SEAL_HEAD) + _SEALED_BYTES
 #: Puts the checksum of a shard's index behind it, and compares it.
 _CHECKED: Final = CRC32C(location="end")
@@ -123,10 +126,9 @@ def check_file(form: ArrayForm, content: bytes, coords: Sequence[int]) -> None:
 
 
 def _seal(form: ArrayForm, body: memoryview | bytes, at: tuple[int, ...]) -> bytes:
-    fact = f"{form.seal} {form.dtype.str} {form.shape} {form.chunks} {form.inner} {at}\n"
-    digest = blake2b(fact.encode(), digest_size=_SEALED_BYTES)
-    digest.update(body)
-    return _SEAL_HEAD + digest.digest()
+    fact = f"{form.seal} {form.dtype.str} {form.shape} {form.chunks} {form.inner} {at} {len(body)}\n"
+    content = fact.encode() + bytes(body[-_CHECKSUM_BYTES:])
+    return _SEAL_HEAD + blake2b(content, digest_size=_SEALED_BYTES).digest()
 
 
 def spans_of(form: ArrayForm, index: bytes, inner: Sequence[tuple[int, ...]]) -> list[tuple[int, int]]:
