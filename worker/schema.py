@@ -32,11 +32,8 @@ REFERENCE: Final = (
 _STRUCTURED: Final = ("spec", "choice", "time_steps", "chunk_shape")
 
 _METADATA_KEY: Final = "zarr.json"
-_CHUNK_KEY: Final = re.compile(r"c(?:/(?:0|[1-9][0-9]{0,8})){1,8}|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")
+_CHUNK_KEY: Final = re.compile(r"c/0|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")  # of a coordinate, of an array
 
-#: How stores are laid out that are made now. 1, until release 0.1.0: a folder for each coordinate of a chunk
-#: (c/0/0/1/2). 2: all chunks of an array in its folder (c.0.0.1.2), large ones as shards.
-STORE_FORMAT: Final = 2
 #: Chunks of more bytes, before compression and of all arrays together, are shards, of inner chunks of
 #: INNER_BYTES at most: reading a cell reads its inner chunk.
 SHARD_BYTES: Final = 17 * 2**20
@@ -89,8 +86,6 @@ class Layout:
     attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store
     #: Attributes that distinguish this store from every other: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
-    #: How the store is laid out; a job keeps that which it began with.
-    format: int = STORE_FORMAT
 
     def __post_init__(self) -> None:
         """Refuse an array with a dimension's name, which readers take for its coordinate: ValueError."""
@@ -124,11 +119,6 @@ class Layout:
         """Length of an array's chunk along each of its dimensions."""
         return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
 
-    @property
-    def separator(self) -> str:
-        """Between the coordinates in the keys of chunks."""
-        return "/" if self.format == 1 else "."
-
     @cached_property
     def inner_sizes(self) -> Mapping[str, int] | None:
         """Cells along each cell dimension of the inner chunks of a shard; None if chunks are no shards.
@@ -136,7 +126,7 @@ class Layout:
         Halves of halves of a chunk, until they have INNER_BYTES at most; sizes that are odd stay as they are.
         """
         sizes, size = dict(self.chunk_sizes), self.chunk_bytes
-        if self.format == 1 or size <= SHARD_BYTES:
+        if size <= SHARD_BYTES:
             return None
         while size > INNER_BYTES and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
             longest = max(even, key=lambda dim: sizes[dim])
@@ -196,7 +186,7 @@ def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
 
 
 def structured_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """The attributes of a store with their parts; stores of earlier releases hold them as parts already."""
+    """The attributes of a store with their parts."""
     return {
         name: _parts(value) if name in _STRUCTURED and isinstance(value, str) else value
         for name, value in attrs.items()

@@ -66,8 +66,7 @@ def restore(ledger: Path, file: Path) -> Restored:
         try:
             shutil.copyfile(file, partial)
             with closing(sqlite3.connect(partial)) as connection, connection:
-                if "deletions" in _tables(connection):
-                    connection.execute("DELETE FROM deletions")
+                connection.execute("DELETE FROM deletions")
                 connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming puts in place
             partial.chmod(PRIVATE_FILE)
             _sync(partial)
@@ -99,8 +98,8 @@ def known_ids(file: Path) -> set[str]:
     """The ids of a ledger's jobs, and of those whose results are being removed. Raises LedgerUnusable."""
     try:
         with _opened(file) as connection:
-            deleted = "UNION SELECT job FROM deletions" if "deletions" in _tables(connection) else ""
-            return {row[0] for row in connection.execute(f"SELECT id FROM jobs {deleted}")}
+            rows = connection.execute("SELECT id FROM jobs UNION SELECT job FROM deletions")
+            return {row[0] for row in rows}
     except sqlite3.DatabaseError as error:
         raise LedgerUnusable(f"{file} cannot be read: {error}") from error
 
@@ -109,8 +108,6 @@ def marker_of(file: Path) -> str | None:
     """What marks a ledger's stores; None if it has not marked any. Raises LedgerUnusable."""
     try:
         with _opened(file) as connection:
-            if "marker" not in _tables(connection):
-                return None
             found = connection.execute("SELECT id FROM marker WHERE made").fetchone()
             return None if found is None else str(found[0])
     except sqlite3.DatabaseError as error:

@@ -29,9 +29,9 @@ from service.jobs.ledger_files import (
     size_of,
     wal_of,
 )
-from service.jobs.migrations import MIGRATIONS
 from service.jobs.model import JobRecord
-from service.jobs.transactions import ReadTransaction, WriteTransaction, packed
+from service.jobs.tables import TABLES, VERSION
+from service.jobs.transactions import ReadTransaction, WriteTransaction
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +69,6 @@ class Ledger:
                 _check_not_emptied(path, has_stores)
                 self._connect()
             self._opened = opened.pop_all()
-        path.with_suffix(".reserve").unlink(missing_ok=True)  # of release 0.1.0
         self.keep_reserve()
         if kind := network_file_system(path.parent):
             log.warning("%s is on a network file system (%s): %s", path.parent, kind, NOT_LOCAL)
@@ -81,7 +80,7 @@ class Ledger:
                 self._writer = opened.enter_context(_connected(self.path))
                 self._reader = opened.enter_context(_connected(self.path))
                 check(self._reader, self.path)
-                _migrate(self._writer)
+                _make_tables(self._writer)
             except sqlite3.DatabaseError as error:
                 raise LedgerUnusable(f"{self.path} cannot be used: {error}: {MEND}") from error
             self._files = OpenFiles(self.path)
@@ -340,10 +339,13 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
     connection.set_progress_handler(lambda: int(time.monotonic() > deadline), 100_000)
     try:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version > len(MIGRATIONS):
+        if version > VERSION:
             raise LedgerUnusable(
-                f"the ledger is of version {version}, this service knows up to {len(MIGRATIONS)}: "
-                "use a newer one"
+                f"the ledger is of version {version}, this service knows up to {VERSION}: use a newer one"
+            )
+        if 0 < version < VERSION:
+            raise LedgerUnusable(
+                f"the ledger is of version {version}, from before release 0.2.0: move the data folder away"
             )
         # Not `quick_check`: with a log of another copy, indices can name rows that the tables do not have.
         [first, *_] = connection.execute("PRAGMA integrity_check(1)").fetchone()
@@ -370,16 +372,14 @@ _CONTRADICTION: Final = """
 """
 
 
-def _migrate(connection: sqlite3.Connection) -> None:
-    """Bring the file to this version, each step whole or not at all."""
-    connection.create_function("packed", 1, packed, deterministic=True)
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    for number, script in enumerate(MIGRATIONS[version:], version + 1):
-        connection.executescript(f"BEGIN IMMEDIATE; {script}; PRAGMA user_version = {number}; COMMIT;")
-    if connection.execute("PRAGMA auto_vacuum").fetchone()[0] != _INCREMENTAL:
-        # Once: from then on the file gets smaller when jobs are deleted.
-        connection.execute(f"PRAGMA auto_vacuum = {_INCREMENTAL}")
-        connection.execute("VACUUM")
+def _make_tables(connection: sqlite3.Connection) -> None:
+    """Make the tables of a new ledger, whole or not at all."""
+    if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
+        return
+    # Before there is any table: the file gets smaller when jobs are deleted.
+    connection.execute(f"PRAGMA auto_vacuum = {_INCREMENTAL}")
+    connection.execute("VACUUM")
+    connection.executescript(f"BEGIN IMMEDIATE; {TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
 
 
 @contextmanager

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition
-from worker.schema import STORE_FORMAT
 
 
 class JobState(StrEnum):
@@ -94,8 +93,6 @@ class NewJob:
     first_cells: int = field(default=0, kw_only=True)
     #: Name of the access token with which it was submitted, or last resumed; None if that has no name.
     owner: str | None = field(default=None, kw_only=True)
-    #: How its store is laid out, see `worker.schema.Layout.format`.
-    store_format: int = field(default=STORE_FORMAT, kw_only=True)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.cost import Cost
 from worker.refinement import first_round
-from worker.schema import STORE_FORMAT, Layout
+from worker.schema import Layout
 from worker.studies import Chunk, Plan, Study, from_json, parse, study_of
 
 #: Prepared jobs kept, those used last; and characters of their specifications, which may hold long axes.
@@ -45,7 +45,6 @@ class PreparedJob:
     plan: Plan
     store_url: str
     attributes: Mapping[str, Any]  # of the store: the chosen model, the same for the same sweep
-    store_format: int = STORE_FORMAT
     outdated: bool = False  # computed by another kernel version, which may have stored otherwise
 
     @property
@@ -56,7 +55,7 @@ class PreparedJob:
     @cached_property
     def layout(self) -> Layout:
         """What is stored, and how it is cut."""
-        return layout_of(self.study, self.submitted, self.plan.chunk_shape, self.store_format)
+        return self.study.variables(self.submitted, self.plan.chunk_shape)
 
     @cached_property
     def forms(self) -> Mapping[str, store.ArrayForm] | None:
@@ -105,11 +104,6 @@ class PreparedJob:
     def describe(self, chunk: Chunk) -> str:
         """A chunk's number and cells: `chunk 3 (up, gamma 1 to 1.5, omega 0.5, xi 0.26)`."""
         return f"chunk {chunk.index} ({self.layout.describe(chunk.slices)})"
-
-
-def layout_of(study: Study, submitted: Any, chunk_shape: tuple[int, ...], store_format: int) -> Layout:
-    """The layout of a study's store in one of the formats."""
-    return replace(study.variables(submitted, chunk_shape), format=store_format)
 
 
 def first_cells(spec: Any, plan: Plan) -> int:
@@ -161,7 +155,6 @@ class JobPreparer:
             plan=_plan(job, submitted) if plan is None else plan,
             store_url=self._settings.store_of(job.id),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
-            store_format=job.store_format,
             outdated=job.outdated,
         )
         _, replaced = self._jobs.pop(_key(job), (None, 0))

@@ -73,7 +73,7 @@ class StoredChunk(NamedTuple):
 
     number: int
     checksum: str
-    size: int | None  # of all arrays, in bytes; None of those marked by releases before 0.2.0
+    size: int | None  # of all arrays, in bytes; None of adopted ones
 
 
 class Pace(NamedTuple):
@@ -236,7 +236,7 @@ class ReadTransaction:
             " ORDER BY chunk",
             (job.seq, first, last),
         )
-        return [StoredChunk(row[0], unpacked(row[1]), row[2]) for row in rows]
+        return [StoredChunk(row[0], row[1].hex(), row[2]) for row in rows]
 
     def verified_chunks(self, job: JobRecord, page: int) -> NDArray[np.bool_]:
         """(VERIFIED_PAGE,) which chunks of a page of the job were verified since they were marked."""
@@ -265,11 +265,10 @@ class WriteTransaction(ReadTransaction):
         """Accept a job."""
         self._sql.execute(
             "INSERT INTO jobs (id, name, spec, kernel_version, chunk_shape, state, created, chunks_total,"
-            " cells_total, first_cells, owner, store_format) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            " cells_total, first_cells, owner) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
                 job.id, job.name, job.spec, job.kernel_version, json.dumps(job.chunk_shape),
                 JobState.QUEUED, now, job.chunks_total, job.cells_total, job.first_cells, job.owner,
-                job.store_format,
             ),
         )  # fmt: skip
 
@@ -456,7 +455,7 @@ class WriteTransaction(ReadTransaction):
         inserted = self._sql.execute(
             "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             (
-                job.seq, report.index, report.cells, report.seconds, packed(report.checksum), outcomes,
+                job.seq, report.index, report.cells, report.seconds, bytes.fromhex(report.checksum), outcomes,
                 report.computed, report.bytes,
             ),
         )  # fmt: skip
@@ -489,21 +488,8 @@ class WriteTransaction(ReadTransaction):
         ).fetchall()
 
 
-def packed(checksum: str) -> bytes | str:
-    """A checksum as the ledger keeps it: hex digits as bytes, half as long."""
-    try:
-        return bytes.fromhex(checksum)
-    except ValueError:
-        return checksum
-
-
-def unpacked(checksum: bytes | str) -> str:
-    """The checksum that `packed` was given."""
-    return checksum if isinstance(checksum, str) else checksum.hex()
-
-
 def _settling(outcomes: Sequence[int]) -> int:
-    """How many of the cells counted by outcome are settling; kernel version 1 knew no such outcome."""
+    """How many of the cells counted by outcome are settling; another kernel may know fewer outcomes."""
     return outcomes[Outcome.SETTLING] if len(outcomes) > Outcome.SETTLING else 0
 
 

@@ -22,4 +22,4 @@ def current(ledger: Ledger, job_id: str = "a" * 32) -> JobRecord:
 
 
 def reports(*chunks: int) -> list[ChunkReport]:
-    return [ChunkReport(chunk, 10, 0.5, 0.4, f"sum {chunk}", (0, 10, 0, 0, 0, 0)) for chunk in chunks]
+    return [ChunkReport(chunk, 10, 0.5, 0.4, f"{chunk:064x}", (0, 10, 0, 0, 0, 0, 0)) for chunk in chunks]

@@ -43,19 +43,15 @@ def is_cancelled(url: str) -> bool:
     return False
 
 
-def sweep_leftovers(url: str, *, everywhere: bool = False) -> int:
+def sweep_leftovers(url: str) -> int:
     """Remove partial files of killed writers and return their number.
 
-    A task of an earlier start that still writes fails: its result is taken by nobody.
-    everywhere: in every folder, where releases before 0.2.0 left them; takes long where there are many.
-
-    Buckets have no partial objects: writing one is atomic.
+    A task of an earlier start that still writes fails: its result is taken by nobody. Buckets have no
+    partial objects: writing one is atomic.
     """
     if backend.in_bucket(url):
         return 0
     leftovers = list(Path(url, backend.PARTIAL).glob("*.partial"))
-    if everywhere:
-        leftovers += [path for path in Path(url).rglob("*.partial") if path.name != backend.PARTIAL]
-    for path in set(leftovers):
+    for path in leftovers:
         path.unlink(missing_ok=True)
-    return len(set(leftovers))
+    return len(leftovers)

@@ -50,15 +50,15 @@ class Stored(NamedTuple):
     bytes: int  # of all arrays, compressed
 
 
-def key(name: str, dims: int, coords: ChunkCoords, separator: str) -> str:
+def key(name: str, dims: int, coords: ChunkCoords) -> str:
     """Key of one array's chunk in its store; `dims` is the array's number of dimensions."""
     numbers = [*coords, *[0] * (dims - len(coords))]
-    return f"{name}/c{separator}{separator.join(map(str, numbers))}"
+    return f"{name}/c.{'.'.join(map(str, numbers))}"
 
 
 def keys_of(layout: Layout, coords: ChunkCoords) -> dict[str, str]:
     """The keys of a chunk by array, in the order they are written."""
-    return {array.name: key(array.name, len(array.dims), coords, layout.separator) for array in layout.arrays}
+    return {array.name: key(array.name, len(array.dims), coords) for array in layout.arrays}
 
 
 def digest(contents: Iterable[tuple[str, bytes | None]]) -> str:
@@ -92,16 +92,11 @@ def find_corrupt(url: str, layout: Layout, chunks: Iterable[tuple[Chunk, str]]) 
             yield chunk
 
 
-def stored_sizes(
-    url: str, layout: Layout, pause: Callable[[], object] = lambda: None
-) -> NDArray[np.int64] | None:
+def stored_sizes(url: str, layout: Layout, pause: Callable[[], object] = lambda: None) -> NDArray[np.int64]:
     """Bytes of every chunk, over all arrays, by its coordinates; -1 where one of its files is missing.
 
-    Lists folders and reads no file. None for a store of the first format, which has a folder for each chunk.
-    `pause` is called now and then.
+    Lists folders and reads no file. `pause` is called now and then.
     """
-    if layout.format == 1:
-        return None
     counts = tuple(-(-len(layout.coordinates[dim]) // size) for dim, size in layout.chunk_sizes.items())
     total, missing = np.zeros(counts, np.int64), np.zeros(counts, np.bool_)
     for array in layout.arrays:
@@ -109,7 +104,7 @@ def stored_sizes(
         for number, (name, size) in enumerate(sizes_in(url, array.name)):
             if number % _LISTED == 0:
                 pause()
-            first, *at = name.split(layout.separator)
+            first, *at = name.split(".")
             with suppress(ValueError, IndexError):  # zarr.json
                 if first == "c":
                     sizes[tuple(map(int, at[: len(counts)]))] = size
@@ -128,10 +123,9 @@ def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
 def sync_folders(url: str, layout: Layout) -> None:
     """Sync the names of chunks to disk that have been written; their contents are synced as they are written.
 
-    Once for many chunks: the folders are the arrays'. Those of a store of the first format are synced with
-    each chunk, and a bucket's acknowledged objects are durable.
+    Once for many chunks: the folders are the arrays'. A bucket's acknowledged objects are durable.
     """
-    if layout.format == 1 or in_bucket(url):
+    if in_bucket(url):
         return
     with suppress(FileNotFoundError):  # the store is being removed, or was
         list(threads().map(fsync, [Path(url, array.name) for array in layout.arrays]))
@@ -160,11 +154,8 @@ def fsync(path: Path) -> None:
         os.close(descriptor)
 
 
-def write_keys(url: str, contents: Mapping[str, bytes], *, nested: bool = False) -> None:
-    """Write keys of a store, each whole or not at all, and the last one once all others are there.
-
-    nested: the keys are in folders of their own, as in stores of the first format.
-    """
+def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
+    """Write keys of a store, each whole or not at all, and the last one once all others are there."""
     keys = list(contents)
     if in_bucket(url):
         list(threads().map(lambda key: put(url, key, contents[key]), keys[:-1]))
@@ -180,8 +171,6 @@ def write_keys(url: str, contents: Mapping[str, bytes], *, nested: bool = False)
             if future.exception() is None:
                 future.result().unlink(missing_ok=True)
         raise
-    if nested:
-        fsync_files(url, keys)
 
 
 @cache

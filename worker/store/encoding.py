@@ -8,7 +8,7 @@ that was stored.
 """
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from hashlib import blake2b
 from itertools import product
 from math import prod
@@ -46,8 +46,7 @@ class ArrayForm(NamedTuple):
     shape: tuple[int, ...]
     chunks: tuple[int, ...]  # of a file
     inner: tuple[int, ...]  # of what is compressed together: `chunks`, unless these are shards
-    separator: str  # between the coordinates in the keys of chunks
-    seal: str | None = None  # the job and the array's name; None of stores whose chunks have no seals
+    seal: str  # the job and the array's name
 
     @property
     def sharded(self) -> bool:
@@ -107,10 +106,9 @@ def position(form: ArrayForm, coords: Sequence[int], inner: Sequence[int]) -> tu
 
 def check_seal(form: ArrayForm, content: bytes, at: tuple[int, ...]) -> None:
     """Raise ValueError unless an inner chunk's bytes are those that were stored at this position."""
-    if form.seal is not None:
-        body = memoryview(content)[:-_SEAL_BYTES]
-        if content[-_SEAL_BYTES:] != _seal(form, body, at):
-            raise ValueError("its bytes are not those that were stored here")
+    body = memoryview(content)[:-_SEAL_BYTES]
+    if content[-_SEAL_BYTES:] != _seal(form, body, at):
+        raise ValueError("its bytes are not those that were stored here")
 
 
 def check_file(form: ArrayForm, content: bytes, coords: Sequence[int]) -> None:
@@ -161,16 +159,15 @@ def forms_in(layout: Layout) -> dict[str, ArrayForm]:
             layout.shape(array),
             layout.chunk_shape(array),
             layout.inner_shape(array) or layout.chunk_shape(array),
-            layout.separator,
-            seal_of(layout.identity.get("job"), array.name, layout.separator),
+            seal_of(layout.identity.get("job"), array.name),
         )
         for array in layout.arrays
     }
 
 
-def seal_of(job: Any, name: str, separator: str) -> str | None:
-    """What the seals of an array's chunks name; stores of the first format have none."""
-    return None if separator == "/" else f"{job} {name}"
+def seal_of(job: Any, name: str) -> str:
+    """What the seals of an array's chunks name."""
+    return f"{job} {name}"
 
 
 def same(form: ArrayForm, other: ArrayForm | None) -> bool:
@@ -180,16 +177,12 @@ def same(form: ArrayForm, other: ArrayForm | None) -> bool:
     return np.array_equal(form.fill, other.fill, equal_nan=True)
 
 
-def form_of(metadata: Mapping[str, Any], seal: Callable[[str], str | None] = lambda _: None) -> ArrayForm:
-    """From the metadata of an array. Raises KeyError, TypeError or ValueError for what we do not write.
-
-    seal: what the array's seals name, by its separator.
-    """
+def form_of(metadata: Mapping[str, Any], seal: str) -> ArrayForm:
+    """From the metadata of an array. Raises KeyError, TypeError or ValueError for what we do not write."""
     dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
     chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
     codec = metadata["codecs"][0]
     sharded = codec["name"] == "sharding_indexed"
-    separator = metadata["chunk_key_encoding"]["configuration"]["separator"]
     return ArrayForm(
         dtype,
         _fill(dtype, metadata["fill_value"]),
@@ -197,8 +190,7 @@ def form_of(metadata: Mapping[str, Any], seal: Callable[[str], str | None] = lam
         tuple(metadata["shape"]),
         chunks,
         tuple(codec["configuration"]["chunk_shape"]) if sharded else chunks,
-        separator,
-        seal(separator),
+        seal,
     )
 
 
@@ -210,4 +202,4 @@ def _fill(dtype: np.dtype[Any], value: Any) -> Any:
 
 def _compressed(form: ArrayForm, block: NDArray[Any], at: tuple[int, ...]) -> bytes:
     content: bytes = compress(np.ascontiguousarray(block, form.dtype), level=LEVEL, checksum=True)
-    return content if form.seal is None else content + _seal(form, content, at)
+    return content + _seal(form, content, at)

@@ -68,7 +68,7 @@ def _create_array(group: zarr.Group, array: Array, layout: Layout) -> None:
     group.create_array(
         array.name, shape=layout.shape(array), dtype=array.dtype, fill_value=array.fill, compressors=_CODEC,
         chunks=inner or chunk, shards=chunk if inner else None,
-        chunk_key_encoding={"name": "default", "separator": layout.separator},
+        chunk_key_encoding={"name": "default", "separator": "."},
         dimension_names=array.dims, attributes=layout.array_attrs(array),
     )  # fmt: skip
 

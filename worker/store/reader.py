@@ -7,7 +7,7 @@ that `metadata.empty_store` defines.
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import product
 from typing import Any, Final, NamedTuple
 
@@ -86,7 +86,7 @@ class _Reading:
         files: dict[str, list[tuple[str, _Part]]] = {}
         for name, part in parts:
             form = self._arrays[name]
-            files.setdefault(key(name, len(form.dims), part.coords, form.separator), []).append((name, part))
+            files.setdefault(key(name, len(form.dims), part.coords), []).append((name, part))
         present = []
         for (chunk_key, wanted), contents in zip(files.items(), self._contents(files), strict=True):
             coords = wanted[0][1].coords
@@ -163,7 +163,7 @@ def read_file(url: str, key: str, forms: Mapping[str, ArrayForm]) -> bytes | Non
     form, content = forms[name], read_key(url, key)
     if content is None:
         return None
-    coords = tuple(int(number) for number in rest.split(form.separator)[1:])
+    coords = tuple(int(number) for number in rest.split(".")[1:])
     try:
         check_file(form, content, coords)
     except (ValueError, IndexError) as failure:
@@ -190,7 +190,7 @@ def forms_of(root: bytes) -> dict[str, ArrayForm]:
             raise StoreMissing("the store's creation was interrupted; create it again")
         job = group["attributes"].get("job")
         arrays = {
-            name: form_of(metadata, partial(seal_of, job, name))
+            name: form_of(metadata, seal_of(job, name))
             for name, metadata in consolidated["metadata"].items()
             if name not in metadata["dimension_names"]  # a coordinate
         }

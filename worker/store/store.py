@@ -86,11 +86,10 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
     for name, array in record.items():
         form = forms[name]
         contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]), coords)
-    separator = forms[OUTCOME].separator
-    keys = {name: key(name, len(forms[name].dims), coords, separator) for name in record}
+    keys = {name: key(name, len(forms[name].dims), coords) for name in record}
     try:
         files = {keys[name]: content for name, content in contents.items()}
-        write_keys(url, files, nested=separator == "/")
+        write_keys(url, files)
     except FileNotFoundError:
         raise StoreMissing(f"{url}: no store here") from None
     return Stored(chunks.digest(contents.items()), sum(map(len, contents.values())))
@@ -158,11 +157,6 @@ def chunk_shape(url: str) -> tuple[int, ...]:
     return tuple(read_attrs(url)["chunk_shape"])
 
 
-def format_of(url: str) -> int:
-    """How the store is laid out, as `Layout.format`. Raises StoreMissing, StoreDamaged."""
-    return 1 if forms_of(root_of(url))[OUTCOME].separator == "/" else 2
-
-
 def _open(url: str) -> zarr.Group:
     group, failure = None, ""
     try:
@@ -183,10 +177,10 @@ def _open(url: str) -> zarr.Group:
 
 
 def _check_identity(url: str, layout: Layout) -> None:
-    """Raise StoreConflict if there is a store whose identity or format is another."""
+    """Raise StoreConflict if there is a store whose identity is another."""
     identity = layout.identity
     try:
-        attrs, found = read_attrs(url), format_of(url)
+        attrs = read_attrs(url)
     except (StoreMissing, StoreDamaged):
         return
     if attrs.get("job") != identity["job"]:
@@ -194,8 +188,6 @@ def _check_identity(url: str, layout: Layout) -> None:
     if attrs.get("chunk_shape") != identity["chunk_shape"]:
         rule = f"is cut into chunks of {attrs.get('chunk_shape')}, not {identity['chunk_shape']}"
         raise StoreConflict(f"{url}: {rule}; plan with chunk_shape=store.chunk_shape(url)")
-    if found != layout.format:
-        raise StoreConflict(f"{url}: is of format {found}, not {layout.format}")
 
 
 def _array(group: zarr.Group, name: str) -> zarr.Array[Any]:

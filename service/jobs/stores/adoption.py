@@ -16,7 +16,7 @@ from kernel.params import Outcome
 from service.errors import NotAdoptable
 from service.jobs.ledger import Ledger
 from service.jobs.model import JobRecord, NewJob
-from service.jobs.prepare import first_cells, layout_of, parse_stored
+from service.jobs.prepare import first_cells, parse_stored
 from service.jobs.stores.marker import StoresMarker
 from service.settings import Settings
 from worker import store
@@ -122,9 +122,8 @@ def _contents(url: str, job_id: str) -> _Contents:
         chunks_total=len(plan),
         cells_total=plan.cells,
         first_cells=first_cells(spec, plan),
-        store_format=store.format_of(url),
     )
-    layout = layout_of(study, spec, plan.chunk_shape, job.store_format)
+    layout = study.variables(spec, plan.chunk_shape)
     return _Contents(job, plan, layout, _choice(attrs.get("choice")))
 
 

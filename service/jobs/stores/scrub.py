@@ -164,9 +164,7 @@ class Scrubber:
         # To wait for a bucket takes nothing from others.
         self._clock = time.process_time if store.in_bucket(prepared.store_url) else time.monotonic
         self._resumed = self._clock()
-        if job.store_format == 1:
-            store.sweep_leftovers(prepared.store_url, everywhere=True)
-        elif job.state not in UNFINISHED:  # those are swept as they start
+        if job.state not in UNFINISHED:  # those are swept as they start
             store.sweep_leftovers(prepared.store_url)
         if not job.chunks_done:
             return
@@ -179,8 +177,6 @@ class Scrubber:
         """Look for chunks that are missing or of another size, before any is read."""
         known = self._ledger.done_mask(job)  # before the files are listed: later ones may not be among these
         sizes = store.stored_sizes(prepared.store_url, prepared.layout, self._pause)
-        if sizes is None:
-            return
         for first in range(0, job.chunks_total, COMPARED_AT_ONCE):
             self._pause()
             with self._ledger.reading() as ledger:

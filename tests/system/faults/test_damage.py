@@ -260,7 +260,7 @@ def test_until_damage_is_repaired_no_answer_is_complete(tmp_path: Path):
         right = [answer.json() for answer in service.answers(here, SWEEP)]
         assert all(answer["complete"] for answer in right)
         service.executor.before = lambda: repair.wait(60)
-        address = stored.key("flight_time", 5, (0, 0, 0, 0), ".")
+        address = stored.key("flight_time", 5, (0, 0, 0, 0))
         (service.store(here) / address).unlink()
         found = service.client.get(f"{here}/diagram", params={"omega": 0.5, "xi": 0.05})
         assert found.status_code == 503
@@ -343,7 +343,7 @@ def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
         spec = SweepSpec(**RAMP)
         plan = make_plan(spec)
         before = plan[plan[6].after or 0]
-        address = stored.key("end_state", 5, layout(spec, plan.chunk_shape).coords(before.slices), ".")
+        address = stored.key("end_state", 5, layout(spec, plan.chunk_shape).coords(before.slices))
         (service.store(here) / address).unlink()
         service.client.post("/v1/jobs", json=RAMP)
         service.wait(here)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from browser import chromium, needs_chromium, opened, screenshot, wait_shown
-from earlier_release import EXPECTED, unpacked
+from earlier_kernel import IDS, earlier_folder
 from scripted import Held
 
 from kernel.params import KERNEL_VERSION
@@ -16,8 +16,8 @@ NOTICE = f"Computed by kernel version 1; this release computes version {KERNEL_V
 
 
 def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacement(tmp_path: Path):
-    done, interrupted = (EXPECTED[name]["id"] for name in ("done", "interrupted"))
-    settings = embedded.settings(data=unpacked(tmp_path), port=0)
+    done, interrupted = (IDS[name] for name in ("done", "interrupted"))
+    settings = embedded.settings(data=earlier_folder(tmp_path), port=0)
     with (
         embedded.running(settings, Held()) as address,
         Client(address) as client,

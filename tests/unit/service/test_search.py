@@ -168,7 +168,7 @@ def test_a_cursor_of_another_order_stands_for_a_value_and_a_number(order: JobOrd
 
 
 def _report(index: int, seconds: float) -> ChunkReport:
-    return ChunkReport(index, 1, seconds, seconds, "sum", (0, 1))
+    return ChunkReport(index, 1, seconds, seconds, "00", (0, 1, 0, 0, 0, 0, 0))
 
 
 def test_core_seconds_are_those_of_all_chunks_that_came_back(tmp_path: Path):

@@ -10,7 +10,7 @@ from worker.store.encoding import ArrayForm, decode, encode, form_of, spans_of
 
 
 def form(chunks: tuple[int, ...] = (4, 4), inner: tuple[int, ...] = (2, 4), fill: float = 7) -> ArrayForm:
-    return ArrayForm(np.dtype("<i4"), fill, ("x", "y"), (10, 10), chunks, inner, ".")
+    return ArrayForm(np.dtype("<i4"), fill, ("x", "y"), (10, 10), chunks, inner, "a job")
 
 
 def test_a_chunk_that_is_no_shard_has_no_index():
@@ -76,17 +76,18 @@ METADATA = {
     "fill_value": "NaN",
     "dimension_names": ["x", "y"],
     "chunk_grid": {"configuration": {"chunk_shape": [4, 4]}},
-    "chunk_key_encoding": {"configuration": {"separator": "/"}},
     "codecs": [{"name": "bytes"}],
 }
 
 
 def test_how_an_array_is_stored_is_read_from_its_metadata():
-    found = form_of(METADATA)
+    found = form_of(METADATA, "job")
     assert np.isnan(found.fill)
-    assert found._replace(fill=0) == ArrayForm(np.dtype("<f8"), 0, ("x", "y"), (10, 10), (4, 4), (4, 4), "/")
+    assert found._replace(fill=0) == ArrayForm(
+        np.dtype("<f8"), 0, ("x", "y"), (10, 10), (4, 4), (4, 4), "job"
+    )
     sharding = {"name": "sharding_indexed", "configuration": {"chunk_shape": [2, 4]}}
-    assert form_of(METADATA | {"codecs": [sharding]}).inner == (2, 4)
-    assert form_of(METADATA | {"data_type": "uint8", "fill_value": 3}).fill == 3
-    assert form_of(METADATA | {"fill_value": "-Infinity"}).fill == -np.inf
-    assert form_of(METADATA | {"data_type": "complex128", "fill_value": ["NaN", 2.0]}).fill.imag == 2.0
+    assert form_of(METADATA | {"codecs": [sharding]}, "").inner == (2, 4)
+    assert form_of(METADATA | {"data_type": "uint8", "fill_value": 3}, "").fill == 3
+    assert form_of(METADATA | {"fill_value": "-Infinity"}, "").fill == -np.inf
+    assert form_of(METADATA | {"data_type": "complex128", "fill_value": ["NaN", 2.0]}, "").fill.imag == 2.0

@@ -57,7 +57,6 @@ def test_the_shapes_of_a_sweep():
     assert cut.inner_shape(found["outcome"]) is None
     assert cut.coords((slice(1, 2), slice(1, 2), slice(2, 3), slice(8, 10))) == (1, 1, 1, 2)
     assert cut.identity == {"job": spec.job_id(KERNEL_VERSION), "chunk_shape": [1, 2, 4]}
-    assert cut.separator == "."
 
 
 @for_each(
@@ -77,12 +76,6 @@ def test_large_chunks_are_halved_into_parts_of_four_megabytes(sizes, inner):
     cut = sized(**sizes)
     assert cut.inner_sizes == inner
     assert cut.inner_shape(cut.arrays[0]) == (inner and tuple(inner.values()))
-
-
-def test_chunks_of_the_first_format_are_whole():
-    cut = sized(x=2**22)
-    first = Layout(cut.chunk_sizes, cut.coordinates, {}, cut.arrays, format=1)
-    assert (first.inner_sizes, first.separator) == (None, "/")
 
 
 @pytest.mark.parametrize(
@@ -110,7 +103,7 @@ def test_cells_of_a_grid_without_directions_are_described():
         ("gamma/c/0", True),
         ("direction_code/c/0", True),
         ("outcome/c.0.1.0.2", True),
-        ("outcome/c/0/1/0/2", True),
+        ("outcome/c/0/1/0/2", False),
         ("outcome/c.0.01", False),
         ("outcome/c.0/1", False),
         ("outcome", False),

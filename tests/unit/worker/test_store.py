@@ -131,18 +131,6 @@ def test_attributes_are_texts_and_numbers(url):
     assert json.loads(attrs["chunk_shape"]) == list(store.chunk_shape(url))
 
 
-def test_attributes_with_parts_as_earlier_releases_wrote_them_are_read(url, spec, plan):
-    root = Path(url) / "zarr.json"
-    now, document = root.read_text(), json.loads(root.read_text())
-    document["attributes"] = store.read_attrs(url)
-    assert isinstance(document["attributes"]["spec"], dict)
-    root.write_text(json.dumps(document, indent=2))
-    assert SweepSpec.parse(store.read_attrs(url)["spec"]) == spec
-    assert store.chunk_shape(url) == plan.chunk_shape
-    store.create(url, layout(spec, plan.chunk_shape))  # it is the same job's
-    assert root.read_text() == now
-
-
 def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
     with xr.open_zarr(url) as dataset:
         code = dataset["direction_code"]
@@ -486,11 +474,9 @@ def test_only_folders_and_buckets_can_hold_a_store(spec, plan):
 def test_leftovers_of_killed_writers_are_swept(url, spec, plan):
     store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     before = files(url)
-    for folder, name in ((".partial", "0"), ("outcome", "0.0"), (".", "zarr.0")):
-        (Path(url) / folder / f"{name}.partial").write_bytes(b"half")
+    (Path(url) / ".partial" / "0.partial").write_bytes(b"half")
     assert store.sweep_leftovers(url) == 1
-    assert store.sweep_leftovers(url, everywhere=True) == 2
-    assert store.sweep_leftovers(url, everywhere=True) == 0
+    assert store.sweep_leftovers(url) == 0
     assert files(url) == before
 
 
@@ -732,16 +718,6 @@ def test_a_store_is_on_the_disk_once_it_is_created(tmp_path, spec, plan, synced)
     assert [path for path in synced if not path.startswith(str(tmp_path))] == []
 
 
-def test_chunks_of_the_first_format_are_synced_with_their_folders(first_format, spec, plan, synced):
-    url, cut_as = first_format
-    synced.clear()
-    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-    assert {f"{url}/outcome/c/0/0/0/0", f"{url}/outcome/c/0/0/0", url} <= set(synced)
-    synced.clear()
-    store.sync_folders(url, cut_as)
-    assert synced == []
-
-
 def test_no_file_stays_open(url, spec, plan):
     store.write_chunk(url, plan[0], record_of(spec, plan[0]))
     stored.threads()  # its threads are there
@@ -808,34 +784,6 @@ def test_nothing_that_is_stored_waits_behind_what_is_verified(url, spec, plan):
             pipe.write_bytes(b"")
         verifying.join(30)
     assert verified == stuck
-
-
-@pytest.fixture
-def first_format(tmp_path, spec, plan) -> tuple[str, schema.Layout]:
-    """A store as releases until 0.1.0 made it: a folder for each coordinate of a chunk."""
-    cut_as = replace(layout(spec, plan.chunk_shape), format=1)
-    store.create(str(tmp_path / "first.zarr"), cut_as)
-    return str(tmp_path / "first.zarr"), cut_as
-
-
-def test_stores_of_the_first_format_are_written_read_and_verified(first_format, url, spec, plan):
-    first, cut_as = first_format
-    for chunk in plan:
-        before = store.write_chunk(url, chunk, record_of(spec, chunk))
-        old = store.write_chunk(first, chunk, record_of(spec, chunk))
-        assert old.bytes < before.bytes  # without seals
-        assert list(store.find_corrupt(first, cut_as, [(chunk, old.checksum)])) == []
-    assert (Path(first) / "outcome/c/0/1/1/2").is_file()
-    assert {key.replace(".", "/") for key in files(url)} == {key.replace(".", "/") for key in files(first)}
-    assert (store.format_of(first), store.format_of(url)) == (1, 2)
-    xr.testing.assert_identical(xr.open_zarr(first).load(), xr.open_zarr(url).load())
-    store.discard(first, cut_as, plan[0])
-    assert not store.read_chunk(first, plan[0], ["outcome"])["outcome"].any()
-
-
-def test_a_store_of_another_format_is_not_continued_unnoticed(first_format, spec, plan):
-    with pytest.raises(store.StoreConflict, match="is of format 1, not 2"):
-        store.create(first_format[0], layout(spec, plan.chunk_shape))
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Client and commands on the data folder of an earlier release."""
+"""Client and commands on the data folder of an earlier kernel."""
 
 from contextlib import closing
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from earlier_release import EXPECTED, unpacked
+from earlier_kernel import IDS, earlier_folder
 from scripted import Scripted
 
 from kernel.params import KERNEL_VERSION
@@ -19,7 +19,7 @@ NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_V
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return unpacked(tmp_path)
+    return earlier_folder(tmp_path)
 
 
 def test_client_and_commands_follow_to_the_new_job(folder: Path):
@@ -29,7 +29,7 @@ def test_client_and_commands_follow_to_the_new_job(folder: Path):
         def bounce(*words: str) -> Any:
             return CliRunner().invoke(main, words, env={"BOUNCE_URL": url})
 
-        old_id = EXPECTED["interrupted"]["id"]
+        old_id = IDS["interrupted"]
         old = client.job(old_id)
         assert f"notice    {old.notice}" in bounce("status", old_id).stdout
         waited = client.job(old_id).wait(progress=False)
@@ -40,7 +40,7 @@ def test_client_and_commands_follow_to_the_new_job(folder: Path):
         assert resumed.stdout == f"{waited.id}\n"
         assert NOTICE in resumed.stderr
         assert old.resume().id == waited.id
-        done = EXPECTED["done"]["id"]
+        done = IDS["done"]
         assert client.job(done).wait(progress=False).id == done
         with pytest.raises(Conflict, match="submit the sweep again"):
             client.job(done).resume()

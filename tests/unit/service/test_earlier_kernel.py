@@ -1,45 +1,40 @@
-"""A data folder that release 0.1.0 wrote, with kernel version 1: its results are read, none is continued.
+"""A data folder with results of kernel version 1: they are read, none is continued.
 
 The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
 """
 
 import json
-import shutil
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import xarray
-from earlier_release import EXPECTED, unpacked
+from earlier_kernel import IDS, earlier_folder
 from fastapi.testclient import TestClient
 from pyarrow import parquet
 from scripted import Held, Scripted, wait_for
-from served import RAMP, finished, get, service
+from served import get, service
 from stores import checksum
 
 from kernel.params import KERNEL_VERSION
-from service.jobs.ledger import Ledger
 from worker import store
-from worker.executors.inline import Inline
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
-from worker.studies import run_task
 
-DONE, INTERRUPTED = (f"/v1/jobs/{EXPECTED[name]['id']}" for name in ("done", "interrupted"))
+DONE, INTERRUPTED = (f"/v1/jobs/{IDS[name]}" for name in ("done", "interrupted"))
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return unpacked(tmp_path)
+    return earlier_folder(tmp_path)
 
 
 def store_of(folder: Path, name: str) -> Path:
-    return folder / "stores" / f"{EXPECTED[name]['id']}.zarr"
+    return folder / "stores" / f"{IDS[name]}.zarr"
 
 
 def files(url: Path) -> dict[str, bytes]:
@@ -52,10 +47,9 @@ def spec_of(folder: Path, name: str) -> SweepSpec:
 
 def recorded_checksums(folder: Path, name: str) -> list[str]:
     """The ledger's, chunk by chunk."""
-    digits = "CASE typeof(checksum) WHEN 'blob' THEN lower(hex(checksum)) ELSE checksum END"
-    query = f"SELECT {digits} FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
+    query = "SELECT lower(hex(checksum)) FROM chunks JOIN jobs ON job = seq WHERE id = ? ORDER BY chunk"
     with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger:
-        return [row[0] for row in ledger.execute(query, (EXPECTED[name]["id"],))]
+        return [row[0] for row in ledger.execute(query, (IDS[name],))]
 
 
 def stored_checksums(folder: Path, name: str) -> list[str]:
@@ -64,7 +58,7 @@ def stored_checksums(folder: Path, name: str) -> list[str]:
     spec, cut = spec_of(folder, name), store.chunk_shape(url)
     plan = make_plan(spec, chunk_shape=cut)
     there = [chunk for chunk in plan if store.read_chunk(url, chunk, ["outcome"])["outcome"].all()]
-    return [checksum(url, replace(layout(spec, cut), format=1), chunk) for chunk in there]
+    return [checksum(url, layout(spec, cut), chunk) for chunk in there]
 
 
 def change_ledger(folder: Path, statement: str, *values: Any) -> None:
@@ -85,20 +79,6 @@ def successor(client: TestClient, path: str) -> str:
     return f"/v1/jobs/{get(client, path)['replaced_by']}"
 
 
-def test_the_folder_is_that_of_an_interrupted_service(folder: Path):
-    assert recorded_checksums(folder, "done") == EXPECTED["done"]["checksums"]
-    assert recorded_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
-
-
-@pytest.mark.parametrize("name", ["done", "interrupted"])
-def test_a_changed_default_changes_no_earlier_sweep(folder: Path, name: str):
-    """Specifications are stored with every default, and today's parser gives them their ids of then."""
-    spec = spec_of(folder, name)
-    assert spec.job_id("1") == EXPECTED[name]["id"]
-    assert spec.micro_flight == 0.0
-    assert SweepSpec.model_fields["micro_flight"].default > 0.0
-
-
 # At the start
 
 
@@ -114,9 +94,9 @@ def test_the_done_job_is_read_as_it_was_written(folder: Path):
         assert get(client, f"{DONE}/threshold")["complete"]
         opened = xarray.open_zarr(store_of(folder, "done"))
         assert opened.attrs["kernel_version"] == "1"
-        wait_for(lambda: client.app.state.service.manager._is_verified(EXPECTED["done"]["id"]))  # type: ignore[attr-defined]
+        wait_for(lambda: client.app.state.service.manager._is_verified(IDS["done"]))  # type: ignore[attr-defined]
     assert files(store_of(folder, "done")) == before
-    assert stored_checksums(folder, "done") == EXPECTED["done"]["checksums"]
+    assert stored_checksums(folder, "done") == recorded_checksums(folder, "done")
 
 
 def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
@@ -140,8 +120,7 @@ def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
         assert not get(client, f"{INTERRUPTED}/diagram", omega=0.6, xi=0.1, direction="down")["complete"]
     assert sorted(executor.tried) == list(range(new["progress"]["chunks_total"]))
     assert files(store_of(folder, "interrupted")) == before
-    assert stored_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
-    assert recorded_checksums(folder, "interrupted") == EXPECTED["interrupted"]["checksums"][:3]
+    assert stored_checksums(folder, "interrupted") == recorded_checksums(folder, "interrupted")
 
 
 def test_the_next_start_changes_nothing_more(folder: Path):
@@ -179,9 +158,9 @@ def test_resuming_answers_with_the_job_that_starts_it_anew(folder: Path):
         new = first.json()
         assert (first.status_code, again.status_code) == (202, 200)
         assert first.headers["Location"] == again.headers["Location"] == f"/v1/jobs/{new['id']}"
-        assert new["id"] != EXPECTED["interrupted"]["id"]
+        assert new["id"] != IDS["interrupted"]
         assert (new["state"], new["kernel_version"]) == ("queued", KERNEL_VERSION)
-        assert new["notice"] == f"starts anew what job {EXPECTED['interrupted']['id']} is: {NOTICE}"
+        assert new["notice"] == f"starts anew what job {IDS['interrupted']} is: {NOTICE}"
         # asked for again, it says at most that it waits for workers
         assert "starts anew" not in (get(client, first.headers["Location"])["notice"] or "")
         old = get(client, INTERRUPTED)
@@ -205,7 +184,7 @@ def test_resuming_what_this_release_refuses_names_the_field(folder: Path):
 
 
 def test_results_are_read_though_their_specification_is_refused_today(folder: Path, tmp_path: Path):
-    """Release 0.1.0 had no upper bound of `settle_tolerance`."""
+    """Kernel version 1 had no upper bound of `settle_tolerance`."""
     change_ledger(folder, "UPDATE jobs SET spec = json_set(spec, '$.settle_tolerance', 1e-3)")
     with service(folder, Held()) as client:
         assert client.post("/v1/jobs", json=get(client, DONE)["spec"]).status_code == 422
@@ -223,7 +202,7 @@ def test_a_done_job_is_not_resumed_and_its_sweep_submitted_again_is_another_job(
         assert "submit the sweep again" in refused.json()["detail"]
         answer = client.post("/v1/jobs", json=get(client, DONE)["spec"])
         assert answer.status_code == 202
-        assert answer.json()["id"] != EXPECTED["done"]["id"]
+        assert answer.json()["id"] != IDS["done"]
         old = get(client, DONE)
         assert (old["state"], old["replaced_by"]) == ("done", answer.json()["id"])
 
@@ -276,7 +255,7 @@ def test_estimates_take_no_speed_from_another_kernel(folder: Path):
 
 
 def test_a_chunk_damaged_before_the_start_is_given_up(folder: Path):
-    flip(store_of(folder, "done") / "flight_time/c/0/0/0/0/0")
+    flip(store_of(folder, "done") / "flight_time/c.0.0.0.0.0")
     executor = Held(capacity=0)
     with service(folder, executor) as client:
         wait_for(lambda: bool(get(client, DONE)["state"] == "failed"))
@@ -296,8 +275,8 @@ def test_a_chunk_damaged_before_the_start_is_given_up(folder: Path):
 def test_a_chunk_damaged_later_is_reported_once_and_missing_from_then_on(folder: Path):
     with service(folder, Held()) as client:
         manager = client.app.state.service.manager  # type: ignore[attr-defined]
-        wait_for(lambda: manager._is_verified(EXPECTED["done"]["id"]))
-        flip(store_of(folder, "done") / "flight_time/c/0/0/0/0/0")
+        wait_for(lambda: manager._is_verified(IDS["done"]))
+        flip(store_of(folder, "done") / "flight_time/c.0.0.0.0.0")
         refused = client.get(f"{DONE}/diagram", params={"omega": 0.5})
         assert refused.status_code == 503
         assert "damaged and missing from now on: chunk 0" in refused.json()["detail"]
@@ -313,43 +292,3 @@ def test_damaged_metadata_stay_damaged_and_the_answer_says_so(folder: Path):
         assert answer.json()["detail"] == f"stored results are damaged: the store's metadata ({NOTICE})"
         assert get(client, DONE)["state"] == "done"
     assert (store_of(folder, "done") / "zarr.json").read_text() == "{"
-
-
-# Client and command line
-
-
-# A store of the format of then, with this kernel
-
-
-def test_a_job_begun_in_the_first_format_goes_on_in_it(tmp_path: Path):
-    """As a development version before 0.2.0 left it: some chunks are done, one writer was killed."""
-    with service(tmp_path / "new", executor := Inline()) as client:
-        new = finished(client, RAMP)
-    executor.close()
-    url, old = tmp_path / "new" / "stores" / f"{new[9:]}.zarr", tmp_path / "old"
-    with service(old, Held(capacity=0)) as client:
-        assert client.post("/v1/jobs", json=RAMP).headers["Location"] == new
-    cut = store.chunk_shape(str(url))
-    first, spec = old / "stores" / url.name, SweepSpec(**RAMP)
-    plan, laid_out = make_plan(spec, chunk_shape=cut), replace(layout(spec, cut), format=1)
-    shutil.rmtree(first, ignore_errors=True)
-    store.create(str(first), laid_out)
-    reports = [run_task(spec, chunk, str(first)) for chunk in plan[: len(plan) // 2]]
-    change_ledger(old, "UPDATE jobs SET store_format = 1")
-    with Ledger(old / "ledger.sqlite") as ledger, ledger.writing() as writing:
-        job = writing.find(new[9:])
-        assert job is not None
-        writing.mark_done(job, reports)
-    leftover = first / "outcome/c/0/0/0/0.0123.partial"
-    leftover.write_bytes(b"half")
-    with service(old, executor := Scripted()) as client:
-        wait_for(lambda: get(client, new)["state"] == "done")
-        assert len(executor.tried) == len(plan) - len(reports)
-        wait_for(lambda: not leftover.exists())
-        wait_for(lambda: client.app.state.service.manager._is_verified(new[9:]))  # type: ignore[attr-defined]
-        assert client.get(f"{new}/zarr/outcome/c/0/0/0/0").status_code == 200
-        assert get(client, f"{new}/diagram", omega=0.5, xi=0.26, direction="up")["complete"]
-    executor.close()
-    there = {key.replace(".", "/") for key in files(first) if "/c" in key}
-    assert there == {key.replace(".", "/") for key in files(url) if "/c" in key}
-    assert store.format_of(str(first)) == 1

@@ -1,0 +1,76 @@
+"""A data folder as a release with kernel version 1 leaves it: one job is done, one was interrupted."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from service.jobs.model import JobState, NewJob
+from service.jobs.stores.adoption import open_ledger
+from service.settings import Settings
+from worker import store
+from worker.plan import make_plan
+from worker.schema import layout
+from worker.spec import SweepSpec
+from worker.studies import run_task
+
+VERSION = "1"
+SPECS: dict[str, dict[str, Any]] = {
+    "done": {
+        "name": "from rest",
+        "gamma": {"start": 1.0, "stop": 3.0, "num": 9},
+        "omega": [0.5, 1.0],
+        "xi": 0.26,
+        "model": {"kind": "rigid"},
+        "settle": 40,
+        "observe": 20,
+        "keep": 8,
+    },
+    "interrupted": {
+        "name": "up and down",
+        "gamma": {"start": 0.4, "stop": 1.2, "num": 41},
+        "omega": [0.56, 0.6, 0.64],
+        "xi": [0.05, 0.1],
+        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+        "model": {"kind": "rigid"},
+        "settle": 40,
+        "observe": 20,
+        "keep": 8,
+    },
+}
+#: Chunks that are done, of 1 and of 12.
+DONE_CHUNKS = {"done": 1, "interrupted": 3}
+IDS = {name: SweepSpec(**spec).job_id(VERSION) for name, spec in SPECS.items()}
+
+
+def earlier_folder(parent: Path) -> Path:
+    """The data folder, in `parent`."""
+    settings = Settings(data=parent / "bounce-data")
+    with open_ledger(settings) as ledger:
+        for name, fields in SPECS.items():
+            spec = SweepSpec(**fields)
+            plan = make_plan(spec, chunk_shape=(1, 2 if name == "done" else 1, 41))
+            now = layout(spec, plan.chunk_shape)
+            then = replace(
+                now,
+                identity={**now.identity, "job": IDS[name]},
+                attributes={**now.attributes, "kernel_version": VERSION},
+            )
+            url = settings.store_of(IDS[name])
+            store.create(url, then)
+            reports = [run_task(spec, chunk, url) for chunk in plan[: DONE_CHUNKS[name]]]
+            new = NewJob(
+                IDS[name], spec.name, json.dumps(spec.as_submitted()), VERSION, plan.chunk_shape, len(plan),
+                plan.cells,
+            )  # fmt: skip
+            with ledger.writing() as writing:
+                writing.insert(new, 1.0)
+                job = writing.find(new.id)
+                assert job is not None
+                writing.run(job, 2.0)
+                writing.mark_done(job, reports)
+                if len(reports) == len(plan):
+                    running = writing.find(new.id)
+                    assert running is not None
+                    writing.finish(running, JobState.DONE, 3.0)
+    return settings.data
