@@ -81,6 +81,8 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
     except (StoreError, SpecError, LookupError, TypeError, ValueError) as error:
         reason = str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
+    except RecursionError as error:
+        raise NotAdoptable(f"{url} cannot be adopted: its metadata are nested too deeply") from error
     reports = list(_whole_chunks(url, contents))
     found = f"{len(reports)} of {contents.job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
@@ -94,6 +96,7 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
 
 def _contents(url: str, job_id: str) -> _Contents:
     """Raises StoreError, SpecError, or what reading unexpected attributes raises."""
+    store_format = store.format_of(url)  # first: it reads files only, where zarr would wait for a pipe
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
     spec = parse_stored(json.dumps(attrs["spec"]), version)
@@ -110,7 +113,7 @@ def _contents(url: str, job_id: str) -> _Contents:
         chunks_total=len(plan),
         cells_total=plan.cells,
         first_cells=first_cells(spec, plan),
-        store_format=store.format_of(url),
+        store_format=store_format,
     )
     layout = layout_of(study, spec, plan.chunk_shape, job.store_format)
     return _Contents(job, plan, layout, _choice(attrs.get("choice")))
