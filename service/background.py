@@ -182,13 +182,14 @@ def _compute(connection: Connection) -> None:
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: they do not interrupt a worker that runs
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     use_cache()
     trimmed = 0
     while True:
         try:
             function, arguments = connection.recv()
         except (EOFError, OSError):
-            return
+            os._exit(0)
         try:
             answer = (True, function(*arguments))
         except Exception as error:  # noqa: BLE001 - raised again where it was called
@@ -203,6 +204,17 @@ def _compute(connection: Connection) -> None:
             return_memory()
             kept = trimmed = _bytes_held()
         connection.send(kept)
+
+
+def _end_with_parent() -> None:
+    """End this process, whatever it computes, once the service has ended.
+
+    At once: on a busy machine a process of low priority would take many seconds to free what it has loaded.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(0)
 
 
 def _bytes_held() -> int:

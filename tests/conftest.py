@@ -34,6 +34,10 @@ os.environ["NO_PROXY"] = os.environ["no_proxy"] = "127.0.0.1,localhost,::1"
 # SIGINT to processes they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# nohup ignores SIGHUP. A handler, unlike SIG_IGN, is not inherited by what tests start; it does nothing here.
+for number in (signal.SIGHUP, signal.SIGTERM):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, lambda *_: None)
 
 # The same examples every time, however slow the machine: `--hypothesis-profile=explore` looks for others.
 hypothesis.register_profile(

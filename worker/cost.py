@@ -68,6 +68,7 @@ class Cost(Strict):
     basis: Literal["measured", "table"] = Field(
         "table", description="measured: by the speed of this service's last jobs with the same contact model"
     )
+    workers: int = Field(0, description="tasks that the service's workers run at once, now")
 
 
 def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
@@ -191,7 +192,7 @@ def check_size(
         raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
     if cost.core_seconds > max_core_seconds:
         rule = (
-            f"asks for about {cost.core_seconds:.4g} core-seconds; at most {max_core_seconds:.4g} are allowed"
-            " (max_core_seconds)"
+            f"asks for about {cost.core_seconds:,.0f} core-seconds; at most {max_core_seconds:,.0f} "
+            "are allowed (max_core_seconds)"
         )
         raise SpecTooLarge([Problem("", f"{rule}: take fewer values, or fewer periods (settle, observe)")])

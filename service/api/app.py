@@ -33,6 +33,10 @@ CHUNKS: Final = 4
 SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
 
 
+#: Of the API document, by which a service is recognised.
+TITLE: Final = "bouncing-spring"
+
+
 def create_app(settings: Settings, executor: Executor, background: Background | None = None) -> FastAPI:
     """The service as an ASGI application that computes jobs on `executor`; the caller closes both.
 
@@ -44,7 +48,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     tokens = settings.access_tokens()
     metrics = Metrics()
     app = FastAPI(
-        title="bouncing-spring",
+        title=TITLE,
         summary=SUMMARY,
         version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts

@@ -1,8 +1,8 @@
 """Domain errors as HTTP responses: the table of statuses, and the response to each error.
 
 Errors are sent as `application/problem+json` (RFC 9457) with an extension: `errors`, a list of
-`{"field", "rule"}`. Two exceptions need more than a status: `StoreDamaged` starts a repair, and `Pending`,
-which is no error, becomes 202 with the progress of the workers.
+`{"field", "rule", "code"}`. Two exceptions need more than a status: `StoreDamaged` starts a repair, and
+`Pending`, which is no error, becomes 202 with the progress of the workers.
 """
 
 import json
@@ -42,7 +42,7 @@ from service.errors import (
 )
 from service.jobs.on_demand import Pending
 from worker import store
-from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable
+from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of
 from worker.store import StoreDamaged, StoreError
 
 log = logging.getLogger(__name__)
@@ -173,8 +173,8 @@ def _pending(_: Request, error: Exception) -> Response:
 def _invalid(_: Request, error: Exception) -> Response:
     """422 for query parameters and headers; without the input, which may not be valid JSON."""
     entries = cast(RequestValidationError, error).errors()
-    problems = [Problem(_name(entry["loc"]), _rule(entry)) for entry in entries]
-    detail = "; ".join(f"{field}: {rule}" for field, rule in problems)
+    problems = [Problem(_name(entry["loc"]), _rule(entry), code_of(entry["type"])) for entry in entries]
+    detail = "; ".join(map(str, problems))
     return ProblemResponse(HTTPStatus.UNPROCESSABLE_ENTITY, detail, problems)
 
 

@@ -15,6 +15,7 @@ from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
 from worker.analysis.model_selection import ModelChoice
 from worker.executors.base import Compiling
+from worker.spec.errors import Code
 
 #: The codes of outcomes in answers.
 OUTCOMES: Final = ", ".join(f"{outcome.value} {outcome.name.lower()}" for outcome in Outcome)
@@ -432,6 +433,7 @@ class BrokenRule(BaseModel):
 
     field: str
     rule: str
+    code: Code = Field(description="missing, unknown, type: the field is, or has another type; else rule")
 
 
 class ProblemDocument(BaseModel):
@@ -452,12 +454,11 @@ class Health(BaseModel):
 class SoftwareView(BaseModel):
     """What the service runs on."""
 
-    model_config = ConfigDict(from_attributes=True)
-
     release: str
     kernel_version: str = Field(description="with which new jobs are computed; a job names its own")
     python: str
     libraries: dict[str, str]
+    data: str = Field(description="the service's data folder")
 
 
 class ReadinessView(BaseModel):

@@ -7,7 +7,7 @@ from io import StringIO
 from math import ceil, isfinite, isnan, log10
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from service.client.display import settling_note, time_left
+from service.client.display import about, rounded, settling_note, size, time_left
 
 if TYPE_CHECKING:
     import xarray
@@ -73,23 +73,36 @@ def jobs_live(jobs: Sequence["Job"]) -> "RenderableType":
 
 
 def estimate_line(estimate: "Estimate") -> str:
-    """The estimated cost of a sweep."""
-    basis = "from recent jobs" if estimate.basis == "measured" else "from the table of costs"
-    computed, seconds, most = "", "", ""
+    """The estimated cost of a sweep, in minutes on the workers that there are."""
+    at_once = max(min(estimate.workers, estimate.chunks), 1)
+    computed, seconds, most = "", about(estimate.core_seconds / at_once), ""
     if estimate.computed_cells is not None:
         low, high = estimate.computed_cells
         computed = f", of which about {low:,} to {high:,} are computed,"
-        seconds, most = f"{estimate.least_core_seconds or 0:,.3g} to ", "at most "
+        seconds = f"{about((estimate.least_core_seconds or 0.0) / at_once)} to {seconds}"
+        most = "at most "
+    longest = ""
+    if estimate.longest_core_seconds is not None:
+        longest = (
+            f"; {about(estimate.longest_core_seconds / at_once)} if every cell settled until settle_until"
+        )
+    workers = "one core" if not estimate.workers else _plural(estimate.workers, "worker")
     return (
-        f"{estimate.cells:,} cells{computed} in {estimate.chunks:,} chunks, "
-        f"{most}{estimate.bytes / 1e6:,.3g} MB before compression, "
-        f"{seconds}{estimate.core_seconds:,.3g} core-seconds ({basis}{_at_most(estimate)})"
+        f"{estimate.cells:,} cells{computed} in {_plural(estimate.chunks, 'chunk')}, "
+        f"{most}{size(estimate.bytes)} before compression, about {seconds} on {workers} "
+        f"({rounded(estimate.core_seconds)} core-seconds, {_BASES[estimate.basis]}{longest})"
     )
 
 
-def _at_most(estimate: "Estimate") -> str:
-    longest = estimate.longest_core_seconds
-    return "" if longest is None else f"; {longest:,.3g} if every cell settled until settle_until"
+#: What an estimate is from. Where nothing was computed yet, neither is the kernel compiled.
+_BASES: Final = {
+    "measured": "from recent jobs",
+    "table": "from the table of costs; the kernel is compiled first, unless the cache has it",
+}
+
+
+def _plural(number: int, thing: str) -> str:
+    return f"{number:,} {thing}{'' if number == 1 else 's'}"
 
 
 # Thresholds

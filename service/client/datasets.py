@@ -3,6 +3,7 @@
 Every function raises UnexpectedAnswer for an answer of another form.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, TypeAlias
@@ -68,6 +69,9 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
 }
 
 _LENGTH: Final = {"units": "plate amplitudes"}
+
+#: Values of one variable; an answer of the service has a million flights.
+MAX_VALUES: Final = 100_000_000
 
 #: `admissible` of a point beyond the end of its branch or curve.
 MISSING_POINT: Final = 255
@@ -280,6 +284,7 @@ def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dat
         about = {"long_name": "attractors of the cell", "comment": "-1: not computed", "units": "1"}
         variables: dict[str, Any] = {"count": (plane, np.array(counts, np.int32), about)}
         places = max(len(cell) for line in cells for cell in line)
+        _fitting(sum(map(len, cells)), places)
         shape = (len(answer["omega"]), len(answer["gamma"]), places)
         for name, (dtype, empty, attributes) in _PLACES.items():
             found = [
@@ -392,7 +397,7 @@ def words_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         points = max((len(branch["gamma"]) for branch in branches), default=0)
         flights = max((branch["bounces"] for branch in branches), default=0)
         for name in ("flight_time", "takeoff_phase", "impact_velocity"):
-            values = np.full((len(branches), points, flights), np.nan)
+            values = np.full(_fitting(len(branches), points, flights), np.nan)
             for row, branch in zip(values, branches, strict=True):
                 row[: len(branch["gamma"]), : branch["bounces"]] = branch[name]
             variables[name] = _cycle_variable(name, ("branch", "point", "flight"), values)
@@ -446,7 +451,8 @@ def _stability(branches: Sequence[Mapping[str, Any]]) -> dict[str, Variable]:
     """What branches of all kinds have with dims (branch, point), and the points of each."""
     grid = ("branch", "point")
     counts = np.array([len(branch["gamma"]) for branch in branches], np.intp)
-    multipliers = np.full((len(branches), int(counts.max(initial=0)), 2), np.nan, np.complex128)
+    shape = _fitting(len(branches), int(counts.max(initial=0)), 2)
+    multipliers = np.full(shape, np.nan, np.complex128)
     for row, branch in zip(multipliers, branches, strict=True):
         if branch["multipliers"]:
             parts = np.array(branch["multipliers"], np.float64)
@@ -497,7 +503,7 @@ def _reading(kind: str) -> Iterator[None]:
     """Turn the errors of reading an answer of another form into UnexpectedAnswer."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise UnexpectedAnswer(f"the answer is not {kind}: {error!r}") from error
 
 
@@ -543,10 +549,17 @@ def _with_nan(values: Sequence[float | None]) -> NDArray[np.float64]:
     return np.array([np.nan if value is None else value for value in values], np.float64)
 
 
+def _fitting(*shape: int) -> tuple[int, ...]:
+    """The shape. Raises ValueError for more than MAX_VALUES: a short answer can ask for them."""
+    if math.prod(shape) > MAX_VALUES:
+        raise ValueError(f"{' x '.join(map(str, shape))} values; at most {MAX_VALUES:,} are read")
+    return shape
+
+
 def _padded(rows: Sequence[Sequence[float]]) -> NDArray[np.float64]:
     """(n, length of the longest row), NaN after the end of each row."""
     lengths = np.array([len(row) for row in rows], np.intp)
     width = int(lengths.max(initial=0))
-    table = np.full((len(rows), width), np.nan)
+    table = np.full(_fitting(len(rows), width), np.nan)
     table[np.arange(width) < lengths[:, None]] = [flight for row in rows for flight in row]
     return table

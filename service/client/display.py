@@ -168,6 +168,30 @@ def duration(seconds: float) -> str:
     return f"{whole // 3600:,} h {whole % 3600 // 60} min"
 
 
+def about(seconds: float) -> str:
+    """An estimated duration, rounded, at least 1 s: 34 s, 12 min, 5.5 h, 3 days."""
+    hours = seconds / 3600
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    if hours < 1.5:
+        return f"{seconds / 60:.0f} min"
+    return f"{rounded(hours)} h" if hours < 48 else f"{hours / 24:,.0f} days"
+
+
+def size(count: float) -> str:
+    """Bytes in the unit that fits: 2.5 MB, 34 GB."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if count < 999.5:
+            return f"{rounded(count)} {unit}"
+        count /= 1000
+    return f"{rounded(count)} TB"
+
+
+def rounded(value: float) -> str:
+    """A number with one decimal below ten, and none above or if that is 0."""
+    return f"{value:.1f}".removesuffix(".0") if value < 9.95 else f"{value:,.0f}"
+
+
 def job_html(job: JobStatus) -> str:
     """A job as a small HTML table with a progress bar, for notebooks; all text is escaped."""
     progress = job.progress

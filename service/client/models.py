@@ -83,6 +83,7 @@ class Estimate(NamedTuple):
     basis: str  # measured: from recent jobs with the same contact model; table: from the table of costs
     computed_cells: tuple[int, int] | None = None  # of an adaptive map, as a rule: at least and at most
     least_core_seconds: float | None = None  # of an adaptive map
+    workers: int = 0  # tasks that the service's workers run at once, now
 
 
 class JobStatus:

@@ -40,6 +40,12 @@ EVENTS_SECONDS: Final = 60.0
 #: Seconds without data before a download fails; the service writes the file before it sends it.
 DOWNLOAD_SECONDS: Final = 600.0
 
+#: Bytes of an answer after decompression; the service's own limit on all answers together is twice that.
+MAX_ANSWER_BYTES: Final = 256 * 2**20
+
+#: Bytes of one event of a stream, which describes a job's progress.
+MAX_EVENT_BYTES: Final = 2**20
+
 #: The connection broke: the request, or its answer, did not arrive.
 _CONNECTION_LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
 
@@ -137,9 +143,9 @@ class Transport:
     def events(self, path: str) -> Iterator[dict[str, Any]]:
         """The data of server-sent events, each a JSON object, as they arrive."""
         with self._stream(path, None, EVENTS_SECONDS) as response:
-            for line in response.iter_lines():
-                if line.startswith("data: "):
-                    yield json.loads(line.removeprefix("data: "))
+            for line in _lines(response):
+                if line.startswith(b"data: "):
+                    yield parse_object(line.removeprefix(b"data: "), response)
 
     def download(self, path: str, query: Query, target: Path) -> None:
         """GET into the file `target`, which is replaced once the download is complete."""
@@ -154,9 +160,7 @@ class Transport:
         request = self._built("GET", path, query, {}, timeout=timeout)
         try:
             with closing(self._http.send(request, stream=True)) as response:
-                if not response.is_success:
-                    response.read()
-                yield self._checked(response)
+                yield self._checked(response if response.is_success else _whole(response))
         except httpx2.RequestError as error:
             raise ServiceUnreachable(self.url, _reason(error)) from error
 
@@ -187,7 +191,8 @@ class Transport:
     def _send(self, request: httpx2.Request, delays: tuple[float, ...]) -> httpx2.Response:
         """Send the request, again after each of `delays` seconds while the connection breaks."""
         try:
-            return self._http.send(request)
+            with closing(self._http.send(request, stream=True)) as response:
+                return _whole(response)
         except _CONNECTION_LOST as error:
             if not delays:
                 raise ServiceUnreachable(self.url, _reason(error)) from error
@@ -209,11 +214,50 @@ class Transport:
         )
 
 
+def _whole(response: httpx2.Response) -> httpx2.Response:
+    """The response with its body read and decompressed. Raises UnexpectedAnswer above MAX_ANSWER_BYTES."""
+    content = bytearray()
+    for block in response.iter_bytes():
+        content += block
+        if len(content) > MAX_ANSWER_BYTES:
+            raise _too_long(response, MAX_ANSWER_BYTES)
+    of_transfer = ("content-encoding", "content-length", "transfer-encoding")
+    headers = [pair for pair in response.headers.multi_items() if pair[0].lower() not in of_transfer]
+    return httpx2.Response(
+        response.status_code,
+        headers=headers,
+        content=bytes(content),
+        request=response.request,
+        extensions=response.extensions,
+    )
+
+
+def _lines(response: httpx2.Response) -> Iterator[bytes]:
+    """The lines of a body as they arrive. Raises UnexpectedAnswer for one above MAX_EVENT_BYTES."""
+    last = b""
+    for block in response.iter_bytes():
+        *lines, last = (last + block).split(b"\n")
+        yield from (line.rstrip(b"\r") for line in lines)
+        if len(last) > MAX_EVENT_BYTES:
+            raise _too_long(response, MAX_EVENT_BYTES)
+
+
+def _too_long(response: httpx2.Response, limit: int) -> UnexpectedAnswer:
+    return UnexpectedAnswer(
+        f"{response.request.url} sends more than {limit // 2**20} MiB: not an answer of a bounce service"
+    )
+
+
 def json_object(response: httpx2.Response) -> dict[str, Any]:
     """The JSON object in the body. Raises UnexpectedAnswer for any other body."""
+    return parse_object(response.content, response)
+
+
+def parse_object(text: bytes, response: httpx2.Response) -> dict[str, Any]:
+    """A JSON object that is part of a response. Raises UnexpectedAnswer for any other text."""
     try:
-        content = response.json()
-    except ValueError:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
         raise UnexpectedAnswer(

@@ -2,9 +2,12 @@
 
 import asyncio
 import json
+import math
 from collections.abc import AsyncIterator, Iterable, Iterator
 from datetime import timedelta
 from http import HTTPStatus
+from itertools import islice
+from pathlib import Path
 from typing import Any, Final, NoReturn
 from urllib.parse import unquote
 
@@ -24,6 +27,13 @@ CODECS: Final = frozenset({"bytes", "crc32c", "sharding_indexed", "vlen-utf8", "
 #: The documents that describe groups and arrays; of zarr's version 2 there is none in our stores.
 _METADATA: Final = "zarr.json"
 _VERSION_2: Final = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
+
+#: Arrays of a store; ours have about twenty.
+MAX_ARRAYS: Final = 1_000
+#: Values of an array with at most one dimension, which is read when the store is opened; an axis has 100,000.
+MAX_COORDINATE: Final = 1_000_000
+#: Values of a chunk, each of which is decoded whole; ours have up to 96 MiB.
+MAX_CHUNK: Final = 256 * 2**20
 
 #: A bucket that does not answer soon is not read directly.
 _FEW_RETRIES: Final[Any] = {"max_retries": 1, "retry_timeout": timedelta(seconds=2)}
@@ -100,6 +110,8 @@ class HTTPStore(Store):
                     S3Store.from_url(address, retry_config=_FEW_RETRIES), read_only=True
                 )
             else:
+                if not Path(address, _METADATA).is_file():
+                    return None  # another machine's folder; a pipe would be waited for
                 store = LocalStore(address, read_only=True)
             root = sync(store.get(_METADATA, default_buffer_prototype()))
         except Exception:  # noqa: BLE001 - another machine's folder, no obstore, no key of the bucket
@@ -154,12 +166,15 @@ class HTTPStore(Store):
         return response.content if response.status_code == 206 else _slice(response.content, byte_range)
 
     def _check(self, key: str, content: bytes) -> None:
-        """Raise UnexpectedAnswer unless all arrays in a metadata document use codecs of ours only."""
+        """Raise UnexpectedAnswer unless the arrays in a metadata document have sizes and codecs of ours."""
         try:
-            arrays = _arrays(json.loads(content))
+            arrays = list(islice(_arrays(json.loads(content)), MAX_ARRAYS + 1))
+            too_large = _too_large(arrays)
             unknown = {name for array in arrays for name in _names(array["codecs"])} - CODECS
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             raise UnexpectedAnswer(f"{self}/{key} is not the metadata of a bounce store") from error
+        if too_large:
+            raise UnexpectedAnswer(f"{self}/{key} describes {too_large}: not a bounce store")
         if unknown:
             names = ", ".join(sorted(map(repr, unknown)))
             raise UnexpectedAnswer(f"{self}/{key} names codecs that no bounce store has: {names[:200]}")
@@ -202,6 +217,20 @@ def _arrays(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield document
     for inner in ((document.get("consolidated_metadata") or {}).get("metadata") or {}).values():
         yield from _arrays(inner)
+
+
+def _too_large(arrays: list[dict[str, Any]]) -> str:
+    """What would take more time or memory than a store of the service; empty if nothing."""
+    if len(arrays) > MAX_ARRAYS:
+        return f"more than {MAX_ARRAYS:,} arrays"
+    for array in arrays:
+        values = math.prod(array["shape"])
+        if len(array["shape"]) <= 1 and values > MAX_COORDINATE:
+            return f"a coordinate of {values:,} values; at most {MAX_COORDINATE:,} are read"
+        chunk = math.prod(array["chunk_grid"]["configuration"]["chunk_shape"])
+        if chunk > MAX_CHUNK:
+            return f"chunks of {chunk:,} values; at most {MAX_CHUNK:,} are read"
+    return ""
 
 
 def _names(codecs: list[dict[str, Any]]) -> Iterator[str]:

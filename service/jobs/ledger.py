@@ -195,12 +195,13 @@ class Ledger:
             )
         if self._damage is not None:
             raise self._damaged()
+        lost_wal = self._files.lost_wal()  # first: without its folder the log would be lost, too
         if reason := self._files.replaced():
             self._rescue()
             raise LedgerUnavailable(reason)
         if self._stores_fault is not None:
             raise LedgerUnavailable(self._stores_fault)
-        if self._files.lost_wal():
+        if lost_wal:
             self._reopen()
 
     def _rescue(self) -> None:

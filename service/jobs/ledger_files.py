@@ -66,13 +66,15 @@ class OpenFiles:
         self._rescued = False
 
     def note_written(self) -> None:
-        """The caller has written to the ledger."""
-        self._written = self._state() or self._written
+        """The caller has written to the ledger, whose file may have been moved away meanwhile."""
+        self._written = self._state()
 
     def changed_from_outside(self) -> bool:
         """Whether the main file, still the same, was written by somebody else."""
         state = self._state()
-        return state != self._written and state is not None and _inode(self._path) == self._inodes[self._path]
+        if self._written is None:  # it was away when the caller had written to it
+            self._written = state
+        return state is not None and state != self._written
 
     def replaced(self) -> str | None:
         """Which of folder, lock and main file is not the one that is open, and what to do; None if none."""
@@ -110,11 +112,13 @@ class OpenFiles:
         return aside(self._path, "rescued")
 
     def _state(self) -> tuple[int, int] | None:
+        """Size and time of change of the main file; None while it is not at its path."""
         try:
             status = self._path.stat()
         except OSError:
             return None
-        return status.st_size, status.st_mtime_ns
+        is_ours = (status.st_dev, status.st_ino) == self._inodes[self._path]
+        return (status.st_size, status.st_mtime_ns) if is_ours else None
 
 
 @contextmanager

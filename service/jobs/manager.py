@@ -165,6 +165,10 @@ class JobManager:
         )
         return plan
 
+    def workers(self) -> int:
+        """The number of tasks that run at once; may be a second old."""
+        return self._executor.workers()
+
     def cancel(self, job_id: str) -> JobRecord:
         """Stop a job: at once if it is queued; if it is running, as soon as no worker writes any more.
 

@@ -4,7 +4,10 @@
 block.
 """
 
+import errno
 import gc
+import http.client
+import json
 import os
 import signal
 import socket
@@ -19,7 +22,7 @@ from typing import Any, Final
 from pydantic import SecretStr, ValidationError
 
 from service import address, tokens
-from service.api.app import create_app
+from service.api.app import TITLE, create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.adoption import open_ledger
@@ -39,6 +42,10 @@ _SWITCH_SECONDS: Final = 0.001
 #: The permissions that files of a private service lack: all of group and others.
 _PRIVATE_UMASK: Final = 0o077
 _TOKEN_VARIABLE: Final = "BOUNCE_TOKEN"
+
+#: What is waited for and read of whoever has the port already: seconds for each piece, bytes of an answer.
+_ANSWER_SECONDS: Final = 2.0
+_MOST_BYTES: Final = 4_000_000
 
 
 def settings(**overrides: Any) -> Settings:
@@ -189,7 +196,10 @@ def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
     except OSError as error:
-        raise NotStarted(f"cannot listen on {host} port {port}: {error.strerror or error}") from error
+        reason = error.strerror or str(error)
+        if error.errno == errno.EADDRINUSE:
+            reason = f"{_who_answers(host, port, settings.data)} has it; take another one with --port"
+        raise NotStarted(f"cannot listen on {host} port {port}: {reason}") from error
     # Connections inherit it; without, the client's delayed acknowledgement holds each response up by 40 ms.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with listener:
@@ -202,6 +212,30 @@ def _listening(settings: Settings) -> Iterator[tuple[socket.socket, str]]:
                 for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
                     file.chmod(PRIVATE_FILE)
         yield listener, marker
+
+
+def _who_answers(host: str, port: int, data: Path) -> str:
+    """What listens on a port of this machine: a service, with its release and data folder, or not one."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    token = tokens.find_token(port, data) or tokens.find_token(port)
+    try:
+        with closing(http.client.HTTPConnection(host, port, timeout=_ANSWER_SECONDS)) as connection:
+            info = _answer(connection, "/openapi.json", None)["info"]
+            if info["title"] != TITLE:
+                return "another program"
+            folder = _answer(connection, "/v1/software", token).get("data")
+            where = f"data in {folder}" if folder else "data in a folder that it tells to owners of its token"
+            return f"a bouncing-spring service (release {info['version']}, {where})"
+    except OSError:
+        return "a program that does not answer"
+    except (http.client.HTTPException, ValueError, LookupError, TypeError, RecursionError):
+        return "another program"
+
+
+def _answer(connection: http.client.HTTPConnection, path: str, token: str | None) -> Any:
+    """The JSON that a port of this machine answers with. Raises OSError, HTTPException, ValueError."""
+    connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
+    return json.loads(connection.getresponse().read(_MOST_BYTES))
 
 
 def _make_private(folders: Iterable[Path]) -> None:

@@ -140,7 +140,7 @@ class GridSpec(Specification):
             self.sweep()
         except SpecError as error:
             problem = error.problems[0]
-            raise BrokenRuleError(problem.field, problem.rule) from error
+            raise BrokenRuleError(*problem) from error
         return self
 
     @classmethod

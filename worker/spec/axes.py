@@ -52,7 +52,7 @@ def _to_int(value: object) -> object:
     if value != int(value):
         low = int(np.floor(value))
         raise BrokenRuleError(
-            "", f"must be a whole number, not {describe(value)}; {low} or {low + 1} would do"
+            "", f"must be a whole number, not {describe(value)}; {low} or {low + 1} would do", "type"
         )
     return int(value)
 
@@ -125,7 +125,7 @@ def _form(value: object) -> str:
 def _number_or_forms(value: object) -> object:
     if isinstance(_plain(value), bool | str | None) or not isinstance(_plain(value), int | float):
         forms = 'a number, a list of numbers, or a range {"start", "stop", "num", "spacing"}'
-        raise BrokenRuleError("", f"must be {forms}, not {describe(value)}")
+        raise BrokenRuleError("", f"must be {forms}, not {describe(value)}", "type")
     return value
 
 

@@ -10,7 +10,7 @@ ValueError
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from pydantic import ValidationError
 
@@ -33,11 +33,16 @@ _DESCRIPTIONS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
 )
 
 
+#: Kind of a broken rule, for programs: the field is missing, unknown, or of another type; else "rule".
+Code = Literal["missing", "unknown", "type", "rule"]
+
+
 class Problem(NamedTuple):
     """One broken rule. `field` is a path such as `gamma.num` or `gamma[3]`; empty for the specification."""
 
     field: str
     rule: str
+    code: Code = "rule"
 
     def __str__(self) -> str:
         return f"{self.field}: {self.rule}" if self.field else self.rule
@@ -69,10 +74,11 @@ class SpecTooLarge(SpecError):
 class BrokenRuleError(ValueError):
     """Raised inside a validator; `field` is relative to the validated value."""
 
-    def __init__(self, field: str, rule: str) -> None:
+    def __init__(self, field: str, rule: str, code: Code = "rule") -> None:
         super().__init__(rule)
         self.field = field
         self.rule = rule
+        self.code = code
 
 
 def describe(value: object) -> str:
@@ -133,12 +139,21 @@ def _problem(entry: _Entry, fields: Mapping[str, Sequence[str]]) -> Problem:
     location = list(entry["loc"])
     cause = entry.get("ctx", {}).get("error")
     if isinstance(cause, BrokenRuleError):
-        return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule)
+        return Problem(_path([*location, *filter(None, cause.field.split("."))]), cause.rule, cause.code)
     if entry["type"] == "extra_forbidden":
         tag = next((part for part in reversed(location) if _is_tag(part)), "")
-        return Problem(_path(location), _unknown(location[-1], fields[str(tag)]))
+        return Problem(_path(location), _unknown(location[-1], fields[str(tag)]), "unknown")
     rule = _RULES.get(entry["type"])
-    return Problem(_path(location), rule(entry) if rule else _shorten(str(entry["msg"]), 200))
+    text = rule(entry) if rule else _shorten(str(entry["msg"]), 200)
+    return Problem(_path(location), text, code_of(entry["type"]))
+
+
+def code_of(kind: str) -> Code:
+    """The code of one of pydantic's types of errors."""
+    if kind.endswith(("_type", "_parsing")):
+        return "type"
+    codes: dict[str, Code] = {"missing": "missing", "extra_forbidden": "unknown"}
+    return codes.get(kind, "rule")
 
 
 def _unknown(name: object, known: Sequence[str]) -> str:

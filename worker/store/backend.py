@@ -5,14 +5,16 @@ environment's AWS_* variables, which must be the same for the service and its wo
 distinguishes the two kinds of address.
 """
 
+import errno
 import os
 import shutil
+import stat
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
 
@@ -36,6 +38,11 @@ _BUCKET: Final = "s3://"
 ROOT: Final = "zarr.json"
 #: The folder, in a store, of files that are being written.
 PARTIAL: Final = ".partial"
+
+#: Bytes of a file of a store; chunks have up to 96 MiB before compression.
+MAX_FILE_BYTES: Final = 2**30
+#: Errors of opening what is no file: nothing, a link, a socket.
+_NO_FILE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENXIO)
 
 #: Requests to a bucket that does not respond are retried for so long before they fail.
 _RETRY_TIMEOUT: Final = timedelta(seconds=15)
@@ -68,17 +75,37 @@ def open_store(url: str, *, read_only: bool) -> Store:
 def read_key(url: str, key: str) -> bytes | None:
     """The bytes under a key of a store; None if there are none. Raises one of UNREACHABLE for a bucket.
 
-    Links inside a store are not followed.
+    What a store cannot contain is not there: links, pipes and devices, and files above MAX_FILE_BYTES.
     """
+    if not in_bucket(url):
+        with _opened(url, key) as file:
+            return None if file is None else file.read()
     try:
-        if in_bucket(url):
-            return bytes(_bucket(url).get(key).bytes())
-        path = Path(url, key)
-        if any(part.is_symlink() for part in (path, *path.parents[: key.count("/")])):
-            return None  # what it points to is no part of the store
-        return path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        answer = _bucket(url).get(key)
+        return bytes(answer.bytes()) if answer.meta["size"] <= MAX_FILE_BYTES else None
+    except FileNotFoundError:
         return None
+
+
+@contextmanager
+def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
+    """The file under a key of a folder, unbuffered; None if it is not one of a store's."""
+    path = Path(url, key)
+    try:
+        # Without O_NONBLOCK opening a pipe waits until something writes to it.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError as error:
+        if error.errno not in _NO_FILE:
+            raise
+        yield None
+        return
+    try:
+        status = os.fstat(descriptor)
+        linked = any(part.is_symlink() for part in path.parents[: key.count("/")])
+        is_ours = stat.S_ISREG(status.st_mode) and status.st_size <= MAX_FILE_BYTES and not linked
+        yield open(descriptor, "rb", buffering=0, closefd=False) if is_ours else None  # noqa: SIM115
+    finally:
+        os.close(descriptor)
 
 
 def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
@@ -99,15 +126,11 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
 
 
 def _read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[bytes] | None:
-    path = Path(url, key)
-    try:
-        if any(part.is_symlink() for part in (path, *path.parents[: key.count("/")])):
-            return None  # as in `read_key`
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            return [os.pread(file.fileno(), n, at if at >= 0 else max(size + at, 0)) for at, n in spans]
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        return None
+    with _opened(url, key) as file:
+        if file is None:
+            return None
+        size = os.fstat(file.fileno()).st_size
+        return [os.pread(file.fileno(), n, at if at >= 0 else max(size + at, 0)) for at, n in spans]
 
 
 def put(url: str, key: str, content: bytes) -> None:

@@ -36,9 +36,9 @@ def get_readiness(service: ServiceDep) -> Any:
 
 
 @router.get("/v1/software", summary="Versions of what the service runs on")
-def get_versions() -> SoftwareView:
-    """Release, kernel version, Python and libraries of this process; workers have the same."""
-    return SoftwareView.model_validate(software())
+def get_versions(service: ServiceDep) -> SoftwareView:
+    """Release, kernel version, Python and libraries, which workers have too; the data folder."""
+    return SoftwareView(**software()._asdict(), data=str(service.settings.data.absolute()))
 
 
 @router.get(

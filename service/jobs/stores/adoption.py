@@ -93,6 +93,8 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
     except (StoreError, SpecError, LookupError, TypeError, ValueError) as error:
         reason = str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
+    except RecursionError as error:
+        raise NotAdoptable(f"{url} cannot be adopted: its metadata are nested too deeply") from error
     reports = list(_whole_chunks(url, contents))
     found = f"{len(reports)} of {contents.job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
@@ -106,6 +108,7 @@ def adopt(ledger: Ledger, settings: Settings, job_id: str) -> JobRecord:
 
 def _contents(url: str, job_id: str) -> _Contents:
     """Raises StoreError, SpecError, or what reading unexpected attributes raises."""
+    store.stored_forms(url, None)  # first: it reads files only, where zarr would wait for a pipe
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
     spec = parse_stored(json.dumps(attrs["spec"]), version)

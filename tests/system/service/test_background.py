@@ -177,3 +177,23 @@ def test_they_end_with_the_service_that_is_killed_and_not_with_ctrl_c(tmp_path: 
         assert (blocks_interrupts(process.pid), blocks_interrupts(child.pid)) == (False, True)
         process.kill()
     child.wait(DEADLINE)
+
+
+def test_one_that_computes_does_not_outlive_the_service_that_is_killed(tmp_path: Path):
+    script = tmp_path / "main.py"
+    script.write_text(
+        "from service.background import Processes\n"
+        "if __name__ == '__main__':\n"
+        "    Processes(1).run(exec, 'import os\\nprint(os.getpid(), flush=True)\\nwhile True: pass')\n"
+    )
+    command = [sys.executable, str(script)]
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
+        assert process.stdout
+        child = psutil.Process(int(process.stdout.readline()))
+        process.kill()
+    try:
+        child.wait(DEADLINE)
+    finally:
+        if child.is_running():
+            child.kill()

@@ -195,7 +195,7 @@ def check_refusal(answer: Any, status: int, message: str) -> None:
     assert problem["status"] == status
     assert message in problem["detail"], problem
     for error in problem.get("errors", []):
-        assert set(error) == {"field", "rule"}
+        assert set(error) == {"field", "rule", "code"}
 
 
 @pytest.mark.parametrize("case", BODIES, ids=lambda case: case.name)

@@ -29,6 +29,7 @@ from service.figures import catalogue
 from service.jobs.ledger import Ledger
 from service.server import embedded
 from service.settings import Settings
+from service.software import software
 from worker.analysis.thresholds import Status
 from worker.executors.base import Executor
 from worker.executors.dask import Dask
@@ -660,7 +661,10 @@ def test_serve_computes_locks_its_data_and_stops_on_a_signal(serve: Serve, spec:
     port = url.rsplit(":", 1)[1]
     third = run("serve", "--port", port, "--data", data)
     assert third.returncode == 1
-    assert f"cannot listen on 127.0.0.1 port {port}: Address already in use" in third.stderr
+    assert (
+        f"cannot listen on 127.0.0.1 port {port}: a bouncing-spring service (release {software().release}, "
+        f"data in {data}) has it; take another one with --port"
+    ) in third.stderr
 
     assert serve.end(signal.SIGTERM) == 0
     assert not (Path(data) / "service.json").exists()

@@ -5,10 +5,12 @@ import logging
 import os
 import resource
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import nullcontext
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
@@ -118,8 +120,34 @@ def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
         with pytest.raises(DataFolderBusy, match="another service"), embedded.running(same_folder, Held()):
             pass
         same_port = embedded.settings(data=tmp_path / "2", port=port)
-        with pytest.raises(NotStarted, match="cannot listen on"), embedded.running(same_port, Held()):
+        who = f"a bouncing-spring service \\(release .*, data in {tmp_path / '1'}\\) has it"
+        with pytest.raises(NotStarted, match=who), embedded.running(same_port, Held()):
             pass
+
+
+def test_a_port_of_another_program_is_a_startup_error(tmp_path: Path):
+    class Other(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"[" * 100_000)
+
+        def log_message(self, *_: object) -> None: ...
+
+    with HTTPServer(("127.0.0.1", 0), Other) as other, socket.create_server(("127.0.0.1", 0)) as silent:
+        thread = threading.Thread(target=other.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            for port, who in (
+                (other.server_port, "another program has it"),
+                (silent.getsockname()[1], "a program that does not answer has it"),
+            ):
+                settings = embedded.settings(data=tmp_path, port=port)
+                with pytest.raises(NotStarted, match=who), embedded.running(settings, Held()):
+                    pass
+        finally:
+            other.shutdown()
+            thread.join()
 
 
 def test_a_damaged_ledger_is_a_startup_error(tmp_path: Path):

@@ -1,6 +1,7 @@
 """Stores that the ledger does not know: never removed, reported, and taken in again as what they are."""
 
 import json
+import os
 import shutil
 import sqlite3
 from contextlib import closing
@@ -157,6 +158,27 @@ def test_a_store_that_contradicts_itself_is_not_adopted(tmp_path: Path, harm, re
         adopt(tmp_path, job_id)
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
         assert ledger.find(job_id) is None
+
+
+def nested(root: Path) -> None:
+    content = json.loads(root.read_text())
+    root.write_text(json.dumps(content)[:-1] + ', "deep": ' + "[" * 200_000 + "]" * 200_000 + "}")
+
+
+def pipe(root: Path) -> None:
+    root.unlink()
+    os.mkfifo(root)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(("harm", "reason"), [(pipe, "no store here"), (nested, "cannot be adopted: .*")])
+def test_adopting_a_pipe_or_nested_metadata_is_refused_in_one_line(tmp_path: Path, harm, reason: str):
+    [job_id] = compute(tmp_path, sweep())
+    harm(tmp_path / "stores" / f"{job_id}.zarr" / "zarr.json")
+    forget(tmp_path)
+    with pytest.raises(NotAdoptable, match=f"{reason}$") as refused:
+        adopt(tmp_path, job_id)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_job_that_the_ledger_knows_is_not_adopted(tmp_path: Path):

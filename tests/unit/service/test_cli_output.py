@@ -90,22 +90,35 @@ def test_jobs_that_are_watched_show_the_time_that_is_left():
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
-        ({}, "1,200 cells in 30 chunks, 2.5 MB before compression, 12 core-seconds "
-             "(from the table of costs)"),
+        ({}, "1,200 cells in 30 chunks, 2.5 MB before compression, about 6 s on 2 workers (12 core-seconds, "
+             "from the table of costs; the kernel is compiled first, unless the cache has it)"),
         (
-            {"basis": "measured", "longest_core_seconds": 3456.0},
-            "1,200 cells in 30 chunks, 2.5 MB before compression, 12 core-seconds (from recent jobs; "
-            "3.46e+03 if every cell settled until settle_until)",
+            {"basis": "measured", "core_seconds": 2_050.0, "bytes": 1_040_000_000,
+             "longest_core_seconds": 345_600.0},
+            "1,200 cells in 30 chunks, 1 GB before compression, about 17 min on 2 workers "
+            "(2,050 core-seconds, from recent jobs; 2 days if every cell settled until settle_until)",
         ),
         (
-            {"computed_cells": (300, 1_100), "least_core_seconds": 3.0},
-            "1,200 cells, of which about 300 to 1,100 are computed, in 30 chunks, at most 2.5 MB before "
-            "compression, 3 to 12 core-seconds (from the table of costs)",
+            {"computed_cells": (300, 1_100), "least_core_seconds": 3.0, "basis": "measured", "chunks": 1},
+            "1,200 cells, of which about 300 to 1,100 are computed, in 1 chunk, at most 2.5 MB before "
+            "compression, about 3 s to 12 s on 2 workers (12 core-seconds, from recent jobs)",
+        ),
+        (
+            {"workers": 0, "core_seconds": 0.5, "basis": "measured"},
+            "1,200 cells in 30 chunks, 2.5 MB before compression, about 1 s on one core "
+            "(0.5 core-seconds, from recent jobs)",
         ),
     ],
 )  # fmt: skip
 def test_an_estimate_is_one_line(changes: dict[str, Any], line: str):
-    fields = {"cells": 1_200, "chunks": 30, "bytes": 2_500_000, "core_seconds": 12.0, "basis": "table"}
+    fields = {
+        "cells": 1_200,
+        "chunks": 30,
+        "bytes": 2_500_000,
+        "core_seconds": 12.0,
+        "basis": "table",
+        "workers": 2,
+    }
     estimate = Estimate(**{**fields, "longest_core_seconds": None, **changes})
     assert estimate_line(estimate) == line
 

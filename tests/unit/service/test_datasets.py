@@ -144,6 +144,19 @@ def test_no_branches_are_empty():
     assert orbits.sizes == {"branch": 0, "point": 0, "event": 0}
 
 
+def test_a_short_answer_that_asks_for_much_memory_is_refused():
+    huge = BRANCH | {"bounces": 10**10}
+    uneven = BRANCH | {"gamma": [1.0] * 11_000}
+    cells = [[[place(1, 1.0)] * 11_000] + [[]] * 11_000]
+    for read in (
+        lambda: words_dataset(WORDS | {"branches": [huge]}, JOB),
+        lambda: words_dataset(WORDS | {"branches": [uneven] + [SHORT] * 11_000}, JOB),
+        lambda: multistability_dataset(PLANE | {"cells": cells}, JOB),
+    ):
+        with pytest.raises(UnexpectedAnswer, match="values; at most 100,000,000 are read"):
+            read()
+
+
 SPRING: dict[str, Any] = {
     "omega": 0.5, "xi": 0.05, "threshold": 0.75, "jump": None, "down": 0.5, "cause": "fold (1,1)",
     "reason": None, "lifetime": {"delta": 1e-6, "periods": 100.0},

@@ -87,7 +87,7 @@ def test_validate_only_accepts_nothing_and_estimates_the_cost(tmp_path: Path):
         answer = client.post("/v1/jobs?validate_only=true", json=FIGURE_2)
         assert answer.status_code == 200
         cost = answer.json()
-        assert (cost["cells"], cost["basis"]) == (111, "table")
+        assert (cost["cells"], cost["basis"], cost["workers"]) == (111, "table", 2)
         assert cost["bytes"] == 111 * (64 * 16 + 13)
         assert cost["chunks"] >= 1
         assert cost["core_seconds"] > 0

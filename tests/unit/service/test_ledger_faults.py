@@ -345,6 +345,24 @@ def test_chunks_that_come_back_while_the_folder_is_away_are_not_lost(tmp_path: P
         assert service.outcomes(job).all()
 
 
+def test_what_the_service_writes_in_the_moment_its_folder_is_moved_away_is_its_own(tmp_path: Path):
+    data, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
+    with Ledger(data / "ledger.sqlite") as ledger:
+        before = (data / "ledger.sqlite").stat().st_size
+        with ledger.writing() as writing:  # so much that the main file is written at the end
+            writing._sql.execute("CREATE TABLE much AS SELECT zeroblob(8000000) AS content")
+            data.rename(elsewhere)
+        with pytest.raises(LedgerUnavailable, match="the data folder data is gone"):
+            ledger.check()
+        elsewhere.rename(data)
+        assert (data / "ledger.sqlite").stat().st_size > before
+        ledger.check()
+        with (data / "ledger.sqlite").open("r+b") as file:
+            file.write(b"SQL")
+        with pytest.raises(LedgerUnavailable, match="another size or time of change"):
+            ledger.check()
+
+
 # Space
 
 

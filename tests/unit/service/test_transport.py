@@ -1,6 +1,7 @@
 """The client against a scripted HTTP server: what it sends, when, and what it makes of the answers."""
 
 import gc
+import gzip
 import io
 import json
 import os
@@ -350,9 +351,27 @@ def test_busy_carries_retry_after():
     assert caught.value.retry_after == 7.0
 
 
+def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end():
+    """300 MB of zeros in 300 kB, as an answer and as a refusal; and an event without an end."""
+    packed = gzip.compress(bytes(300_000_000), 9)
+    inflating = [Answer(status, packed, Content_Encoding="gzip") for status in (200, 500)]
+    endless = Answer(200, b"data: " + b"1" * 3_000_000, Content_Type="text/event-stream")
+    with scripted(*inflating, Answer(body=view()), endless) as (_, client):
+        for _ in inflating:
+            with pytest.raises(UnexpectedAnswer, match="sends more than 256 MiB"):
+                client.job(ID)
+        job = client.job(ID)
+        with pytest.raises(UnexpectedAnswer, match="sends more than 1 MiB"):
+            list(job.follow())
+
+
+NESTED = b'{"id": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
+
+
 @for_each(
     "answer",
     [
+        Answer(200, NESTED),
         Answer(200, b"<html>hello</html>"),
         Answer(200, b"\xff\xfe"),
         Answer(200, [1, 2]),
@@ -812,6 +831,9 @@ def group(**arrays: dict[str, Any]) -> dict[str, Any]:
     return {"zarr_format": 3, "node_type": "group", "attributes": {}, "consolidated_metadata": kept}
 
 
+LARGE = {"name": "regular", "configuration": {"chunk_shape": [10**10]}}
+
+
 @for_each(
     ("document", "why"),
     [
@@ -826,6 +848,9 @@ def group(**arrays: dict[str, Any]) -> dict[str, Any]:
             "not the metadata of a bounce store",
         ),
         (group(evil=array(codecs=["bytes"])), "not the metadata of a bounce store"),
+        (group(gamma=array("bytes", shape=[10**10])), "a coordinate of 10,000,000,000 values"),
+        (group(gamma=array("bytes", chunk_grid=LARGE)), "chunks of 10,000,000,000 values"),
+        (group(**{f"a{i}": array("bytes") for i in range(100_000)}), "describes more than 1,000 arrays"),
         ([], "not the metadata of a bounce store"),
         (b"{", "not the metadata of a bounce store"),
     ],

@@ -67,6 +67,17 @@ def test_links_inside_a_store_are_not_followed_and_those_above_it_are(url: str, 
         assert backend.read_parts(str(tmp_path / "other"), key, [(0, 2)]) == [b"01"]
 
 
+@pytest.mark.timeout(20)
+def test_pipes_and_endless_files_are_no_part_of_a_store(url: str, tmp_path: Path):
+    os.mkfifo(tmp_path / "store" / "pipe")
+    with (tmp_path / "store" / "endless").open("wb") as file:
+        file.truncate(2**40)
+    (tmp_path / "store" / "device").symlink_to("/dev/zero")
+    for key in ("pipe", "endless", "device"):
+        assert backend.read_key(url, key) is None
+        assert backend.read_parts(url, key, [(0, 1)]) is None
+
+
 @for_each(
     ("span", "part"),
     [((8, 5), b"89"), ((10, 1), b""), ((-3, 3), b"789"), ((-3, 2), b"78"), ((-20, 20), b"0123456789")],

@@ -55,8 +55,8 @@ export function axisField(axis) {
     Object.entries(AXIS_KINDS).map(([value, text]) => h("option", { value }, text)));
   const single = input(axis, "value");
   const list = input(axis, "values, separated by commas", { size: 24 });
-  const start = input(`${axis}.start`, "from");
-  const stop = input(`${axis}.stop`, "to");
+  const start = input(`${axis}.start`, "start");
+  const stop = input(`${axis}.stop`, "stop");
   const num = input(`${axis}.num`, "number of values", { inputmode: "numeric" });
   const spacing = h("select", { "data-field": `${axis}.spacing` }, ["linear", "log"].map((value) => h("option", { value }, value)));
   const spacingLabel = h("label", {}, h("span", {}, "spacing"), spacing);

@@ -132,11 +132,13 @@ export class SweepForm {
     try {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: this.#read(), signal: this.estimating.signal });
       showProblems(this.form, this.problem, null);
-      const speed = cost.basis === "measured" ? "measured" : "typical";
+      const atOnce = Math.max(Math.min(cost.workers, cost.chunks), 1);
+      const where = cost.workers ? plural(cost.workers, "worker") : "one core";
+      const first = cost.basis === "measured" ? "" : ", once its kernel is compiled";
       const [least, most] = cost.computed_cells ?? [];
       const computed = most === undefined ? "" : `, about ${count(least)} to ${count(most)} of them computed,`;
-      const seconds = most === undefined ? "" : `${duration(cost.least_core_seconds)} to `;
-      this.cost.textContent = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")} · ${seconds}${duration(cost.core_seconds)} on one core at the ${speed} speed · up to ${bytes(cost.bytes)}`;
+      const seconds = most === undefined ? "" : `${duration(Math.max(cost.least_core_seconds / atOnce, 1))} to `;
+      this.cost.textContent = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")} · about ${seconds}${duration(Math.max(cost.core_seconds / atOnce, 1))} on ${where}${first} · up to ${bytes(cost.bytes)}`;
       this.button.disabled = false;
     } catch (error) {
       this.#showError(error);

@@ -7,9 +7,10 @@ export function showProblems(form, general, problem) {
   clear(form);
   const other = [];
   const errors = problem?.errors?.length ? problem.errors : problem ? [{ field: "", rule: problem.message }] : [];
-  for (const { field, rule } of errors) {
+  for (const error of errors) {
+    const { field, rule } = error;
     const input = inputOf(form, field);
-    if (input) mark(input, inWords(rule, input));
+    if (input) mark(input, inWords(error, input));
     else other.push(field ? `${field}: ${rule}` : rule);
   }
   general.textContent = other.join("; ");
@@ -36,17 +37,13 @@ function inputOf(form, field) {
   return null;
 }
 
-const NAMES = { start: "“from”", stop: "“to”", num: "the number of values" }; // of a range, as the form calls its fields
-
-/** A rule of the specification in words of the form. */
-function inWords(rule, input) {
+/** The service's rule, or what the typed text lacks to be a number. */
+function inWords({ rule, code }, input) {
   const text = input.value?.trim() ?? "";
+  if (code !== "type" && code !== "missing") return rule;
+  if (text === "") return "is empty: type a number";
   if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
-  const [, whole, wrong] = /^must be a (whole )?number, not (.+)$/.exec(rule) ?? [];
-  if (wrong === "null") return "is empty: type a number";
-  if (wrong) return `must be a ${whole ?? ""}number: ${wrong.replace(/^(?:text )?'(.*)'$/, "“$1”")} is not`;
-  if (rule === "is required") return "is empty";
-  return rule.replace(/\b(start|stop|num)\b/g, (name) => NAMES[name]);
+  return rule;
 }
 
 function mark(input, rule) {

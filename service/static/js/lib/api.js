@@ -1,6 +1,6 @@
 // Requests to the service, and their errors.
 
-/** The service refused a request: its message, the HTTP status, and `errors`, a list of {field, rule}. */
+/** The service refused a request: its message, the HTTP status, and `errors`, a list of {field, rule, code}. */
 export class Problem extends Error {
   constructor(status, { detail, errors = [] }) {
     super(detail);

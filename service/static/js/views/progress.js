@@ -11,7 +11,7 @@ const RESUMABLE = new Set(["failed", "cancelled"]);
 const MAX_LISTED = 4; // values of an axis
 
 /** A sweep's name, or the beginning of its id. */
-export const titleOf = (job) => job.name || `Sweep ${job.id.slice(0, 8)}`;
+export const titleOf = (job) => (job.name.trim() ? job.name : "") || `Sweep ${job.id.slice(0, 8)}`;
 
 export class ProgressBar {
   constructor() {
