@@ -18,8 +18,9 @@ from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
 from kernel.branches.events import branch_and_events
 from service.api import schemas
-from service.client import BadRequest, Client, TooLarge
+from service.client import BadRequest, Client
 from service.results import orbits, thresholds
+from worker.analysis.prediction import prediction_seconds
 from worker.spec import SweepSpec
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
@@ -133,11 +134,11 @@ def test_bad_queries_name_field_and_rule(service: TestClient, query: dict[str, A
 
 
 def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
-    assert "the limit is 2,000" in refused(service, "/v1/orbits", 413, omega=0.01, xi=0.05)
+    assert "the limit is 2,000" in refused(service, "/v1/orbits", 422, omega=0.01, xi=0.05)
     query = {"xi": 0.05, "omega_start": 0.01, "omega_stop": 0.5, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(service, "/v1/curves", 413, **query)
+    assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(service, "/v1/curves", 413, **query)
+    assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
 
 
 def test_orbits_are_kept(service: TestClient):
@@ -352,7 +353,7 @@ def test_every_omega_is_predicted_when_asked_for(service: TestClient, client: Cl
     words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
     large = client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"
-    assert "enough for 400 values" in refused(service, where, 413, predict="words")
+    assert "enough for 400 values" in refused(service, where, 422, predict="words")
 
 
 def explained(down: float, predicted: float, cause: str, tolerance: float | None = None) -> str:
@@ -360,11 +361,11 @@ def explained(down: float, predicted: float, cause: str, tolerance: float | None
     none = np.array([np.nan])
     found = thresholds.Thresholds(
         xi=0.05, omega=np.array([0.6]), analytic=none, up=none, down=np.array([down]),
-        up_status=["not ramped"], down_status=["found"], predicted_jump=none,
-        predicted_down=np.array([predicted]), cause=[cause], difference=[""], prediction="", complete=True,
-        tolerance=tolerance,
+        up_status=["not ramped"], down_status=["found"], predicted_jump=none, predicted_down=none,
+        cause=[""], difference=[""], prediction="", complete=True, tolerance=tolerance,
     )  # fmt: skip
-    return thresholds._compared(SweepSpec.parse(RAMP), found).difference[0]
+    known = orbits.thresholds(0.6, 0.05)._replace(down=predicted, cause=cause)
+    return thresholds._compared(SweepSpec.parse(RAMP), found, [known], words=False).difference[0]
 
 
 def test_a_difference_from_the_prediction_is_explained():
@@ -404,15 +405,24 @@ def test_as_many_springs_are_predicted_at_once_as_may_be(
     assert set(job.threshold().cause.values.tolist()) == {
         "not predicted: ask for all above 1 values of omega"
     }
-    for name, size in (("all", 50), ("all", 1), ("words", 1)):  # all that one worker call predicts
-        monkeypatch.setattr(thresholds, "PREDICTED_AT_ONCE", {name: size})
-        monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 2 * thresholds.PREDICTION_SECONDS[name])
+    alone = sum(prediction_seconds(omega, 0.05) for omega in predicted.omega.values.tolist())
+    for name, seconds, call in (
+        ("some", alone, 9.0), ("all", alone, 9.0), ("all", alone, 1e-9),
+        ("words", alone + 2 * thresholds.WORDS_SECONDS, 1e-9),
+    ):  # fmt: skip
+        monkeypatch.setattr(thresholds, "MAX_PREDICTED", 2)
+        monkeypatch.setattr(thresholds, "CALL_SECONDS", call)  # all in one call, or each in its own
+        monkeypatch.setattr(thresholds, "AT_ONCE_SECONDS", 0.0)
+        monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", seconds)
         every = job.threshold(predict=name, progress=False)  # type: ignore[arg-type]
         assert every.cause.values.tolist() == predicted.cause.values.tolist()
         np.testing.assert_array_equal(every.predicted_down, predicted.predicted_down)
-    monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 0.03)
-    with pytest.raises(TooLarge, match=r"2 values of omega take .*: enough for 1 values"):
+    monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 0.99 * alone)
+    with pytest.raises(BadRequest, match=r"predict: 2 values of omega take .*: enough for 1 values"):
         job.threshold(predict="all", progress=False)
+    left_out = job.threshold()  # what the grid says is read nevertheless
+    assert all("enough for 1 values" in str(cause) for cause in left_out.cause.values)
+    np.testing.assert_array_equal(left_out.down, predicted.down)
 
 
 def test_another_contact_is_told_from_the_one_predicted(client: Client):

@@ -477,7 +477,7 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
         scripted(computing(1)) as (_, client),
         pytest.raises(
             NotComputedYet,
-            match=r"^1 of 4 parts computed after -1 s; the computation continues, repeat the request later$",
+            match=r"^1 of 4 parts computed after -1 s; the computation goes on for a minute: repeat the request",
         ),
     ):
         client.tradeoff(timeout=-1.0, progress=False)
