@@ -141,8 +141,8 @@ class NotComputedYet(BounceError, TimeoutError):
 
     def __init__(self, done: int, total: int, seconds: float) -> None:
         super().__init__(
-            f"{done} of {total} parts computed after {seconds:g} s; the computation goes on for a minute: repeat "
-            "the request until then"
+            f"{done} of {total} parts computed after {seconds:g} s; the computation goes on for a minute: "
+            "repeat the request until then"
         )
 
 
