@@ -62,8 +62,8 @@ _TURN: Final = 0.15
 #: Points of one curve at most.
 _POINTS: Final = 4000
 
-#: Points of all curves of a branch at most: half a minute.
-_ALL_POINTS: Final = 20_000
+#: Points of all curves of a branch at most, of up to 1.4 ms each.
+_ALL_POINTS: Final = 60_000
 
 #: Newton steps of a corrector, and of a search for a codimension-2 point.
 _CORRECTOR: Final = 8

@@ -470,6 +470,25 @@ def test_beyond_the_limit_a_read_is_told_to_come_again(client: TestClient, path:
     assert client.get(f"{here}/{path}").status_code == 200
 
 
+def test_small_reads_are_answered_while_every_costly_place_is_taken(client: TestClient):
+    """`benchmarks/burst.py` measures how soon, beside an atlas and costly requests."""
+    here = finished(client, FIGURE_2)
+    small = [
+        "diagram", "diagram?format=csv&every=2", "line", "modes", "plane", "threshold", "threshold?predict=none",
+        "zarr/flight_time/c.0.0.0.0.0",
+    ]  # fmt: skip
+    with (
+        taken(client, "read", memory=2**40),
+        ThreadPoolExecutor(8) as pool,
+    ):
+        answers = list(pool.map(client.get, [f"{here}/{path}" for path in small * 25]))
+        assert {answer.status_code for answer in answers} == {200}, [
+            a.url.path for a in answers if a.is_error
+        ]
+        assert client.get(f"{here}/diagram?format=png").status_code == 429
+    wait_for(lambda: client.app.state.service.small_reads.used == 0)  # type: ignore[attr-defined]
+
+
 def test_costly_requests_leave_the_other_threads_alone(tmp_path: Path):
     """Of many at once a few run, the rest waits without a thread, and polls are answered meanwhile."""
     running, go = threading.Semaphore(0), threading.Event()

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -354,6 +355,25 @@ def test_every_omega_is_predicted_when_asked_for(service: TestClient, client: Cl
     large = client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"
     assert "enough for 400 values" in refused(service, where, 422, predict="words")
+
+
+def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A strong dashpot: rounding grazes all along a branch, and each spring takes about a second."""
+    strong = {"gamma": [0.5, 0.6], "xi": 10.0, "model": {"kind": "rigid"}}
+    few = strong | {"omega": [1e-6, 2e-6]}
+    many = strong | {"omega": {"start": 1e-6, "stop": 2e-6, "num": 200}}
+    served.impatient(monkeypatch)
+    with begun(tmp_path, Held(capacity=0)) as held:
+        here, large = (held.post("/v1/jobs", json=spec).headers["Location"] for spec in (few, many))
+        began = time.process_time()
+        for path in (f"{here}/threshold", "/v1/threshold?omega=1e-6&xi=10"):
+            answer = held.get(path)
+            assert (answer.status_code, answer.headers["Retry-After"]) == (202, "1"), path
+        left_out = get(held, f"{large}/threshold")
+        assert left_out["cause"][0].startswith("not predicted: 200 values of omega take about")
+        rule = refused(held, f"{large}/threshold", 422, predict="all")
+        assert "the limit for one answer is 200: enough for" in rule
+        assert time.process_time() - began < 2.0  # none of the springs was computed here: 150 s
 
 
 def explained(down: float, predicted: float, cause: str, tolerance: float | None = None) -> str:
