@@ -17,7 +17,7 @@ from served import service as begun
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
-from kernel.branches.events import branch_and_events
+from kernel.branches.events import Kind, branch_and_events
 from service.api import schemas
 from service.client import BadRequest, Client
 from service.results import orbits, thresholds
@@ -140,6 +140,23 @@ def test_long_branches_are_refused_before_they_are_computed(service: TestClient)
     assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
     assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
+
+
+def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.MonkeyPatch):
+    """By their estimate before they are computed, by their points while they are."""
+    query = {"xi": 0.05, "omega_start": 0.05, "omega_stop": 0.06, "modes": "1-1"}
+    monkeypatch.setattr(orbits, "MAX_CURVES_SECONDS", 15.0)
+    rule = refused(service, "/v1/curves", 422, **query)
+    assert rule.startswith("modes: their curves from omega 0.05 on take about 16 core-seconds, the limit")
+    monkeypatch.setattr("kernel.branches.curves._ALL_POINTS", 100)
+    query = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
+    wait_for(lambda: service.get("/v1/curves", params=query).status_code != 202)
+    assert refused(service, "/v1/curves", 422, **query).startswith("omega_stop: the curves up to 0.68 have more")
+
+
+def test_curves_end_where_a_search_has_no_next_step():
+    """Newton's method for a point of codimension 2 may meet a singular matrix."""
+    assert curves(Parameter.XI, 0.3, 0.0, 1e6, 1, (Kind.FOLD,)).points is not None
 
 
 def test_orbits_are_kept(service: TestClient):
