@@ -31,9 +31,10 @@ _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
 
 def _line_cost(service: ServiceDep, job: JobDep, query: parameters.LineViewQuery, request: Request) -> Cost:
     flights = line_flights(dependencies.sweep(service, job).spec, query.along)
-    pixels = query.width * query.height * 16 if flights > query.most else 0
-    memory = min(flights, MAX_READ) * _PER_FLIGHT + pixels
-    return dependencies.cost_of_read(service, job, memory, query.along)
+    points, pixels = min(flights, MAX_READ) * _PER_FLIGHT, query.width * query.height * 16
+    taken = points + pixels * (flights > query.most)
+    cost = dependencies.cost_of_read(service, job, taken, query.along)
+    return cost._replace(memory=BASE_MEMORY + points + pixels)
 
 
 @router.get(

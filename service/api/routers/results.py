@@ -101,7 +101,7 @@ def _threshold_cost(service: ServiceDep, job: JobRecord, query: parameters.JobTh
     memory = min(omegas, service.settings.max_points) * _PER_OMEGA
     cost = dependencies.cost_of_read(service, job, memory, "omega", "gamma")
     small = cost.small and query.tolerance is None and thresholds.is_brief(sweep, query.xi, query.predict)
-    return cost if small else Cost(cost.memory + MAX_READ)
+    return Cost(cost.memory + MAX_READ, small)
 
 
 @router.get(
