@@ -1,18 +1,22 @@
 """What a burst of costly requests leaves to jobs, polls and memory, and when it is answered.
 
     python -m benchmarks.burst [--requests 500] [--clients 8] [--cells 100000] [--seconds 20]
+    python -m benchmarks.burst --small-only [--costly 200] [--cells 100000]
 
 Runs `bounce serve` with two workers. First the jobs' throughput alone, then while `clients` connections send
 `requests` costly GETs in all: pictures, tables, lines, maps, files, thresholds, chunks of the store, of a
 sweep of `cells` cells; who is told to come again does. The clients stand for other machines, so their threads
 run at the lowest priority. Then twenty diagrams of a million flights at once, and a hundred answers that
-nobody reads. Exits with 1 if a promise is broken: the service takes 1.5 GB or more, the 99th percentile of
-polls is 250 ms or more, or jobs have less than 70% of their throughput alone.
+nobody reads. At last the diagram of a finished job of 60 cells, read again and again: beside an atlas that
+two workers compute, and beside that and `costly` costly requests at once. Exits with 1 if a promise is
+broken: the service takes 1.5 GB or more, the 99th percentile of polls or of these small reads is 250 ms or
+more, one of them is refused, or jobs have less than 70% of their throughput alone.
 """
 
 import argparse
 import http.client
 import itertools
+import multiprocessing
 import os
 import socket
 import sys
@@ -21,7 +25,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -68,6 +72,21 @@ def wide() -> dict[str, Any]:
         "name": "wide",
         "omega": {"start": 0.3, "stop": 1.5, "num": 100},
         "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
+    }
+
+
+def small() -> dict[str, Any]:
+    """A sweep of 60 cells."""
+    return {**large(60), "name": "small"}
+
+
+def atlas() -> dict[str, Any]:
+    """A sweep that takes two workers many minutes, in chunks of a second."""
+    return {
+        **large(1_000),
+        "name": "atlas",
+        "omega": {"start": 0.3, "stop": 1.5, "num": 320},
+        "settle": 20_000,
     }
 
 
@@ -314,6 +333,20 @@ class Report:
         self.broken |= p99 >= MAX_P99 or usage.most >= MAX_MEMORY_MB or bool(polls.wrong)
         return result
 
+    def small_reads(self, what: str, path: str, work: Callable[[], Any]) -> Any:
+        """Do some work beside small reads by four connections; one line about these."""
+        with Polls(self._service.port, path, 4, 0.1) as reads:
+            result = work()
+        p50, p99 = np.percentile(reads.seconds, (50, 99))
+        print(
+            f"{what}: {len(reads.seconds)} small reads, median {1e3 * p50:.0f} ms, p99 {1e3 * p99:.0f} ms, "
+            f"longest {1e3 * max(reads.seconds):.0f} ms, {len(reads.wrong)} refused {reads.wrong[:3]}; "
+            f"load {os.getloadavg()[0]:.1f}",
+            flush=True,
+        )
+        self.broken |= p99 >= MAX_P99 or bool(reads.wrong)
+        return result
+
     def throughput(self, alone: float, beside: float) -> None:
         """The line on jobs."""
         print(
@@ -323,6 +356,34 @@ class Report:
         self.broken |= beside < MIN_THROUGHPUT * alone
 
 
+def _in_a_process(port: int, paths: list[str], costly: int) -> str:
+    """A burst of so many requests at once; its threads would make those that measure wait for Python."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(_burst, port, paths, costly).result()
+
+
+def _burst(port: int, paths: list[str], costly: int) -> str:
+    return str(Burst(port, paths, costly, costly))
+
+
+def measure_small(service: Serving, report: Report, paths: list[str], arguments: argparse.Namespace) -> None:
+    """Small reads beside an atlas, and beside costly requests as well."""
+    here = service.submit(small())
+    service.wait(here)
+    running = service.submit(atlas())
+    while not service.cells_done(running):
+        time.sleep(0.1)
+    diagram = f"{here}/diagram"
+    report.small_reads("beside an atlas", diagram, lambda: time.sleep(arguments.seconds))
+    burst = report.small_reads(
+        f"beside an atlas and {arguments.costly} costly requests at once",
+        diagram,
+        lambda: _in_a_process(service.port, paths, arguments.costly),
+    )
+    print(f"    {burst}")
+    service.cancel(running)
+
+
 def measure(service: Serving, arguments: argparse.Namespace) -> bool:
     """Print the figures; whether a promise is broken."""
     large_job, wide_job = service.submit(large(arguments.cells)), service.submit(wide())
@@ -330,6 +391,9 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
     service.wait(wide_job)
     paths = costly(large_job, wide_job, -(-arguments.cells * KEEP // 1_000_000))
     report = Report(service, large_job)
+    if arguments.small_only:
+        measure_small(service, report, paths, arguments)
+        return report.broken
 
     def requests() -> Burst:
         return Burst(service.port, paths, arguments.requests, arguments.clients)
@@ -351,6 +415,7 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
     )
     print(f"    {burst}")
     report.phase("100 lines that nobody reads", lines)
+    measure_small(service, report, paths, arguments)
     return report.broken
 
 
@@ -363,6 +428,8 @@ def main() -> int:
     options.add_argument("--clients", type=int, default=8)
     options.add_argument("--cells", type=int, default=100_000)
     options.add_argument("--seconds", type=float, default=20.0, help="of each phase")
+    options.add_argument("--costly", type=int, default=200, help="costly requests beside small reads")
+    options.add_argument("--small-only", action="store_true", help="measure only small reads")
     arguments = options.parse_args()
     print(describe("fastapi", "uvicorn", "matplotlib"))
     with tempfile.TemporaryDirectory() as folder:

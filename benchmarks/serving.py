@@ -94,6 +94,14 @@ class Serving:
         job: dict[str, Any] = httpx2.get(self.url + path, timeout=TIMEOUT).json()
         return job
 
+    def cells_done(self, path: str) -> int:
+        """How many cells of a job are done."""
+        return int(self._job(path)["progress"]["cells_done"])
+
+    def cancel(self, path: str) -> None:
+        """Cancel a job."""
+        httpx2.post(f"{self.url}{path}/cancel", timeout=TIMEOUT).raise_for_status()
+
     def delete(self, path: str) -> None:
         """Delete a job."""
         httpx2.delete(self.url + path, timeout=TIMEOUT).raise_for_status()
@@ -227,7 +235,7 @@ class Polls:
                 continue
             answered = time.perf_counter()
             self.seconds.append(answered - began)
-            if status >= 500:
+            if status >= 400:
                 self.wrong.append(str(status))
             await asyncio.sleep(self._pause)
         writer.close()

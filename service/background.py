@@ -11,7 +11,9 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -31,6 +33,46 @@ MOST_KEPT: Final = 448 * 2**20
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes end but one.
 IDLE_SECONDS: Final = 20.0
+
+
+class Asker:
+    """Who waits for an answer. When it has left, the process that computes for it ends."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: _Process | None = None
+        self.left = False
+
+    def run(self, work: Callable[[], Result]) -> Result:
+        """Run `work`, all of whose answers from `Processes` are for this asker."""
+        token = _ASKER.set(self)
+        try:
+            return work()
+        finally:
+            _ASKER.reset(token)
+
+    def leave(self) -> None:
+        """End what is being computed, and begin nothing more."""
+        with self._lock:
+            self.left = True
+            if self._process is not None:
+                self._process.stop()
+
+    @contextmanager
+    def waits_for(self, process: "_Process") -> Iterator[None]:
+        """During the block the process computes for this asker. Raises OSError if it has left."""
+        with self._lock:
+            if self.left:
+                raise OSError("nobody waits for the answer")
+            self._process = process
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._process = None
+
+
+_ASKER: Final[ContextVar[Asker | None]] = ContextVar("asker", default=None)
 
 
 class Background(Protocol):
@@ -72,7 +114,8 @@ class Processes:
         kept = 0
         try:
             process = self._take()
-            succeeded, value, kept = process.call(function, arguments)
+            with (_ASKER.get() or Asker()).waits_for(process):
+                succeeded, value, kept = process.call(function, arguments)
         except (EOFError, OSError) as error:
             kept = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
@@ -168,6 +211,10 @@ class _Process:
         self._connection.send((function, arguments))
         succeeded, value = self._connection.recv()
         return succeeded, value, self._connection.recv()
+
+    def stop(self) -> None:
+        """Have it end soon; a thread that waits in `call` notices."""
+        self._process.terminate()
 
     def end(self) -> None:
         with self._ending:  # two threads that close a connection may close a file of somebody else's

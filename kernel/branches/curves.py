@@ -62,6 +62,9 @@ _TURN: Final = 0.15
 #: Points of one curve at most.
 _POINTS: Final = 4000
 
+#: Points of all curves of a branch at most, of up to 1.4 ms each.
+_ALL_POINTS: Final = 60_000
+
 #: Newton steps of a corrector, and of a search for a codimension-2 point.
 _CORRECTOR: Final = 8
 _NEWTON: Final = 40
@@ -221,7 +224,7 @@ def curves(
 
     Finds every curve that crosses one of `lines` evenly spaced values of the parameter. Neimark-Sacker curves
     end where their multipliers become real. Points where |Gamma| has a pole are left out. Raises
-    KernelInputError.
+    KernelInputError, also for curves of more than _ALL_POINTS points together.
     """
     if not low < high:
         raise KernelInputError("high", f"must be > low, got {high} and {low}")
@@ -232,6 +235,7 @@ def curves(
     for p in (low, high):
         check_spring(*((p, fixed) if parameter is Parameter.OMEGA else (fixed, p)), periods)
     found: list[tuple[Kind, NDArray[np.float64]]] = []
+    points_left = _ALL_POINTS
     for p in np.linspace(low, high, lines):
         k = plane.spring(float(p))
         _, events = branch_and_events(float(np.real(k.omega)), float(np.real(k.xi)), periods)
@@ -239,6 +243,12 @@ def curves(
             if kind not in kinds or _known(plane, found, Kind(kind), float(t), float(p)):
                 continue
             found.append((Kind(kind), _whole(plane, Kind(kind), float(t), float(p))))
+            points_left -= len(found[-1][1])
+            if points_left < 0:
+                rule = (
+                    f"the curves up to {high:g} have more than {_ALL_POINTS:,} points: take a shorter range"
+                )
+                raise KernelInputError("high", rule)
     points = [point for kind, line in found for point in _codimension_2(plane, kind, line)]
     return Curves(
         tuple(c for kind, line in found for c in _pieces(plane, kind, line)), _unique(plane, points)
@@ -380,7 +390,10 @@ def codimension_2(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float,
             goal = (2.0, 1.0) if kind is Kind.BOGDANOV_TAKENS else (0.0, -1.0)
             value = np.array([trace.real - goal[0], det.real - goal[1]])
             slope = np.array([[trace1.real, trace.imag / STEP], [det1.real, det.imag / STEP]])
-        move = np.linalg.solve(slope, value)
+        try:
+            move = np.linalg.solve(slope, value)
+        except np.linalg.LinAlgError:
+            return t, p, False
         t, p = t - move[0], p - move[1]
         if not (0.0 < t < TWO_PI * plane.periods and p > 0.0):
             return t, p, False

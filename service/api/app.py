@@ -30,6 +30,12 @@ from worker.executors.base import Executor
 #: Chunks of stores read at a time.
 CHUNKS: Final = 4
 
+#: Small reads of each kind computed at a time, in this process; bytes that they take until they are sent, and
+#: how many may wait.
+SMALL_READS: Final = 2
+SMALL_MEMORY: Final = 128 * 2**20
+MOST_SMALL: Final = 1_000
+
 SUMMARY = "Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis."
 
 
@@ -91,6 +97,7 @@ async def _lifespan(
             yield
         finally:
             service.capacity.close()
+            service.small_reads.close()
             service.on_demand.close()
             service.manager.stop()
 
@@ -117,6 +124,9 @@ def _service(
             },
             settings.answer_memory,
             timeout=settings.turn_seconds,
+        ),
+        small_reads=Capacity(
+            dict.fromkeys(("read", "store", "on demand"), SMALL_READS), SMALL_MEMORY, max_waiting=MOST_SMALL
         ),
         background=background,
         listener_limit=ListenerLimit(settings.max_listeners),

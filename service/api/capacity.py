@@ -3,6 +3,9 @@
 An endpoint that reads much, computes or draws is declared `costly`. It then waits its turn without a thread,
 runs in threads that only costly requests use, and its answer counts as memory until the
 client has read it. All other requests keep the threads of the event loop's pool for themselves.
+
+A read that is small by its `Cost` has threads and memory of its own, and is computed in this process: neither
+costly requests nor jobs can make it wait. What is computed for a client that leaves is ended.
 """
 
 import asyncio
@@ -19,8 +22,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from service.background import return_memory
-from service.errors import Busy, TooManyListeners
+from service.background import Asker, return_memory
+from service.errors import Busy, NotComputed, TooManyListeners
 
 #: What costly requests do; each has threads of its own, so that long exports do not keep diagrams waiting.
 Activity = Literal["read", "store", "export", "trajectory", "on demand"]
@@ -42,6 +45,24 @@ CLIENT_GONE: Final = 499
 
 #: Bytes of answers after which the C library is told to return memory when none is left.
 MUCH: Final = 64 * 2**20
+
+
+#: Seconds for which an answer is still computed after its client has left: most are there by then, and to end
+#: one costs the process that computes it.
+GRACE: Final = 1.0
+
+#: A small read: bytes of its answer, of the chunks that it decodes, and how many these are. It takes some
+#: hundredths of a second.
+SMALL_ANSWER: Final = 2 * 2**20
+SMALL_CHUNKS: Final = 8 * 2**20
+FEW_CHUNKS: Final = 16
+
+
+class Cost(NamedTuple):
+    """What an answer takes."""
+
+    memory: int  # bytes, from the start of its computation until it is sent
+    small: bool = False
 
 
 class _Waiter(NamedTuple):
@@ -198,13 +219,13 @@ class _Leased(Response):
 
 
 def costly(
-    memory: int | Callable[..., int], activity: Activity = "read"
+    cost: int | Callable[..., Cost | int], activity: Activity = "read"
 ) -> Callable[[Callable[..., Response]], Callable[..., Coroutine[Any, Any, Response]]]:
     """Declare an endpoint costly; it must have a parameter `service: ServiceDep`.
 
-    `memory`: bytes that an answer takes at most, or a function that estimates them; it is called with the
-    endpoint's arguments. A request that finds no thread or no memory within `turn_seconds` gets 429. Nothing
-    is computed for a client that has left before its turn.
+    `cost`: bytes that an answer takes at most, or a function that estimates them or the `Cost`; it is called
+    with the endpoint's arguments. A request that finds no thread or no memory within `turn_seconds` gets 429.
+    Nothing is computed for a client that has left before its turn, nor GRACE seconds after it has left.
     """
 
     def declare(endpoint: Callable[..., Response]) -> Callable[..., Coroutine[Any, Any, Response]]:
@@ -215,12 +236,14 @@ def costly(
         async def limited(request: Request, **arguments: Any) -> Response:
             if takes_request:
                 arguments["request"] = request
-            estimate = await run_in_threadpool(memory, **arguments) if callable(memory) else memory
-            lease = await _unless_gone(request, arguments["service"].capacity.acquire(activity, estimate))
+            estimate = await run_in_threadpool(cost, **arguments) if callable(cost) else cost
+            taken = estimate if isinstance(estimate, Cost) else Cost(estimate)
+            if taken.small:
+                arguments["service"] = arguments["service"].small
+            lease = await _unless_gone(request, arguments["service"].capacity.acquire(activity, taken.memory))
             if lease is None:
                 return Response(status_code=CLIENT_GONE)
-            response: Response = await lease.run(functools.partial(endpoint, **arguments))
-            return response
+            return await _answer(request, lease, functools.partial(endpoint, **arguments))
 
         if not takes_request:
             parameter = inspect.Parameter("request", inspect.Parameter.KEYWORD_ONLY, annotation=Request)
@@ -244,6 +267,26 @@ async def _unless_gone(request: Request, acquiring: Coroutine[Any, Any, Lease]) 
     with suppress(asyncio.CancelledError, Busy):
         (await acquired).release()
     return None
+
+
+async def _answer(request: Request, lease: Lease, work: Callable[[], Response]) -> Response:
+    """The answer of `work`; ends what is computed for it if the client closes its connection meanwhile."""
+    asker = Asker()
+    computed = asyncio.ensure_future(lease.run(functools.partial(asker.run, work)))
+    gone = asyncio.ensure_future(_gone(request))
+    try:
+        await asyncio.wait({computed, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if not computed.done():
+            await asyncio.wait({computed}, timeout=GRACE)
+            asker.leave()
+        return await computed
+    except NotComputed:
+        if asker.left:
+            return Response(status_code=CLIENT_GONE)
+        raise
+    finally:
+        gone.cancel()
+        computed.cancel()
 
 
 async def _gone(request: Request) -> None:

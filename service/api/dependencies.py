@@ -2,16 +2,25 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import prod
 from typing import Annotated, Any, Final
 
 from fastapi import Depends, Request
 
-from service.api.capacity import Capacity, ListenerLimit
+from service.api.capacity import (
+    FEW_CHUNKS,
+    SMALL_ANSWER,
+    SMALL_CHUNKS,
+    Capacity,
+    Cost,
+    ListenerLimit,
+)
 from service.api.monitoring import Metrics, Readiness
 from service.api.parameters import DiagramQuery, LineQuery
 from service.api.progress_stream import ProgressStream
-from service.background import Background
+from service.background import Background, InThisProcess
 from service.errors import InvalidRequest, UnknownJob, WrongMediaType
 from service.jobs.ledger import Ledger
 from service.jobs.manager import JobManager
@@ -20,7 +29,7 @@ from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
 from service.results.basins import Basins
 from service.results.multistability import Multistability
-from service.results.selection import Stored, Sweep
+from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
 from worker.basins.spec import BasinSpec, MultistabilitySpec
 from worker.spec import SweepSpec
@@ -36,11 +45,17 @@ class Service:
     manager: JobManager
     on_demand: OnDemandCache
     capacity: Capacity
+    small_reads: Capacity
     background: Background
     listener_limit: ListenerLimit
     progress_stream: ProgressStream
     readiness: Readiness
     metrics: Metrics
+
+    @cached_property
+    def small(self) -> "Service":
+        """This service for small reads: with the places that are theirs, computing in this process."""
+        return replace(self, capacity=self.small_reads, background=InThisProcess())
 
 
 async def _service(request: Request) -> Service:  # async, because FastAPI would run a plain one in a thread
@@ -113,6 +128,19 @@ def multistability(service: Service, job: JobRecord) -> Multistability:
 
 def _kind(found: Stored[Any]) -> str:
     return str(found.spec.protocol.kind)
+
+
+def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:
+    """The cost of a read whose answer takes `memory` beside BASE_MEMORY, of all chunks along some dimensions.
+
+    In every direction of a sweep.
+    """
+    layout = service.manager.preparer.prepare(job).layout
+    sizes = [(len(layout.coordinates[dim]), layout.chunk_sizes[dim]) for dim in (*along, "direction")
+             if dim in layout.chunk_sizes]  # fmt: skip
+    chunks = prod(-(-length // size) for length, size in sizes)
+    few = chunks <= FEW_CHUNKS and chunks * layout.chunk_bytes <= SMALL_CHUNKS
+    return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
 
 
 def attractors(service: Service, job: JobRecord) -> Basins | Multistability:

@@ -193,7 +193,15 @@ class Client:
             job = submitted.popleft()
             yield next(as_completed([job]))
 
-    def threshold(self, omega: float, xi: float, *, delta: float = 1e-6) -> "xarray.Dataset":
+    def threshold(
+        self,
+        omega: float,
+        xi: float,
+        *,
+        delta: float = 1e-6,
+        timeout: float = 300.0,
+        progress: bool | PartsCallback = True,
+    ) -> "xarray.Dataset":
         """The thresholds of one spring in closed form, as scalars.
 
         `threshold`: Γ_th of Eq. 25, above which a spring at rest begins to bounce, infinite if it never does;
@@ -201,12 +209,13 @@ class Client:
         `cause` of `down`: "Eq. 25", "fold (1,k)", or "unresolved" with a `reason`; `lifetime`: the plate
         periods that bouncing lives at Γ = down - delta, below a fold; `plate_contact` and so on: the energy
         balance of the cycle at the fold. NaN where there is none. Of the rigid contact without restitution.
-        Raises BadRequest.
+        Waits for what a worker computes as `curves` does. Raises BadRequest, NotComputedYet, Busy.
         """
         from service.client.datasets import thresholds_dataset
 
         query = {"omega": omega, "xi": xi, "delta": delta}
-        return thresholds_dataset(json_object(self._transport.get("/v1/threshold", query)))
+        answer = self._transport.get_when_computed("/v1/threshold", query, timeout=timeout, progress=progress)
+        return thresholds_dataset(json_object(answer))
 
     def orbits(
         self,
@@ -217,6 +226,8 @@ class Client:
         gamma_max: float | None = None,
         points: int | None = None,
         energy: bool = False,
+        timeout: float = 300.0,
+        progress: bool | PartsCallback = True,
     ) -> "xarray.Dataset":
         """Branches of cycles of one spring in closed form, stable and unstable, and their events.
 
@@ -225,7 +236,8 @@ class Client:
         `gamma`, `flight_time`, `takeoff_phase`, `elongation`, `elongation_velocity`, `impact_velocity`,
         `multiplier`, `other_multiplier`, `stable`, `admissible`, with `energy` the energy balance; NaN beyond
         a branch's `points`; coordinates `bounces`, `periods`. With dim event: `event_kind`, `event_gamma` and
-        so on. Of the rigid contact without restitution. Raises BadRequest, TooLarge, Busy.
+        so on. Of the rigid contact without restitution. Waits for what workers compute as `curves` does.
+        Raises BadRequest, NotComputedYet, Busy.
         """
         from service.client.datasets import orbits_dataset
 
@@ -233,7 +245,8 @@ class Client:
             "omega": omega, "xi": xi, "modes": modes, "gamma_max": gamma_max, "points": points,
             "energy": "true" if energy else None,
         }  # fmt: skip
-        return orbits_dataset(json_object(self._transport.get("/v1/orbits", query)))
+        answer = self._transport.get_when_computed("/v1/orbits", query, timeout=timeout, progress=progress)
+        return orbits_dataset(json_object(answer))
 
     def curves(
         self,
@@ -253,7 +266,7 @@ class Client:
         `tradeoff`. Returns a Dataset with dims (curve, point): `omega` or `xi`, `gamma`, `flight_time`,
         `admissible`, NaN beyond the end of a curve; coordinates `kind`, `bounces`, `periods`. With dim event
         the points at which curves meet or turn: `event_kind`, `event_gamma` and so on. Raises BadRequest,
-        TooLarge, NotComputedYet, Busy.
+        NotComputedYet, Busy.
         """
         from service.client.datasets import curves_dataset
 
@@ -280,7 +293,7 @@ class Client:
         """
         from service.client.datasets import trajectory_dataset
 
-        response = self._transport.post("/v1/trajectories", body(cell), idempotent=True)
+        response = self._transport.post("/v1/trajectories", body(cell), idempotent=True, waits=True)
         return trajectory_dataset(json_object(response))
 
     def tradeoff(self, *, timeout: float = 900.0, progress: bool | PartsCallback = True) -> dict[str, Any]:

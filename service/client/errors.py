@@ -2,6 +2,7 @@
 
     BounceError
     ├── ServiceUnreachable          nothing answered at the address
+    │   └── Unanswered              a service is there, but its answer did not come
     ├── UnexpectedAnswer            something answered, but not this service
     ├── Refused                     the service answered with a problem document
     │   ├── BadRequest              400, 422: a field breaks a rule; `fields` names both
@@ -35,6 +36,14 @@ class ServiceUnreachable(BounceError):
 
     def __init__(self, url: str, reason: str) -> None:
         super().__init__(f"no service answers at {url} ({reason}); start one with: bounce serve")
+        self.url = url
+
+
+class Unanswered(ServiceUnreachable):
+    """The service at `url` took the request, and its answer did not come: it may be busy."""
+
+    def __init__(self, url: str, reason: str) -> None:
+        BounceError.__init__(self, f"the service at {url} did not answer: {reason}")
         self.url = url
 
 
@@ -128,12 +137,12 @@ class WaitTimeout(BounceError, TimeoutError):
 
 
 class NotComputedYet(BounceError, TimeoutError):
-    """The wait ended before the workers had the answer; they continue, and the service keeps the answer."""
+    """The wait ended before the workers had the answer; they continue for a minute."""
 
     def __init__(self, done: int, total: int, seconds: float) -> None:
         super().__init__(
-            f"{done} of {total} parts computed after {seconds:g} s; the computation continues, repeat the "
-            "request later"
+            f"{done} of {total} parts computed after {seconds:g} s; the computation goes on for a minute: "
+            "repeat the request until then"
         )
 
 

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 FIRST_DELAY: Final = 0.05
 MAX_DELAY: Final = 2.0
 
+#: The longest time between two requests that a service may ask for, s.
+LONGEST_DELAY: Final = 60.0
+
 #: Seconds between two requests of a wait for several jobs.
 REQUEST_DELAY: Final = 0.02
 
@@ -201,7 +204,7 @@ class Job(Results):
 
     def pause(self, otherwise: float) -> float:
         """Seconds until the service wants to be asked again, or `otherwise`."""
-        return otherwise if self._retry_after is None else self._retry_after
+        return otherwise if self._retry_after is None else min(self._retry_after, LONGEST_DELAY)
 
     def has_ended(self) -> bool:
         """Whether the job is finished; becomes the job that replaces it first, if there is one."""

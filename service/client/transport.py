@@ -5,8 +5,10 @@ import re
 import time
 import weakref
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, nullcontext
+from functools import partial
+from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -14,7 +16,7 @@ from urllib.parse import unquote
 
 import httpx2
 
-from service.client.display import PartsCallback, display_parts
+from service.client.display import PartsCallback, display_elapsed, display_parts
 from service.client.errors import (
     BounceError,
     Busy,
@@ -22,6 +24,7 @@ from service.client.errors import (
     NotComputedYet,
     Refused,
     ServiceUnreachable,
+    Unanswered,
     UnexpectedAnswer,
     error_class,
 )
@@ -33,6 +36,15 @@ CONNECT_SECONDS: Final = 5.0
 
 #: Seconds before the second and the third attempt at an idempotent request.
 RETRY_DELAYS: Final = (0.1, 0.4)
+
+#: Seconds between two requests to a busy service that names none, and at least.
+BUSY_DELAY: Final = 1.0
+SHORTEST_DELAY: Final = 0.1
+#: Seconds of waiting for a busy service after which it is shown.
+SHOWN_AFTER: Final = 2.0
+
+#: The longest Retry-After that is believed, s.
+LONGEST_RETRY: Final = 86_400.0
 
 #: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
 EVENTS_SECONDS: Final = 60.0
@@ -95,7 +107,12 @@ class Transport:
     def get(
         self, path: str, query: Query | None = None, headers: Mapping[str, str] | None = None
     ) -> httpx2.Response:
-        """GET `path`; a 304 is returned like a success."""
+        """GET `path`; a 304 is returned like a success. Waits for a busy service, as `_when_free` does."""
+        return self._when_free(partial(self._get, path, query, headers), self._timeout)
+
+    def _get(
+        self, path: str, query: Query | None, headers: Mapping[str, str] | None = None
+    ) -> httpx2.Response:
         return self._request("GET", path, query=query, headers=headers, idempotent=True)
 
     def get_when_computed(
@@ -108,19 +125,39 @@ class Transport:
         deadline = time.monotonic() + timeout
         show = display_parts(progress)
         while True:
-            try:
-                response = self.get(path, query)
-                if response.status_code != 202:
-                    return response
-                delay, (done, total) = retry_after(response), _parts_computed(response)
-                show(done, total)
-                if time.monotonic() > deadline:
-                    raise NotComputedYet(done, total, timeout)
-            except Busy as busy:
-                if time.monotonic() > deadline:
-                    raise
-                delay = busy.retry_after
-            time.sleep(delay or 1.0)
+            left = deadline - time.monotonic()
+            response = self._when_free(partial(self._get, path, query), left, shown=progress is not False)
+            if response.status_code != 202:
+                return response
+            done, total = _parts_computed(response)
+            show(done, total)
+            if (left := deadline - time.monotonic()) <= 0.0:
+                raise NotComputedYet(done, total, timeout)
+            time.sleep(_pause(retry_after(response), left))
+
+    def _when_free(
+        self, send: Callable[[], httpx2.Response], seconds: float, *, shown: bool = True
+    ) -> httpx2.Response:
+        """The response of `send`, repeated for up to `seconds` while the service is too busy for it (429).
+
+        Raises Busy after that. What takes longer than SHOWN_AFTER is shown on standard error.
+        """
+        deadline = time.monotonic() + seconds
+        try:
+            return send()
+        except Busy as busy:
+            if busy.status != HTTPStatus.TOO_MANY_REQUESTS or seconds <= 0.0:
+                raise
+            pause = busy.retry_after
+        with display_elapsed("the service is busy: waiting", SHOWN_AFTER) if shown else nullcontext():
+            while True:
+                time.sleep(_pause(pause, deadline - time.monotonic()))
+                try:
+                    return send()
+                except Busy as busy:
+                    if time.monotonic() >= deadline:
+                        raise
+                    pause = busy.retry_after
 
     def post(
         self,
@@ -130,11 +167,18 @@ class Transport:
         query: Query | None = None,
         headers: Mapping[str, str] | None = None,
         idempotent: bool = False,
+        waits: bool = False,
     ) -> httpx2.Response:
-        """POST `body` (JSON); `idempotent` if a repeated request has the effect of a single one."""
+        """POST `body` (JSON); `idempotent` if a repeated request has the effect of a single one.
+
+        waits: for a busy service, as `get` does.
+        """
         content_type = {"Content-Type": "application/json"} if body is not None else {}
         headers = {**content_type, **(headers or {})}
-        return self._request("POST", path, query=query, headers=headers, body=body, idempotent=idempotent)
+        send = partial(
+            self._request, "POST", path, query=query, headers=headers, body=body, idempotent=idempotent
+        )
+        return self._when_free(send, self._timeout) if waits else send()
 
     def delete(self, path: str) -> None:
         """DELETE `path`; not retried, because a second request would answer that nothing is there."""
@@ -148,10 +192,19 @@ class Transport:
                     yield parse_object(line.removeprefix(b"data: "), response)
 
     def download(self, path: str, query: Query, target: Path) -> None:
-        """GET into the file `target`, which is replaced once the download is complete."""
-        with self._stream(path, query, DOWNLOAD_SECONDS) as response, complete_file(target) as file:
-            for block in response.iter_bytes():
-                file.write(block)
+        """GET into the file `target`, which is replaced once the download is complete.
+
+        Waits for a busy service, as `get` does.
+        """
+        with ExitStack() as opened:
+
+            def send() -> httpx2.Response:
+                return opened.enter_context(self._stream(path, query, DOWNLOAD_SECONDS))
+
+            response = self._when_free(send, DOWNLOAD_SECONDS)
+            with complete_file(target) as file:
+                for block in response.iter_bytes():
+                    file.write(block)
 
     @contextmanager
     def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
@@ -162,7 +215,21 @@ class Transport:
             with closing(self._http.send(request, stream=True)) as response:
                 yield self._checked(response if response.is_success else _whole(response))
         except httpx2.RequestError as error:
-            raise ServiceUnreachable(self.url, _reason(error)) from error
+            raise self._failure(error, seconds) from None
+
+    def _failure(self, error: httpx2.RequestError, seconds: float) -> BounceError:
+        """The error of a request that got no answer within `seconds`, in one sentence."""
+        if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
+            return ServiceUnreachable(self.url, _reason(error))
+        if isinstance(error, httpx2.TimeoutException):
+            return Unanswered(
+                self.url,
+                f"nothing came in time ({seconds:g} s), it may be busy: repeat the request, or give the "
+                "client a longer timeout",
+            )
+        if isinstance(error, _CONNECTION_LOST):
+            return Unanswered(self.url, f"the connection broke ({_reason(error)}): repeat the request")
+        return UnexpectedAnswer(f"{self.url} does not speak HTTP as expected: {_reason(error)}")
 
     def _request(
         self,
@@ -193,13 +260,9 @@ class Transport:
         try:
             with closing(self._http.send(request, stream=True)) as response:
                 return _whole(response)
-        except _CONNECTION_LOST as error:
-            if not delays:
-                raise ServiceUnreachable(self.url, _reason(error)) from error
-        except httpx2.TimeoutException as error:
-            raise ServiceUnreachable(self.url, "no answer in time") from error
         except httpx2.RequestError as error:
-            raise UnexpectedAnswer(f"{self.url} does not speak HTTP as expected: {_reason(error)}") from error
+            if not (delays and isinstance(error, _CONNECTION_LOST)):
+                raise self._failure(error, self._timeout) from None
         time.sleep(delays[0])
         return self._send(request, delays[1:])
 
@@ -267,12 +330,17 @@ def parse_object(text: bytes, response: httpx2.Response) -> dict[str, Any]:
 
 
 def retry_after(response: httpx2.Response) -> float | None:
-    """`Retry-After` in seconds; None if it is missing, negative or a date."""
+    """`Retry-After` in seconds, LONGEST_RETRY at most; None if it is missing, negative or a date."""
     try:
         seconds = float(response.headers.get("Retry-After", ""))
     except ValueError:
         return None
-    return seconds if 0 <= seconds < float("inf") else None
+    return min(seconds, LONGEST_RETRY) if 0 <= seconds < float("inf") else None
+
+
+def _pause(asked: float | None, left: float) -> float:
+    """Seconds until the next request, where the service asked for `asked` and the caller has `left`."""
+    return max(min(max(asked or BUSY_DELAY, SHORTEST_DELAY), left), 0.0)
 
 
 def header_value(name: str, text: str) -> str:

@@ -1,8 +1,9 @@
 """Results that workers compute while a request waits, kept for the requests that follow.
 
 A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
-continues, and a later request for the same result gets it. Jobs keep at least half of the workers, or of the
-time of a single one, and in the long run fifteen sixteenths of the workers' time.
+continues, and a later request for the same result gets it. What nobody has asked for in ABANDONED_SECONDS is
+not computed on. Jobs keep at least half of the workers, or of the time of a single one, and in the long run
+fifteen sixteenths of the workers' time.
 """
 
 import threading
@@ -23,6 +24,10 @@ MAX_RESULTS: Final = 64
 
 #: Results computed at a time.
 MAX_PENDING: Final = 4
+
+#: Seconds after which a result that nobody asks for any more is given up: longer than the minute between two
+#: requests of a page in a hidden tab.
+ABANDONED_SECONDS: Final = 75.0
 
 #: Of the workers' time, what calls get in the long run while chunks of jobs are computed.
 SHARE: Final = 1 / 16
@@ -55,7 +60,8 @@ class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
     `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
-    `jobs_compute`: whether chunks of jobs want the workers.
+    `jobs_compute`: whether chunks of jobs want the workers; `abandoned`: seconds without a request after
+    which what has not begun of a result is withdrawn.
     """
 
     def __init__(
@@ -64,9 +70,13 @@ class OnDemandCache:
         max_pending: int = MAX_PENDING,
         timeout: float = 2.0,
         jobs_compute: Callable[[], bool] = lambda: False,
+        abandoned: float = ABANDONED_SECONDS,
     ) -> None:
         self._workers = _ShareOfTheWorkers(executor, jobs_compute)
-        self._max_pending, self._timeout = max_pending, timeout
+        self._max_pending, self._timeout, self._abandoned = max_pending, timeout, abandoned
+        self._asked: dict[Hashable, float] = {}  # when each result that is computed was last asked for
+        self._looks: threading.Timer | None = None
+        self._closed = False
         self._results: OrderedDict[Hashable, Sequence[Future[Any]]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -79,6 +89,7 @@ class OnDemandCache:
         parts = self._parts(key, submit)
         done, left = wait(parts, timeout=self._timeout)
         if left:
+            self._give_up_unless_asked_again(key)
             raise Pending(len(done), len(parts))
         try:
             return [part.result() for part in parts]
@@ -93,9 +104,38 @@ class OnDemandCache:
     def close(self) -> None:
         """Cancel what is still being computed."""
         with self._lock:
+            self._closed = True
+            if self._looks is not None:
+                self._looks.cancel()
             for parts in self._results.values():
                 for part in parts:
                     part.cancel()
+
+    def _give_up_unless_asked_again(self, key: Hashable) -> None:
+        with self._lock:
+            self._asked[key] = time.monotonic()
+            self._look_later()
+
+    def _look_later(self) -> None:
+        if self._looks is None and self._asked and not self._closed:
+            self._looks = threading.Timer(self._abandoned / 4, self._look)
+            self._looks.daemon = True
+            self._looks.start()
+
+    def _look(self) -> None:
+        """Withdraw what nobody has asked for lately."""
+        withdrawn: list[Future[Any]] = []
+        with self._lock:
+            self._looks = None
+            for key, asked in list(self._asked.items()):
+                if _done(self._results.get(key, ())):
+                    del self._asked[key]
+                elif time.monotonic() - asked > self._abandoned:
+                    withdrawn += self._results.pop(key)
+                    del self._asked[key]
+            self._look_later()
+        for part in withdrawn:  # outside of the lock: callbacks of futures may begin other work
+            part.cancel()
 
     def _parts(self, key: Hashable, submit: Submit) -> Sequence["Future[Any]"]:
         with self._lock:

@@ -13,11 +13,10 @@ from service.formats import PICTURES, BasinFormat, DiagramFormat, Multistability
 from service.render import basins as basin_pictures
 from service.render import bifurcation, binary, text
 from service.render import multistability as multistability_pictures
-from service.render import orbits as orbits_text
 from service.results import basins as basin_results
 from service.results import diagram as diagrams
 from service.results import line as lines
-from service.results import mode_map, orbits
+from service.results import mode_map
 from service.results import multistability as multistability_results
 from service.results import trajectory as trajectories
 from service.results.basins import Basins
@@ -25,7 +24,6 @@ from service.results.diagram import Diagram
 from service.results.multistability import Multistability
 from service.results.selection import Sweep, nearest_index
 from service.results.trajectory import TrajectorySpec
-from worker.orbits import Mode
 
 
 class Answer(NamedTuple):
@@ -186,18 +184,6 @@ def multistability_diagram(
 ) -> Answer:
     """The line along gamma nearest to (omega, xi), None being the value of an axis that has only one."""
     return multistability(job, xi, nearest_index(job.spec, "omega", omega).value, format)
-
-
-def thresholds(omega: float, xi: float, delta: float) -> bytes:
-    """The thresholds of one spring as JSON."""
-    return orbits_text.thresholds_json(orbits.thresholds(omega, xi), delta)
-
-
-def branches(
-    omega: float, xi: float, modes: tuple[Mode, ...], gamma_max: float, points: int, energies: bool
-) -> bytes:
-    """The branches of one spring as JSON."""
-    return orbits_text.orbits_json(orbits.orbits(omega, xi, modes, gamma_max, points), energies)
 
 
 def warm() -> None:

@@ -1,7 +1,7 @@
 """Cycles of the rigid plate in closed form: branches at one spring, and curves of their events over a range.
 
-Branches are computed while the caller waits, some milliseconds each; curves by the workers. All are of the
-rigid contact without restitution.
+What takes AT_ONCE_SECONDS at most is computed while the caller waits, the rest and curves by the workers. All
+are of the rigid contact without restitution.
 """
 
 from collections.abc import Sequence
@@ -19,11 +19,12 @@ from kernel.branches.energy import Energy, energy
 from kernel.branches.events import Branch, Events, Kind, branch_and_events, flight_times, join_events
 from kernel.branches.thresholds import Thresholds
 from kernel.params import KernelInputError
-from service.errors import InvalidRequest, TooLarge
+from service.background import Background
+from service.errors import InvalidRequest
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.selection import Sweep, check_metadata, nearest_index, resolve_direction
-from worker.analysis.prediction import predict
+from worker.analysis.prediction import branch_seconds, predict, prediction_seconds
 from worker.analysis.words import Words, continue_words
 from worker.orbits import MAX_GRID, Mode, check_modes, read_mode
 from worker.spec.errors import BrokenRuleError, one_of
@@ -31,6 +32,13 @@ from worker.spec.errors import BrokenRuleError, one_of
 #: Answers kept: the least recently used one makes room.
 KEPT: Final = 32
 THRESHOLDS_KEPT: Final = 4096
+
+#: Core-seconds that are computed while the caller waits, and that one answer of curves may take.
+AT_ONCE_SECONDS: Final = 1.0
+MAX_CURVES_SECONDS: Final = 60.0
+
+#: Core-seconds of the curves of one mode, over the flight times of its branch at the range's smaller omega.
+CURVES_SECONDS: Final = 0.01
 
 Record = TypeVar("Record", Branch, Curve, Events)
 
@@ -94,24 +102,61 @@ def thresholds(omega: float, xi: float) -> Thresholds:
     return predict(omega, xi)
 
 
+def thresholds_of_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
+    """Those of several springs."""
+    return [thresholds(value, xi) for value in omega]
+
+
+def thresholds_of(on_demand: OnDemandCache, background: Background, omega: float, xi: float) -> Thresholds:
+    """`thresholds`, computed by a worker if that takes long. Raises as `OnDemandCache.get`."""
+    if prediction_seconds(omega, xi) <= AT_ONCE_SECONDS:
+        return background.run(thresholds, omega, xi)
+    found: list[Thresholds] = on_demand.get(
+        ("threshold", omega, xi), lambda workers: [workers.call(predict, omega, xi)]
+    )
+    return found[0]
+
+
 @lru_cache(KEPT)
 def orbits(omega: float, xi: float, modes: tuple[Mode, ...], gamma_max: float, points: int) -> Orbits:
-    """The branches of `modes` on grids of at least `points` flight times, with all their events.
+    """The branches of `modes` on grids of at least `points` flight times, with all their events."""
+    return _joined(gamma_max, [branch_and_events(omega, xi, mode.periods, points) for mode in modes])
 
-    Raises InvalidRequest for a spring without branches, TooLarge for one whose branches need long grids.
+
+def orbits_of(
+    on_demand: OnDemandCache,
+    background: Background,
+    omega: float,
+    xi: float,
+    modes: tuple[Mode, ...],
+    gamma_max: float,
+    points: int,
+) -> Orbits:
+    """`orbits`, computed by the workers if that takes long.
+
+    Raises InvalidRequest for a spring without branches and for one whose branches need long grids, and as
+    `OnDemandCache.get`.
     """
-    pieces: list[Branch] = []
-    events: list[Events] = []
+    seconds = 0.0
     for _, periods in modes:
         _check_grid(omega, xi, periods, points)
-        try:
-            branch, found = branch_and_events(omega, xi, periods, points)
-        except KernelInputError as error:
-            raise InvalidRequest.of(error.argument, error.rule) from error
-        pieces += [_rows(branch, span) for span in _spans(branch.gamma <= gamma_max)]
-        events.append(_rows(found, found.gamma <= gamma_max))
+        seconds += branch_seconds(omega, xi, periods, points)
+    if seconds <= AT_ONCE_SECONDS:
+        return background.run(orbits, omega, xi, modes, gamma_max, points)
+    found = on_demand.get(
+        ("orbits", omega, xi, modes, points),
+        lambda workers: [workers.call(branch_and_events, omega, xi, mode.periods, points) for mode in modes],
+    )
+    return _joined(gamma_max, found)
+
+
+def _joined(gamma_max: float, found: Sequence[tuple[Branch, Events]]) -> Orbits:
+    """The branches of all modes, at least one, and their events, up to `gamma_max`."""
+    pieces = [_rows(branch, span) for branch, _ in found for span in _spans(branch.gamma <= gamma_max)]
+    events = join_events([_rows(events, events.gamma <= gamma_max) for _, events in found])
+    omega, xi = found[0][0].omega, found[0][0].xi
     energies = tuple(energy(omega, xi, piece.periods, piece.flight_time) for piece in pieces)
-    return Orbits(omega, xi, gamma_max, tuple(pieces), energies, join_events(events))
+    return Orbits(omega, xi, gamma_max, tuple(pieces), energies, events)
 
 
 def event_curves(
@@ -125,7 +170,7 @@ def event_curves(
 ) -> EventCurves:
     """Curves of the events of `modes` over `parameter` within `span`, computed by the workers.
 
-    Raises InvalidRequest, TooLarge as `orbits`, and as `OnDemandCache.get`.
+    Raises InvalidRequest, also for more computing than one answer may take, and as `OnDemandCache.get`.
     """
     name = parameter.value
     if not span[0] < span[1]:
@@ -133,8 +178,13 @@ def event_curves(
     for _, periods in modes:
         for end in span:
             _check_grid(*((end, fixed) if parameter is Parameter.OMEGA else (fixed, end)), periods, 0)
+    _check_curves(parameter, fixed, span, modes)
     submit = partial(_submit, parameter=parameter, fixed=fixed, span=span, modes=modes, kinds=kinds)
-    parts: list[KernelCurves] = on_demand.get(("curves", parameter, fixed, span, modes, kinds), submit)
+    try:
+        parts: list[KernelCurves] = on_demand.get(("curves", parameter, fixed, span, modes, kinds), submit)
+    except KernelInputError as error:
+        named = {"low": f"{name}_start", "high": f"{name}_stop"}
+        raise InvalidRequest.of(named.get(error.argument, error.argument), error.rule) from error
     pieces = [
         _rows(curve, span)
         for part in parts
@@ -185,16 +235,32 @@ def _submit(
 
 
 def _check_grid(omega: float, xi: float, periods: int, points: int) -> None:
-    """Raise TooLarge for a branch that needs more than MAX_GRID flight times, InvalidRequest for none."""
+    """Raise InvalidRequest for a branch that needs more than MAX_GRID flight times, or that there is not."""
     try:
         needed = len(flight_times(omega, xi, periods, max(points, 1)))
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error
     if needed > MAX_GRID:
-        raise TooLarge(
-            f"modes: 1-{periods} at omega {omega:g} takes a branch of {needed:,} points; the limit is "
+        rule = (
+            f"1-{periods} at omega {omega:g} takes a branch of {needed:,} points; the limit is "
             f"{MAX_GRID:,}: ask for fewer periods, or take a larger omega"
         )
+        raise InvalidRequest.of("modes", rule)
+
+
+def _check_curves(
+    parameter: Parameter, fixed: float, span: tuple[float, float], modes: Sequence[Mode]
+) -> None:
+    """Raise InvalidRequest for curves that take more than MAX_CURVES_SECONDS."""
+    omega, xi = (span[0], fixed) if parameter is Parameter.OMEGA else (fixed, span[0])
+    seconds = [CURVES_SECONDS * len(flight_times(omega, xi, periods, 1)) for _, periods in modes]
+    if sum(seconds) > MAX_CURVES_SECONDS:
+        fitting = int(np.searchsorted(np.cumsum(seconds), MAX_CURVES_SECONDS, "right"))
+        rule = (
+            f"their curves from omega {omega:g} on take about {sum(seconds):.0f} core-seconds, the limit for "
+            f"one answer is {MAX_CURVES_SECONDS:g}: ask for the first {fitting}, or take a larger omega"
+        )
+        raise InvalidRequest.of("modes", rule)
 
 
 def _spans(inside: NDArray[np.bool_]) -> list[slice]:

@@ -8,18 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
-from kernel.branches.descent import lifetime
+from kernel.branches.descent import Fold, lifetime
 from kernel.branches.thresholds import Thresholds as Prediction
 from kernel.threshold import threshold
-from service.errors import InvalidRequest, TooLarge
+from service.background import Background
+from service.errors import InvalidRequest
 from service.formats import Predict
 from service.jobs.model import JobRecord
 from service.jobs.on_demand import Caller, OnDemandCache
 from service.results.mode_map import plane
-from service.results.orbits import thresholds as predicted_thresholds
+from service.results.orbits import AT_ONCE_SECONDS, thresholds_of_each
 from service.results.selection import MAX_READ, ROUNDING, Sweep, check_kernel, check_points, nearest_index
 from worker.analysis import thresholds
-from worker.analysis.prediction import predict_each, predict_from_cells
+from worker.analysis.prediction import predict_each, predict_from_cells, prediction_seconds
 from worker.analysis.thresholds import TYPICAL_CELLS, Refined, Status, endless_rest, refine
 from worker.cost import cell_seconds
 from worker.schema import COMPUTED
@@ -29,14 +30,18 @@ from worker.spec.contact_models import Rigid
 #: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
 BLOCK: Final = 16
 
-#: Values of omega predicted while the caller waits, some 20 ms each.
+#: Values of omega predicted unless all are asked for.
 MAX_PREDICTED: Final = 200
 
-#: Core-seconds that a prediction takes, typically, of one omega; with words of three cells.
-PREDICTION_SECONDS: Final = {"all": 0.02, "words": 0.5}
+#: Core-seconds that following the words of one omega takes, typically, of three cells.
+WORDS_SECONDS: Final = 0.48
 
-#: Predictions that one worker call computes.
-PREDICTED_AT_ONCE: Final = {"all": 50, "words": 2}
+#: Values of omega, and core-seconds, of predictions that are computed with a small read.
+MAX_BRIEF: Final = 4
+BRIEF_SECONDS: Final = 0.2
+
+#: Core-seconds of the predictions that one worker call computes.
+CALL_SECONDS: Final = 1.0
 
 #: Core-seconds that one answer may take.
 MAX_SECONDS: Final = 60.0
@@ -85,10 +90,8 @@ class Thresholds(BaseModel):
     complete: bool
 
 
-def on_grid(sweep: Sweep, xi: float | None, max_points: int, predict: Predict = "some") -> Thresholds:
-    """The thresholds to the grid in gamma, at the grid's xi nearest to `xi`.
-
-    Only with `predict` "some" are they predicted, up to MAX_PREDICTED of them; see `predicted` for all.
+def on_grid(sweep: Sweep, xi: float | None, max_points: int) -> Thresholds:
+    """The thresholds to the grid in gamma, at the grid's xi nearest to `xi`, without predictions.
 
     Raises InvalidRequest for a sweep ramped along another axis than gamma and as `selection.nearest_index`,
     TooLarge for more than `max_points` values of omega.
@@ -112,40 +115,78 @@ def on_grid(sweep: Sweep, xi: float | None, max_points: int, predict: Predict = 
         complete = complete and found.complete
         if spec.refine is not None:
             results["up_computed"] = found.computed
-    coarse = Thresholds(
+    return Thresholds(
         xi=value, omega=omega, analytic=threshold(omega, value), complete=complete,
-        **results, **_predicted(spec, omega, value, predict),
+        **results, **_not_predicted(spec, len(omega), "not predicted"),
     )  # fmt: skip
-    return _compared(spec, coarse)
 
 
 def predicted(
-    on_demand: OnDemandCache, job: JobRecord, sweep: Sweep, found: Thresholds, predict: Predict
+    on_demand: OnDemandCache,
+    background: Background,
+    job: JobRecord,
+    sweep: Sweep,
+    found: Thresholds,
+    predict: Predict,
 ) -> Thresholds:
-    """`found` with the predictions of every omega, computed by the workers: "all" or "words".
+    """`found` with the predictions that are asked for, and the reasons why they differ from the sweep.
 
-    Raises InvalidRequest for words of another contact than the one of the closed form, TooLarge for more
-    computing than one answer may take, and as `OnDemandCache.get`.
+    What takes longer than AT_ONCE_SECONDS is computed by the workers. With "some", more predictions than
+    MAX_PREDICTED, or than one answer may take, are left out, and `cause` says so.
+
+    Raises InvalidRequest for words of another contact than the one of the closed form and for more computing
+    than one answer may take, and as `OnDemandCache.get`.
     """
-    spec, omegas = sweep.spec, len(found.omega)
+    spec = sweep.spec
     if predict == "words" and not _is_ideal(spec):
         rule = f"words are of rigid cells with restitution 0; the sweep's contact is {spec.model.kind}"
         raise InvalidRequest.of("predict", rule)
+    if predict == "none":
+        return found
     if predict == "words" and not job.chunks_done:
         predict = "all"
-    seconds = PREDICTION_SECONDS[predict]
-    if omegas * seconds > MAX_PREDICTION_SECONDS:
-        raise TooLarge(
-            f"predict: {omegas:,} values of omega take about {omegas * seconds:,.0f} core-seconds, the limit "
-            f"for one answer is {MAX_PREDICTION_SECONDS:g}: enough for "
-            f"{int(MAX_PREDICTION_SECONDS / seconds):,} values"
+    if predict == "some" and len(found.omega) > MAX_PREDICTED:
+        return _left_out(spec, found, f"ask for all above {MAX_PREDICTED} values of omega")
+    words = WORDS_SECONDS if predict == "words" else 0.0
+    seconds = [words + prediction_seconds(omega, found.xi) for omega in found.omega.tolist()]
+    if (total := sum(seconds)) > MAX_PREDICTION_SECONDS:
+        fitting = int(np.searchsorted(np.cumsum(seconds), MAX_PREDICTION_SECONDS, "right"))
+        rule = (
+            f"{len(seconds):,} values of omega take about {total:,.0f} core-seconds, the limit for one "
+            f"answer is {MAX_PREDICTION_SECONDS:g}: enough for {fitting:,} values"
         )
+        if predict == "some":
+            return _left_out(spec, found, rule)
+        raise InvalidRequest.of("predict", f"{rule}; none leaves predictions out")
+    if predict == "some" and total <= AT_ONCE_SECONDS:
+        each = background.run(thresholds_of_each, tuple(found.omega.tolist()), found.xi)
+    else:
+        each = _by_workers(on_demand, job, sweep, found, predict, seconds)
+    return _compared(spec, found, each, words=predict == "words")
+
+
+def is_brief(sweep: Sweep, xi: float | None, predict: Predict) -> bool:
+    """Whether the predictions take some hundredths of a second at most. Raises InvalidRequest."""
+    omega = sweep.spec.axis_values("omega")
+    if predict in ("all", "words") or MAX_BRIEF < len(omega) <= MAX_PREDICTED:
+        return False
+    value = nearest_index(sweep.spec, "xi", xi).value
+    few = predict == "some" and len(omega) <= MAX_BRIEF
+    return not few or sum(prediction_seconds(each, value) for each in omega.tolist()) <= BRIEF_SECONDS
+
+
+def _by_workers(
+    on_demand: OnDemandCache, job: JobRecord, sweep: Sweep, found: Thresholds, predict: Predict,
+    seconds: Sequence[float],
+) -> list[Prediction]:  # fmt: skip
+    """The prediction of every omega. Raises as `OnDemandCache.get`."""
+    spec, words = sweep.spec, predict == "words"
     xi = int(np.searchsorted(spec.axis_values("xi"), found.xi))
-    size = PREDICTED_AT_ONCE[predict]
-    blocks = [tuple(range(low, min(low + size, omegas))) for low in range(0, omegas, size)]
+    call = (np.cumsum(seconds) // CALL_SECONDS).astype(int)
+    blocks = [tuple(np.flatnonzero(call == number).tolist()) for number in np.unique(call)]
 
     def submit(workers: Caller) -> list[Future[list[Prediction]]]:
-        if predict == "words":
+        if words:
             return [
                 workers.call(predict_from_cells, spec, sweep.url, xi, block, sweep.complete)
                 for block in blocks
@@ -153,12 +194,8 @@ def predicted(
         values = [tuple(float(found.omega[i]) for i in block) for block in blocks]
         return [workers.call(predict_each, part, found.xi) for part in values]
 
-    key = ("predict", predict, job.id, job.chunks_done if predict == "words" else 0, xi)
-    each = [prediction for part in on_demand.get(key, submit) for prediction in part]
-    fields: dict[str, Any] = _fields_of(each)
-    if predict == "words":
-        fields["prediction"] = f"{found.prediction}; words continued from its cells: others may reach lower"
-    return _compared(spec, found.model_copy(update=fields))
+    key = ("predict", words, job.id, job.chunks_done if words else 0, xi)
+    return [prediction for part in on_demand.get(key, submit) for prediction in part]
 
 
 def refined(
@@ -167,7 +204,7 @@ def refined(
     """`coarse`, refined by the workers to `tolerance` in gamma from the states that the sweep stored.
 
     Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue,
-    TooLarge for more computing than one answer may take, and as `OnDemandCache.get`.
+    InvalidRequest for more computing than one answer may take, and as `OnDemandCache.get`.
     """
     check_kernel(sweep.kernel_version)
     omegas = len(coarse.omega)
@@ -177,8 +214,7 @@ def refined(
             name: [Status.MISSING if status is Status.FOUND else status for status in getattr(coarse, name)]
             for name in ("up_status", "down_status")
         }
-        updated = coarse.model_copy(update={**unknown, **statuses, "tolerance": tolerance})
-        return _compared(sweep.spec, updated)
+        return coarse.model_copy(update={**unknown, **statuses, "tolerance": tolerance})
     _check_cost(sweep, omegas)
     xi = int(np.searchsorted(sweep.spec.axis_values("xi"), coarse.xi))
 
@@ -195,7 +231,7 @@ def refined(
     )
     if coarse.up_computed is not None:  # refinement computes the cells that decide
         changed["up_computed"] = [status is Status.FOUND for status in joined["up_status"]]
-    return _compared(sweep.spec, coarse.model_copy(update=changed))
+    return coarse.model_copy(update=changed)
 
 
 class _OfDirection(NamedTuple):
@@ -235,39 +271,41 @@ def _is_ideal(spec: SweepSpec) -> bool:
     return isinstance(spec.model, Rigid) and spec.model.restitution == 0.0
 
 
-def _predicted(spec: SweepSpec, omega: NDArray[np.float64], xi: float, predict: Predict) -> dict[str, Any]:
-    """The fields that the closed form fills in."""
+def _not_predicted(spec: SweepSpec, omegas: int, why: str) -> dict[str, Any]:
+    """The fields that the closed form fills in, without its numbers."""
     prediction = "rigid, restitution 0: the contact of the sweep"
     if not _is_ideal(spec):
         prediction = f"rigid, restitution 0: not the contact of the sweep, which is {spec.model.kind}"
-    if predict == "some" and len(omega) <= MAX_PREDICTED:
-        fields = _fields_of([predicted_thresholds(float(value), xi) for value in omega])
-    else:
-        why = "not predicted"
-        if predict == "some":
-            why = f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
-        none = np.full(len(omega), np.nan)
-        fields = {"predicted_jump": none, "predicted_down": none, "cause": [why] * len(omega)}
-    return {**fields, "difference": [""] * len(omega), "prediction": prediction}
-
-
-def _fields_of(found: Sequence[Prediction]) -> dict[str, Any]:
-    """The fields of predictions, one per omega."""
+    none = np.full(omegas, np.nan)
     return {
-        "predicted_jump": np.array([each.jump for each in found]),
-        "predicted_down": np.array([each.down for each in found]),
-        "cause": [each.cause for each in found],
+        "predicted_jump": none, "predicted_down": none, "cause": [why] * omegas,
+        "difference": [""] * omegas, "prediction": prediction,
+    }  # fmt: skip
+
+
+def _left_out(spec: SweepSpec, found: Thresholds, why: str) -> Thresholds:
+    return found.model_copy(update=_not_predicted(spec, len(found.omega), f"not predicted: {why}"))
+
+
+def _compared(spec: SweepSpec, found: Thresholds, each: Sequence[Prediction], *, words: bool) -> Thresholds:
+    """With the predictions, one per omega, and the reasons why what the sweep found differs from them."""
+    fields: dict[str, Any] = {
+        "predicted_jump": np.array([prediction.jump for prediction in each]),
+        "predicted_down": np.array([prediction.down for prediction in each]),
+        "cause": [prediction.cause for prediction in each],
     }
+    if words:
+        fields["prediction"] = f"{found.prediction}; words continued from its cells: others may reach lower"
+    known = found.model_copy(update=fields)
+    texts = [_difference(spec, known, i, prediction.fold) for i, prediction in enumerate(each)]
+    return known.model_copy(update={"difference": texts})
 
 
-def _compared(spec: SweepSpec, found: Thresholds) -> Thresholds:
-    """With the reasons why what the sweep found differs from what is predicted."""
-    texts = [_difference(spec, found, i) for i in range(len(found.omega))]
-    return found.model_copy(update={"difference": texts})
+def _difference(spec: SweepSpec, found: Thresholds, i: int, fold: Fold | None) -> str:
+    """Why `down` and predicted_down differ at one omega; empty where they agree or one is missing.
 
-
-def _difference(spec: SweepSpec, found: Thresholds, i: int) -> str:
-    """Why `down` and predicted_down differ at one omega; empty where they agree or one is missing."""
+    fold: at which bouncing ends by the prediction.
+    """
     down, predicted = float(found.down[i]), float(found.predicted_down[i])
     if not np.isfinite(down - predicted):
         return ""
@@ -281,7 +319,7 @@ def _difference(spec: SweepSpec, found: Thresholds, i: int) -> str:
     if -slack <= above <= spacing + slack:
         return ""
     if above < 0.0:
-        return _below(float(found.omega[i]), found.xi, -above, spec.settle + spec.observe)
+        return _below(fold, -above, spec.settle + spec.observe)
     if found.cause[i].startswith("fold"):
         return (
             f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
@@ -290,9 +328,8 @@ def _difference(spec: SweepSpec, found: Thresholds, i: int) -> str:
     return f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
 
 
-def _below(omega: float, xi: float, delta: float, window: int) -> str:
+def _below(fold: Fold | None, delta: float, window: int) -> str:
     """Why a sweep bounces below the prediction by delta."""
-    fold = predicted_thresholds(omega, xi).fold
     if fold is not None and (periods := lifetime(fold, delta)) > window:
         return (
             f"bouncing lives about {periods:,.0f} plate periods {delta:.3g} below the fold, longer than the "
@@ -304,8 +341,8 @@ def _below(omega: float, xi: float, delta: float, window: int) -> str:
 def _check_cost(sweep: Sweep, omegas: int) -> None:
     seconds = TYPICAL_CELLS * cell_seconds(sweep.spec, alone=True) * len(sweep.spec.directions)  # per omega
     if omegas * seconds > MAX_SECONDS:
-        raise TooLarge(
-            f"tolerance: refining {omegas:,} values of omega takes about {omegas * seconds:.3g} "
-            f"core-seconds, the limit for one answer is {MAX_SECONDS:g}: "
-            f"enough for {int(MAX_SECONDS / seconds):,} values"
+        rule = (
+            f"refining {omegas:,} values of omega takes about {omegas * seconds:.3g} core-seconds, the limit "
+            f"for one answer is {MAX_SECONDS:g}: enough for {int(MAX_SECONDS / seconds):,} values"
         )
+        raise InvalidRequest.of("tolerance", rule)

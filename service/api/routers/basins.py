@@ -5,7 +5,7 @@ from typing import Annotated, Final
 from fastapi import APIRouter, Query, Response
 
 from service.api import dependencies, parameters, schemas
-from service.api.capacity import costly
+from service.api.capacity import Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import ServiceDep
 from service.api.schemas import content, problem_responses
@@ -21,9 +21,12 @@ router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tag
 _PER_START: Final = 64
 
 
-def _memory(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -> int:
+def _cost(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -> Cost:
     plane = dependencies.basins(service, job).spec.protocol
-    return BASE_MEMORY + plane.rows * plane.columns * _PER_START
+    memory = plane.rows * plane.columns * _PER_START
+    if query.format in PICTURES:
+        return Cost(BASE_MEMORY + memory)
+    return dependencies.cost_of_read(service, job, memory)
 
 
 @router.get(
@@ -32,7 +35,7 @@ def _memory(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -
     response_model=schemas.BasinView,
     responses={**content("json", *PICTURES), **NOT_MODIFIED, **problem_responses(404, 422)},
 )
-@costly(_memory)
+@costly(_cost)
 def get_basins(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.BasinQuery, Query()]
 ) -> Response:

@@ -39,16 +39,17 @@ _TRAJECTORY_BODY: Final = {
     "/threshold",
     summary="Compute the thresholds of a spring",
     response_model=schemas.Threshold,
-    responses=problem_responses(422, 429),
+    responses={**PENDING_RESPONSE, **problem_responses(422, 429, 503)},
 )
 @costly(BASE_MEMORY, "trajectory")
 def get_threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
     """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
 
-    In closed form, of the rigid contact without restitution.
+    In closed form, of the rigid contact without restitution. A worker computes what takes longer than a
+    second; until then 202.
     """
-    content = service.background.run(answers.thresholds, query.omega, query.xi, query.delta)
-    return Response(content, media_type=MEDIA_TYPES["json"])
+    found = orbits.thresholds_of(service.on_demand, service.background, query.omega, query.xi)
+    return Response(orbits_text.thresholds_json(found, query.delta), media_type=MEDIA_TYPES["json"])
 
 
 def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:
@@ -59,17 +60,18 @@ def _orbits_memory(service: ServiceDep, query: parameters.OrbitsQuery) -> int:
     "/orbits",
     summary="Compute the branches of a spring",
     response_model=schemas.OrbitsView,
-    responses=problem_responses(413, 422, 429),
+    responses={**PENDING_RESPONSE, **problem_responses(422, 429, 503)},
 )
 @costly(_orbits_memory, "trajectory")
 def get_orbits(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Query()]) -> Response:
     """Cycles of one bounce in k plate periods, stable and unstable, and where their branches turn or end.
 
     In closed form, of the rigid contact without restitution. A branch that leaves `gamma_max` and comes back
-    is several pieces.
+    is several pieces. Workers compute what takes longer than a second; until then 202.
     """
     spring = (query.omega, query.xi, orbits.parse_modes(query.modes))
-    content = service.background.run(answers.branches, *spring, query.gamma_max, query.points, query.energy)
+    found = orbits.orbits_of(service.on_demand, service.background, *spring, query.gamma_max, query.points)
+    content = service.background.run(orbits_text.orbits_json, found, query.energy)
     return Response(content, media_type=MEDIA_TYPES["json"])
 
 
@@ -77,7 +79,7 @@ def get_orbits(service: ServiceDep, query: Annotated[parameters.OrbitsQuery, Que
     "/curves",
     summary="Compute bifurcation curves",
     response_model=schemas.CurvesView,
-    responses={**PENDING_RESPONSE, **problem_responses(413, 422, 429, 503)},
+    responses={**PENDING_RESPONSE, **problem_responses(422, 429, 503)},
 )
 @costly(_CURVES_MEMORY, "on demand")
 def get_curves(service: ServiceDep, query: Annotated[parameters.CurvesQuery, Query()]) -> Response:

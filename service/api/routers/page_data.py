@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api import dependencies, parameters
-from service.api.capacity import costly
+from service.api.capacity import Cost, costly
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import Trajectory, problem_responses
 from service.formats import MEDIA_TYPES
@@ -29,9 +29,12 @@ _PER_CELL: Final = 32
 _PACKED: Final[dict[str, Any]] = {"content": {binary.MEDIA_TYPE: {}}}
 
 
-def _line_memory(service: ServiceDep, job: JobDep, query: parameters.LineViewQuery, request: Request) -> int:
+def _line_cost(service: ServiceDep, job: JobDep, query: parameters.LineViewQuery, request: Request) -> Cost:
     flights = line_flights(dependencies.sweep(service, job).spec, query.along)
-    return BASE_MEMORY + min(flights, MAX_READ) * _PER_FLIGHT + query.width * query.height * 16
+    points, pixels = min(flights, MAX_READ) * _PER_FLIGHT, query.width * query.height * 16
+    taken = points + pixels * (flights > query.most)
+    cost = dependencies.cost_of_read(service, job, taken, query.along)
+    return cost._replace(memory=BASE_MEMORY + points + pixels)
 
 
 @router.get(
@@ -39,7 +42,7 @@ def _line_memory(service: ServiceDep, job: JobDep, query: parameters.LineViewQue
     summary="Read a line of cells in binary form",
     responses={200: _PACKED, **problem_responses(404, 413, 422)},
 )
-@costly(_line_memory)
+@costly(_line_cost)
 def get_line(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.LineViewQuery, Query()], request: Request
 ) -> Response:
@@ -58,13 +61,12 @@ def get_line(
     )
 
 
-def _plane_memory(
-    service: ServiceDep, job: JobDep, query: parameters.PlaneViewQuery, request: Request
-) -> int:
+def _plane_cost(service: ServiceDep, job: JobDep, query: parameters.PlaneViewQuery, request: Request) -> Cost:
     spec = dependencies.sweep(service, job).spec
     cells, flights = plane_size(spec, query.min_flight, service.settings.max_points)
     compared = comparison_memory(spec) if query.hysteresis else 0
-    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT + compared
+    memory = cells * _PER_CELL + flights * _PER_FLIGHT + compared
+    return dependencies.cost_of_read(service, job, memory, "omega", "gamma")
 
 
 @router.get(
@@ -72,7 +74,7 @@ def _plane_memory(
     summary="Read a mode map in binary form",
     responses={200: _PACKED, **problem_responses(404, 413, 422)},
 )
-@costly(_plane_memory)
+@costly(_plane_cost)
 def get_plane(
     service: ServiceDep, job: JobDep, query: Annotated[parameters.PlaneViewQuery, Query()], request: Request
 ) -> Response:

@@ -11,7 +11,7 @@ from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.api import dependencies, parameters, schemas
-from service.api.capacity import costly
+from service.api.capacity import SMALL_ANSWER, Cost, costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import JobDep, ServiceDep
 from service.api.schemas import PENDING_RESPONSE, content, problem_responses
@@ -45,16 +45,18 @@ _CHUNK_COPIES: Final = 12
 _PER_OMEGA: Final = 1_000
 
 
-def _diagram_memory(service: ServiceDep, job: JobRecord, query: parameters.DiagramQuery) -> int:
+def _diagram_cost(service: ServiceDep, job: JobRecord, query: parameters.DiagramQuery) -> Cost:
     attractors = dependencies.attractors_along(service, job, query)
     if attractors is not None:
-        return plane_memory(attractors)
+        return Cost(plane_memory(attractors))
     spec = dependencies.sweep(service, job).spec
     flights = line_flights(spec, query.along, query.every)
     if query.format != "json" and query.direction is None:
         flights *= len(spec.directions)
-    most = MAX_READ if query.format in PICTURES else service.settings.max_points
-    return BASE_MEMORY + min(flights, most) * _PER_FLIGHT[query.format]
+    if query.format in PICTURES:
+        return Cost(BASE_MEMORY + min(flights, MAX_READ) * _PER_FLIGHT[query.format])
+    memory = min(flights, service.settings.max_points) * _PER_FLIGHT[query.format]
+    return dependencies.cost_of_read(service, job, memory, query.along)
 
 
 @router.get(
@@ -62,7 +64,7 @@ def _diagram_memory(service: ServiceDep, job: JobRecord, query: parameters.Diagr
     summary="Read a bifurcation diagram",
     responses={**content(*TABLES, *PICTURES), **NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
-@costly(_diagram_memory)
+@costly(_diagram_cost)
 def get_diagram(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.DiagramQuery, Query()]
 ) -> Response:
@@ -92,9 +94,13 @@ def get_diagram(
     return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)
 
 
-def _threshold_memory(service: ServiceDep, job: JobRecord, query: parameters.JobThresholdQuery) -> int:
-    omegas = len(dependencies.sweep(service, job).spec.axis_values("omega"))
-    return BASE_MEMORY + MAX_READ + min(omegas, service.settings.max_points) * _PER_OMEGA
+def _threshold_cost(service: ServiceDep, job: JobRecord, query: parameters.JobThresholdQuery) -> Cost:
+    sweep = dependencies.sweep(service, job)
+    omegas = len(sweep.spec.axis_values("omega"))
+    memory = min(omegas, service.settings.max_points) * _PER_OMEGA
+    cost = dependencies.cost_of_read(service, job, memory, "omega", "gamma")
+    small = cost.small and query.tolerance is None and thresholds.is_brief(sweep, query.xi, query.predict)
+    return Cost(cost.memory + MAX_READ, small)
 
 
 @router.get(
@@ -103,31 +109,30 @@ def _threshold_memory(service: ServiceDep, job: JobRecord, query: parameters.Job
     response_model=Thresholds,
     responses={**PENDING_RESPONSE, **NOT_MODIFIED, **problem_responses(404, 409, 413, 422, 429, 503)},
 )
-@costly(_threshold_memory, "on demand")
+@costly(_threshold_cost, "on demand")
 def get_job_threshold(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.JobThresholdQuery, Query()]
 ) -> Response:
     """Per Ω at one ξ: Eq. 25 beside the Γ where the sweep's cells begin and cease to bounce.
 
     To the spacing of the grid, or refined to a tolerance: then null where the grid does not enclose the
-    threshold, and 202 with the progress until the workers have refined them all. So with `predict` all or
-    words, until all are predicted.
+    threshold, and 202 with the progress until the workers have refined them all. So with predictions that
+    take longer than a second, until all are there.
     """
     sweep = dependencies.sweep(service, job)
-    limit = service.settings.max_points
-    result = service.background.run(thresholds.on_grid, sweep, query.xi, limit, query.predict)
-    if query.predict in ("all", "words"):
-        result = thresholds.predicted(service.on_demand, job, sweep, result, query.predict)
+    result = service.background.run(thresholds.on_grid, sweep, query.xi, service.settings.max_points)
     if query.tolerance is not None:
         result = thresholds.refined(service.on_demand, job, sweep, result, query.tolerance)
+    result = thresholds.predicted(service.on_demand, service.background, job, sweep, result, query.predict)
     return Response(result.model_dump_json(), media_type=MEDIA_TYPES["json"])
 
 
-def _modes_memory(service: ServiceDep, job: JobRecord, query: parameters.ModesQuery) -> int:
+def _modes_cost(service: ServiceDep, job: JobRecord, query: parameters.ModesQuery) -> Cost:
     spec = dependencies.sweep(service, job).spec
     cells, flights = plane_size(spec, query.min_flight, service.settings.max_points, query.every)
     compared = comparison_memory(spec) if query.hysteresis else 0
-    return BASE_MEMORY + cells * _PER_CELL + flights * _PER_FLIGHT["json"] + compared
+    memory = cells * _PER_CELL + flights * _PER_FLIGHT["json"] + compared
+    return dependencies.cost_of_read(service, job, memory, "omega", "gamma")
 
 
 @router.get(
@@ -158,7 +163,7 @@ def get_job_orbits(
     response_model=schemas.Modes,
     responses={**NOT_MODIFIED, **problem_responses(404, 413, 422)},
 )
-@costly(_modes_memory)
+@costly(_modes_cost)
 def get_modes(
     service: ServiceDep, job: ResultsJob, query: Annotated[parameters.ModesQuery, Query()]
 ) -> Response:
@@ -227,8 +232,9 @@ _RANGE: Final = re.compile("bytes=([0-9]{1,18})?-([0-9]{1,18})?")
 _PLAIN: Final = "/:@+,;=~()[] "
 
 
-def _zarr_memory(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -> int:
-    return service.manager.preparer.prepare(job).layout.chunk_bytes
+def _zarr_cost(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -> Cost:
+    size = service.manager.preparer.prepare(job).layout.chunk_bytes
+    return Cost(size, size <= SMALL_ANSWER)
 
 
 def _asked(byte_range: str) -> tuple[int | None, int | None] | None:
@@ -257,7 +263,7 @@ def _span(first: int | None, last: int | None, size: int) -> range:
         **problem_responses(404, 416),
     },
 )
-@costly(_zarr_memory, "store")
+@costly(_zarr_cost, "store")
 def get_zarr_file(
     service: ServiceDep,
     job: ResultsJob,

@@ -390,6 +390,20 @@ def test_requests_are_repeated_after_a_temporary_error(browser: Any, address: st
         wait_shown(page, along="gamma")
 
 
+@pytest.mark.parametrize("asked", ["2", "1e300"])
+def test_the_page_waits_for_a_busy_service_and_says_so(browser: Any, address: str, loop: str, asked: str):
+    with opened(browser, "about:blank", expected=("429",)) as page:
+        times = 2 if asked == "2" else 1
+        busy = {"status": 429, "json": {"detail": "full"}, "headers": {"Retry-After": asked}}
+        page.route("**/line?*", lambda route: route.fulfill(**busy), times=times)
+        page.goto(view(address, loop))
+        page.locator("#busy", has_text="The service is busy").wait_for()
+        if asked == "2":
+            wait_shown(page, along="gamma")
+            page.locator("#busy").wait_for(state="hidden")
+            assert page.locator(".problem:visible").count() == 0
+
+
 # The views of a sweep
 
 

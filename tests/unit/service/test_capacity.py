@@ -47,6 +47,12 @@ CHEAP = {
 }  # fmt: skip
 
 
+@pytest.fixture
+def nothing_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every read takes its turn with the costly ones."""
+    monkeypatch.setattr("service.api.dependencies.FEW_CHUNKS", 0)
+
+
 def in_loop(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
     @functools.wraps(test)
     def run(**fixtures: Any) -> None:
@@ -383,6 +389,7 @@ TAKES: list[tuple[str, str, int]] = [
 ]
 
 
+@pytest.mark.usefixtures("nothing_is_small")
 def test_an_answer_counts_as_what_it_may_take(tmp_path: Path):
     """From the start of its computation, which is left out here."""
     with service(tmp_path, Held(capacity=0)) as client:
@@ -413,6 +420,7 @@ def test_an_answer_counts_as_what_it_may_take(tmp_path: Path):
         assert of_a_spring("modes=1-1,1-2,1-3") == 3 * 4_000 * MAX_GRID
 
 
+@pytest.mark.usefixtures("nothing_is_small")
 def test_numbers_count_up_to_their_limit_and_pictures_whole(tmp_path: Path):
     """A picture shows a line of any length."""
     with service(tmp_path, Held(capacity=0), max_points=1_000) as client:
@@ -448,6 +456,7 @@ def test_an_export_counts_as_several_of_its_chunks(tmp_path: Path):
         assert used == [12 * chunk, 12 * chunk + GROUP_BYTES]
 
 
+@pytest.mark.usefixtures("nothing_is_small")
 @pytest.mark.parametrize("path", READS)
 def test_beyond_the_limit_a_read_is_told_to_come_again(client: TestClient, path: str):
     here = finished(client, FIGURE_2)
@@ -458,6 +467,25 @@ def test_beyond_the_limit_a_read_is_told_to_come_again(client: TestClient, path:
             assert client.get(here).status_code == 200
             assert client.get("/v1/jobs").status_code == 200
     assert client.get(f"{here}/{path}").status_code == 200
+
+
+def test_small_reads_are_answered_while_every_costly_place_is_taken(client: TestClient):
+    """`benchmarks/burst.py` measures how soon, beside an atlas and costly requests."""
+    here = finished(client, FIGURE_2)
+    small = [
+        "diagram", "diagram?format=csv&every=2", "line", "modes", "plane", "threshold",
+        "threshold?predict=none", "zarr/flight_time/c.0.0.0.0.0",
+    ]  # fmt: skip
+    with (
+        taken(client, "read", memory=2**40),
+        ThreadPoolExecutor(8) as pool,
+    ):
+        answers = list(pool.map(client.get, [f"{here}/{path}" for path in small * 25]))
+        assert {answer.status_code for answer in answers} == {200}, [
+            a.url.path for a in answers if a.is_error
+        ]
+        assert client.get(f"{here}/diagram?format=png").status_code == 429
+    wait_for(lambda: client.app.state.service.small_reads.used == 0)  # type: ignore[attr-defined]
 
 
 def test_costly_requests_leave_the_other_threads_alone(tmp_path: Path):
@@ -505,6 +533,7 @@ def test_with_the_service_end_its_threads_and_what_was_asked_of_workers(tmp_path
     assert asked.cancelled()
 
 
+@pytest.mark.usefixtures("nothing_is_small")
 def test_a_burst_of_costly_requests_stays_within_its_limits(tmp_path: Path):
     """`benchmarks/burst.py` measures a larger one, with its times."""
     most, threads = 0, threading.Semaphore(2)

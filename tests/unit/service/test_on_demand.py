@@ -45,6 +45,21 @@ def test_a_request_that_gives_up_waiting_loses_nothing():
     assert len(pool.futures) == 2
 
 
+def test_a_result_that_nobody_asks_for_any_more_is_given_up():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01, abandoned=0.4)
+    began = time.monotonic()
+    while time.monotonic() - began < 1.0:
+        with pytest.raises(Pending):
+            cache.get("key", submit)
+    assert len(pool.futures) == 2
+    wait_for(lambda: all(future.cancelled() for future in pool.futures))
+    with pytest.raises(Pending):
+        cache.get("key", submit)
+    assert len(pool.futures) == 4
+    cache.close()
+
+
 @pytest.mark.parametrize(
     ("error", "raised"), [(WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)]
 )

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,11 @@ from tables import for_each
 
 from kernel.branches.curves import Parameter, curves
 from kernel.branches.energy import energy
-from kernel.branches.events import branch_and_events
+from kernel.branches.events import Kind, branch_and_events
 from service.api import schemas
-from service.client import BadRequest, Client, TooLarge
+from service.client import BadRequest, Client
 from service.results import orbits, thresholds
+from worker.analysis.prediction import prediction_seconds
 from worker.spec import SweepSpec
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
@@ -134,11 +136,29 @@ def test_bad_queries_name_field_and_rule(service: TestClient, query: dict[str, A
 
 
 def test_long_branches_are_refused_before_they_are_computed(service: TestClient):
-    assert "the limit is 2,000" in refused(service, "/v1/orbits", 413, omega=0.01, xi=0.05)
+    assert "the limit is 2,000" in refused(service, "/v1/orbits", 422, omega=0.01, xi=0.05)
     query = {"xi": 0.05, "omega_start": 0.01, "omega_stop": 0.5, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(service, "/v1/curves", 413, **query)
+    assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(service, "/v1/curves", 413, **query)
+    assert "the limit is 2,000" in refused(service, "/v1/curves", 422, **query)
+
+
+def test_curves_are_held_to_a_limit(service: TestClient, monkeypatch: pytest.MonkeyPatch):
+    """By their estimate before they are computed, by their points while they are."""
+    query = {"xi": 0.05, "omega_start": 0.1, "omega_stop": 0.12, "modes": "1-1,1-2"}
+    monkeypatch.setattr(orbits, "MAX_CURVES_SECONDS", 10.0)
+    rule = refused(service, "/v1/curves", 422, **query)
+    assert rule.startswith("modes: their curves from omega 0.1 on take about 24 core-seconds, the limit for")
+    assert rule.endswith("is 10: ask for the first 1, or take a larger omega")
+    monkeypatch.setattr("kernel.branches.curves._ALL_POINTS", 100)
+    query = {"xi": 0.05, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
+    wait_for(lambda: service.get("/v1/curves", params=query).status_code != 202)
+    assert "omega_stop: the curves up to 0.68 have more" in refused(service, "/v1/curves", 422, **query)
+
+
+def test_curves_end_where_a_search_has_no_next_step():
+    """Newton's method for a point of codimension 2 may meet a singular matrix."""
+    assert len(curves(Parameter.XI, 0.05, 0.0, 1e6, 1, (Kind.FOLD,), lines=2).curves) > 0
 
 
 def test_orbits_are_kept(service: TestClient):
@@ -356,7 +376,26 @@ def test_every_omega_is_predicted_when_asked_for(
     words = many | {"omega": {"start": 0.6, "stop": 0.65, "num": 401}}
     large = client.submit(words).wait(progress=False)
     where = f"/v1/jobs/{large.id}/threshold"
-    assert "enough for 400 values" in refused(service, where, 413, predict="words")
+    assert "enough for 400 values" in refused(service, where, 422, predict="words")
+
+
+def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A strong dashpot: rounding grazes all along a branch, and each spring takes about a second."""
+    strong = {"gamma": [0.5, 0.6], "xi": 10.0, "model": {"kind": "rigid"}}
+    few = strong | {"omega": [1e-6, 2e-6]}
+    many = strong | {"omega": {"start": 1e-6, "stop": 2e-6, "num": 200}}
+    served.impatient(monkeypatch)
+    with begun(tmp_path, Held(capacity=0)) as held:
+        here, large = (held.post("/v1/jobs", json=spec).headers["Location"] for spec in (few, many))
+        began = time.process_time()
+        for path in (f"{here}/threshold", "/v1/threshold?omega=1e-6&xi=10"):
+            answer = held.get(path)
+            assert (answer.status_code, answer.headers["Retry-After"]) == (202, "1"), path
+        left_out = get(held, f"{large}/threshold")
+        assert left_out["cause"][0].startswith("not predicted: 200 values of omega take about")
+        rule = refused(held, f"{large}/threshold", 422, predict="all")
+        assert "the limit for one answer is 200: enough for" in rule
+        assert time.process_time() - began < 2.0  # none of the springs was computed here: 150 s
 
 
 def explained(down: float, predicted: float, cause: str, tolerance: float | None = None) -> str:
@@ -364,11 +403,11 @@ def explained(down: float, predicted: float, cause: str, tolerance: float | None
     none = np.array([np.nan])
     found = thresholds.Thresholds(
         xi=0.05, omega=np.array([0.6]), analytic=none, up=none, down=np.array([down]),
-        up_status=["not ramped"], down_status=["found"], predicted_jump=none,
-        predicted_down=np.array([predicted]), cause=[cause], difference=[""], prediction="", complete=True,
-        tolerance=tolerance,
+        up_status=["not ramped"], down_status=["found"], predicted_jump=none, predicted_down=none,
+        cause=[""], difference=[""], prediction="", complete=True, tolerance=tolerance,
     )  # fmt: skip
-    return thresholds._compared(SweepSpec.parse(RAMP), found).difference[0]
+    known = orbits.thresholds(0.6, 0.05)._replace(down=predicted, cause=cause)
+    return thresholds._compared(SweepSpec.parse(RAMP), found, [known], words=False).difference[0]
 
 
 def test_a_difference_from_the_prediction_is_explained():
@@ -408,15 +447,24 @@ def test_as_many_springs_are_predicted_at_once_as_may_be(
     assert set(job.threshold().cause.values.tolist()) == {
         "not predicted: ask for all above 1 values of omega"
     }
-    for name, size in (("all", 50), ("all", 1), ("words", 1)):  # all that one worker call predicts
-        monkeypatch.setattr(thresholds, "PREDICTED_AT_ONCE", {name: size})
-        monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 2 * thresholds.PREDICTION_SECONDS[name])
+    alone = sum(prediction_seconds(omega, 0.05) for omega in predicted.omega.values.tolist())
+    for name, seconds, call in (
+        ("some", alone, 9.0), ("all", alone, 9.0), ("all", alone, 1e-9),
+        ("words", alone + 2 * thresholds.WORDS_SECONDS, 1e-9),
+    ):  # fmt: skip
+        monkeypatch.setattr(thresholds, "MAX_PREDICTED", 2)
+        monkeypatch.setattr(thresholds, "CALL_SECONDS", call)  # all in one call, or each in its own
+        monkeypatch.setattr(thresholds, "AT_ONCE_SECONDS", 0.0)
+        monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", seconds)
         every = job.threshold(predict=name, progress=False)  # type: ignore[arg-type]
         assert every.cause.values.tolist() == predicted.cause.values.tolist()
         np.testing.assert_array_equal(every.predicted_down, predicted.predicted_down)
-    monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 0.03)
-    with pytest.raises(TooLarge, match=r"2 values of omega take .*: enough for 1 values"):
+    monkeypatch.setattr(thresholds, "MAX_PREDICTION_SECONDS", 0.99 * alone)
+    with pytest.raises(BadRequest, match=r"predict: 2 values of omega take .*: enough for 1 values"):
         job.threshold(predict="all", progress=False)
+    left_out = job.threshold()  # what the grid says is read nevertheless
+    assert all("enough for 1 values" in str(cause) for cause in left_out.cause.values)
+    np.testing.assert_array_equal(left_out.down, predicted.down)
 
 
 def test_another_contact_is_told_from_the_one_predicted(client: Client):

@@ -537,7 +537,7 @@ def test_as_many_thresholds_are_refined_as_may_be(monkeypatch: pytest.MonkeyPatc
         seconds = thresholds.TYPICAL_CELLS * cell_seconds(ramp.spec, alone=True) * ways
         monkeypatch.setattr(thresholds, "MAX_SECONDS", 4.5 * seconds)
         thresholds._check_cost(ramp, 4)
-        with pytest.raises(TooLarge) as error:
+        with pytest.raises(InvalidRequest) as error:
             thresholds._check_cost(ramp, 5)
         assert f"refining 5 values of omega takes about {5 * seconds:.3g} core-seconds" in str(error.value)
         assert str(error.value).endswith("enough for 4 values")

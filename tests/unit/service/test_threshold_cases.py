@@ -170,7 +170,7 @@ def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkey
     here = submitted(client, CASES[0])
     monkeypatch.setattr("service.results.thresholds.MAX_SECONDS", 0.0)
     answer = client.get(f"{here}/threshold", params={"tolerance": 1e-3})
-    assert answer.status_code == 413
+    assert answer.status_code == 422
     assert "tolerance: refining 1 values of omega" in answer.json()["detail"]
 
 

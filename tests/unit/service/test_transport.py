@@ -47,6 +47,7 @@ from service.client import (
     ServiceUnreachable,
     StoreUnreachable,
     TooLarge,
+    Unanswered,
     Unauthorized,
     UnexpectedAnswer,
     WaitTimeout,
@@ -284,7 +285,7 @@ def test_every_status_has_its_error(status: int, kind: type[Refused]):
         "errors": [{"field": "xi", "rule": "is odd"}],
     }
     with scripted(Answer(status, problem)) as (_, client), pytest.raises(Refused) as caught:
-        client.job(ID)
+        client._transport.post("/v1/jobs/1/cancel")  # a GET waits for a busy service
     assert type(caught.value) is kind
     assert caught.value.problem.title == "No"
     assert caught.value.fields == (("xi", "is odd"),)
@@ -340,6 +341,49 @@ def test_a_download_that_is_refused_says_why(tmp_path: Path):
             with pytest.raises(error, match=text):
                 job.export(tmp_path / "sweep.nc")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("asked", ["1e8", "1e300", "0", None])
+def test_a_read_waits_for_a_busy_service_as_long_as_its_timeout(
+    asked: str | None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("service.client.transport.SHOWN_AFTER", 0.05)
+    busy = Answer(429, {"detail": "full"}, **({} if asked is None else {"Retry_After": asked}))
+    with scripted(busy, Answer(body=view())) as (_, client), Client(client.url, timeout=0.5) as hurried:
+        began = time.monotonic()
+        assert hurried.job(ID).state == "running"
+        assert time.monotonic() - began < 0.5 + DEADLINE / 4
+    assert "the service is busy: waiting" in capsys.readouterr().err
+    with scripted(busy, busy) as (_, client), Client(client.url, timeout=0.05) as hurried:
+        with pytest.raises(Busy, match="full") as caught:
+            hurried.job(ID)
+        assert caught.value.__suppress_context__ or caught.value.__context__ is None
+    script = (Answer(body=view()), busy, Answer(body={}))
+    with scripted(*script) as (_, client), Client(client.url, timeout=0.05) as hurried:
+        job = hurried.job(ID)
+        with pytest.raises(UnexpectedAnswer):
+            job.threshold(timeout=0.1, progress=False)
+
+
+def test_an_error_of_the_connection_is_one_sentence(unused_address: str):
+    """Without the libraries' own errors behind it; only where nobody listens it says that nobody answers."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        busy = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        for url, said in (
+            (unused_address, "no service answers at"),
+            (
+                busy,
+                "did not answer: nothing came in time (0.2 s), it may be busy: repeat the request, or give",
+            ),
+        ):
+            with Client(url, timeout=0.2) as client, pytest.raises(ServiceUnreachable) as caught:
+                client.job(ID)
+            shown = "".join(traceback.format_exception(caught.value))
+            assert said in str(caught.value)
+            assert "\n" not in str(caught.value)
+            assert shown.count("Traceback") == 1
+    with scripted(LOST, LOST, LOST) as (_, client), pytest.raises(Unanswered, match="the connection broke"):
+        client.job(ID)
 
 
 def test_busy_carries_retry_after():
@@ -497,7 +541,7 @@ def test_a_timeout_of_the_workers_answer_reports_their_progress():
         scripted(computing(1)) as (_, client),
         pytest.raises(
             NotComputedYet,
-            match=r"^1 of 4 parts computed after -1 s; the computation continues, repeat the request later$",
+            match=r"^1 of 4 parts computed after -1 s; the computation goes on for a minute: repeat",
         ),
     ):
         client.tradeoff(timeout=-1.0, progress=False)

@@ -298,7 +298,7 @@ def test_more_computing_than_one_answer_may_take_is_refused(tmp_path: Path):
         wait_for(lambda: client.get(here).json()["progress"]["chunks_done"] > 0)
         refused = client.get(f"{here}/threshold", params={"tolerance": 1e-4})
         client.post(f"{here}/cancel")
-    assert refused.status_code == 413
+    assert refused.status_code == 422
     detail = refused.json()["detail"]
     assert re.search(
         r"refining 2,000 values of omega takes about \S+ core-seconds, the limit for one answer is 60", detail

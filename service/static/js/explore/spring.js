@@ -1,7 +1,7 @@
 // One spring, explored without a sweep: Γ, Ω and ξ by sliders; thresholds and cycles in closed form, motion, return map.
 
 import { currentQuery, link, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
+import { isHandledElsewhere, query, requestComputed } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, axisLabel, isClose, meaningOf, threshold } from "../lib/physics.js";
@@ -123,7 +123,7 @@ export class Explore {
     try {
       const [branches, thresholds] = await Promise.all([
         requestBranches({ omega, xi }, RANGES.gamma.max, { signal }),
-        requestJson(`/v1/threshold?${query({ omega, xi })}`, { signal }),
+        requestComputed(`/v1/threshold?${query({ omega, xi })}`, { signal }),
       ]);
       if (this.closed) return;
       this.#showError(null);

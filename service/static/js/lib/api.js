@@ -14,7 +14,7 @@ export class Unreachable extends Error {
   name = "Unreachable";
 }
 
-/** Dispatches "unreachable" when a request gets no answer, and "unauthorized" when the service requires a token, whose `detail.refused` tells that it refused the one it got. */
+/** Dispatches "unreachable" when a request gets no answer, "waiting" with the number of requests that the busy service told to come again, and "unauthorized" when the service requires a token, whose `detail.refused` tells that it refused the one it got. */
 export const connection = new EventTarget();
 
 const TIMEOUT_MS = 30_000;
@@ -31,13 +31,28 @@ export function takeToken() {
   history.replaceState(null, "", "#/");
 }
 
-/** The response to one request. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
-export async function request(path, { method = "GET", body, signal, timeout = TIMEOUT_MS, priority = "auto" } = {}) {
+const RETRY_S = 1; // without a Retry-After
+let waiting = 0;
+
+/** The response to one request. While the service is too busy (429) for a GET, or for what `waits`, it is repeated until `timeout`. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
+export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } = {}) {
+  const deadline = performance.now() + timeout;
+  for (;;) {
+    const response = await send(path, options, deadline - performance.now());
+    if (response.ok) return response;
+    const pause = 1000 * Math.max(Number(response.headers.get("Retry-After")) || RETRY_S, 0.1);
+    const left = deadline - performance.now();
+    if (response.status !== 429 || !(waits ?? (options.method ?? "GET") === "GET") || left <= 0) throw new Problem(response.status, await problemOf(response));
+    await sleepWhileBusy(Math.min(pause, left), options.signal);
+  }
+}
+
+async function send(path, { method = "GET", body, signal, priority = "auto" }, timeout) {
   const headers = {};
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const token = sessionStorage.getItem(TOKEN_KEY);
   if (token) headers.Authorization = `Bearer ${token}`;
-  const timer = AbortSignal.timeout(timeout);
+  const timer = AbortSignal.timeout(Math.max(timeout, 1));
   let response;
   try {
     response = await fetch(path, {
@@ -51,9 +66,22 @@ export async function request(path, { method = "GET", body, signal, timeout = TI
     if (signal?.aborted) throw error;
     throw unreachable();
   }
-  if (response.ok) return response;
   if (response.status === 401) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null && token === sessionStorage.getItem(TOKEN_KEY) } }));
-  throw new Problem(response.status, await problemOf(response));
+  return response;
+}
+
+async function sleepWhileBusy(ms, signal) {
+  const tell = (change) => connection.dispatchEvent(new CustomEvent("waiting", { detail: { requests: (waiting += change) } }));
+  tell(1);
+  try {
+    await new Promise((resolve) => {
+      const timer = setTimeout(resolve, ms);
+      signal?.addEventListener("abort", () => (clearTimeout(timer), resolve()), { once: true });
+    });
+    signal?.throwIfAborted();
+  } finally {
+    tell(-1);
+  }
 }
 
 export async function requestJson(path, options) {

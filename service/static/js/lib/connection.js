@@ -1,10 +1,11 @@
-// The banner shown while the service does not answer, and the dialog for its access token.
+// The banner shown while the service does not answer, the note while it is busy, and the dialog for its access token.
 
 import { connection, request, setToken } from "./api.js";
 import { announce } from "./dom.js";
 
 const RETRY_MS = 1000;
 const TIMEOUT_MS = 3000;
+const HIDE_MS = 500;
 let retrying = false;
 
 /** Show the banner and the dialog when they are needed; `onRestored` is called when requests can succeed again. */
@@ -22,6 +23,14 @@ export function watchConnection(onRestored) {
       announce("The service answers again.");
       onRestored();
     });
+  });
+
+  const busy = document.getElementById("busy");
+  let hiding;
+  connection.addEventListener("waiting", ({ detail: { requests } }) => {
+    clearTimeout(hiding); // a request that is repeated shall not make the note flicker
+    if (requests) busy.hidden = false;
+    else hiding = setTimeout(() => (busy.hidden = true), HIDE_MS);
   });
 
   const refusal = dialog.querySelector(".problem");

@@ -12,23 +12,12 @@ export const MAP_PERIODS = 120; // of a return map, which needs many flights
 export const MAP_SAMPLES = 2; // per plate period: of such a motion only its flights are shown
 
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
-const RETRY_MS = 700;
 const SLOW_MS = 2500; // after which the note explains the delay
 const MIN_FLIGHT = 1e-3; // rad: shorter flights are not listed
 const MAX_LISTED = 8;
 
-/** As requestJson; while the service computes too many trajectories (429), the request is repeated. */
-export async function requestTrajectory(path, options = {}) {
-  const deadline = performance.now() + TIMEOUT_MS;
-  for (;;) {
-    try {
-      return fromFirstSample(await requestJson(path, { ...options, timeout: TIMEOUT_MS }));
-    } catch (error) {
-      if (error.status !== 429 || options.signal?.aborted || performance.now() > deadline) throw error;
-      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
-    }
-  }
-}
+/** As requestJson, with the time that compiling takes. */
+export const requestTrajectory = async (path, options = {}) => fromFirstSample(await requestJson(path, { ...options, waits: true, timeout: TIMEOUT_MS }));
 
 /** A trajectory with its phases since the first sample: those of a drop begin at the plate's phase. */
 function fromFirstSample(trajectory) {

@@ -1,6 +1,6 @@
 // Cycles in closed form over the diagram: branches, solid where stable and dashed where not, and their events.
 
-import { query, requestComputed, requestJson } from "../lib/api.js";
+import { query, requestComputed } from "../lib/api.js";
 import { cycleText } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
@@ -43,7 +43,7 @@ export class ClosedFormBox {
 
 /** The branches and events of a spring up to `gammaMax`. */
 export const requestBranches = ({ omega, xi }, gammaMax, options) =>
-  requestJson(`/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`, options);
+  requestComputed(`/v1/orbits?${query({ omega, xi, modes: MODES, gamma_max: gammaMax, points: POINTS })}`, options);
 
 /** The curves of folds over Ω, and the points at which they meet. */
 export const requestFolds = (xi, [low, high], gammaMax, options) =>

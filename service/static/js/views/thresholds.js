@@ -1,7 +1,7 @@
 // Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
 
 import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestJson } from "../lib/api.js";
+import { query, requestComputed } from "../lib/api.js";
 import { hasCycles } from "../lib/cycles.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
@@ -56,7 +56,7 @@ export class Thresholds extends PlotView {
   }
 
   async request(signal) {
-    this.thresholds = await requestJson(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
+    this.thresholds = await requestComputed(`/v1/jobs/${this.job.id}/threshold?${query({ xi: this.xi })}`, { signal });
     await this.#loadFolds(signal);
     return { xi: this.thresholds.xi, folds: Boolean(this.folds) };
   }
