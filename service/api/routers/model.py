@@ -45,7 +45,9 @@ _TRAJECTORY_BODY: Final = {
 def get_threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
     """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
 
-    In closed form, of the rigid contact without restitution.
+    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
+    for ever, by a rule that no search contradicts at its damping: `not searched` below that. A slow descent
+    ends there or earlier, where the cycle that it is on ends.
     """
     content = service.background.run(answers.thresholds, query.omega, query.xi, query.delta)
     return Response(content, media_type=MEDIA_TYPES["json"])
