@@ -41,6 +41,8 @@ class Found(NamedTuple):
     gamma: float
     bounces: int  # of its mode; 0: aperiodic
     periods: int
+    takeoff_phase: np.ndarray  # (bounces,) rad, of one round
+    flight_time: np.ndarray  # (bounces,) rad
 
 
 def starts(rng: np.random.Generator, gamma: float, omega: float, count: int) -> np.ndarray:
@@ -84,7 +86,12 @@ def search(
     if not len(left):
         return None
     i = int(left[np.argmin(gamma[kept][left])])
-    return Found(float(gamma[kept][i]), int(line.bounces[i]), int(line.periods[i]))
+    bounces, stored = int(line.bounces[i]), min(int(line.flights[i]), line.flight_time.shape[1])
+    round_ = slice(stored - bounces, stored)
+    return Found(
+        float(gamma[kept][i]), bounces, int(line.periods[i]), line.takeoff_phase[i, round_],
+        line.flight_time[i, round_],
+    )  # fmt: skip
 
 
 def springs(

@@ -209,7 +209,10 @@ def _differences(thresholds: "xarray.Dataset") -> list[str]:
     """What PREDICTED is of, and where DOWN differs from it."""
     texts = zip(thresholds.omega.values.tolist(), thresholds.difference.values.tolist(), strict=True)
     differing = [f"omega {omega:g}: {text}" for omega, text in texts if text]
-    return [f"PREDICTED: the lowest that bounces by the closed form, {thresholds.attrs['prediction']}", *differing]
+    return [
+        f"PREDICTED: the lowest that bounces by the closed form, {thresholds.attrs['prediction']}",
+        *differing,
+    ]
 
 
 # Tables of cells and samples
