@@ -2,9 +2,10 @@
 
     python -m benchmarks.contacts [--step 1e-4]
 
-At five frequencies of Fig. 9 (xi = 0.05) a ramp starts on a stable cycle of the closed form well above its
-fold, on each contact, and descends until the spring stays on the plate. Prints the lowest Gamma that bounces
-less the fold; –: the first cell of the ramp does not bounce.
+At five frequencies of Fig. 9 (xi = 0.05) a spring starts on a stable cycle of the closed form well above its
+fold. Restitution rises from zero to that of each contact, a little at a time, and Gamma with it: at once, the
+spring may come to rest. From there a ramp descends until the spring stays on the plate. Prints the lowest
+Gamma that bounces less the fold; –: bouncing ends before the descent.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from benchmarks.machine import describe
 from benchmarks.tables import table
 from kernel.branches.starts import stable_ranges, start_on_stable_cycle
 from kernel.branches.thresholds import thresholds
-from kernel.params import Cell, Outcome, Start
+from kernel.params import Cell, Line, Outcome, Start
 from tests.support.plates import Model, run_line
 
 XI = 0.05
@@ -29,9 +30,9 @@ CONTACTS = {
     "e = 0.5": (Model.RIGID, 0.5),
 }
 
-#: The ramp begins at this part of the range of Gamma in which the cycle is stable, and ends at this part of
-#: the fold.
-BEGIN, END = 0.5, 0.6
+#: The start is at this part of the range of Gamma in which the cycle is stable. From there Gamma rises to
+#: RAISED times, in RISES cells, to begin the descent, which ends at this part of the fold.
+BEGIN, RAISED, RISES, END = 0.9, 1.05, 26, 0.6
 SETTLE, OBSERVE, SETTLE_UNTIL = 400, 100, 4000
 
 #: Cells computed at a time: a ramp ends soon after bouncing has.
@@ -41,19 +42,16 @@ PIECE = 50
 def end_of_bouncing(omega: float, contact: str, step: float) -> float:
     """The lowest Gamma that bounces on the way down; NaN if none does."""
     fold = thresholds(omega, XI).down
-    model, restitution = CONTACTS[contact]
     stable = min(stable_ranges(omega, XI, 1), key=lambda r: abs(r.low - fold))
-    gamma = np.arange(fold + BEGIN * (stable.high - fold), END * fold, -step)
-    found = start_on_stable_cycle(Cell(float(gamma[0]), omega, XI), 1)
-    start, lowest = found.start if found else None, np.nan
+    first = fold + BEGIN * (stable.high - fold)
+    found = start_on_stable_cycle(Cell(first, omega, XI), 1)
+    rise = np.linspace(first, RAISED * first, RISES)
+    line = _ramp(rise, omega, contact, np.linspace(0.0, 1.0, RISES), found.start if found else None)
+    gamma = np.arange(rise[-1], END * fold, -step)
+    start, lowest = Start(line.end_state[-1], Cell(float(rise[-1]), omega, XI)), np.nan
     for low in range(0, len(gamma), PIECE):
         part = gamma[low : low + PIECE].copy()
-        same = np.ones(len(part))
-        line = run_line(
-            part, omega * same, XI * same, model=model, restitution=restitution * same,
-            penetration=1e-3 * same, carry=True, settle=SETTLE, observe=OBSERVE, keep=1,
-            settle_until=SETTLE_UNTIL, start=start,
-        )  # fmt: skip
+        line = _ramp(part, omega, contact, np.ones(len(part)), start)
         bounces = line.outcome != Outcome.AT_REST
         if bounces.any():
             lowest = float(part[bounces].min())
@@ -61,6 +59,16 @@ def end_of_bouncing(omega: float, contact: str, step: float) -> float:
             break
         start = Start(line.end_state[-1], Cell(float(part[-1]), omega, XI))
     return lowest
+
+
+def _ramp(gamma: np.ndarray, omega: float, contact: str, share: np.ndarray, start: Start | None) -> Line:
+    """A ramp on a contact, of which each cell has this share of the restitution."""
+    model, restitution = CONTACTS[contact]
+    same = np.ones(len(gamma))
+    return run_line(
+        gamma, omega * same, XI * same, model=model, restitution=restitution * share, penetration=1e-3 * same,
+        carry=True, settle=SETTLE, observe=OBSERVE, keep=1, settle_until=SETTLE_UNTIL, start=start,
+    )  # fmt: skip
 
 
 def shift_text(shift: float, decimals: int) -> str:

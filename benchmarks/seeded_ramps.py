@@ -23,7 +23,7 @@ from benchmarks.tables import table
 from kernel.branches.closed_form import TWO_PI, orbit
 from kernel.branches.events import branch, flight_times
 from kernel.branches.spring import spring
-from kernel.branches.thresholds import UNRESOLVED, Thresholds, thresholds
+from kernel.branches.thresholds import UNRESOLVED, Thresholds, conjecture
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from tests.support.plates import Model, run_line
@@ -163,7 +163,7 @@ def main() -> None:
         ]
     rows, count = [], Counter()
     for omega, xi in chosen:
-        found = thresholds(omega, xi)
+        found = conjecture(omega, xi)
         gamma_th = float(threshold(omega, xi))
         seeded = lowest(omega, xi, orbits(omega, xi, found), None)
         best = lowest(omega, xi, anywhere(rng, options.random, gamma_th), seeded)

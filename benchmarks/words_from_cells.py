@@ -3,7 +3,7 @@
     python -m benchmarks.words_from_cells [--xi 0.02] [--cells 40] [--ramps FILE.csv]
 
 At evenly spaced Omega from 0.26 to 0.82 a ramp goes down from 1.3 Gamma_th, 160 cells of 600 plate periods
-each. The cycles of its lowest settled cells are followed as words, and `thresholds` is asked with them and
+each. The cycles of its lowest settled cells are followed as words, and `conjecture` is asked with them and
 with the lowest Gamma that bounced. FILE, as `benchmarks.seeded_ramps -o` writes it for the same springs, has
 the lowest Gamma that any of its ramps reached: "agrees" is that within 2e-5. Where another start reaches
 lower, the ramp was on another attractor.
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.tables import table
-from kernel.branches.thresholds import UNRESOLVED, thresholds
+from kernel.branches.thresholds import UNRESOLVED, conjecture
 from kernel.branches.words import Word, from_flights
 from kernel.params import KernelInputError, Line, Outcome
 from kernel.threshold import threshold
@@ -71,9 +71,9 @@ def main() -> None:
             lowest = {f"{float(row['omega']):.6f}": float(row["simulated"]) for row in csv.DictReader(file)}
     count: Counter[tuple[str, str]] = Counter()
     for omega in map(float, np.linspace(0.26, 0.82, options.cells)):
-        alone = thresholds(omega, options.xi)
+        alone = conjecture(omega, options.xi)
         found, bouncing = words(omega, options.xi, *ramp(omega, options.xi))
-        answer = thresholds(omega, options.xi, words=found, bouncing=bouncing)
+        answer = conjecture(omega, options.xi, words=found, bouncing=bouncing)
         simulated = lowest.get(f"{omega:.6f}", math.nan)
         verdict = UNRESOLVED
         if answer.cause != UNRESOLVED:

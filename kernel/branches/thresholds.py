@@ -1,9 +1,14 @@
-"""Where bouncing ends on the way down, and where flights leap on the way up (docs/hysteresis.md).
+"""The lowest Gamma at which anything bounces, and where flights leap on the way up (docs/hysteresis.md).
 
-Rest ends at Gamma_th (Eq. 25) and bouncing exists above it. Below it bouncing lives on as long as a stable
-cycle does. If that is a (1,k) cycle it ends at a fold, a minimum of Gamma along its branch, and
+Gamma_down is the lowest Gamma at which anything bounces for ever. A slow descent from above ends there or
+earlier, where the cycle that it is on ends. Rest ends at Gamma_th (Eq. 25) and bouncing exists above it.
+Below it bouncing lives on as long as an attractor does. If the last one is a (1,k) cycle it ends at a fold,
+a minimum of Gamma along its branch, and the rule is
 
     Gamma_down = min(Gamma_th, the lowest admissible fold whose other multiplier is inside the unit circle).
+
+The rule is a conjecture: attractors that no (1,k) branch leads to may reach lower. It answers only at
+dampings where a search found none; below them the answer is `not searched`.
 
 A stable cycle that ends below the answer otherwise than at a fold is followed through the words that it
 becomes, and at a flip below Gamma_th the branch of the doubled word to its own folds, which may be lower
@@ -36,8 +41,13 @@ PERIODS: Final = 6
 #: Gamma_th has a neighbour on the grid that is higher by Gamma'' h**2/2 at most, some 1e-3.
 _MARGIN: Final = 1.05
 
+#: The lowest damping at which the rule decides. Searches found springs whose cycles reach lower than it says
+#: up to xi = 0.032, and none from 0.035 on (docs/hysteresis.md, "How far the rule was searched").
+SEARCHED_XI: Final = 0.04
+
 EQ_25: Final = "Eq. 25"
 UNRESOLVED: Final = "unresolved"
+NOT_SEARCHED: Final = "not searched"
 
 
 class Thresholds(NamedTuple):
@@ -47,9 +57,9 @@ class Thresholds(NamedTuple):
     xi: float
     gamma_th: float  # Eq. 25: rest ends on the way up
     jump: float  # the fold at which flights leap on the way up; NaN if there is none
-    down: float  # bouncing ends on the way down; NaN if unresolved
-    cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, or "unresolved"
-    reason: str  # why it is unresolved, or empty
+    down: float  # Gamma_down, the lowest at which anything bounces for ever; NaN if not decided
+    cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
+    reason: str  # why it is not decided, or empty
     fold: Fold | None  # at `down`
     energy: Energy | None  # of the cycle at the fold
 
@@ -58,25 +68,37 @@ def thresholds(
     omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
     bouncing: float = math.inf,
 ) -> Thresholds:  # fmt: skip
-    """The thresholds, from the branches (1,1) to (1, periods). Raises KernelInputError.
+    """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
+    found = conjecture(omega, xi, periods, words, bouncing)
+    if xi >= SEARCHED_XI:
+        return found
+    says = found.reason or f"Gamma = {found.down:.6f}"
+    reason = (
+        f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
+        f"reach lower than it says: {found.cause}, {says}"
+    )
+    return found._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None, energy=None)
+
+
+def conjecture(
+    omega: float, xi: float, periods: int = PERIODS, words: Sequence[Word] | None = None,
+    bouncing: float = math.inf,
+) -> Thresholds:  # fmt: skip
+    """The thresholds by the rule at any damping, from the branches (1,1) to (1, periods).
 
     words: stable cycles of settled cells of this spring, as `words.from_flights` gives them; each is followed
-    down, too. bouncing: the lowest Gamma at which a simulation bounces. With words, folds that are not
-    admissible or not stable leave the answer unresolved no longer: what lives below them has been looked
-    for; but a simulation that bounces below the answer does. Attractors on which no cell is may reach lower.
+    down, too. bouncing: the lowest Gamma at which a simulation bounces; below the answer it contradicts it.
+    Folds below the answer that are not admissible or not stable leave it unresolved, with words too: these
+    do not show what lives near such a fold. Raises KernelInputError.
     """
     gamma_th = float(threshold(omega, xi))
     found = _known(omega, xi, periods, gamma_th)
-    folds = [*found.folds, *(end.fold for end in found.ends if end.fold is not None)]
-    ends = found.ends
-    if words is not None:
-        ends = [*ends, *(end for end in map(descend, words) if end.gamma < gamma_th)]
-        folds += [end.fold for end in ends if end.fold is not None]
+    ends = [*found.ends, *(end for end in map(descend, words or ()) if end.gamma < gamma_th)]
+    folds = [*found.folds, *(end.fold for end in ends if end.fold is not None)]
     lowest = min(folds, key=lambda fold: fold.gamma, default=None)
     down = gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
-    if words is None:
-        reasons += [_why(fold) for fold in found.open if fold.gamma < down]
+    reasons += [_why(fold) for fold in found.open if fold.gamma < down]
     if bouncing < down:
         reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:

@@ -168,9 +168,14 @@ class Threshold(BaseModel):
     xi: float
     threshold: float | None = Field(description="Γ_th of Eq. 25: rest ends; null if it never does")
     jump: float | None = Field(description="the fold at which flights leap on the way up; null if none does")
-    down: float | None = Field(description="bouncing ends on the way down; null if unresolved")
-    cause: str = Field(description="of `down`: Eq. 25, fold (1,k), or unresolved")
-    reason: str | None = Field(description="why it is unresolved")
+    down: float | None = Field(
+        description="the lowest Γ at which anything bounces for ever; null unless the rule decides"
+    )
+    cause: str = Field(
+        description="of `down`: Eq. 25, fold (1,k), fold of word zs (2,2) and the like; or unresolved, "
+        "not searched"
+    )
+    reason: str | None = Field(description="why the rule does not decide")
     lifetime: Lifetime | None = Field(description="null unless the cause is a fold")
     energy: EnergyView | None = Field(description="of the cycle at the fold")
 

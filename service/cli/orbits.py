@@ -134,9 +134,9 @@ def threshold_text(found: "xarray.Dataset") -> str:
     lines.append(f"rest ends on the way up    {_gamma(values['threshold'])}  Eq. 25")
     lines.append(f"flights leap on the way up {_gamma(values['jump'])}")
     cause, reason = found.cause.item(), found.reason.item()
-    lines.append(f"bouncing ends on the way   {_gamma(values['down'])}  {cause}")
+    lines.append(f"nothing bounces below      {_gamma(values['down'])}  {cause}")
     if reason:
-        lines.append(f"unresolved: {reason}")
+        lines.append(f"{cause}: {reason}")
     lifetime = found.lifetime.item()
     if isfinite(lifetime):
         lines.append(f"{found.delta.item():g} below the fold bouncing lives {lifetime:,.0f} periods")

@@ -187,7 +187,7 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
         return [text(value, status, name, grid) for value, status, grid in rows]
 
     predicted = [
-        f"{value:.{digits}f}" if isfinite(value) else cause.split()[0]
+        f"{value:.{digits}f}" if isfinite(value) else _undecided(cause)
         for value, cause in zip(
             thresholds.predicted_down.values.tolist(), thresholds.cause.values.tolist(), strict=True
         )
@@ -204,19 +204,28 @@ def threshold_table(thresholds: "xarray.Dataset", on_grid: "xarray.Dataset", spe
     ]
     precision = f"to {tolerance:g} in gamma" if tolerance else "on the grid of gamma"
     lines = [f"xi = {float(thresholds.xi):g}, {precision}"]
+    last = max(width, 2 + max(map(len, predicted)))
     lines += [
-        "".join(f"{text:>{width}}" for text in row)
-        for row in (("OMEGA", "EQ. 25", "UP", "DOWN", "PREDICTED"), *zip(*columns, strict=True))
+        "".join(f"{text:>{width}}" for text in row) + f"{end:>{last}}"
+        for *row, end in (("OMEGA", "EQ. 25", "UP", "DOWN", "PREDICTED"), *zip(*columns, strict=True))
     ]
     incomplete = [] if thresholds.attrs["complete"] else ["the job is not done: thresholds may be missing"]
     return "\n".join([*lines, *notes, *_differences(thresholds), *incomplete])
+
+
+def _undecided(cause: str) -> str:
+    """The status of a prediction that there is not, without its reason."""
+    return next((s for s in ("unresolved", "not searched", "not predicted") if cause.startswith(s)), cause)
 
 
 def _differences(thresholds: "xarray.Dataset") -> list[str]:
     """What PREDICTED is of, and where DOWN differs from it."""
     texts = zip(thresholds.omega.values.tolist(), thresholds.difference.values.tolist(), strict=True)
     differing = [f"omega {omega:g}: {text}" for omega, text in texts if text]
-    return [f"PREDICTED: DOWN by the closed form, {thresholds.attrs['prediction']}", *differing]
+    return [
+        f"PREDICTED: the lowest that bounces by the closed form, {thresholds.attrs['prediction']}",
+        *differing,
+    ]
 
 
 # Tables of cells and samples

@@ -205,9 +205,10 @@ class Client:
         """The thresholds of one spring in closed form, as scalars.
 
         `threshold`: Γ_th of Eq. 25, above which a spring at rest begins to bounce, infinite if it never does;
-        `jump`: the fold at which flights leap on the way up; `down`: where bouncing ends on the way down;
-        `cause` of `down`: "Eq. 25", "fold (1,k)", or "unresolved" with a `reason`; `lifetime`: the plate
-        periods that bouncing lives at Γ = down - delta, below a fold; `plate_contact` and so on: the energy
+        `jump`: the fold at which flights leap on the way up; `down`: the lowest Γ at which anything bounces
+        for ever; `cause` of `down`: "Eq. 25", "fold (1,k)" and the like, or with a `reason` "unresolved" or,
+        at low damping, "not searched"; `lifetime`: the plate periods that bouncing lives at Γ = down - delta,
+        below a fold; `plate_contact` and so on: the energy
         balance of the cycle at the fold. NaN where there is none. Of the rigid contact without restitution.
         Waits for what a worker computes as `curves` does. Raises BadRequest, NotComputedYet, Busy.
         """

@@ -94,7 +94,7 @@ _ENERGY: Final = ("plate_contact", "plate_impact", "dashpot", "impact", "force",
 _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "threshold": (np.float64, {"long_name": "Γ at which rest ends, Eq. 25", "units": "1"}),
     "jump": (np.float64, {"long_name": "Γ of the fold at which flights leap on the way up", "units": "1"}),
-    "down": (np.float64, {"long_name": "Γ at which bouncing ends on the way down", "units": "1"}),
+    "down": (np.float64, {"long_name": "lowest Γ at which anything bounces for ever", "units": "1"}),
     "reason": (np.str_, {"long_name": "why there is none"}),
     "lifetime": (np.float64, {"long_name": "life of bouncing at Γ = down - delta", "units": "plate periods"}),
     "delta": (np.float64, {"long_name": "Γ below down", "units": "1"}),

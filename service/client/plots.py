@@ -114,6 +114,10 @@ def draw_thresholds(ax: "Axes", thresholds: "xarray.Dataset") -> None:
     ax.plot(
         omega, thresholds.predicted_down.values, "-", color=GREY, linewidth=1.4, label="closed form, down"
     )
+    for status in ("unresolved", "not searched"):
+        number = int((thresholds.cause.values == status).sum()) if "cause" in thresholds else 0
+        if number:
+            ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
     for name, marker in (("up", "^"), ("down", "v")):
         values = thresholds[name].values
         if np.isfinite(values).any():

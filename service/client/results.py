@@ -102,7 +102,8 @@ class Results(JobStatus):
 
         `predicted_jump`, `predicted_down` and `cause` are those of the closed form for up to 200 values of Ω.
         With `predict` "all" workers predict every Ω; with "words" they also follow the cycles of the lowest
-        settled cells where the closed form alone is unresolved.
+        settled cells where the closed form alone is unresolved. `predicted_down` is the lowest Γ at which
+        anything bounces for ever, `down` where the descent of this sweep ends: there or above.
 
         Raises BadRequest, as for a ξ outside the grid, TooLarge, NotComputedYet, Busy.
         """

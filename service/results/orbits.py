@@ -98,7 +98,7 @@ def parse_kinds(text: str) -> tuple[Kind, ...]:
 
 @lru_cache(THRESHOLDS_KEPT)
 def thresholds(omega: float, xi: float) -> Thresholds:
-    """The thresholds of one spring; `unresolved` where the theory does not decide."""
+    """The thresholds of one spring; `unresolved` or `not searched` where the rule does not decide."""
     return predict(omega, xi)
 
 

@@ -55,7 +55,8 @@ Numbers = Annotated[NDArray[np.float64], PlainSerializer(np.ndarray.tolist), Wit
 class Thresholds(BaseModel):
     """Per Ω of a sweep, at one ξ: where bouncing begins and ends; null unless the status is `found`.
 
-    Beside it, where it would begin and end by the closed form of the rigid contact without restitution.
+    Beside it, where it would begin by the closed form of the rigid contact without restitution, and the
+    lowest Γ at which anything bounces for ever on it. A descent ends there or earlier, on another cycle.
 
     `below the grid`: the lowest Γ bounces already. `above the grid`: every cell is at rest. `never bounces`:
     of `up`, every cell is at rest and Eq. 25 is above every Γ that a specification may have; of `down`, no
@@ -74,10 +75,12 @@ class Thresholds(BaseModel):
     up_status: list[Status]
     down_status: list[Status]
     predicted_jump: Numbers = Field(description="the fold at which flights leap on the way up")
-    predicted_down: Numbers = Field(description="where bouncing ends on the way down")
+    predicted_down: Numbers = Field(
+        description="the lowest Γ at which anything bounces for ever; null unless the rule decides"
+    )
     cause: list[str] = Field(
-        description="of predicted_down: Eq. 25, fold (1,k), fold of word zs (2,2) and the like, unresolved; "
-        "not predicted"
+        description="of predicted_down: Eq. 25, fold (1,k), fold of word zs (2,2) and the like; unresolved, "
+        "not searched, not predicted"
     )
     difference: list[str] = Field(description="why `down` and predicted_down differ; empty where they do not")
     prediction: str = Field(description="the contact that is predicted, and whether it is the sweep's")

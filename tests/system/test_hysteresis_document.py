@@ -19,12 +19,14 @@ from PIL import Image
 from plates import Model, run_line
 
 from benchmarks.contacts import end_of_bouncing, shift_text
+from benchmarks.threshold_search import search
 from kernel.branches.curves import Parameter, curves
-from kernel.branches.descent import lifetime
+from kernel.branches.descent import descend, lifetime
 from kernel.branches.events import Kind, branch_and_events, fold_events
 from kernel.branches.starts import start_on_cycle, start_on_stable_cycle
-from kernel.branches.thresholds import Thresholds, thresholds
+from kernel.branches.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
 from kernel.branches.tips import end_of_hysteresis, soft_landing, tip
+from kernel.branches.words import from_flights
 from kernel.params import Cell, Outcome, Start
 from kernel.threshold import threshold
 from service import presets
@@ -41,12 +43,15 @@ CHOSEN |= {f"{omega:.2f}" for omega in TABLE_OMEGAS}
 #: The measured rows of other contacts.
 LONG_ROWS = re.findall(r"^\| 0\.\d\d \| 0\.000 \|.*$", SECTIONS["Other contacts"], re.MULTILINE)
 
+#: The measured rows of searches.
+SEARCHED_ROWS = re.findall(r"^\| 0\.\d+ to .*$", SECTIONS["How far the rule was searched"], re.MULTILINE)
+
 Texts = list[str]
 
 
 @cache
 def at(omega: float, xi: float = XI) -> Thresholds:
-    return thresholds(omega, xi)
+    return conjecture(omega, xi) if xi < SEARCHED_XI else thresholds(omega, xi)
 
 
 def three_thresholds() -> Texts:
@@ -77,11 +82,29 @@ def where_bouncing_ends() -> Texts:
     return [
         *rows,
         f"within 2·10⁻⁵ of the fold at all {ramps} frequencies",
+        f"At ξ below {SEARCHED_XI:g} the threshold is",
         f"in steps of 10{'⁻⁵' if presets.SEEDED_STEP == 1e-5 else ''} ends",
         f"Γ = {at(1.24).down:.9f}, while Γ_th = {at(1.24).gamma_th:.9f}",
         f"Its fold, Γ = {at(1.26).down:.10f}, is the end of bouncing",
         f"On {len(omegas)} frequencies from {omegas[0]:g} to {omegas[-1]:g}",
     ]
+
+
+def searched() -> Texts:
+    """The cycles that the rule misses; `tests/nightly/kernel/test_threshold_search.py` has random springs."""
+    rows = []
+    for omega, xi, starts in ((0.5155, 0.02, 80), (0.52, 0.02, 80), (0.5395, 0.032, 1000)):
+        rule = at(omega, xi)
+        found = search(np.random.default_rng(1), omega, xi, rule.down, starts)
+        assert found is not None
+        cycle = (found.takeoff_phase, found.flight_time, found.periods)
+        fold = descend(from_flights(omega, xi, found.gamma, *cycle)).fold
+        assert fold is not None
+        says = f"{rule.cause} | {rule.down:.6f} | ({found.bounces}, {found.periods})"
+        rows.append(f"| {omega:g} | {xi:g} | {says} | {fold.gamma:.6f} |")
+        assert thresholds(omega, xi).cause == "not searched"
+    grids = "on 400 frequencies from 0.15 to 1.4 at ξ = 0.035, 0.04 and 0.05"
+    return [*rows, *SEARCHED_ROWS, grids, f"the service answers from ξ = {SEARCHED_XI:g} on"]
 
 
 def share(omega: float) -> float:
@@ -211,6 +234,7 @@ CHECKED: dict[str, Callable[[], Texts]] = {
     "Three thresholds": three_thresholds,
     "A cycle in closed form": list,
     "Where bouncing ends": where_bouncing_ends,
+    "How far the rule was searched": searched,
     "The minima are soft landings": soft_landings,
     "Where hysteresis ends": hysteresis_ends,
     "The ghost of the fold": ghost,

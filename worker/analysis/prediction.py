@@ -54,7 +54,7 @@ def _why_not(omega: float, xi: float) -> str | None:
 
 
 def predict(omega: float, xi: float) -> Thresholds:
-    """The thresholds, omega > 0 and xi >= 0; `unresolved` also where the branches are not looked at."""
+    """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not looked at."""
     if (reason := _why_not(omega, xi)) is not None:
         return _undecided(omega, xi, reason)
     try:
@@ -75,7 +75,8 @@ def predict_from_cells(
     """`predict` at these indices, and words of the sweep's own cells where that is unresolved: for workers.
 
     The words are those of the settled cells of lowest Gamma, on the way down if the sweep goes down. The end
-    of the lowest one is the answer unless a cell bounces below it. Raises a `store.StoreError`.
+    of the lowest one is the answer unless a cell bounces below it, or a fold below it stays open. Raises a
+    `store.StoreError`.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
     at_xi = float(spec.axis_values("xi")[xi])

@@ -45,8 +45,10 @@ _TRAJECTORY_BODY: Final = {
 def get_threshold(service: ServiceDep, query: Annotated[parameters.ThresholdQuery, Query()]) -> Response:
     """Γ_th of Eq. 25, above which a spring at rest begins to bounce; where flights leap, and bouncing ends.
 
-    In closed form, of the rigid contact without restitution. A worker computes what takes longer than a
-    second; until then 202.
+    In closed form, of the rigid contact without restitution. `down` is the lowest Γ at which anything bounces
+    for ever, by a rule that no search contradicts at its damping: `not searched` below that. A slow descent
+    ends there or earlier, where the cycle that it is on ends.
+    A worker computes what takes longer than a second; until then 202.
     """
     found = orbits.thresholds_of(service.on_demand, service.background, query.omega, query.xi)
     return Response(orbits_text.thresholds_json(found, query.delta), media_type=MEDIA_TYPES["json"])

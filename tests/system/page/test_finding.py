@@ -242,7 +242,10 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore") as page:
         page.locator(".plot[data-shown]").first.wait_for()
-        page.get_by_text("On the way down, bouncing ends").wait_for()
+        page.get_by_text("Nothing bounces for ever below").wait_for()
+        page.goto(f"{address}/#/explore?omega=0.52&xi=0.02")
+        page.get_by_text("The lowest Γ that bounces is not searched").wait_for()
+        page.goto(f"{address}/#/explore")
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
         page.get_by_label("Ω =").evaluate(

@@ -151,7 +151,7 @@ def test_thresholds_stand_in_columns_with_what_explains_them_below():
         "    0.700000         inf           ?    0.512346  unresolved",
         "?: the cell that decides is not computed yet",
         "-: the sweep is not ramped down",
-        "PREDICTED: DOWN by the closed form, rigid",
+        "PREDICTED: the lowest that bounces by the closed form, rigid",
         "omega 0.7: another cycle",
     ]
     found = thresholds(complete=0)
@@ -295,13 +295,14 @@ def test_the_thresholds_of_a_spring_are_a_line_each():
         "omega 0.6, xi 0.05: rigid contact without restitution",
         "rest ends on the way up     0.250000000  Eq. 25",
         "flights leap on the way up            -",
-        "bouncing ends on the way    0.200000000  fold (1,1)",
+        "nothing bounces below       0.200000000  fold (1,1)",
         "1e-06 below the fold bouncing lives 3,485 periods",
     ]
-    unresolved = spring(down=NAN, lifetime=NAN, cause="unresolved", reason="the branch ends")
-    assert orbits.threshold_text(unresolved).splitlines()[3:] == [
-        "bouncing ends on the way              -  unresolved", "unresolved: the branch ends"
-    ]  # fmt: skip
+    for cause in ("unresolved", "not searched"):
+        undecided = spring(down=NAN, lifetime=NAN, cause=cause, reason="the branch ends")
+        assert orbits.threshold_text(undecided).splitlines()[3:] == [
+            f"nothing bounces below                 -  {cause}", f"{cause}: the branch ends"
+        ]  # fmt: skip
 
 
 def branches() -> xarray.Dataset:

@@ -235,7 +235,7 @@ def test_words_are_those_of_the_way_down_where_there_is_one(
 
     monkeypatch.setattr(worker.analysis.prediction, "lowest_words", lowest_words)
     ramp = {"kind": "ramp", "axis": "gamma", "direction": direction}
-    spec = SweepSpec(gamma=[0.9, 1.1], omega=[0.26, 0.7], xi=[0.01, 0.02], protocol=ramp)
+    spec = SweepSpec(gamma=[0.9, 1.1], omega=[0.46, 0.7], xi=[0.01, 0.05], protocol=ramp)
     unresolved, resolved = predict_from_cells(spec, "a.zarr", 1, (0, 1), True)
     assert asked == [("a.zarr", read, 1, 0, True)]
     assert (unresolved.cause, resolved.cause) == ("unresolved", "fold (1,1)")

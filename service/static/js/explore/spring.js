@@ -168,8 +168,8 @@ export class Explore {
     if (this.closedForm) {
       const { jump, down, cause, reason } = this.closedForm;
       if (jump !== null) parts.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
-      if (down === null) parts.push(`Where bouncing ends on the way down is unresolved${reason ? `: ${reason}` : ""}.`);
-      else parts.push(`On the way down, bouncing ends at Γ = ${number(down, 4)} (${cause}).`);
+      if (down === null) parts.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
+      else parts.push(`Nothing bounces for ever below Γ = ${number(down, 4)} (${cause}).`);
     }
     this.words.textContent = parts.join(" ");
   }

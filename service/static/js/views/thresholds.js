@@ -183,10 +183,11 @@ export class Thresholds extends PlotView {
     return [...parts, ...this.#predictionText(index)].join(" · ");
   }
 
-  /** Where the closed form says that bouncing ends and why, and why the sweep differs. */
+  /** Where the closed form says that bouncing ends and why, or why it does not, and why the sweep differs. */
   #predictionText(index) {
     const { predicted_down: down, cause, difference } = this.thresholds;
-    if (!this.closedForm || down[index] === null) return [];
+    if (!this.closedForm) return [];
+    if (down[index] === null) return [`closed form: ${cause[index]}`];
     return [`closed form: bouncing ends at ${number(down[index], 6)} (${cause[index]})`, ...(difference[index] ? [difference[index]] : [])];
   }
 

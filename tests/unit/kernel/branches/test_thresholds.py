@@ -8,8 +8,9 @@ import pytest
 from paths import GOLDEN
 from tables import for_each
 
+from benchmarks.threshold_search import search, searched
 from kernel.branches.descent import descend, lifetime
-from kernel.branches.thresholds import EQ_25, UNRESOLVED, thresholds
+from kernel.branches.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
 from kernel.branches.words import from_branch, from_flights
 from kernel.threshold import threshold
 
@@ -84,7 +85,7 @@ def test_unresolved_where_a_word_becomes_a_torus():
 def test_a_doubled_cycle_reaches_below_the_fold():
     """A flip next to the fold of (1,1): its (2,2), unstable there, turns at a lower fold of its own."""
     expected = REFERENCE["doubled_below_a_fold"]
-    found = thresholds(expected["omega"], expected["xi"])
+    found = conjecture(expected["omega"], expected["xi"])
     assert found.cause == "fold of word ss (2,2)"
     assert found.down == pytest.approx(expected["simulated"], abs=2e-6)
     assert found.down < expected["fold of (1,1)"]
@@ -103,6 +104,44 @@ def test_words_of_settled_cells():
     lower = thresholds(1.26, 0.05, words=[word], bouncing=2.2)
     assert lower.cause == UNRESOLVED
     assert "2.200000" in lower.reason
+
+
+def test_words_do_not_close_a_fold_near_which_a_torus_may_live():
+    """At Omega = 0.46 the torus bounces down to 0.8296; at 0.3191, xi = 0.02, a (2,1) down to 0.896."""
+    for omega, xi in ((0.46, 0.05), (0.3191, 0.02)):
+        alone = conjecture(omega, xi)
+        assert alone.cause == UNRESOLVED
+        assert conjecture(omega, xi, words=[]).reason == alone.reason
+        above = from_branch(omega, xi, 1, 0.3)  # leads down to Eq. 25
+        assert conjecture(omega, xi, words=[above], bouncing=alone.gamma_th).cause == UNRESOLVED
+
+
+#: Omega, xi and the fold of sssz (4,3), below the Gamma that the rule says. A search found it, as did an
+#: independent simulation; the fold is that of the word continued.
+MISSED = ((0.52, 0.02, 0.7925441522), (0.5155, 0.02, 0.7809716836))
+
+
+@pytest.mark.parametrize(("omega", "xi", "fold"), MISSED)
+def test_a_damping_that_was_not_searched_decides_nothing(omega: float, xi: float, fold: float):
+    rule, found = conjecture(omega, xi), thresholds(omega, xi)
+    assert rule.cause == EQ_25
+    lower = search(np.random.default_rng(1), omega, xi, rule.down)
+    assert lower.gamma < 0.95 * rule.down
+    word = from_flights(omega, xi, lower.gamma, lower.takeoff_phase, lower.flight_time, lower.periods)
+    assert descend(word).gamma == pytest.approx(fold, abs=1e-9)
+    assert (found.cause, found.fold, found.energy) == (NOT_SEARCHED, None, None)
+    assert math.isnan(found.down)
+    assert f"Eq. 25, Gamma = {rule.down:.6f}" in found.reason
+    assert thresholds(omega, xi, words=[]).cause == NOT_SEARCHED
+    assert thresholds(omega, SEARCHED_XI).cause != NOT_SEARCHED
+    assert thresholds(omega, math.nextafter(SEARCHED_XI, 0.0)).cause == NOT_SEARCHED
+
+
+def test_a_search_finds_nothing_below_what_is_decided():
+    """`tests/nightly/kernel/test_threshold_search.py` searches more springs."""
+    springs = list(searched(7, 8, (0.2, 1.5), (SEARCHED_XI, 0.1)))
+    assert sum(math.isfinite(spring.answer.down) for spring in springs) >= 5
+    assert [spring.found for spring in springs] == [None] * len(springs)
 
 
 def test_ghost_of_a_word():
@@ -152,6 +191,6 @@ def test_hysteresis_with_rest_ends():
 @pytest.mark.parametrize(("omega", "xi"), [(0.28, 0.03), (0.22, 0.02)])
 def test_several_folds_of_one_branch(omega, xi):
     """Some hold, others do not: each is judged by itself."""
-    found = thresholds(omega, xi)
+    found = conjecture(omega, xi)
     assert found.cause in (EQ_25, UNRESOLVED) or found.cause.startswith("fold")
     assert (found.reason != "") == (found.cause == UNRESOLVED) == math.isnan(found.down)

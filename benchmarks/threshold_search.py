@@ -1,0 +1,151 @@
+"""Whether anything bounces for ever below the Gamma at which thresholds of the branches say that it ends.
+
+    python -m benchmarks.threshold_search [--springs 40] [--xi 0.04 0.3] [--omega 0.05 10] [--seed 1]
+        [--starts 80] [--gammas 34]
+
+For each of `springs` springs, Omega and xi log-uniform: many starts at each of many Gammas below what the
+rule of `kernel.branches.thresholds` says, from 1e-3 of it on, of the rigid contact without restitution. What
+bounces after SETTLE plate periods is followed for FOLLOWED more, long against the ghost of a fold. Prints
+what bounces even then, with its Gamma over the rule's and its mode, (0,0) if aperiodic, and a table by what
+the rule says and whether `thresholds` answers it.
+"""
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.tables import table
+from kernel.branches.closed_form import TWO_PI
+from kernel.branches.thresholds import NOT_SEARCHED, Thresholds, conjecture, thresholds
+from kernel.params import Line, Outcome
+from tests.support.plates import Model, run_line
+
+#: Plate periods before a start is looked at, and those for which what bounces then is followed.
+SETTLE = 3_000
+FOLLOWED = 40_000
+
+#: The Gammas lie so far below the rule's, relative: from the first to the second.
+BELOW = (1e-3, 0.8)
+
+#: Starts of one Gamma that are followed: those that bounce are on few attractors.
+MOST = 6
+
+
+class Found(NamedTuple):
+    """The lowest Gamma at which something bounces for ever."""
+
+    gamma: float
+    bounces: int  # of its mode; 0: aperiodic
+    periods: int
+    takeoff_phase: np.ndarray  # (bounces,) rad, of one round
+    flight_time: np.ndarray  # (bounces,) rad
+
+
+def starts(rng: np.random.Generator, gamma: float, omega: float, count: int) -> np.ndarray:
+    """States (count, 6): half in flight, half in contact at phase 0, as far from rest as long hops go."""
+    states = np.zeros((count, 6))
+    half, size, speed = count // 2, omega * omega / gamma, omega / gamma
+    turn, far = rng.uniform(0.0, TWO_PI, count), rng.exponential(1.5, count)
+    states[:, 4] = -size + size * far * np.cos(turn)
+    states[:, 5] = speed * far * np.sin(turn)
+    states[:half, 0] = rng.uniform(0.0, TWO_PI, half)
+    states[:half, 1] = 1.0
+    fall = rng.uniform(0.0, 2.0 * TWO_PI, half)  # rad that a fall from the height takes
+    states[:half, 2] = 0.5 * fall * fall / gamma
+    states[:half, 3] = np.sin(states[:half, 0]) + rng.normal(0.0, 2.0, half) / gamma
+    states[:half, 4] += size
+    return states
+
+
+def run(gamma: np.ndarray, omega: float, xi: float, states: np.ndarray, settle: int) -> Line:
+    """Cells of `rigid` from states of their own."""
+    one = np.ones(len(gamma))
+    return run_line(
+        gamma, omega * one, xi * one, model=Model.RIGID, restitution=0.0 * one, penetration=one, carry=False,
+        states=states, settle=settle, observe=100, keep=64,
+    )  # fmt: skip
+
+
+def search(
+    rng: np.random.Generator, omega: float, xi: float, below: float, count: int = 80, gammas: int = 34
+) -> Found | None:
+    """The lowest of the Gammas below one at which a start bounces for ever."""
+    each = below * (1.0 - np.geomspace(*BELOW, gammas))
+    gamma = np.repeat(each, count)
+    line = run(gamma, omega, xi, np.concatenate([starts(rng, g, omega, count) for g in each]), SETTLE)
+    bouncing = np.flatnonzero(line.outcome != Outcome.AT_REST)
+    kept = np.concatenate([np.empty(0, np.intp), *(bouncing[gamma[bouncing] == g][:MOST] for g in each)])
+    if not len(kept):
+        return None
+    line = run(gamma[kept], omega, xi, line.end_state[kept], FOLLOWED)
+    left = np.flatnonzero(line.outcome != Outcome.AT_REST)
+    if not len(left):
+        return None
+    i = int(left[np.argmin(gamma[kept][left])])
+    bounces, stored = int(line.bounces[i]), min(int(line.flights[i]), line.flight_time.shape[1])
+    round_ = slice(stored - bounces, stored)
+    return Found(
+        float(gamma[kept][i]), bounces, int(line.periods[i]), line.takeoff_phase[i, round_],
+        line.flight_time[i, round_],
+    )  # fmt: skip
+
+
+def springs(
+    rng: np.random.Generator, count: int, omega: tuple[float, float], xi: tuple[float, float]
+) -> Iterator[tuple[float, float]]:
+    """Omega and xi, log-uniform."""
+    for _ in range(count):
+        yield math.exp(rng.uniform(*np.log(omega))), math.exp(rng.uniform(*np.log(xi)))
+
+
+class Searched(NamedTuple):
+    """One spring."""
+
+    rule: Thresholds  # by the rule at any damping
+    answer: Thresholds
+    found: Found | None  # below the rule's Gamma, if it has one
+
+
+def searched(
+    seed: int, count: int, omega: tuple[float, float], xi: tuple[float, float], starts: int = 80,
+    gammas: int = 34,
+) -> Iterator[Searched]:  # fmt: skip
+    """Search below what the rule says of random springs."""
+    rng = np.random.default_rng(seed)
+    for spring in springs(rng, count, omega, xi):
+        rule = conjecture(*spring)
+        found = search(rng, *spring, rule.down, starts, gammas) if math.isfinite(rule.down) else None
+        yield Searched(rule, thresholds(*spring), found)
+
+
+def main() -> None:
+    """Print what bounces below the rule, and a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--springs", type=int, default=40)
+    parser.add_argument("--omega", type=float, nargs=2, default=(0.05, 10.0))
+    parser.add_argument("--xi", type=float, nargs=2, default=(0.04, 0.3))
+    parser.add_argument("--starts", type=int, default=80)
+    parser.add_argument("--gammas", type=int, default=34)
+    parser.add_argument("--seed", type=int, default=1)
+    o = parser.parse_args()
+    count: Counter[tuple[str, str, str]] = Counter()
+    for rule, answer, found in searched(o.seed, o.springs, o.omega, o.xi, o.starts, o.gammas):
+        says = rule.cause.split(" (")[0]
+        below = "not searched" if math.isnan(rule.down) else "nothing" if found is None else "bounces"
+        count[says, "no" if answer.cause == NOT_SEARCHED else "yes", below] += 1
+        if found is not None:
+            mode = f"({found.bounces},{found.periods})"
+            where = f"Omega {rule.omega:.6f}, xi {rule.xi:.6f}, {rule.cause} {rule.down:.6f}"
+            print(f"{where}: {found.gamma / rule.down:.4f} of it {mode}", flush=True)
+    rows = [[*key, str(n)] for key, n in sorted(count.items())]
+    print(table(["the rule says", "answered", "below it", "springs"], rows))
+
+
+if __name__ == "__main__":
+    main()
