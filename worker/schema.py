@@ -262,6 +262,14 @@ LYAPUNOV: Final = _array(
     },
     "exponent",
 )  # fmt: skip
+LYAPUNOV_ERROR: Final = _array(
+    "lyapunov_error", "<f8", "standard error of the largest Lyapunov exponent",
+    {
+        "units": "1",
+        "comment": "per plate period, by the means of ten parts of the window; NaN: a lost direction, a "
+        "failed run, or observe below 40. For a chaotic motion; others converge faster",
+    },
+)  # fmt: skip
 COMPUTED: Final = _array(
     "computed", "|u1", "whether the cell was computed",
     {
@@ -288,6 +296,7 @@ def arrays(spec: SweepSpec) -> Iterator[Array]:
     yield from RECORD
     if spec.exponents:
         yield LYAPUNOV
+        yield LYAPUNOV_ERROR
     if spec.ramp_axis is not None:
         yield END_STATE
     if spec.refine is not None:
