@@ -53,6 +53,10 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
             "comment": "per plate period, natural logarithm",
         },
     ),
+    "lyapunov_error": (
+        np.float64,
+        {"long_name": "standard error of the largest Lyapunov exponent", "units": "1"},
+    ),
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
     "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
     "down": (np.float64, {"long_name": "lowest Γ that bounces, descending", "units": "1"}),
@@ -185,6 +189,9 @@ def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray
         if "lyapunov" in answer:
             exponents = np.array([_with_nan(row) for row in answer["lyapunov"]])
             counts["lyapunov"] = _variable("lyapunov", (along, "exponent"), exponents)
+        if "lyapunov_error" in answer:
+            errors = _with_nan(answer["lyapunov_error"])
+            counts["lyapunov_error"] = _variable("lyapunov_error", along, errors)
         coordinates = {along: _variable(along, along, answer["values"])}
         coordinates |= {field: _variable(field, None, value) for field, value in answer["fixed"].items()}
         coordinates["direction"] = _direction(answer)
