@@ -44,7 +44,10 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "outcome": (np.uint8, {"long_name": "outcome of the cell", **_OUTCOMES}),
     "bounces": (np.int32, {"long_name": "bounces of the mode, 0 if none was found", "units": "1"}),
     "periods": (np.int32, {"long_name": "plate periods of the mode, 0 if none was found", "units": "1"}),
-    "label": (np.uint8, {"long_name": "outcome, aperiodic cells told apart by lyapunov", **_LABELS}),
+    "label": (
+        np.uint8,
+        {"long_name": "outcome, aperiodic and unstable cells told apart by lyapunov", **_LABELS},
+    ),
     "lyapunov": (
         np.float64,
         {

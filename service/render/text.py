@@ -183,7 +183,11 @@ def _exponent_columns(diagram: Diagram) -> list[str]:
     if LABEL.name not in diagram.arrays:
         return []
     count = diagram.arrays[schema.LYAPUNOV.name].shape[1]
-    return [*(f"{schema.LYAPUNOV.name}_{i + 1}" for i in range(count)), schema.LYAPUNOV_ERROR.name, LABEL.name]
+    return [
+        *(f"{schema.LYAPUNOV.name}_{i + 1}" for i in range(count)),
+        schema.LYAPUNOV_ERROR.name,
+        LABEL.name,
+    ]
 
 
 def _rows(diagram: Diagram) -> Iterator[list[Any]]:

@@ -9,6 +9,7 @@ from kernel_runs import TWO_PI, Model, assert_same_bytes, recorded, run
 from paths import GOLDEN
 
 from kernel import interface
+from kernel.branches.starts import cycles_at, start_on_cycle
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes, labels
 from kernel.models import rigid
 from kernel.models.contact_law import contact_constants, damping_ratio
@@ -267,12 +268,28 @@ def test_on_a_ramp_every_cell_begins_with_its_own_variations():
 # --- labels ---------------------------------------------------------------------------------
 
 
-def test_labels_refine_aperiodic_only():
+def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
+    """The same numbers return, bit for bit, while a difference would grow by the multiplier."""
+    cell = Cell(2.7983909417743393, 0.8043346020726303, 0.1159892731241272)
+    cycles = cycles_at(cell, 1)
+    [unstable] = np.flatnonzero(~cycles.stable & (cycles.admissible == 0))
+    start, cycle = start_on_cycle(cell, 1, cycles.flight_time[unstable])
+    line = run(*cell, restitution=0.0, carry=True, start=start, settle=10_000, observe=100, exponents=1)
+    assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 1, 1)
+    assert len(np.unique(recorded(line))) < 16
+    growth = np.max(np.abs(cycle.multiplier))
+    assert growth > 1.5
+    assert line.lyapunov[0, 0] == pytest.approx(np.log(growth), abs=1e-6)
+    assert labels(line.outcome, line.lyapunov, 100) == ["unstable"]
+
+
+def test_labels_refine_aperiodic_and_unstable_cells_only():
     assert exponent_resolution(100) == 0.01
     outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 5])
     largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan])
     lyapunov = np.stack([largest, largest - 1.0], axis=-1)
-    expected = ["chaotic" if o is Outcome.APERIODIC else o.name.lower() for o in Outcome]
+    told = {Outcome.APERIODIC: "chaotic", Outcome.PERIODIC: "unstable"}
+    expected = [told.get(o, o.name.lower()) for o in Outcome]
     expected += ["quasi-periodic", "quasi-periodic", "chaotic", "aperiodic", "aperiodic"]
     assert list(labels(outcome, lyapunov, 100)) == expected
     assert LABELS[: len(Outcome)] == tuple(o.name.lower() for o in Outcome)
