@@ -250,7 +250,7 @@ RECORD: Final = (
         "flight time, last flights of the window in order",
         {
             **_ANGLE,
-            "comment": "those of a periodic cell are within 6e-6 rad of its cycle, within 5e-5 rad if "
+            "comment": "those of a periodic cell are within 6e-6 rad of its cycle, within 1.2e-4 rad if "
             "settle_until extended it: what is left of a slow approach",
         },
         "flight",
