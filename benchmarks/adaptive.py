@@ -5,7 +5,7 @@
 
 Each map is a job of one service with two worker processes: the full grid, then the adaptive ones, one after
 the other, so that a ratio of times holds on a busy machine too. Wrong are cells of another class than in the
-full grid: at rest or not, or the mode of up to four plate periods.
+full grid: by bouncing at rest or not, by mode another outcome, or mode of up to four plate periods.
 
 Then what it costs that the rounds of a tile wait for one another: the kernel's time for --rounds tiles, round
 by round as a task computes them, relative to that for the same cells as one line.
@@ -38,7 +38,7 @@ from worker.plan import make_plan
 from worker.refinement import Refinement, classes
 from worker.schema import MODE_ARRAYS, layout
 from worker.spec import SweepSpec
-from worker.spec.refine import Refine
+from worker.spec.refine import SETTLE_UNTIL, Refine
 from worker.tasks import run_cells, run_chunk
 
 #: The part of the plane at each xi: gamma and omega from where cells rest to where most have no mode.
@@ -68,6 +68,7 @@ def sweep(xi: float, side: int, keep: int, refine: dict[str, Any] | None = None)
             "gamma": {"start": gamma[0], "stop": gamma[1], "num": side},
             "omega": {"start": omega[0], "stop": omega[1], "num": side},
             "xi": xi,
+            "settle_until": SETTLE_UNTIL,  # of the full grid too
             "keep": keep,
             "model": {"kind": "rigid"},
             "refine": refine,

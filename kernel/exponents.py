@@ -34,12 +34,24 @@ LOST: Final = 1e-12
 ALIGN: Final = 1.5
 
 
+#: Parts of the window whose means of the first logarithm tell the error of lambda_1. Shorter ones would be
+#: correlated, fewer would leave the error uncertain by more than a quarter.
+BATCHES: Final = 10
+
+#: A window of fewer plate periods has no error: its batches would be correlated.
+SHORTEST_BATCHED: Final = 4 * BATCHES
+
+#: Sum of the squared weights of n periods over the square of their sum, times n: 900/630.
+SPREAD: Final = 10.0 / 7.0
+
+
 class Variations(NamedTuple):
     """The variations of one cell. Arrays of n exponents."""
 
     vectors: Any  # (n, 4) float64, of (gap, gap', q, q') in plate amplitudes
     sums: Any  # (n,) float64, weighted sums of the logarithms of their growth; -inf once one was lost
     weight: Any  # (1,) float64, sum of the weights
+    batches: Any  # (BATCHES,) float64, sums of the first vector's logarithms without weights
 
 
 def allocate_variations(plate: Any, exponents: int) -> Variations:
@@ -47,7 +59,7 @@ def allocate_variations(plate: Any, exponents: int) -> Variations:
     most = dimension(plate)
     if exponents > most:
         raise KernelInputError("exponents", f"must be at most {most} for this contact, got {exponents}")
-    return Variations(np.zeros((exponents, 4)), np.zeros(exponents), np.zeros(1))
+    return Variations(np.zeros((exponents, 4)), np.zeros(exponents), np.zeros(1), np.zeros(BATCHES))
 
 
 @jit
@@ -115,6 +127,7 @@ def begin_window(variations: Variations) -> None:
     """Begin the sums anew; the variations stay."""
     variations.sums[:] = 0.0
     variations.weight[0] = 0.0
+    variations.batches[:] = 0.0
 
 
 @jit
@@ -126,8 +139,11 @@ def start_variations(variations: Variations) -> None:
 
 
 @jit
-def _orthonormalise(variations: Variations, weight: float) -> None:
-    """Orthonormalise the vectors and add the logarithms of their lengths with this weight."""
+def _orthonormalise(variations: Variations, weight: float, batch: int) -> None:
+    """Orthonormalise the vectors and add the logarithms of their lengths with this weight.
+
+    batch: to which that of the first belongs, if the weight is above 0.
+    """
     vectors, sums = variations.vectors, variations.sums
     variations.weight[0] += weight
     for k in range(len(sums)):
@@ -137,7 +153,10 @@ def _orthonormalise(variations: Variations, weight: float) -> None:
         left = _square(vectors, k)
         if left > LOST * LOST * whole:
             if weight > 0.0:
-                sums[k] += weight * 0.5 * log(left)
+                growth = 0.5 * log(left)
+                sums[k] += weight * growth
+                if k == 0:
+                    variations.batches[batch] += growth
             _scale(vectors, k, 1.0 / math.sqrt(left))
         else:
             if weight > 0.0:
@@ -177,7 +196,9 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
                 carry_in_contact(cell, vectors, at - done)
             done = at
         if turn <= turns:
-            _orthonormalise(variations, _weight(run.period + turn, run.settle, window))
+            period = run.period + turn
+            batch = (period - 1 - run.settle) * BATCHES // window.observe
+            _orthonormalise(variations, _weight(period, run.settle, window), batch)
     if p.ending == ROOT:
         if run.in_flight:
             carry_through_landing(cell, vectors, run.phase, run.gap, run.gap1, run.q, run.q1, p)
@@ -201,3 +222,29 @@ def write_exponents(lyapunov: Any, ending: int, variations: Variations) -> None:
     """Write a cell's exponents to `lyapunov` (n,), per plate period; NaN if its run did not reach its end."""
     for k in range(len(lyapunov)):
         lyapunov[k] = variations.sums[k] / variations.weight[0] if ending == HORIZON else math.nan
+
+
+@jit
+def exponent_error(ending: int, variations: Variations, observe: int) -> float:
+    """The standard error of a cell's first exponent by batch means; NaN where it has none.
+
+    The means of BATCHES parts of the window scatter by the long-run variance over their length. The weighted
+    mean over the window has the variance of one over 1/SPREAD of it. A direction that was lost has no error.
+    """
+    if ending != HORIZON or observe < SHORTEST_BATCHED or math.isinf(variations.sums[0]):
+        return math.nan
+    mean, square = 0.0, 0.0
+    for batch in range(BATCHES):
+        mean += _batch_mean(variations, batch, observe) / BATCHES
+    for batch in range(BATCHES):
+        square += (_batch_mean(variations, batch, observe) - mean) ** 2
+    error: float = math.sqrt(SPREAD * square / (BATCHES * (BATCHES - 1)))
+    return error
+
+
+@inlined
+def _batch_mean(variations: Variations, batch: int, observe: int) -> float:
+    """The mean of a batch: of the periods i of the window for which i BATCHES // observe is its number."""
+    first, after = -(-batch * observe // BATCHES), -(-(batch + 1) * observe // BATCHES)
+    mean: float = variations.batches[batch] / (after - first)
+    return mean

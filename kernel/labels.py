@@ -1,4 +1,4 @@
-"""What an aperiodic cell does, as far as its Lyapunov exponents tell: quasi-periodic or chaotic.
+"""What Lyapunov exponents tell of a cell: quasi-periodic, chaotic, or on an unstable cycle.
 
 Needs no numba, as `kernel.params`.
 """
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from kernel.params import Outcome
 
 #: The label of a cell by its code. The first codes are those of `Outcome`.
-LABELS: Final = (*(outcome.name.lower() for outcome in Outcome), "quasi-periodic", "chaotic")
+LABELS: Final = (*(outcome.name.lower() for outcome in Outcome), "quasi-periodic", "chaotic", "unstable")
 QUASI_PERIODIC: Final = LABELS.index("quasi-periodic")
 CHAOTIC: Final = LABELS.index("chaotic")
+UNSTABLE: Final = LABELS.index("unstable")
 
 
 def exponent_resolution(observe: int) -> float:
@@ -31,7 +32,10 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
 
     An aperiodic cell is chaotic where lambda_1 is above the window's resolution and quasi-periodic where
     |lambda_1| is within it. It stays aperiodic where lambda_1 is below it: such a cell approaches a cycle
-    that the window does not show yet, or that is too long to be found. Every other cell keeps its outcome.
+    that the window does not show yet, or that is too long to be found.
+
+    A periodic cell is unstable where lambda_1 is above the resolution. Only a start exactly on such a cycle
+    stays there: rounding returns its state to the same numbers. Every other cell keeps its outcome.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]
@@ -39,6 +43,7 @@ def label_codes(outcome: Any, lyapunov: Any, observe: int) -> NDArray[np.uint8]:
     aperiodic = codes == Outcome.APERIODIC
     codes[aperiodic & (np.abs(largest) <= resolution)] = QUASI_PERIODIC
     codes[aperiodic & (largest > resolution)] = CHAOTIC
+    codes[(codes == Outcome.PERIODIC) & (largest > resolution)] = UNSTABLE
     return codes
 
 

@@ -35,6 +35,7 @@ from kernel.exponents import (
     Variations,
     allocate_variations,
     begin_window,
+    exponent_error,
     start_variations,
     write_exponents,
 )
@@ -108,6 +109,7 @@ def _walk(
             if run.ending != ROOT:
                 if variations is not None:
                     write_exponents(line.lyapunov[i], run.ending, variations)
+                    line.lyapunov_error[i] = exponent_error(run.ending, variations, window.observe)
                 store_state(run, state)
                 write_record(line, i, run, flights, 0, state, window)
                 if shows_no_mode(line.outcome[i]):

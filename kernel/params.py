@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Part of every job's identity: raise it whenever any stored number may change.
-KERNEL_VERSION: Final = "3"
+KERNEL_VERSION: Final = "4"
 
 
 #: Cells that `rigid` and `soft` compute side by side, in lanes: two vectors of eight doubles, so that the
@@ -109,6 +109,7 @@ class Line(NamedTuple):
     periods: NDArray[np.int32]  # (n,) plate periods per cycle
     end_state: NDArray[np.float64]  # (n, len(STATE_FIELDS)) at the end of each cell's window
     lyapunov: NDArray[np.float64]  # (n, exponents) per plate period, natural logarithm, the largest first
+    lyapunov_error: NDArray[np.float64]  # (n,) standard error of the first of them, NaN without exponents
 
 
 def empty_line(n: int, keep: int, exponents: int = 0) -> Line:
@@ -122,4 +123,5 @@ def empty_line(n: int, keep: int, exponents: int = 0) -> Line:
         periods=np.zeros(n, np.int32),
         end_state=np.full((n, len(STATE_FIELDS)), np.nan),
         lyapunov=np.full((n, exponents), np.nan),
+        lyapunov_error=np.full(n, np.nan),
     )

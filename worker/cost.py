@@ -35,7 +35,7 @@ WITH_EXPONENTS: Final = 1.5
 
 
 #: Shares of an adaptive map's cells that are computed, at least and at most, where it has REFINED_SIDE rows
-#: and columns: measured 0.2% to 0.9% by bouncing and 8% to 13% by mode at three xi (`python -m
+#: and columns: measured 0.2% to 0.9% by bouncing and 15% to 26% by mode at three xi (`python -m
 #: benchmarks.adaptive`). Windows on their finest parts have more.
 REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
 REFINED_SIDE: Final = 1025
@@ -45,8 +45,8 @@ REFINED_POWER: Final = {"bouncing": 1.0, "mode": 0.7}
 #: With a margin, this many times the cells at most.
 REFINED_MARGIN: Final = 2.0
 #: A refined cell takes this many times as long as one of a full grid, at most: boundaries are where cells
-#: settle slowly, and the lanes are not full at the end of each round.
-REFINED_SECONDS: Final = 2.0
+#: settle slowly, and settling and chaotic cells are computed rather than filled in.
+REFINED_SECONDS: Final = 3.0
 #: Core-seconds that storing a tile takes, however few of its cells are computed.
 TILE_SECONDS: Final = 0.03
 

@@ -6,12 +6,14 @@ are of different classes is split at its centre; the corners of a smaller neighb
 that a thin tongue is followed from block to block. Of the smallest blocks, 3 x 3 cells, the cell between two
 corners is computed only if these and the centre are not of one class.
 
+Chaotic regions are full of islands, which five samples miss. So of a block without a mode the middles of its
+edges are computed too, and the block is split unless all nine agree.
+
 With a margin, the neighbours of a larger block that differs are split too, and the smallest blocks that
 differ are computed whole. So that this holds at a tile's border as well, the blocks beyond it that touch the
 tile are refined with it, as far as that can split blocks of the tile. Their cells are not stored.
 
-A cell that is not computed takes the values of the nearest corner, or the centre, of its block; by
-mode, where some of these are aperiodic, of the nearest that is.
+A cell that is not computed takes the values of the nearest corner, or the centre, of its block.
 """
 
 from collections import Counter
@@ -38,9 +40,8 @@ _Points = tuple[NDArray[np.int64], NDArray[np.int64]]
 _SMALLEST: Final = 2
 
 #: Rows and columns of blocks above which a margin splits neighbours, or half the coarsest if that is less. It
-#: finds what the coarsest blocks pass over: at xi 0.05 on 1025 rows and columns 0.188 % of the cells are
-#: wrong without these neighbours, 0.117 % with them for 6 % more to compute, and with those of all blocks
-#: 0.065 % for 50 % more.
+#: finds what the coarsest blocks pass over. With a margin 15 to 30 % fewer cells are wrong at three xi on 513
+#: rows and columns, for a tenth more to compute (`python -m benchmarks.adaptive`).
 _MARGIN_ABOVE: Final = 8
 
 #: The corners of these blocks in pairs, and the cell between: (row, column) from the first corner.
@@ -51,10 +52,10 @@ _EDGES: Final = (
     ((0, 2), (1, 2), (2, 2)),
 )
 
-#: Classes of cells, before those of the modes.
-_AT_REST, _BOUNCING, _UNRESOLVED, _DIVERGED, _MODES = range(5)
-_OF_OUTCOME: Final = np.full(len(Outcome), _BOUNCING)
-_OF_OUTCOME[[Outcome.AT_REST, Outcome.UNRESOLVED, Outcome.DIVERGED]] = _AT_REST, _UNRESOLVED, _DIVERGED
+#: Classes of cells: by bouncing some outcomes are one, by mode each is one, and each short mode.
+_BOUNCES: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING)
+_WITHOUT_MODE: Final = (Outcome.APERIODIC, Outcome.SETTLING)
+_MODES: Final = len(Outcome)
 
 
 def classes(
@@ -62,16 +63,15 @@ def classes(
 ) -> NDArray[np.int64]:
     """The class of each cell, in the arrays' shape.
 
-    By bouncing: at rest, unresolved, diverged, any other. By mode, these others are told apart further: each
-    mode of up to MAX_MODE_PERIODS plate periods is a class.
+    By bouncing: at rest, unresolved, diverged, any other. By mode these others are told apart further: each
+    mode of up to MAX_MODE_PERIODS plate periods is a class, all longer ones are one, aperiodic and settling
+    cells are two.
     """
-    kinds: NDArray[np.int64] = _OF_OUTCOME[outcome]
+    kinds = outcome.astype(np.int64)
     if refine.by == "bouncing":
-        return kinds
+        return np.where(np.isin(kinds, _BOUNCES), Outcome.PERIODIC, kinds)
     short = (outcome == Outcome.PERIODIC) & (periods <= MAX_MODE_PERIODS)
-    modes = _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods
-    result: NDArray[np.int64] = np.where(short, modes, kinds)
-    return result
+    return np.where(short, _MODES + bounces.astype(np.int64) * (MAX_MODE_PERIODS + 1) + periods, kinds)
 
 
 def first_round(shape: Sequence[int], tile: Sequence[int], refine: Refine) -> int:
@@ -139,28 +139,22 @@ class Refinement:
         parts = _children(self._blocks[splits])
         self._blocks = np.concatenate([self._blocks[~splits], parts[self._touching(parts)]])
         self._want_vertices()
+        self._want_middles(kinds)
 
-    def sources(self, outcome: NDArray[Any]) -> NDArray[np.int64]:
-        """For each cell of the tile, flat, the index of the cell whose values it has: its own if computed.
-
-        outcome: of the computed cells, an array of the tile's shape.
-        """
-        rows, columns = outcome.shape
-        source = np.arange(rows * columns).reshape(outcome.shape)
+    def sources(self) -> NDArray[np.int64]:
+        """For each cell of the tile, flat, the index of the cell whose values it has: its own if computed."""
+        rows, columns = self._computed[self.inside].shape
+        source = np.arange(rows * columns).reshape(rows, columns)
         first = np.repeat(self._tile[::2], 2)
         blocks = self._blocks[self._within(self._blocks)] - first
-        points = [*_corners(blocks), _centre(blocks)]
-        usable = self._usable(np.stack([outcome[point] for point in points], axis=1))
         # A row or column that two blocks share belongs to the later one. At the tile's ends there is none:
         # so each block first takes all that it spans, then what belongs to it.
         for ends in (1, 0):
             for size, same in _by_size(blocks):
                 row, column = np.ogrid[: size[0] + ends, : size[1] + ends]
-                for taken in np.unique(usable[same], axis=0):
-                    which = same[np.all(usable[same] == taken, axis=1)]
-                    top, left = blocks[which, 0, None, None], blocks[which, 2, None, None]
-                    at_row, at_column = _nearest(size, row, column, taken)
-                    source[top + row, left + column] = (top + at_row) * columns + left + at_column
+                top, left = blocks[same, 0, None, None], blocks[same, 2, None, None]
+                at_row, at_column = _nearest(size, row, column)
+                source[top + row, left + column] = (top + at_row) * columns + left + at_column
         return np.where(self._computed[self.inside].ravel(), np.arange(rows * columns), source.ravel())
 
     def _within(self, blocks: _Blocks) -> NDArray[np.bool_]:
@@ -174,16 +168,6 @@ class Refinement:
         top, bottom, left, right = self._tile
         touching = (blocks[:, 0] <= bottom) & (blocks[:, 1] >= top) & (blocks[:, 2] <= right)
         return np.asarray(touching & (blocks[:, 3] >= left))
-
-    def _usable(self, outcomes: NDArray[Any]) -> NDArray[np.bool_]:
-        """(n, 5) which corners and centres of every block, of these outcomes, others may take values from.
-
-        By mode, aperiodic and settling cells are of one class, and chaotic regions are full of both. There
-        aperiodic ones stand for all: blocks of either would draw a pattern that is not there.
-        """
-        aperiodic = outcomes == Outcome.APERIODIC
-        mixed = np.any(aperiodic, axis=1, keepdims=True) & (self._refine.by == "mode")
-        return np.where(mixed, aperiodic, True)
 
     def _differing(self, kinds: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(n,) the blocks of which two computed cells are of different classes."""
@@ -218,7 +202,18 @@ class Refinement:
             self._wanted[top[differs] + between[0], left[differs] + between[1]] = True
 
     def _want_vertices(self) -> None:
-        for point in (*_corners(self._blocks), _centre(self._blocks)):
+        for point in _vertices(self._blocks):
+            self._wanted[point] = True
+
+    def _want_middles(self, kinds: NDArray[np.int64]) -> None:
+        """Want the middles of the edges of the blocks of which a corner, or the centre, has no mode."""
+        if self._refine.by == "bouncing":
+            return
+        points = _vertices(self._blocks)
+        without = [np.isin(kinds[point], _WITHOUT_MODE) & self._computed[point] for point in points]
+        top, bottom, left, right = self._blocks[np.any(without, axis=0)].T
+        row, column = (top + bottom) // 2, (left + right) // 2
+        for point in ((top, column), (bottom, column), (row, left), (row, right)):
             self._wanted[point] = True
 
 
@@ -256,6 +251,11 @@ def _corners(blocks: _Blocks) -> Iterator[_Points]:
     return ((row, column) for row in (top, bottom) for column in (left, right))
 
 
+def _vertices(blocks: _Blocks) -> list[_Points]:
+    """The corners and the centre of every block."""
+    return [*_corners(blocks), _centre(blocks)]
+
+
 def _centre(blocks: _Blocks) -> _Points:
     top, bottom, left, right = blocks.T
     return (top + bottom) // 2, (left + right) // 2
@@ -288,15 +288,12 @@ def _children(blocks: _Blocks) -> _Blocks:
     return np.concatenate([np.stack(spans, axis=1)[exists] for exists, spans in parts])
 
 
-def _nearest(
-    size: tuple[int, int], row: NDArray[Any], column: NDArray[Any], usable: NDArray[np.bool_]
-) -> _Points:
+def _nearest(size: tuple[int, int], row: NDArray[Any], column: NDArray[Any]) -> _Points:
     """The corner, or the centre, nearest to each (row, column) of a block; the first of equally near ones.
 
-    All are counted from the block's first corner; `size` is where the last one is. usable: (5,) which count.
+    All are counted from the block's first corner; `size` is where the last one is.
     """
-    block = np.array([[0, size[0], 0, size[1]]])
-    points = np.array([*_corners(block), _centre(block)])[usable, :, 0]
+    points = np.array(_vertices(np.array([[0, size[0], 0, size[1]]])))[:, :, 0]
     distance = [(row - at_row) ** 2 + (column - at_column) ** 2 for at_row, at_column in points]
     nearest = points[np.argmin(distance, axis=0)]
     return nearest[..., 0], nearest[..., 1]

@@ -217,7 +217,7 @@ def _refine_tile(
             work.finish_line()
         tile.split(*(record[name][0] for name in schema.MODE_ARRAYS))
     result = {name: array[:, *tile.inside] for name, array in record.items()}
-    source = tile.sources(result["outcome"][0])
+    source = tile.sources()
     for name in schema.MODE_ARRAYS:
         result[name] = result[name].ravel()[source].reshape(chunk.shape)
     return result

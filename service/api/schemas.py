@@ -124,7 +124,8 @@ class Modes(BaseModel):
     periods: list[list[int]]
     label: list[list[int]] | None = Field(
         None,
-        description="of a sweep with exponents: as outcome, 7 quasi-periodic and 8 chaotic for aperiodic",
+        description="of a sweep with exponents: as outcome, 7 quasi-periodic and 8 chaotic for aperiodic, "
+        "9 on an unstable cycle for periodic",
     )
     mask: list[list[int]] | None = Field(
         None, description="of an adaptive map, if asked for: 1 computed, 0 taken from its block"

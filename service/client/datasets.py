@@ -45,7 +45,10 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
     "outcome": (np.uint8, {"long_name": "outcome of the cell", **_OUTCOMES}),
     "bounces": (np.int32, {"long_name": "bounces of the mode, 0 if none was found", "units": "1"}),
     "periods": (np.int32, {"long_name": "plate periods of the mode, 0 if none was found", "units": "1"}),
-    "label": (np.uint8, {"long_name": "outcome, aperiodic cells told apart by lyapunov", **_LABELS}),
+    "label": (
+        np.uint8,
+        {"long_name": "outcome, aperiodic and unstable cells told apart by lyapunov", **_LABELS},
+    ),
     "lyapunov": (
         np.float64,
         {
@@ -53,6 +56,10 @@ _RESULTS: Final[Mapping[str, tuple[type, Attributes]]] = {
             "units": "1",
             "comment": "per plate period, natural logarithm",
         },
+    ),
+    "lyapunov_error": (
+        np.float64,
+        {"long_name": "standard error of the largest Lyapunov exponent", "units": "1"},
     ),
     "analytic": (np.float64, {"long_name": "threshold Γ from rest by Eq. 25", "units": "1"}),
     "up": (np.float64, {"long_name": "lowest Γ that bounces, ascending or from rest", "units": "1"}),
@@ -189,6 +196,9 @@ def diagram_dataset(answer: Mapping[str, Any], job_id: str, name: str) -> xarray
         if "lyapunov" in answer:
             exponents = np.array([_with_nan(row) for row in answer["lyapunov"]])
             counts["lyapunov"] = _variable("lyapunov", (along, "exponent"), exponents)
+        if "lyapunov_error" in answer:
+            errors = _with_nan(answer["lyapunov_error"])
+            counts["lyapunov_error"] = _variable("lyapunov_error", along, errors)
         coordinates = {along: _variable(along, along, answer["values"])}
         coordinates |= {field: _variable(field, None, value) for field, value in answer["fixed"].items()}
         coordinates["direction"] = _direction(answer)

@@ -25,6 +25,7 @@ COLOURS: Final = {"rest": "black", "up": RED, "down": BLUE}
 PERIODS: Final = ("#0072b2", "#56b4e9", "#009e73", "#e69f00", "#f0e442")
 OTHERS: Final = {
     "at_rest": "#e8e8e8", "aperiodic": "#d55e00", "quasi-periodic": "#cc79a7", "chaotic": "#7f2704",
+    "unstable": "#b2182b",
     "settling": "#bdbdbd", "unresolved": "#525252", "diverged": "#000000", "missing": "#ffffff",
 }  # fmt: skip
 

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC
+from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.params import Outcome
 from kernel.threshold import threshold
 from service.formats import PictureFormat
@@ -214,10 +214,11 @@ def _subtitle(diagram: Diagram, spec: SweepSpec) -> str:
 
 
 def _told_apart(diagram: Diagram) -> str:
-    """How many cells settle, and with exponents how many are quasi-periodic and chaotic."""
+    """How many cells settle, and with exponents how many are quasi-periodic, chaotic or unstable."""
     codes = diagram.arrays.get(LABEL.name, diagram.outcome)
     counts = {
-        code: int(np.count_nonzero(codes == code)) for code in (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC)
+        code: int(np.count_nonzero(codes == code))
+        for code in (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC, UNSTABLE)
     }
     return "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
 

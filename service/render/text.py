@@ -25,7 +25,7 @@ _PER_FLIGHT: Final = [array for array in schema.RECORD if array.extra_dims]
 _PER_CELL: Final = [array for array in schema.RECORD if not array.extra_dims and array.name != "flights"]
 
 #: The columns of a table, with units where there are any. One row is one flight. Where there are exponents,
-#: `lyapunov_1` and so on and the label follow.
+#: `lyapunov_1` and so on, `lyapunov_error` and the label follow.
 COLUMNS: Final = (
     "direction",
     *reversed(AXES),
@@ -183,7 +183,11 @@ def _exponent_columns(diagram: Diagram) -> list[str]:
     if LABEL.name not in diagram.arrays:
         return []
     count = diagram.arrays[schema.LYAPUNOV.name].shape[1]
-    return [*(f"{schema.LYAPUNOV.name}_{i + 1}" for i in range(count)), LABEL.name]
+    return [
+        *(f"{schema.LYAPUNOV.name}_{i + 1}" for i in range(count)),
+        schema.LYAPUNOV_ERROR.name,
+        LABEL.name,
+    ]
 
 
 def _rows(diagram: Diagram) -> Iterator[list[Any]]:
@@ -194,6 +198,7 @@ def _rows(diagram: Diagram) -> Iterator[list[Any]]:
         after += [int(diagram.arrays[array.name][cell]) for array in _PER_CELL]
         if LABEL.name in diagram.arrays:
             after += diagram.arrays[schema.LYAPUNOV.name][cell].tolist()
+            after.append(float(diagram.arrays[schema.LYAPUNOV_ERROR.name][cell]))
             after.append(LABELS[int(diagram.arrays[LABEL.name][cell])])
         flights = [diagram.arrays[array.name][cell].tolist() for array in _PER_FLIGHT]
         for flight in np.flatnonzero(diagram.shown[cell]).tolist():

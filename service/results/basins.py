@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.labels import LABELS, label_codes
+from kernel.labels import LABELS, UNSTABLE, label_codes
 from kernel.params import Outcome
 from service.results.selection import Stored, nearest_index, read_stored
 from worker.basins.attractors import EXPONENT_WINDOW
@@ -120,8 +120,8 @@ def _attractors(spec: BasinSpec, arrays: Mapping[str, NDArray[Any]]) -> tuple[At
 
 def attractor_label(code: int, bounces: int, periods: int) -> str:
     """rest, a mode as (3,4), or the label of an aperiodic attractor; `code`: an outcome or a label's."""
-    if code == Outcome.PERIODIC:
-        return f"({bounces},{periods})"
+    if code in (Outcome.PERIODIC, UNSTABLE):
+        return f"({bounces},{periods})" + (" unstable" if code == UNSTABLE else "")
     return "rest" if code == Outcome.AT_REST else LABELS[code]
 
 

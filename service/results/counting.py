@@ -24,7 +24,7 @@ FLIGHT_ARRAYS: Final = ("flight_time", "takeoff_phase", "flights")
 LABEL: Final = schema.Array(
     "label", schema.CELL_DIMS, "|u1", 0,
     {
-        "long_name": "outcome, with aperiodic cells told apart by their largest Lyapunov exponent",
+        "long_name": "outcome, with aperiodic and unstable cells told apart by Lyapunov exponents",
         "units": "1",
         "flag_values": list(range(len(LABELS))),
         "flag_meanings": " ".join(LABELS),

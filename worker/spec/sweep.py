@@ -8,7 +8,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from typing import Annotated, ClassVar, Final, Self
+from typing import Annotated, Any, ClassVar, Final, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -28,7 +28,7 @@ from worker.spec.contact_models import (
 )
 from worker.spec.errors import BrokenRuleError, one_of
 from worker.spec.protocols import OnCycle, Protocol, Ramp, Rest
-from worker.spec.refine import Refine, Refinement
+from worker.spec.refine import SETTLE_UNTIL, Refine, Refinement
 from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 
@@ -72,7 +72,10 @@ MicroFlight = Annotated[
 ]
 SettleUntil = Annotated[
     Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE] | None,
-    Field(description="Plate periods in all that a cell which has not settled may go on for; null: none."),
+    Field(
+        description="Plate periods in all that a cell which has not settled may go on for; null: none, "
+        f"and {SETTLE_UNTIL:,} of an adaptive map."
+    ),
 ]
 Exponents = Annotated[
     int, Field(ge=0, le=MAX_EXPONENTS, description="Lyapunov exponents computed, per plate period."), WHOLE
@@ -122,6 +125,18 @@ class SweepSpec(Specification):
         Refinement, Field(description="Compute only where the map changes; null: every cell.")
     ] = None
     parent: Annotated[JobId | None, Field(description="The job in whose map this sweep is a window.")] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _settled(cls, fields: Any) -> Any:
+        """Let the cells of an adaptive map settle, before others take their values."""
+        if not isinstance(fields, dict) or fields.get("refine") is None or fields.get("settle_until"):
+            return fields
+        settle, observe = (fields.get(name, cls.model_fields[name].default) for name in ("settle", "observe"))
+        if not all(isinstance(periods, int | float) for periods in (settle, observe)):
+            return fields
+        until = max(SETTLE_UNTIL, settle + 2 * observe)
+        return fields | {"settle_until": int(until)} if until <= MAX_PERIODS else fields
 
     @model_validator(mode="after")
     def _rules(self) -> Self:

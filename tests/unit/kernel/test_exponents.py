@@ -10,6 +10,7 @@ from paths import GOLDEN
 from tables import for_each
 
 from kernel import interface
+from kernel.branches.starts import cycles_at, start_on_cycle
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes, labels
 from kernel.models import rigid
 from kernel.models.contact_law import contact_constants, damping_ratio
@@ -105,6 +106,28 @@ def test_the_chaos_of_fig_2():
     assert np.all(line.outcome == Outcome.APERIODIC)
     assert np.mean(line.lyapunov) == pytest.approx(CHAOS["lyapunov"], abs=CHAOS["deviation"])
     assert np.std(line.lyapunov) < 2.0 * CHAOS["deviation"]
+
+
+@pytest.mark.parametrize(("gamma", "omega", "xi"), [(5.0, 0.5, 0.26), (4.2, 1.0, 0.05), (3.5, 0.6, 0.05)])
+def test_the_error_of_the_largest_is_the_scatter_of_independent_windows(gamma, omega, xi):
+    """100 windows of 100 plate periods, 250 apart: without the comparison within 2 there is no error bar."""
+    windows = run(
+        np.full(100, gamma), omega, xi, restitution=0.0, carry=True, settle=250, observe=100, exponents=1
+    )
+    assert np.all(windows.outcome == Outcome.APERIODIC)
+    scatter = np.std(windows.lyapunov[:, 0], ddof=1)
+    error = np.sqrt(np.mean(windows.lyapunov_error**2))
+    assert 0.5 < error / scatter < 2.0
+
+
+def test_there_is_an_error_where_there_is_an_exponent_and_batches_are_long_enough():
+    chaos = {"restitution": 0.0, "settle": 200, "exponents": 1}
+    assert run(5.0, 0.5, 0.26, **chaos, observe=40).lyapunov_error[0] > 0.0
+    assert np.isnan(run(5.0, 0.5, 0.26, **chaos, observe=39).lyapunov_error[0])
+    assert np.isnan(run(5.0, 0.5, 0.26, **chaos | {"exponents": 0}, observe=40).lyapunov_error[0])
+    lost = run(2.5, 1.0, 0.1, Model.BALL, restitution=0.0, settle=200, observe=100, exponents=1)
+    assert lost.lyapunov[0, 0] == -math.inf
+    assert np.isnan(lost.lyapunov_error[0])
 
 
 def test_a_torus_is_told_from_chaos():
@@ -246,12 +269,28 @@ def test_on_a_ramp_every_cell_begins_with_its_own_variations():
 # --- labels ---------------------------------------------------------------------------------
 
 
-def test_labels_refine_aperiodic_only():
+def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
+    """The same numbers return, bit for bit, while a difference would grow by the multiplier."""
+    cell = Cell(2.7983909417743393, 0.8043346020726303, 0.1159892731241272)
+    cycles = cycles_at(cell, 1)
+    [unstable] = np.flatnonzero(~cycles.stable & (cycles.admissible == 0))
+    start, cycle = start_on_cycle(cell, 1, cycles.flight_time[unstable])
+    line = run(*cell, restitution=0.0, carry=True, start=start, settle=10_000, observe=100, exponents=1)
+    assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 1, 1)
+    assert len(np.unique(recorded(line))) < 16
+    growth = np.max(np.abs(cycle.multiplier))
+    assert growth > 1.5
+    assert line.lyapunov[0, 0] == pytest.approx(np.log(growth), abs=1e-6)
+    assert labels(line.outcome, line.lyapunov, 100) == ["unstable"]
+
+
+def test_labels_refine_aperiodic_and_unstable_cells_only():
     assert exponent_resolution(100) == 0.01
     outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 5])
     largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan])
     lyapunov = np.stack([largest, largest - 1.0], axis=-1)
-    expected = ["chaotic" if o is Outcome.APERIODIC else o.name.lower() for o in Outcome]
+    told = {Outcome.APERIODIC: "chaotic", Outcome.PERIODIC: "unstable"}
+    expected = [told.get(o, o.name.lower()) for o in Outcome]
     expected += ["quasi-periodic", "quasi-periodic", "chaotic", "aperiodic", "aperiodic"]
     assert list(labels(outcome, lyapunov, 100)) == expected
     assert LABELS[: len(Outcome)] == tuple(o.name.lower() for o in Outcome)

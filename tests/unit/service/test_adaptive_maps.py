@@ -25,6 +25,7 @@ SPACE: dict[str, Any] = {
     "xi": 0.05,
     "model": {"kind": "rigid"},
     "settle": 300,
+    "settle_until": 5_000,  # as of an adaptive map
     "observe": 60,
     "keep": 8,
 }

@@ -51,6 +51,7 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     assert abs(answer["lyapunov"][2][0]) < 0.01 < answer["lyapunov"][3][0]
     dataset = diagram_dataset(answer, "0" * 32, "")
     assert dataset.lyapunov.dims == ("gamma", "exponent")
+    assert 0.0 < dataset.lyapunov_error.values[3] < 0.1
     assert dataset.label.attrs["flag_meanings"].split() == list(LABELS)
 
 
@@ -66,7 +67,7 @@ def test_files_have_labels(client: TestClient, job: str, tmp_path: Path):
     header, *rows = csv.reader(
         io.StringIO(client.get(f"{job}/diagram", params={"omega": 1.0, "format": "csv"}).text)
     )
-    assert header[-3:] == ["lyapunov_1", "lyapunov_2", "label"]
+    assert header[-4:] == ["lyapunov_1", "lyapunov_2", "lyapunov_error", "label"]
     assert {row[-1] for row in rows} == set(EXPECTED[1:])
     netcdf = tmp_path / "sweep.nc"
     netcdf.write_bytes(client.get(f"{job}/export?format=nc").content)

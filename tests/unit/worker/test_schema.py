@@ -29,14 +29,14 @@ def test_a_sweep_stores_what_it_computes():
     usual = ["flight_time", "takeoff_phase", "flights", "bounces", "periods"]
     assert list(arrays(small())) == [*usual, "outcome"]
     assert list(arrays(small(protocol=UP_AND_DOWN))) == [*usual, "end_state", "outcome"]
-    assert list(arrays(small(exponents=2))) == [*usual, "lyapunov", "outcome"]
+    assert list(arrays(small(exponents=2))) == [*usual, "lyapunov", "lyapunov_error", "outcome"]
     assert list(arrays(small(refine={"by": "mode"}))) == [*usual, "computed", "outcome"]
 
 
 def test_the_bytes_of_a_cell():
     flights, counts = 2 * 8 * 8, 4 + 4 + 4
     assert schema.bytes_per_cell(small()) == flights + counts + 1
-    assert schema.bytes_per_cell(small(exponents=3)) == flights + counts + 3 * 8 + 1
+    assert schema.bytes_per_cell(small(exponents=3)) == flights + counts + 3 * 8 + 8 + 1
     ramp = small(protocol=UP_AND_DOWN)
     assert schema.bytes_per_cell(ramp) == flights + counts + len(STATE_FIELDS) * 8 + 1
     assert schema.bytes_of_map(small(refine={"by": "mode"})) == counts + 1 + 1

@@ -19,11 +19,11 @@ export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 /** Codes of kernel.params.Outcome. */
 export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5, settling: 6 };
 
-/** Codes of kernel.labels beyond those of outcomes: aperiodic cells told apart by their Lyapunov exponents. */
-export const LABEL = { quasiPeriodic: 7, chaotic: 8 };
+/** Codes of kernel.labels beyond those of outcomes: cells told apart by their Lyapunov exponents. */
+export const LABEL = { quasiPeriodic: 7, chaotic: 8, unstable: 9 };
 
 /** The names of these codes in files, as kernel.labels.LABELS has them. */
-export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic"];
+export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic", "unstable"];
 
 /** Codes of service.results.hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
@@ -109,6 +109,8 @@ export function outcomeText(outcome, bounces, periods) {
       return "quasi-periodic";
     case LABEL.chaotic:
       return "chaotic";
+    case LABEL.unstable:
+      return "unstable cycle";
     default:
       return "not computed yet";
   }

@@ -72,16 +72,17 @@ const OUTCOME_COLOURS = { // [light scheme, dark scheme]
   [OUTCOME.settling]: ["#b7aed0", "#716794"],
   [LABEL.quasiPeriodic]: ["#5e3c99", "#9a7fd1"],
   [LABEL.chaotic]: ["#7a1f2b", "#5c1520"],
+  [LABEL.unstable]: ["#c2185b", "#e0559a"],
   [OUTCOME.missing]: ["#ffffff", "#16181b"],
 };
 
 const SHADES = 3;
-const FIRST = 9; // the class of the first shade of the first hue; codes of outcomes and labels are below
+const FIRST = 10; // the class of the first shade of the first hue; codes of outcomes and labels are below
 const LONG = FIRST + SHADES * HUES.length;
 const CLASSES = LONG + 1;
 /** Order of the legend: at rest, modes by period, the cells without a mode, the rest. */
 const ORDER = [OUTCOME.atRest, ...Array.from({ length: CLASSES - FIRST }, (_, i) => FIRST + i),
-  LABEL.quasiPeriodic, LABEL.chaotic, OUTCOME.aperiodic, OUTCOME.settling, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
+  LABEL.unstable, LABEL.quasiPeriodic, LABEL.chaotic, OUTCOME.aperiodic, OUTCOME.settling, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
 
 function classOf(label, bounces, periods) {
   if (label !== OUTCOME.periodic) return label;
