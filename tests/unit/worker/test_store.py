@@ -758,17 +758,11 @@ def test_a_listing_pauses_in_every_array_and_ends_where_a_pause_raises(url, spec
         store.stored_sizes(url, cut_as, stop)
 
 
-def test_nothing_that_is_stored_waits_behind_what_is_verified(url, spec, plan):
-    cut_as = layout(spec, plan.chunk_shape)
-    stuck = [plan[number] for number in range(12)]  # more than are read at once
-    pipes = [
-        stored_files(url, chunk)[0]
-        for chunk in stuck
-        if store.write_chunk(url, chunk, record_of(spec, chunk))
-    ]
-    for pipe in pipes:
-        pipe.unlink()
-        os.mkfifo(pipe)  # to read it waits until it is written to
+def test_nothing_that_is_stored_waits_behind_what_is_verified(url, spec, plan, monkeypatch):
+    """The disk hangs for each of more chunks than are read at once."""
+    cut_as, stuck = layout(spec, plan.chunk_shape), [plan[number] for number in range(12)]
+    answers = threading.Event()
+    monkeypatch.setattr(stored, "read_key", lambda *_: answers.wait(30) and None)
     verified: list[Chunk] = []
     verifying = threading.Thread(
         target=lambda: verified.extend(store.find_corrupt(url, cut_as, [(chunk, "") for chunk in stuck]))
@@ -780,8 +774,7 @@ def test_nothing_that_is_stored_waits_behind_what_is_verified(url, spec, plan):
             assert written.result(30).bytes > 0
             assert verifying.is_alive()
     finally:
-        for pipe in pipes:
-            pipe.write_bytes(b"")
+        answers.set()
         verifying.join(30)
     assert verified == stuck
 
