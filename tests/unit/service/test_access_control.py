@@ -62,8 +62,8 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     with pytest.MonkeyPatch.context() as patch:
         impatient(patch)
         app = create_app(Settings(data=tmp_path_factory.mktemp("data")), Held())
-    with TestClient(app, base_url="http://localhost:8000") as client:
-        yield client
+        with TestClient(app, base_url="http://localhost:8000") as client:
+            yield client
 
 
 def bearer(token: str) -> dict[str, str]:

@@ -217,6 +217,7 @@ def test_a_map_that_was_cancelled_and_resumed_has_the_bytes_of_one_that_was_not(
         "gamma": {"start": 0.4, "stop": 2.4, "num": 300},
         "omega": {"start": 0.4, "stop": 1.0, "num": 300},
         "settle": 60,
+        "settle_until": 300,
     }
     with computing(tmp_path / "whole") as client:
         here = finished(client, tiles)

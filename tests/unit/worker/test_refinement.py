@@ -363,7 +363,8 @@ def test_values_of_other_cells_are_those_of_a_computed_cell_of_their_tile(tmp_pa
 
 @pytest.mark.parametrize("margin", [False, True])
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch, margin):
-    spec = adaptive(margin=margin)
+    refine = {"by": "mode", "coarsest": 8, "margin": margin}
+    spec = sweep(refine=refine, settle_until=300)
     compute(spec, tmp_path / "whole.zarr")
     monkeypatch.setattr(tasks, "FIRST_STEPS", 16384)
     monkeypatch.setattr(tasks, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
