@@ -12,6 +12,7 @@ from distributed import LocalCluster, Security
 from paths import CACHE
 from running import costing, running
 from scripted import sweep, wait_for
+from stores import marked
 
 from service.client import Client
 from service.jobs.model import JobState
@@ -80,7 +81,10 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
             data=tmp_path / "data", scheduler_file=written,
             scheduler_ca=files["ca"], scheduler_cert=files["cert"], scheduler_key=files["key"],
         )  # fmt: skip
-        with connected_cluster(settings) as executor, running(tmp_path / "data", executor) as service:
+        with (
+            connected_cluster(settings, marked(settings.data).content) as executor,
+            running(tmp_path / "data", executor) as service,
+        ):
             job = service.submit(costing(chunks=8, seconds=0.1))
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total

@@ -212,7 +212,7 @@ def test_an_error_of_the_startup_is_raised_where_it_is_waited_for(tmp_path: Path
 
 def test_small_answers_are_sent_at_once(tmp_path: Path):
     """Connections inherit it from the socket that listens."""
-    with embedded._listening(Settings(data=tmp_path, port=0)) as listener:
+    with embedded._listening(Settings(data=tmp_path, port=0)) as (listener, _):
         assert listener.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
