@@ -136,7 +136,7 @@ def test_killed_at_a_step_nothing_is_lost_and_little_is_computed_again(
         second = lives.live()
         assert second["state"] == "done"
         again = set(first["chunks"]) & set(second["chunks"])
-        assert len(again) <= 2  # one in work, and one whose report was on its way
+        assert len(again) <= 3  # one in work, one whose report was on its way, one not yet in the ledger
     assert lives.files() == calm
 
 
