@@ -57,7 +57,9 @@ def _cache(_: Settings) -> Iterator[Finding]:
     except NotOurs as error:
         yield Finding("kernel cache", f"{error}: remove it", ok=False)
     else:
-        compiled = sum(1 for _ in root.glob("*/ready/**/*.nbc"))
+        compiled = sum(
+            not file.suffix for file in root.glob("*/*-*")
+        )  # one for each kernel, see kernel_cache
         yield Finding("kernel cache", f"{root}, {compiled} compiled kernels")
 
 

@@ -303,9 +303,9 @@ def test_the_doctor_names_a_kernel_cache_that_others_can_write_to(
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache))
     command = ("doctor", "--data", str(tmp_path / "data"), "--url", f"http://127.0.0.1:{free_port()}")
     assert f"{cache}, 0 compiled kernels" in " ".join(bounce(*command).output.split())
-    for slot in ("ready", "slot-0"):
-        (cache / "digest" / slot / "kernel").mkdir(parents=True)
-        (cache / "digest" / slot / "kernel" / "compiled.nbc").touch()
+    (cache / "digest").mkdir()
+    for suffix in ("", ".198d9536", ".lock"):  # before optimisation, for a processor, the lock
+        (cache / "digest" / f"drive-of-rigid-45feb91e4af1{suffix}").touch()
     assert f"{cache}, 1 compiled kernels" in " ".join(bounce(*command).output.split())
     cache.chmod(0o777)
     answer = bounce(*command)

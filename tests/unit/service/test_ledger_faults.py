@@ -21,6 +21,7 @@ from scripted import Held, Scripted, sweep, wait_for
 from served import FIGURE_2, finished, get, service
 
 from kernel.params import KERNEL_VERSION
+from service.cli.doctor import examine
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.jobs import backup, ledger_files
 from service.jobs.ledger import RESERVE, Ledger
@@ -28,6 +29,7 @@ from service.jobs.ledger_files import wal_of
 from service.jobs.model import JobState
 from service.jobs.stores.adoption import open_ledger
 from service.settings import Settings
+from worker import store
 from worker.executors.inline import Inline
 
 PAGE = 4096
@@ -227,6 +229,21 @@ def test_two_data_folders_do_not_share_stores(tmp_path: Path, inline: Inline):
         works(client)
     with open_ledger(Settings(data=tmp_path / "one", stores=stores)) as ledger:
         assert ledger.find(here.rpartition("/")[2]) is not None
+
+
+def test_doctor_and_adopt_know_the_marker_of_the_stores(data: Path):
+    """Stores that were copied without it are marked again by an operator who adopts what is there."""
+    settings, marker = Settings(data=data), data / "stores" / store.MARKER
+    open_ledger(settings).close()
+    ours = marker.read_text()
+    marker.unlink()
+    with open_ledger(settings) as ledger, pytest.raises(LedgerUnavailable, match="the stores are not there"):
+        ledger.check()
+    assert [finding.text for finding in examine(settings, "http://127.0.0.1:9") if "marker" in finding.text]
+    with open_ledger(settings, adopting=True) as ledger:
+        ledger.check()
+    assert marker.read_text() == ours
+    assert not [finding for finding in examine(settings, "http://127.0.0.1:9") if "marker" in finding.text]
 
 
 def test_a_replaced_ledger_is_not_written_to_and_what_was_open_is_kept(data: Path, client: TestClient):
