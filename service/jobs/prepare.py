@@ -9,7 +9,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -55,7 +55,14 @@ class PreparedJob:
     @cached_property
     def layout(self) -> Layout:
         """What is stored, and how it is cut."""
-        return self.study.variables(self.submitted, self.plan.chunk_shape)
+        today = self.study.variables(self.submitted, self.plan.chunk_shape)
+        if not self.outdated:
+            return today
+        try:  # without the variables that were added since: what is not there is not damaged
+            there = store.stored_forms(self.store_url, None)
+        except store.StoreError:
+            return today
+        return replace(today, arrays=tuple(array for array in today.arrays if array.name in there))
 
     @cached_property
     def forms(self) -> Mapping[str, store.ArrayForm] | None:

@@ -262,7 +262,7 @@ class Supervisor:
             return
         if isinstance(error, store.StoreDamaged):
             prepared = run.prepared
-            with suppress(OSError):  # the next try says what is wrong
+            with suppress(OSError, *store.UNREACHABLE):  # the next try says what is wrong
                 store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
         self._on_error(run, chunk, error)
 

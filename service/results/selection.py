@@ -171,10 +171,15 @@ def read_stored(
 ) -> dict[str, NDArray[Any]]:
     """The named arrays of any study at `indices`; `empty` makes what they hold before there is a store.
 
-    Raises a `store.StoreError`.
+    Variables that an earlier kernel did not store hold the same. Raises a `store.StoreError`.
     """
     try:
-        return store.read_slice(study.url, names, **indices, complete=study.complete, forms=study.forms)
+        stored = names
+        if study.forms is None:
+            there = store.stored_forms(study.url, None)
+            stored = [name for name in names if name in there]
+        found = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
+        return found if len(stored) == len(names) else empty() | found
     except store.StoreMissing as error:
         if study.complete:
             raise store.StoreDamaged(str(error)) from error

@@ -1,14 +1,16 @@
 """A data folder as a release with kernel version 1 leaves it: one job is done, one was interrupted."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from service.jobs.model import JobState, NewJob
 from service.jobs.stores.adoption import open_ledger
 from service.settings import Settings
-from worker import store
+from worker import schema, store
 from worker.plan import make_plan
 from worker.schema import layout
 from worker.spec import SweepSpec
@@ -25,6 +27,7 @@ SPECS: dict[str, dict[str, Any]] = {
         "settle": 40,
         "observe": 20,
         "keep": 8,
+        "exponents": 1,
     },
     "interrupted": {
         "name": "up and down",
@@ -38,15 +41,21 @@ SPECS: dict[str, dict[str, Any]] = {
         "keep": 8,
     },
 }
+#: A variable that this kernel version did not store.
+ADDED_SINCE = "lyapunov_error"
 #: Chunks that are done, of 1 and of 12.
 DONE_CHUNKS = {"done": 1, "interrupted": 3}
 IDS = {name: SweepSpec(**spec).job_id(VERSION) for name, spec in SPECS.items()}
 
 
+def arrays_of_then(spec: SweepSpec, today: Any = schema.arrays) -> Iterator[schema.Array]:
+    yield from (array for array in today(spec) if array.name != ADDED_SINCE)
+
+
 def earlier_folder(parent: Path) -> Path:
     """The data folder, in `parent`."""
     settings = Settings(data=parent / "bounce-data")
-    with open_ledger(settings) as ledger:
+    with patch.object(schema, "arrays", arrays_of_then), open_ledger(settings) as ledger:
         for name, fields in SPECS.items():
             spec = SweepSpec(**fields)
             plan = make_plan(spec, chunk_shape=(1, 2 if name == "done" else 1, 41))
