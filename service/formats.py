@@ -11,8 +11,6 @@ PictureFormat = Literal["png", "svg", "pdf"]
 
 #: A bifurcation diagram is sent as a table or as a picture.
 DiagramFormat = Literal[TableFormat, PictureFormat]
-#: A basin of attraction.
-BasinFormat = Literal["json", PictureFormat]
 #: Attractors over a grid.
 MultistabilityFormat = Literal[TableFormat, PictureFormat]
 #: The table of costs and errors of the contact models.
@@ -36,6 +34,7 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     "png": "image/png",
     "svg": "image/svg+xml",
     "pdf": "application/pdf",
+    "bin": "application/octet-stream",
     "nc": "application/x-netcdf",
     "parquet": "application/vnd.apache.parquet",
 }

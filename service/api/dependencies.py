@@ -27,7 +27,6 @@ from service.jobs.manager import JobManager
 from service.jobs.model import JobRecord, JobState
 from service.jobs.on_demand import OnDemandCache
 from service.render.answers import Line
-from service.results.basins import Basins
 from service.results.multistability import Multistability
 from service.results.selection import BASE_MEMORY, Stored, Sweep
 from service.settings import Settings
@@ -97,7 +96,7 @@ def stored(service: Service, job: JobRecord) -> Stored[Specification]:
 
 
 _STORED: Final[Mapping[type, type[Stored[Any]]]] = {
-    SweepSpec: Sweep, BasinSpec: Basins, MultistabilitySpec: Multistability,
+    SweepSpec: Sweep, MultistabilitySpec: Multistability,
 }  # fmt: skip
 
 
@@ -107,14 +106,6 @@ def sweep(service: Service, job: JobRecord) -> Sweep:
     if not isinstance(found, Sweep):
         kind = _kind(found)
         raise InvalidRequest.of("job_id", f"must be a sweep; the protocol of this job is {kind}")
-    return found
-
-
-def basins(service: Service, job: JobRecord) -> Basins:
-    """The basins of a job and where they are. Raises InvalidRequest for other kinds of study."""
-    found = stored(service, job)
-    if not isinstance(found, Basins):
-        raise _other_study("basin", _kind(found))
     return found
 
 
@@ -143,10 +134,12 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
 
 
-def attractors(service: Service, job: JobRecord) -> Basins | Multistability:
+def attractors(service: Service, job: JobRecord) -> Stored[Any]:
     """A job that stores attractors of its cells. Raises InvalidRequest for other kinds of study."""
     found = stored(service, job)
-    return found if isinstance(found, Multistability) else basins(service, job)
+    if not isinstance(found.spec, BasinSpec | MultistabilitySpec):
+        raise _other_study("basin or multistability", _kind(found))
+    return found
 
 
 def attractors_along(service: Service, job: JobRecord, query: DiagramQuery) -> Multistability | None:

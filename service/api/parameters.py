@@ -9,7 +9,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from kernel.branches.curves import CURVES
 from service.errors import InvalidRequest
 from service.formats import (
-    BasinFormat,
     DiagramFormat,
     ExportFormat,
     ExportLayout,
@@ -226,15 +225,6 @@ class ModesQuery(PlaneQuery):
 
     every: Every = 1
     mask: bool = Field(False, description="of an adaptive map: which cells were computed as well")
-
-
-class BasinQuery(Query):
-    """The cell of a job with the protocol basin, and the format of the answer."""
-
-    gamma: Number | None = None
-    omega: Number | None = None
-    xi: Number | None = None
-    format: BasinFormat = "json"
 
 
 class MultistabilityQuery(Query):

@@ -13,6 +13,7 @@ from kernel.params import Outcome
 from service.formats import MEDIA_TYPES
 from service.jobs.model import Failure, JobRecord, JobState
 from service.jobs.prepare import choice_of
+from service.views.registry import VIEWS
 from worker.analysis.model_selection import ModelChoice
 from worker.executors.base import Compiling
 from worker.spec.errors import Code
@@ -346,45 +347,6 @@ class Trajectory(BaseModel):
     cycle: CycleView | None = Field(description="with a start on a cycle")
 
 
-class AttractorView(BaseModel):
-    """An attractor of a cell; lengths in plate amplitudes."""
-
-    id: int = Field(description="from 1, by the share of the starts that reach it")
-    fraction: float
-    outcome: int = Field(description="1 periodic, 2 aperiodic, 3 at rest")
-    label: str = Field(
-        description="rest, a mode as (3,4), aperiodic; with exponents quasi-periodic or chaotic"
-    )
-    bounces: int
-    periods: int
-    longest_flight: float = Field(description="rad; 0 at rest")
-    lifetime: float | None = Field(
-        description="plate periods until such motion ends, if it was seen to end; else null"
-    )
-    state: dict[str, float] = Field(description="on the attractor, at phase 0")
-    flight_time: list[float] = Field(description="rad, of a window")
-    takeoff_phase: list[float] = Field(description="rad")
-    lyapunov: list[float] | None = Field(None, description="where the job has exponents")
-
-
-class BasinView(BaseModel):
-    """The basin of one cell: which attractor each start of the plane reaches."""
-
-    gamma: float
-    omega: float
-    xi: float
-    plane: Literal["drop", "contact"]
-    height: float
-    rows: list[float] = Field(description="height, or elongation beyond the static one, in plate amplitudes")
-    columns: list[float] = Field(description="phase in rad, or velocity of the elongation times omega")
-    attractors: list[AttractorView]
-    map: list[list[int]] = Field(description="ids, rows of starts; 0: undecided or not computed")
-    undecided: float | None = Field(description="share of the starts without an attractor")
-    basin_entropy: float | None
-    boundary_entropy: float | None
-    complete: bool
-
-
 class PlaceView(BaseModel):
     """An attractor of one cell."""
 
@@ -527,7 +489,7 @@ def job_view(
     )
 
 
-#: Resources of a job.
+#: Resources of a job beside its views.
 _PARTS: Final = (
     "cancel",
     "resume",
@@ -538,7 +500,6 @@ _PARTS: Final = (
     "threshold",
     "modes",
     "orbits",
-    "basins",
     "multistability",
     "export",
     "zarr",
@@ -547,7 +508,7 @@ _PARTS: Final = (
 
 def _links(job_id: str) -> dict[str, str]:
     here = f"/v1/jobs/{job_id}"
-    return {"self": here, **{part: f"{here}/{part}" for part in _PARTS}}
+    return {"self": here, **{part: f"{here}/{part}" for part in (*_PARTS, *VIEWS)}}
 
 
 def _time(seconds: float | None) -> Any:

@@ -8,7 +8,7 @@ from typing import Final
 
 import click
 
-from service.cli import data, jobs, orbits, results
+from service.cli import data, jobs, orbits, results, views
 from service.cli.figure import figure
 from service.cli.options import CommandGroup, data_option, open_client, service_options
 from service.cli.tradeoff import tradeoff
@@ -131,7 +131,15 @@ def _handed_over(address: str) -> str:
     return file.as_uri()
 
 
-for command in (*jobs.COMMANDS, *results.COMMANDS, *orbits.COMMANDS, *data.COMMANDS, figure, tradeoff):
+for command in (
+    *jobs.COMMANDS,
+    *results.COMMANDS,
+    *views.COMMANDS,
+    *orbits.COMMANDS,
+    *data.COMMANDS,
+    figure,
+    tradeoff,
+):
     main.add_command(command)
 
 

@@ -1,6 +1,5 @@
-"""The commands on results: diagram, threshold, modes, basins, multistability, export, trajectory."""
+"""The commands on results: diagram, threshold, modes, multistability, export, trajectory."""
 
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast, get_args
 
@@ -23,7 +22,6 @@ from service.formats import (
     EXPORTS,
     PICTURES,
     TABLES,
-    BasinFormat,
     ExportLayout,
     MultistabilityFormat,
     Predict,
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
     from service.client import Job
 
 _DIAGRAMS: Final = (*PICTURES, *TABLES)
-_BASINS: Final[tuple[str, ...]] = get_args(BasinFormat)
 _MULTISTABILITY: Final[tuple[str, ...]] = get_args(MultistabilityFormat)
 
 
@@ -59,7 +56,7 @@ def diagram(
     with open_client(url, token) as client:
         job = client.job(job_id)
         write_file(output, job.picture(format=format, caption=not no_caption, **line))
-    _warn(job, "the diagram is incomplete")
+    warn_unless_done(job, "the diagram is incomplete")
 
 
 @click.command()
@@ -113,7 +110,7 @@ def threshold(
     with open_client(url, token) as client:
         job = client.job(job_id)
         thresholds = job.threshold(xi, tolerance=tolerance, predict=predict)
-        _warn(job, "thresholds may be missing")
+        warn_unless_done(job, "thresholds may be missing")
         if as_json:
             click.echo(output.as_json(output.threshold_view(thresholds)))
             return
@@ -153,7 +150,7 @@ def modes(
         job = client.job(job_id)
         mode_map = job.modes(xi, direction, min_flight=min_flight, every=every, hysteresis=hysteresis)
     write_file(output, modes_json(mode_map) if format == "json" else modes_csv(mode_map))
-    _warn(job, "cells are missing")
+    warn_unless_done(job, "cells are missing")
 
 
 @click.command()
@@ -175,7 +172,7 @@ def export(job_id: str, output: str, layout: ExportLayout, url: str, token: str 
     with open_client(url, token) as client:
         job = client.job(job_id)
         job.export(Path(output), layout=layout)
-    _warn(job, "cells are missing")
+    warn_unless_done(job, "cells are missing")
 
 
 @click.command()
@@ -243,51 +240,6 @@ def _spring(
 
 @click.command()
 @job_argument
-@click.option("--gamma", type=float, help="Γ of the cell.")
-@click.option("--omega", type=float, help="Ω of the cell.")
-@click.option("--xi", type=float, help="ξ of the cell.")
-@format_option(*_BASINS)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-    help="File to write; - is standard output.  [default: print a table of the attractors]",
-)  # fmt: skip
-@service_options
-def basins(
-    job_id: str, output: str | None, format: str | None, url: str, token: str | None, **cell: float | None
-) -> None:
-    """Show a cell's attractors and their basins.
-
-    Of a job with the protocol basin, the cell nearest to the given values; an axis that has only one value
-    may be left out. Prints the attractors, or draws the plane of starts. For example:
-
-      bounce basins ID --gamma 3.6 -o basin.png
-    """
-    format = None if output is None else output_format(output, _BASINS, format)
-    with open_client(url, token) as client:
-        job = client.job(job_id)
-        if output is None:
-            click.echo(_attractors(job.basins(**cell)))
-        else:
-            write_file(output, job.basin_picture(cast(BasinFormat, format), **cell))
-    _warn(job, "the basin may be incomplete")
-
-
-def _attractors(found: "xarray.Dataset") -> str:
-    """One line per attractor, then the undecided starts and the entropies."""
-    lines = [f"{'ID':>3}  {'SHARE':>8}  {'LONGEST FLIGHT':>14}  {'LIFETIME':>10}  ATTRACTOR"]
-    columns = [
-        found[name].values.tolist() for name in ("id", "fraction", "longest_flight", "lifetime", "label")
-    ]
-    for id, fraction, longest, lifetime, label in zip(*columns, strict=True):
-        life = f"{lifetime:.0f}" if isfinite(lifetime) else "-"
-        lines.append(f"{id:>3}  {fraction:>8.4f}  {longest:>14.7f}  {life:>10}  {label}")
-    numbers = ("undecided", "basin_entropy", "boundary_entropy")
-    lines.append(", ".join(f"{name.replace('_', ' ')} {found[name].item():.4f}" for name in numbers))
-    return "\n".join(lines)
-
-
-@click.command()
-@job_argument
 @click.option("--xi", type=float, help="ξ of the plane.")
 @click.option("--omega", type=float, help="Ω of a line along Γ.  [default: the whole plane]")
 @format_option(*_MULTISTABILITY)
@@ -313,7 +265,7 @@ def multistability(
             click.echo(_over_a_grid(job.multistability(**plane)))
         else:
             write_file(output, job.multistability_picture(cast(MultistabilityFormat, format), **plane))
-    _warn(job, "the plane may be incomplete")
+    warn_unless_done(job, "the plane may be incomplete")
 
 
 def _over_a_grid(found: "xarray.Dataset") -> str:
@@ -330,10 +282,10 @@ def _over_a_grid(found: "xarray.Dataset") -> str:
 
 _KINDS: Final = {"births": "birth", "deaths": "death", "changes of mode": "mode"}
 
-COMMANDS: Final = (diagram, threshold, modes, basins, multistability, export, trajectory)
+COMMANDS: Final = (diagram, threshold, modes, multistability, export, trajectory)
 
 
-def _warn(job: "Job", consequence: str) -> None:
+def warn_unless_done(job: "Job", consequence: str) -> None:
     """Say what the reader of a job's results must know, on standard error."""
     if job.notice:
         click.echo(f"the job is {job.notice}", err=True)

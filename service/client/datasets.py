@@ -125,27 +125,12 @@ _CYCLES: Final[Mapping[str, tuple[type, Attributes]]] = {
     "weight": (np.float64, {"long_name": "momentum that gravity takes, 4π periods/Γ", "units": "m A ω"}),
 }
 
-#: The variables of a basin beside those of _RESULTS.
-_BASIN: Final[Mapping[str, Attributes]] = {
-    "attractor": {"long_name": "attractor that a start reaches", "comment": "0: undecided", "units": "1"},
-    "fraction": {"long_name": "share of the starts that reach the attractor", "units": "1"},
-    "longest_flight": {"long_name": "longest flight", "units": "rad"},
-    "lifetime": {"long_name": "life of aperiodic motion that was seen to end", "units": "plate periods"},
-    "undecided": {"long_name": "share of the starts without an attractor", "units": "1"},
-    "basin_entropy": {"long_name": "basin entropy, of boxes of 8 by 8 starts", "units": "1"},
-    "boundary_entropy": {"long_name": "boundary basin entropy, of boxes of 8 by 8 starts", "units": "1"},
-    "height": {"long_name": "height of the lower mass above the plate", **_LENGTH},
-    "phase": {"long_name": "plate phase at which the spring is let go", "units": "rad"},
-    "elongation": {"long_name": "elongation beyond the static one", **_LENGTH},
-    "velocity": {"long_name": "velocity of the elongation times omega", **_LENGTH},
-}
-
 #: dtype, value where there is none, and attributes of the attractors of each cell of a grid.
 _PLACES: Final[Mapping[str, tuple[type, Any, Attributes]]] = {
     "id": (np.int32, 0, {"long_name": "attractor of the cell", "comment": "0: none", "units": "1"}),
     "label": (np.str_, "", {"long_name": "what the attractor does"}),
     "fraction": (np.float64, np.nan, {"long_name": "share of the drops that reach it", "units": "1"}),
-    "longest_flight": (np.float64, np.nan, _BASIN["longest_flight"]),
+    "longest_flight": (np.float64, np.nan, {"long_name": "longest flight", "units": "rad"}),
 }
 
 #: Field, dtype and value where there is none of the variables of events of attractors.
@@ -248,41 +233,6 @@ def modes_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
         if answer.get("computed") is not None:
             dataset.attrs["computed"] = float(answer["computed"])
         return dataset
-
-
-def basin_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:
-    """A basin: dims (row, column), (id) and (id, flight), NaN after the last flight of an attractor."""
-    with _reading("a basin"):
-        attractors = answer["attractors"]
-        drop = answer["plane"] == "drop"
-        variables: dict[str, Any] = {
-            "attractor": (("row", "column"), np.array(answer["map"], np.uint8), dict(_BASIN["attractor"])),
-        }
-        for name in ("fraction", "longest_flight"):
-            values = np.array([attractor[name] for attractor in attractors], np.float64)
-            variables[name] = ("id", values, dict(_BASIN[name]))
-        lifetimes = [np.inf if a["lifetime"] is None else a["lifetime"] for a in attractors]
-        variables["lifetime"] = ("id", np.array(lifetimes, np.float64), dict(_BASIN["lifetime"]))
-        for name in ("outcome", "bounces", "periods"):
-            variables[name] = _variable(name, "id", [attractor[name] for attractor in attractors])
-        labels = np.array([attractor["label"] for attractor in attractors], np.str_)
-        variables["label"] = ("id", labels, {"long_name": "what the attractor does"})
-        for name in ("flight_time", "takeoff_phase"):
-            flights = _padded([attractor[name] for attractor in attractors])
-            variables[name] = (("id", "flight"), flights, _attributes(name))
-        if attractors and attractors[0].get("lyapunov") is not None:
-            values = _padded([attractor["lyapunov"] for attractor in attractors])
-            variables["lyapunov"] = (("id", "exponent"), values, _attributes("lyapunov"))
-        for name in ("undecided", "basin_entropy", "boundary_entropy"):
-            variables[name] = ((), _number(answer[name]), dict(_BASIN[name]))
-        rows, columns = (np.array(answer[name], np.float64) for name in ("rows", "columns"))
-        coordinates = {
-            "row": ("row", rows, dict(_BASIN["height" if drop else "elongation"])),
-            "column": ("column", columns, dict(_BASIN["phase" if drop else "velocity"])),
-            "id": ("id", np.array([attractor["id"] for attractor in attractors], np.int32)),
-            **{name: _variable(name, None, answer[name]) for name in ("gamma", "omega", "xi")},
-        }
-        return _dataset(variables, coordinates, answer, "basin of attraction", job_id)
 
 
 def multistability_dataset(answer: Mapping[str, Any], job_id: str) -> xarray.Dataset:

@@ -7,18 +7,33 @@ from typing import TYPE_CHECKING, Any
 from service.client.display import PartsCallback
 from service.client.errors import BounceError
 from service.client.models import JobStatus
+from service.client.result_methods import ResultMethods
 from service.client.transport import Transport, json_object
-from service.formats import EXPORTS, BasinFormat, ExportLayout, MultistabilityFormat, Predict
+from service.formats import EXPORTS, ExportLayout, MultistabilityFormat, Predict
 
 if TYPE_CHECKING:
     import httpx2
     import xarray
 
 
-class Results(JobStatus):
+class Results(ResultMethods, JobStatus):
     """What can be read from a job, also while it runs. `Job` adds what changes it."""
 
     _transport: Transport
+
+    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
+        """The result of this name, such as "basins", as the method of that name returns it.
+
+        Raises BadRequest naming the parameter, UnexpectedAnswer.
+        """
+        from service.client.dataset import from_binary
+
+        return from_binary(self.result_file(name, "bin", **query))
+
+    def result_file(self, name: str, format: str, /, **query: Any) -> bytes:
+        """A result as the content of a file: png, svg, pdf, csv, nc, parquet or json. Raises as `result`."""
+        plain = {key: str(x).lower() if isinstance(x, bool) else x for key, x in query.items()}
+        return self._transport.get(self._path(name), {**plain, "format": format}).content
 
     def diagram(
         self,
@@ -178,35 +193,6 @@ class Results(JobStatus):
             "mask": "true" if mask else None, "hysteresis": "true" if hysteresis else None,
         }  # fmt: skip
         return modes_dataset(json_object(self._transport.get(self._path("modes"), query)), self.id)
-
-    def basins(
-        self, gamma: float | None = None, omega: float | None = None, xi: float | None = None
-    ) -> "xarray.Dataset":
-        """The basin of one cell of a job with the protocol basin: which start reaches which attractor.
-
-        `gamma`, `omega`, `xi` take the nearest grid value; one that has only one value may be left out.
-        Returns a Dataset with dims (row, column): `attractor`, an id or 0; with dim id: `fraction`, `label`,
-        `outcome`, `bounces`, `periods`, `longest_flight` (rad), `lifetime` (plate periods, infinite where no
-        such motion was seen to end); with dims (id, flight): `flight_time`, `takeoff_phase` (rad); scalars
-        `undecided`, `basin_entropy`, `boundary_entropy`. Its attribute `complete` is 0 until the cell is
-        computed. Raises BadRequest.
-        """
-        from service.client.datasets import basin_dataset
-
-        query = {"gamma": gamma, "omega": omega, "xi": xi}
-        return basin_dataset(json_object(self._transport.get(self._path("basins"), query)), self.id)
-
-    def basin_picture(
-        self,
-        format: BasinFormat = "png",
-        *,
-        gamma: float | None = None,
-        omega: float | None = None,
-        xi: float | None = None,
-    ) -> bytes:
-        """The basin of one cell as a PNG or SVG with their shares, or as JSON. Raises BadRequest."""
-        query = {"gamma": gamma, "omega": omega, "xi": xi, "format": format}
-        return self._transport.get(self._path("basins"), query).content
 
     def multistability(self, xi: float | None = None, *, omega: float | None = None) -> "xarray.Dataset":
         """The attractors over (omega, gamma) of a job with the protocol multistability, matched over cells.

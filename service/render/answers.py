@@ -9,17 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats import PICTURES, BasinFormat, DiagramFormat, MultistabilityFormat
-from service.render import basins as basin_pictures
+from service.formats import PICTURES, DiagramFormat, MultistabilityFormat
 from service.render import bifurcation, binary, text
 from service.render import multistability as multistability_pictures
-from service.results import basins as basin_results
 from service.results import diagram as diagrams
 from service.results import line as lines
 from service.results import mode_map
 from service.results import multistability as multistability_results
 from service.results import trajectory as trajectories
-from service.results.basins import Basins
 from service.results.diagram import Diagram
 from service.results.multistability import Multistability
 from service.results.selection import Sweep, nearest_index
@@ -147,18 +144,6 @@ def packed_plane(
 def trajectory(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> bytes:
     """One cell in motion as JSON, from rest, on a cycle, or on from a state."""
     return text.trajectory_json(trajectories.compute(spec, state))
-
-
-def basin(
-    basins: Basins, place: tuple[float | None, float | None, float | None], format: BasinFormat
-) -> Answer:
-    """The basin of the cell nearest to `place`, (gamma, omega, xi), as JSON or as a picture."""
-    cell = basin_results.basin(basins, *place)
-    if format == "json":
-        content = basin_pictures.basin_json(cell)
-    else:
-        content = basin_pictures.draw(cell, format, basins.origin)
-    return Answer(content, cell.complete)
 
 
 def multistability(

@@ -13,8 +13,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from service.formats import PictureFormat
-from service.render.basins import COLOURS, UNDECIDED
-from service.render.style import FONT, SYMBOLS, TEXT, Origin, encode
+from service.render.style import COLOURS, FONT, SYMBOLS, TEXT, UNDECIDED, Origin, encode
 from service.render.text import to_json
 from service.results.multistability import Attractor, Place, Plane
 

@@ -23,6 +23,10 @@ DPI: Final = 200
 #: Colours that remain distinct to colour-blind readers and on a photocopy (ColorBrewer's RdBu).
 GREY, RED, BLUE = "#a6a6a6", "#b2182b", "#2166ac"
 
+#: Colours of the attractors in order, repeated beyond (Okabe and Ito); of undecided starts.
+COLOURS: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#666666")
+UNDECIDED: Final = "#ffffff"
+
 #: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
 _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 

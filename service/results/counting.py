@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.labels import LABELS, label_codes
+from kernel.labels import LABELS, UNSTABLE, label_codes
+from kernel.params import Outcome
 from kernel.recount import Modes, recount
 from worker import schema
 from worker.schema import MODE_ARRAYS
@@ -72,6 +73,13 @@ def labelled(
     if not spec.exponents:
         return {}
     return {LABEL.name: label_codes(outcome, arrays[schema.LYAPUNOV.name], spec.observe)}
+
+
+def attractor_label(code: int, bounces: int, periods: int) -> str:
+    """rest, a mode as (3,4), or the label of an aperiodic attractor; `code`: an outcome or a label's."""
+    if code in (Outcome.PERIODIC, UNSTABLE):
+        return f"({bounces},{periods})" + (" unstable" if code == UNSTABLE else "")
+    return "rest" if code == Outcome.AT_REST else LABELS[code]
 
 
 def _found_anew(

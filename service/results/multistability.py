@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.params import Outcome
-from service.results.basins import attractor_label
+from service.results.counting import attractor_label
 from service.results.selection import BASE_MEMORY, Stored, check_points, nearest_index, read_stored
 from worker.basins.multistability import MAX_ATTRACTORS
 from worker.basins.spec import MultistabilitySpec

@@ -14,9 +14,8 @@ from kernel.branches.starts import CycleStart, start_on_cycle, start_on_stable_c
 from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
-from service.results.basins import Basins
-from service.results.multistability import Multistability
 from service.results.selection import (
+    Stored,
     Sweep,
     check_kernel,
     nearest_index,
@@ -25,7 +24,7 @@ from service.results.selection import (
     resolve_direction,
 )
 from worker import schema
-from worker.basins.spec import MAX_HEIGHT
+from worker.basins.spec import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
 from worker.cost import period_seconds
 from worker.spec import AXES, LARGEST, SMALLEST, SweepSpec, parsing
@@ -283,7 +282,7 @@ def of_cell(
 
 
 def of_attractor(
-    job: Basins | Multistability,
+    job: Stored[BasinSpec] | Stored[MultistabilitySpec],
     values: Mapping[str, float | None],
     attractor: int,
     periods: int,

@@ -35,6 +35,10 @@ OF_ATTRACTORS: Final = (
           fields=" ".join(STATE_FIELDS)),
 )  # fmt: skip
 
+LIFETIME: Final = array(
+    "lifetime", ("id",), "<f8", "plate periods until aperiodic motion ends; inf: none ended"
+)
+
 #: The last array of such a study.
 COMPUTED_OR_UNDECIDED: Final = OUTCOME._replace(
     dims=AXES,

@@ -16,6 +16,7 @@ from worker import store
 from worker.basins.attractors import Found, Request, Rules, find
 from worker.basins.schema import (
     COMPUTED_OR_UNDECIDED,
+    LIFETIME,
     OF_ATTRACTORS,
     array,
     bytes_per_cell,
@@ -42,7 +43,7 @@ BOX: Final = 8
 _Arrays = dict[str, NDArray[Any]]
 
 
-def _arrays(spec: BasinSpec) -> tuple[Array, ...]:
+def arrays(spec: BasinSpec) -> tuple[Array, ...]:
     """The stored arrays in the order they are written."""
     exponents = [
         array("lyapunov", ("id", "exponent"), "<f8", "Lyapunov exponents, the largest first",
@@ -52,7 +53,7 @@ def _arrays(spec: BasinSpec) -> tuple[Array, ...]:
         array("attractor", ("row", "column"), "|u1", "attractor that a start reaches",
               comment="0: undecided, or of an attractor beyond the dimension id"),
         *OF_ATTRACTORS[:5],
-        array("lifetime", ("id",), "<f8", "plate periods until aperiodic motion ends; inf: none ended"),
+        LIFETIME,
         *OF_ATTRACTORS[5:],
         *(exponents if spec.exponents else ()),
         array("attractor_count", (), "<i4", "attractors of the cell, also those beyond the dimension id"),
@@ -65,7 +66,7 @@ def _arrays(spec: BasinSpec) -> tuple[Array, ...]:
     )  # fmt: skip
 
 
-def _sizes(spec: BasinSpec) -> dict[str, int]:
+def sizes(spec: BasinSpec) -> dict[str, int]:
     plane = spec.protocol
     return {"row": plane.rows, "column": plane.columns, "exponent": spec.exponents,
             **sizes_of_attractors(spec, MAX_ATTRACTORS)}  # fmt: skip
@@ -94,7 +95,7 @@ def layout(spec: BasinSpec, chunk_shape: tuple[int, ...]) -> Layout:
                {"long_name": "attractor, by the share of the starts that reach it"}),
     }  # fmt: skip
     title = "bouncing spring: basins of attraction"
-    return grid_layout(spec, chunk_shape, _arrays(spec), _sizes(spec), coordinates, title)
+    return grid_layout(spec, chunk_shape, arrays(spec), sizes(spec), coordinates, title)
 
 
 def _of_starts(spec: BasinSpec) -> SweepSpec:
@@ -114,7 +115,7 @@ def make_plan(spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> Gr
     """
     if chunk_shape is None:
         starts = spec.protocol.rows * spec.protocol.columns
-        seconds, size = starts * start_seconds(spec), bytes_per_cell(_arrays(spec), _sizes(spec))
+        seconds, size = starts * start_seconds(spec), bytes_per_cell(arrays(spec), sizes(spec))
         cells = max(1, int(min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size)))
         gammas = spec.shape[2]
         row = -(-gammas // -(-gammas // min(cells, gammas)))
@@ -129,8 +130,8 @@ def run_chunk(spec: BasinSpec, chunk: Block, store_url: str, slice_seconds: floa
     `slice_seconds` core-seconds are over, or a `store.StoreError`.
     """
     began = time.perf_counter()
-    store.check_chunk(store_url, chunk, _arrays(spec))
-    record = empty_record(chunk, _arrays(spec), _sizes(spec))
+    store.check_chunk(store_url, chunk, arrays(spec))
+    record = empty_record(chunk, arrays(spec), sizes(spec))
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]
     work = Steps(store_url, chunk.index, record, began, slice_seconds)
     for number, index in enumerate(np.ndindex(chunk.shape)):
@@ -227,7 +228,7 @@ class BasinStudy:
         return Cost(
             cells=plan.cells,
             chunks=len(plan),
-            bytes=plan.cells * bytes_per_cell(_arrays(spec), _sizes(spec)),
+            bytes=plan.cells * bytes_per_cell(arrays(spec), sizes(spec)),
             core_seconds=starts * start_seconds(spec),
             longest_core_seconds=starts * period_seconds(_of_starts(spec)) * spec.until,
         )

@@ -2,11 +2,12 @@
 
 from typing import Any
 
-import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
-from scripted import DEADLINE, wait_for
+from scripted import wait_for
 from served import done
+
+from service.client import Client
 
 pytestmark = needs_chromium
 
@@ -25,21 +26,17 @@ def drops(address: str) -> str:
     return done(address, DROPS)
 
 
-def basins_of(address: str, job: str, gamma: float) -> dict[str, Any]:
-    answer = httpx2.get(f"{address}/v1/jobs/{job}/basins", params={"gamma": gamma}, timeout=DEADLINE)
-    return dict(answer.raise_for_status().json())
-
-
 def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str):
-    found = basins_of(address, drops, 1.27)
+    with Client(address) as client:
+        found = client.job(drops).basins(1.27)
     with opened(browser, f"{address}/#/job/{drops}?gamma=1.27") as page:
         wait_shown(page, gamma=1.27, complete=True)
         assert page.locator(".tabs a").all_inner_texts() == ["Basins", "Details"]
         entries = page.locator(".panel .legend li").all_inner_texts()
-        assert len(entries) == len(found["attractors"]) == 2
-        for text, attractor in zip(entries, found["attractors"], strict=True):
-            assert f"{attractor['longest_flight']:.4g}" in text
-            assert f"{100 * attractor['fraction']:.3g}" in text
+        longest = found.attractor_longest_flight.values
+        for text, flight, share in zip(entries, longest, found.attractor_fraction.values, strict=True):
+            assert f"{flight:.4g}" in text
+            assert f"{100 * share:.3g}" in text
         swatches = page.locator(".panel .legend .swatch")
         assert [swatches.nth(i).evaluate("e => e.style.background") for i in (0, 1)] == COLOURS
         assert "basin entropy" in page.locator(".panel").inner_text()
@@ -47,10 +44,9 @@ def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         said = page.locator(".panel .readout").inner_text()
-        row, column = len(found["rows"]) // 2, len(found["columns"]) // 2 + 1
-        assert f"height {found['rows'][row]:.5g}"[:10] in said
-        reached = found["attractors"][found["map"][row][column] - 1]
-        assert f"{reached['longest_flight']:.4g}" in said
+        start = found.isel(row=found.sizes["row"] // 2, column=found.sizes["column"] // 2 + 1)
+        assert f"height {start.row.item():.5g}"[:10] in said
+        assert f"{longest[start.attractor_of_start.item() - 1]:.4g}" in said
         page.keyboard.press("Enter")
         page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
         about = page.locator(".trajectory header .note").inner_text()

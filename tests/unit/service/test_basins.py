@@ -1,4 +1,4 @@
-"""Basins as a job: over HTTP, in the client, as a picture, and on the command line."""
+"""Basins as a job: over HTTP, in the client, as a picture."""
 
 from collections.abc import Iterator
 from io import BytesIO
@@ -7,12 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray
 from fastapi.testclient import TestClient
 from matplotlib import image
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from served import computing, get, occupied
 
-from service.api import schemas
 from service.client import BadRequest, Client, Job
+from service.render.style import COLOURS, UNDECIDED
+from service.views import basins
 
 SPEC: dict[str, Any] = {
     "name": "drops", "gamma": [0.6, 1.27], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"},
@@ -38,79 +43,97 @@ def job(client: Client) -> Job:
     return client.submit(SPEC).wait(progress=False)
 
 
-def test_the_basin_of_a_cell(service: TestClient, job: Job):
-    answer = get(service, f"/v1/jobs/{job.id}/basins", gamma=1.25)
-    assert set(answer) == set(schemas.BasinView.model_fields)
-    assert (answer["gamma"], answer["omega"], answer["xi"]) == (1.27, 0.5, 0.26)
-    assert [a["id"] for a in answer["attractors"]] == [1, 2]
-    assert [round(a["longest_flight"], 6) for a in answer["attractors"]] == FLIGHTS
-    assert {a["label"] for a in answer["attractors"]} == {"(1,1)"}
-    assert all(set(a) == set(schemas.AttractorView.model_fields) for a in answer["attractors"])
-    assert all(a["lifetime"] is None and a["lyapunov"][0] < -0.1 for a in answer["attractors"])
-    ids = np.array(answer["map"])
-    assert ids.shape == (16, 24) == (len(answer["rows"]), len(answer["columns"]))
-    assert [float((ids == a["id"]).mean()) for a in answer["attractors"]] == [
-        a["fraction"] for a in answer["attractors"]
-    ]
-    assert answer["complete"]
-    assert answer["undecided"] == 0.0
-    assert 0.0 < answer["basin_entropy"] <= answer["boundary_entropy"] < np.log(2.0)
+@pytest.fixture(scope="module")
+def found(job: Job) -> xarray.Dataset:
+    return job.basins(1.25)  # the nearest is 1.27
+
+
+def test_the_basin_of_a_cell(found: xarray.Dataset, job: Job):
+    assert [found[axis].item() for axis in ("gamma", "omega", "xi")] == [1.27, 0.5, 0.26]
+    assert found.attractor.values.tolist() == [1, 2]
+    assert found.attractor_longest_flight.values.round(6).tolist() == FLIGHTS
+    assert found.attractor_label.values.tolist() == ["(1,1)", "(1,1)"]
+    assert np.isnan(found.attractor_lifetime).all()  # infinite in the store
+    assert (found.attractor_lyapunov[:, 0] < -0.1).all()
+    ids = found.attractor_of_start
+    assert [float((ids == i).mean()) for i in (1, 2)] == found.attractor_fraction.values.tolist()
+    assert found.undecided == 0.0
+    assert 0.0 < found.basin_entropy <= found.boundary_entropy < np.log(2.0)
+    assert found.attrs["complete"] == 1
+    stored = job.open().load()
+    assert (stored.attractor.sel(gamma=1.27).squeeze().values == ids.values).all()
+
+
+def test_rest_is_an_attractor(service: TestClient, job: Job):
+    variables = get(service, f"/v1/jobs/{job.id}/basins", gamma=0.6)["data_vars"]
+    told = {name: variables[f"attractor_{name}"]["data"] for name in ("label", "outcome", "fraction")}
+    assert told == {"label": ["rest"], "outcome": [3], "fraction": [1.0]}
+    assert set(variables["attractor_flight_time"]["data"][0]) == {None}
 
 
 def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
     with occupied(tmp_path) as service:
         job = service.post("/v1/jobs", json=SPEC).json()
         answer = get(service, f"/v1/jobs/{job['id']}/basins", gamma=1.25)
-        assert (answer["complete"], answer["attractors"]) == (False, [])
+        assert answer["attrs"]["complete"] is False
+        assert answer["dims"]["attractor"] == 0
+        assert answer["data_vars"]["undecided"]["data"] is None
 
 
-def test_rest_is_an_attractor(service: TestClient, job: Job):
-    answer = get(service, f"/v1/jobs/{job.id}/basins", gamma=0.6)
-    assert [(a["label"], a["outcome"], a["fraction"]) for a in answer["attractors"]] == [("rest", 3, 1.0)]
-    assert answer["attractors"][0]["flight_time"] == []
-    assert answer["boundary_entropy"] == 0.0
+def test_the_picture(job: Job):
+    picture = job.result_file("basins", "png", gamma=1.27)
+    assert picture == job.result_file("basins", "png", gamma=1.27)
+    pixels = image.imread(BytesIO(picture))
+    colours = {tuple(row) for row in (pixels[..., :3] * 255).round().astype(int).reshape(-1, 3)}
+    assert {(0, 0x72, 0xB2), (0xE6, 0x9F, 0)} <= colours
 
 
-def test_in_the_client(client: Client, job: Job):
-    found = job.basins(1.27)
-    assert found.attractor.dims == ("row", "column")
-    assert found.label.values.tolist() == ["(1,1)", "(1,1)"]
-    assert np.round(found.longest_flight.values, 6).tolist() == FLIGHTS
-    assert np.isinf(found.lifetime.values).all()
-    assert found.attrs["complete"] == 1
-    np.testing.assert_allclose(found.row.values, (np.arange(16) + 0.5) * 10.0 / 16)
-    stored = job.open().load()
-    assert stored.attractor.dims == ("xi", "omega", "gamma", "row", "column")
-    assert (stored.attractor.sel(gamma=1.27).squeeze().values == found.attractor.values).all()
-    assert stored.fraction.sel(gamma=1.27, id=1).item() == found.fraction.values[0]
-    assert client.submit(SPEC | {"name": "the same"}).id == job.id
-
-
-@pytest.mark.parametrize("format", ["png", "svg"])
-def test_as_a_picture(job: Job, format: Any):
-    picture = job.basin_picture(format, gamma=1.27)
-    assert picture == job.basin_picture(format, gamma=1.27)
-    if format == "png":
-        pixels = image.imread(BytesIO(picture))
-        colours = {tuple(row) for row in (pixels[..., :3] * 255).round().astype(int).reshape(-1, 3)}
-        assert {(0, 0x72, 0xB2), (0xE6, 0x9F, 0)} <= colours
-    else:
-        assert b"(1,1)" in picture or b"<path" in picture
-
-
-def test_what_is_refused(service: TestClient, client: Client, job: Job):
+def test_what_is_refused(client: Client, job: Job):
     with pytest.raises(BadRequest, match="gamma: is required"):
         job.basins()
     with pytest.raises(BadRequest, match="gamma: must be within"):
         job.basins(5.0)
-    sweep = client.submit({"gamma": 1.2, "omega": 0.5, "xi": 0.26, "settle": 1, "observe": 1}).wait(
-        progress=False
-    )
-    with pytest.raises(BadRequest, match="must be a job with the protocol basin; that of this job is rest"):
-        sweep.basins()
-    answer = service.get(f"/v1/jobs/{job.id}/diagram", params={"along": "gamma"})
-    assert answer.status_code == 422
-    assert "must be a sweep; the protocol of this job is basin" in answer.json()["detail"]
-    answer = service.post("/v1/jobs", json=SPEC | {"protocol": {"kind": "basin", "rows": 10**6}})
-    assert answer.status_code == 422
-    assert answer.json()["errors"][0]["field"] == "protocol.rows"
+    sweep = client.submit({"gamma": 1.2, "omega": 0.5, "xi": 0.26, "settle": 1, "observe": 1})
+    with pytest.raises(BadRequest, match="job_id: has no basins: the protocol of this job is rest"):
+        sweep.wait(progress=False).basins()
+
+
+def drawn(shown: xarray.Dataset) -> Axes:
+    figure = Figure()
+    basins.draw(shown, figure)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    return axes
+
+
+def legend(shown: xarray.Dataset) -> list[tuple[str, str]]:
+    """Colour and text of every entry."""
+    entries = drawn(shown).get_legend()
+    assert entries is not None
+    texts = [text.get_text() for text in entries.get_texts()]
+    return [(to_hex(p.get_facecolor()), t) for p, t in zip(entries.get_patches(), texts, strict=True)]
+
+
+def test_every_start_is_a_pixel_in_the_colour_of_its_attractor(found: xarray.Dataset):
+    (picture,) = drawn(found).images
+    ids = np.asarray(picture.get_array())
+    assert picture.origin == "lower"
+    assert np.array_equal(ids, found.attractor_of_start)
+    colours = [to_hex(colour) for colour in picture.cmap(picture.norm(np.arange(3)))]
+    assert colours == [UNDECIDED, *COLOURS[:2]]
+    left, right, bottom, top = picture.get_extent()
+    for values, low, high in ((found.column, left, right), (found.row, bottom, top)):
+        width = (high - low) / values.size
+        np.testing.assert_allclose(low + width * (np.arange(values.size) + 0.5), values)
+
+
+def test_the_legend_names_attractors_and_what_is_undecided(found: xarray.Dataset):
+    fractions = [f"{100 * share:.1f} %" for share in found.attractor_fraction.values]
+    named = [(COLOURS[i], f"(1,1)  {fractions[i]}\nup to {FLIGHTS[i]:.4g} rad") for i in (0, 1)]
+    assert legend(found) == named
+    assert legend(found.assign(undecided=0.25))[2:] == [(UNDECIDED, "undecided  25.0 %")]
+    none = found.isel(attractor=slice(0)).assign(undecided=np.nan)
+    assert legend(none) == [(UNDECIDED, "not computed")]
+    many = xarray.concat([found] * 10, "attractor", data_vars="minimal", coords="minimal", compat="override")
+    texts = [text for _, text in legend(many)]
+    assert texts[basins.NAMED :] == ["and 4 more"]

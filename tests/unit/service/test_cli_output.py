@@ -241,26 +241,6 @@ def test_a_motion_is_a_row_for_each_sample():
     }  # fmt: skip
 
 
-# Attractors
-
-
-def test_the_attractors_of_a_cell_are_a_line_each():
-    columns = {
-        "fraction": [0.75, 0.25], "longest_flight": [7.9559, 11.24674], "lifetime": [np.inf, 1234.5],
-        "label": ["(3,4)", "aperiodic"],
-    }  # fmt: skip
-    numbers = {"undecided": 0.0625, "basin_entropy": 0.5, "boundary_entropy": NAN}
-    cell = xarray.Dataset(
-        {name: ("id", values) for name, values in columns.items()} | numbers, {"id": [1, 2]}
-    )
-    assert results._attractors(cell).splitlines() == [
-        " ID     SHARE  LONGEST FLIGHT    LIFETIME  ATTRACTOR",
-        "  1    0.7500       7.9559000           -  (3,4)",
-        "  2    0.2500      11.2467400        1234  aperiodic",
-        "undecided 0.0625, basin entropy 0.5000, boundary entropy nan",
-    ]
-
-
 def test_the_attractors_over_a_grid_are_a_line_each():
     plane = xarray.Dataset(
         {

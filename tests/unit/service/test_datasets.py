@@ -8,7 +8,6 @@ import pytest
 from service.client import UnexpectedAnswer
 from service.client.datasets import (
     MISSING_POINT,
-    basin_dataset,
     diagram_dataset,
     modes_dataset,
     multistability_dataset,
@@ -23,38 +22,6 @@ JOB = "0" * 32
 
 def nan_as_none(values: Any) -> Any:
     return [None if np.isnan(value) else value for value in np.asarray(values).ravel().tolist()]
-
-
-ATTRACTOR: dict[str, Any] = {
-    "id": 7, "fraction": 0.75, "longest_flight": 5.0, "lifetime": None, "outcome": 1, "bounces": 1,
-    "periods": 1, "label": "(1,1)", "flight_time": [5.0], "takeoff_phase": [1.0], "lyapunov": [-0.5],
-}  # fmt: skip
-BASIN: dict[str, Any] = {
-    "plane": "drop", "attractors": [ATTRACTOR], "map": [[7, 7, 0]], "rows": [0.5], "columns": [0.0, 1.0, 2.0],
-    "gamma": 1.2, "omega": 0.5, "xi": 0.26, "undecided": 0.25, "basin_entropy": None,
-    "boundary_entropy": None, "complete": True,
-}  # fmt: skip
-
-
-def test_a_basin_with_one_attractor():
-    basin = basin_dataset(BASIN, JOB)
-    assert basin.lyapunov.dims == ("id", "exponent")
-    assert basin.lyapunov.values.tolist() == [[-0.5]]
-    assert basin.lifetime.values.tolist() == [np.inf]
-    assert (basin.row.attrs["units"], basin.column.attrs["units"]) == ("plate amplitudes", "rad")
-    aperiodic = BASIN | {"attractors": [ATTRACTOR | {"lifetime": 12.5, "lyapunov": None}], "plane": "contact"}
-    basin = basin_dataset(aperiodic, JOB)
-    assert "lyapunov" not in basin
-    assert basin.lifetime.values.tolist() == [12.5]
-    assert basin.row.attrs["long_name"].startswith("elongation")
-    assert basin.column.attrs["long_name"].startswith("velocity")
-
-
-def test_a_basin_that_is_not_computed_yet_has_no_attractors():
-    basin = basin_dataset(BASIN | {"attractors": [], "map": [[0, 0, 0]], "complete": False}, JOB)
-    assert basin.sizes == {"row": 1, "column": 3, "id": 0, "flight": 0}
-    assert basin.attrs["complete"] == 0
-    assert np.isnan(basin.basin_entropy)
 
 
 def place(id: int, fraction: float, **more: Any) -> dict[str, Any]:

@@ -124,9 +124,7 @@ def test_what_is_refused(service: TestClient, client: Client, job: Job):
         job.multistability(0.5)
     with pytest.raises(BadRequest, match="omega: must be within"):
         job.multistability(omega=0.7)
-    with pytest.raises(
-        BadRequest, match="must be a job with the protocol basin; that of this job is multist"
-    ):
+    with pytest.raises(BadRequest, match="has no basins: the protocol of this job is multistability"):
         job.basins()
     answer = service.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422

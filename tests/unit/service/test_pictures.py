@@ -25,15 +25,13 @@ from paths import GOLDEN, ROOT
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.client import plots
-from service.render import basins, bifurcation, multistability, work_precision
+from service.render import bifurcation, multistability, work_precision
 from service.render.style import DPI
-from service.results.basins import Attractor as BasinAttractor
-from service.results.basins import BasinCell
 from service.results.counting import LABEL
 from service.results.diagram import Diagram
 from service.results.multistability import Attractor, Place, Plane
 from worker.analysis.work_precision import Measurement
-from worker.basins.spec import BasinSpec, MultistabilitySpec
+from worker.basins.spec import MultistabilitySpec
 from worker.spec import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
@@ -85,29 +83,6 @@ def flights() -> np.ndarray:
 def empty_plane() -> Plane:
     count = np.full((2, 1), -1)
     return plane(0, gamma=np.array([1.1]), count=count, cells=(((),), ((),)))
-
-
-def basin(count: int, **changes: Any) -> BasinCell:
-    attractors = tuple(
-        BasinAttractor(
-            id=n, fraction=0.75 / n**2, outcome=int(Outcome.PERIODIC), label=f"({n},1)", bounces=n, periods=1,
-            longest_flight=0.0 if n == 2 else 1.5 * n, lifetime=float("inf"), state=np.zeros(4),
-            flight_time=np.array([1.5 * n]), takeoff_phase=np.array([0.5]), lyapunov=None,
-        )
-        for n in range(1, count + 1)
-    )  # fmt: skip
-    rows, columns = 2, 4
-    fields: dict[str, Any] = {
-        "gamma": 1.1,
-        "omega": 0.5,
-        "xi": 0.26,
-        "spec": BasinSpec(**CELL, protocol={"kind": "basin", "rows": rows, "columns": columns}),
-        "map": np.arange(rows * columns, dtype=np.uint8).reshape(rows, columns) % (count + 1),
-        "attractors": attractors,
-        "numbers": {"undecided": 0.125} if count else {},
-        "complete": True,
-    }
-    return BasinCell(**(fields | changes))
 
 
 def diagram(direction: str, cells: int, **changes: Any) -> Diagram:
@@ -192,10 +167,6 @@ PICTURES: dict[str, tuple[tuple[float, float], Draw]] = {
     "multistability, a line": (
         multistability.LINE_SIZE, lambda figure: multistability._draw_line(figure, line(), flights())
     ),
-    "basin": (basins.SIZE, lambda figure: basins._draw(figure, basin(3))),
-    "basin, many attractors": (basins.SIZE, lambda figure: basins._draw(figure, basin(20))),
-    "basin, some attractors": (basins.SIZE, lambda figure: basins._draw(figure, basin(basins.ROOMY))),
-    "basin, not computed": (basins.SIZE, lambda figure: basins._draw(figure, basin(0))),
     "diagram": (bifurcation.SIZE, diagrams(diagram("up", 40), diagram("down", 40, repairing=True))),
     "diagram, dense": (bifurcation.SIZE, diagrams(diagram("rest", 80_000))),
     "tradeoff": (work_precision.SIZE, tradeoff),

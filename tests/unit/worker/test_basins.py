@@ -25,14 +25,14 @@ from worker.basins.starts import starts_of
 from worker.basins.study import (
     BASINS,
     MAX_ATTRACTORS,
-    _arrays,
     _fill_in,
     _fill_in_numbers,
-    _sizes,
+    arrays,
     entropies,
     make_plan,
     rules_of,
     run_chunk,
+    sizes,
     start_seconds,
 )
 from worker.cost import cell_seconds, period_seconds
@@ -336,7 +336,7 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
     )  # fmt: skip
     ids = np.arange(36, dtype=np.uint16)
     ids[35] = MAX_ATTRACTORS + 2
-    record = empty_record(BASINS.plan(spec)[0], _arrays(spec), _sizes(spec))
+    record = empty_record(BASINS.plan(spec)[0], arrays(spec), sizes(spec))
     cell = {name: array[0, 0, 0] for name, array in record.items() if array.ndim > 3}
     _fill_in(spec, Found(ids, attractors), cell)
     _fill_in_numbers(spec, Found(ids, attractors), record, (0, 0, 0))
@@ -481,7 +481,7 @@ def test_cost_is_that_of_every_start_without_exponents():
     assert (cost.cells, cost.chunks) == (3, 2)
     assert cost.core_seconds == pytest.approx(60 * cell_seconds(plain))
     assert cost.longest_core_seconds == pytest.approx(60 * period_seconds(plain) * spec.until)
-    record = empty_record(BASINS.plan(spec, (1, 1, 3))[0], _arrays(spec), _sizes(spec))
+    record = empty_record(BASINS.plan(spec, (1, 1, 3))[0], arrays(spec), sizes(spec))
     assert cost.bytes == sum(array.nbytes for array in record.values())
 
 

@@ -116,6 +116,22 @@ export async function requestArrays(path, options) {
   return header;
 }
 
+/**
+ * A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
+ * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list.
+ */
+export async function requestDataset(path, options) {
+  const buffer = await read(await request(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options), "arrayBuffer", options?.signal);
+  const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
+  const { coords, data_vars, ...result } = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
+  for (const [name, variable] of Object.entries({ ...coords, ...data_vars })) {
+    const { shape = [], offset } = variable.data ?? {};
+    const length = shape.reduce((product, n) => product * n, 1);
+    result[name] = offset === undefined ? variable : { ...variable, shape, data: new ARRAY_TYPES[variable.dtype](buffer, end + 1 + offset, length) };
+  }
+  return result;
+}
+
 export const requestBlob = async (path) => read(await request(path, { timeout: DOWNLOAD_TIMEOUT_MS }), "blob");
 
 /** A query string; null, undefined and empty values are left out. */

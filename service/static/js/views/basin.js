@@ -1,7 +1,7 @@
 // The basins of one cell: which attractor each start of the plane reaches.
 
 import { addressValue, setQuery } from "../lib/address.js";
-import { query, requestJson } from "../lib/api.js";
+import { query, requestDataset } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { csv } from "../lib/downloads.js";
 import { number, share } from "../lib/format.js";
@@ -41,14 +41,14 @@ export class Basin extends PlotView {
   }
 
   async request(signal) {
-    this.basin = await requestJson(`/v1/jobs/${this.job.id}/basins?${query(this.place)}`, { signal });
+    this.basin = read(await requestDataset(`/v1/jobs/${this.job.id}/basins?${query(this.place)}`, { signal }));
     this.#showLegend();
-    const { gamma, omega, xi } = this.basin;
-    return { gamma, omega, xi, complete: this.basin.complete };
+    const { gamma, omega, xi, complete } = this.basin;
+    return { gamma, omega, xi, complete };
   }
 
   #showLegend() {
-    const { attractors, undecided, basin_entropy: entropy, boundary_entropy: boundary } = this.basin;
+    const { attractors, undecided, entropy, boundary } = this.basin;
     const { gamma, omega, xi } = this.basin;
     const attractor = ({ id, fraction, ...about }) => legendEntry(attractorColour(id),
       h("button", {
@@ -84,7 +84,7 @@ export class Basin extends PlotView {
   #drawStarts(ctx, box) {
     const { attractors, columns, rows, map } = this.basin;
     const colours = [rgba32(box.theme.surface), ...attractors.map(({ id }) => rgba32(attractorColour(id)))];
-    drawCells(ctx, box, columns, rows, (row, column) => colours[map[row][column]]);
+    drawCells(ctx, box, columns, rows, (row, column) => colours[map(row, column)]);
   }
 
   #drawCursor(ctx, box) {
@@ -113,23 +113,40 @@ export class Basin extends PlotView {
   describe({ column, row }) {
     const { plane, columns, rows, map, attractors } = this.basin;
     const [across, along] = plane === "drop" ? ["height", "phase"] : ["elongation", "velocity × Ω"];
-    const attractor = attractors.find(({ id }) => id === map[row][column]);
+    const attractor = attractors[map(row, column) - 1];
     return [`${across} ${number(rows[row])}`, `${along} ${number(columns[column])}`, attractor ? `reaches ${attractorText(attractor)}` : "undecided"].join(" · ");
   }
 
   table() {
     const { columns, rows, map, plane } = this.basin;
     const names = plane === "drop" ? ["height", "phase"] : ["elongation", "velocity"];
-    return csv([...names, "attractor"], rows.flatMap((row, i) => columns.map((column, j) => [row, column, map[i][j]])));
+    return csv([...names, "attractor"], rows.flatMap((row, i) => columns.map((column, j) => [row, column, map(i, j)])));
   }
 }
 
+/** The basin of one cell from its Dataset; `map(row, column)` is the attractor of a start, from 1; 0: undecided. */
+function read({ attrs, row, column, ...found }) {
+  const scalar = (name) => found[name].data;
+  const of = (name, i) => found[`attractor_${name}`].data[i];
+  const { data, shape: [, width] } = found.attractor_of_start;
+  const exponents = found.attractor_lyapunov;
+  return {
+    gamma: scalar("gamma"), omega: scalar("omega"), xi: scalar("xi"), plane: attrs.plane, complete: attrs.complete,
+    rows: Array.from(row.data), columns: Array.from(column.data), map: (i, j) => data[i * width + j],
+    undecided: scalar("undecided"), entropy: scalar("basin_entropy"), boundary: scalar("boundary_entropy"),
+    attractors: Array.from(found.attractor.data, (id, i) => ({
+      id, fraction: of("fraction", i), label: of("label", i), outcome: of("outcome", i), bounces: of("bounces", i),
+      periods: of("periods", i), longest: of("longest_flight", i), exponent: exponents?.data[i * exponents.shape[1]] ?? NaN,
+    })),
+  };
+}
+
 /** "(3, 4), flights up to 7.956 rad, λ₁ −0.31" */
-function attractorText({ outcome, label, bounces, periods, longest_flight: longest, lyapunov }) {
+function attractorText({ outcome, label, bounces, periods, longest, exponent }) {
   const name = outcomeText(outcome, bounces, periods);
   const parts = [label.startsWith("(") || label === "rest" ? name : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
-  if (lyapunov?.length && lyapunov[0] !== null) parts.push(`λ₁ ${number(lyapunov[0], 3)}`);
+  if (Number.isFinite(exponent)) parts.push(`λ₁ ${number(exponent, 3)}`);
   return parts.join(", ");
 }
 

@@ -1,11 +1,11 @@
-"""Endpoints of basins of attraction and of multistability."""
+"""Endpoint of multistability."""
 
-from typing import Annotated, Final
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
 
 from service.api import dependencies, parameters, schemas
-from service.api.capacity import Cost, costly
+from service.api.capacity import costly
 from service.api.conditional import NOT_MODIFIED, ConditionalRoute, ResultsJob
 from service.api.dependencies import ServiceDep
 from service.api.schemas import content, problem_responses
@@ -13,42 +13,8 @@ from service.formats import MEDIA_TYPES, PICTURES, TABLES
 from service.jobs.model import JobRecord
 from service.render import answers
 from service.results.multistability import plane_memory
-from service.results.selection import BASE_MEMORY
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", route_class=ConditionalRoute, tags=["results"])
-
-#: Bytes of memory per start, with its id as text.
-_PER_START: Final = 64
-
-
-def _cost(service: ServiceDep, job: JobRecord, query: parameters.BasinQuery) -> Cost:
-    plane = dependencies.basins(service, job).spec.protocol
-    memory = plane.rows * plane.columns * _PER_START
-    if query.format in PICTURES:
-        return Cost(BASE_MEMORY + memory)
-    return dependencies.cost_of_read(service, job, memory)
-
-
-@router.get(
-    "/basins",
-    summary="Read the basin of a cell",
-    response_model=schemas.BasinView,
-    responses={**content("json", *PICTURES), **NOT_MODIFIED, **problem_responses(404, 422)},
-)
-@costly(_cost)
-def get_basins(
-    service: ServiceDep, job: ResultsJob, query: Annotated[parameters.BasinQuery, Query()]
-) -> Response:
-    """The attractors of one cell, and which of them each start of the plane reaches.
-
-    Of a job with the protocol `basin`. Attractors are numbered from 1 by the share of the starts that reach
-    them; 0 in the map is a start without one. `complete` tells whether the cell is computed. As a picture,
-    every start has the colour of its attractor.
-    """
-    place = (query.gamma, query.omega, query.xi)
-    answer = service.background.run(answers.basin, dependencies.basins(service, job), place, query.format)
-    headers = {"Bounce-Complete": "true" if answer.complete else "false"}
-    return Response(answer.content, media_type=MEDIA_TYPES[query.format], headers=headers)
 
 
 def _plane_memory(service: ServiceDep, job: JobRecord, query: parameters.MultistabilityQuery) -> int:

@@ -1,0 +1,179 @@
+"""The basin of a cell: its attractors, and which of them each start of the plane reaches."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import xarray
+from numpy.typing import NDArray
+
+from kernel.labels import label_codes
+from kernel.params import STATE_FIELDS, Outcome
+from service.results.counting import attractor_label
+from service.results.selection import Stored, nearest_index, read_stored
+from service.views.variables import VARIABLES, coordinate, of_attractor, variable
+from service.views.view import Estimate, Number, Query, View
+from worker.basins.attractors import EXPONENT_WINDOW
+from worker.basins.spec import Basin, BasinSpec
+from worker.basins.study import arrays as stored_arrays
+from worker.basins.study import sizes
+from worker.schema import Array
+from worker.spec import AXES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_LENGTH: Final = "plate amplitudes"
+#: Attributes of the rows and columns of each plane of starts.
+_PLANES: Final = {
+    "drop": (
+        {"long_name": "height above the plate", "units": _LENGTH},
+        {"long_name": "phase of the plate when let go", "units": "rad"},
+    ),
+    "contact": (
+        {"long_name": "elongation beyond the static one", "units": _LENGTH},
+        {"long_name": "velocity of the elongation times omega", "units": _LENGTH},
+    ),
+}
+
+
+class BasinQuery(Query):
+    """The cell nearest to these values. An axis with one value may be omitted."""
+
+    gamma: Number | None = None
+    omega: Number | None = None
+    xi: Number | None = None
+
+
+def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
+    """The attractors of one cell, and which of them each start of the plane reaches.
+
+    Attractors are numbered from 1 by the share of the starts that reach them. A start without an
+    attractor has the number 0.
+    """
+    spec, plane = study.spec, study.spec.protocol
+    at = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}
+    rows = stored_arrays(spec)
+    indices = {axis: point.index for axis, point in at.items()}
+    stored = read_stored(study, [row.name for row in rows], indices, lambda: _not_computed(spec, rows))
+    count = int((stored["attractor_outcome"] != Outcome.MISSING).sum())
+    found = {
+        row.name: variable((), values[:count] if "attractor" in row.dims else values, row)
+        for row, values in ((_as_result(row), stored[row.name]) for row in rows if row.name != "outcome")
+    }
+    found["attractor_label"] = variable((), _labels(spec, stored, count), VARIABLES["attractor_label"])
+    lifetime = found["attractor_lifetime"]
+    lifetime.values[np.isinf(lifetime.values)] = np.nan
+    row_attrs, column_attrs = _PLANES[plane.plane]
+    coords = {axis: coordinate(axis, point.value) for axis, point in at.items()} | {
+        "row": coordinate("row", plane.row_values, **row_attrs),
+        "column": coordinate("column", plane.column_values, **column_attrs),
+        "attractor": coordinate("attractor", np.arange(1, count + 1, dtype=np.int32)),
+        "state": coordinate("state", np.array(STATE_FIELDS)),
+    }
+    complete = bool(stored["outcome"] != Outcome.MISSING) and not study.repairing
+    attrs = {"plane": plane.plane, "height": plane.height, "model": spec.model.kind, "complete": complete}
+    return xarray.Dataset(found, coords, attrs)
+
+
+def _as_result(row: Array) -> Array:
+    """A stored array as this result has it."""
+    if row.name == "attractor":
+        return VARIABLES["attractor_of_start"]
+    named = of_attractor(row)
+    return VARIABLES.get(named.name, named)
+
+
+def _not_computed(spec: BasinSpec, rows: tuple[Array, ...]) -> dict[str, NDArray[Any]]:
+    """What the arrays of a cell hold before the store exists."""
+    length = sizes(spec)
+    return {row.name: np.full([length[dim] for dim in row.extra_dims], row.fill, row.dtype) for row in rows}
+
+
+def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.str_]:
+    codes = stored["attractor_outcome"][:count]
+    if spec.exponents:
+        codes = label_codes(codes, stored["lyapunov"][:count], EXPONENT_WINDOW)
+    modes = zip(codes.tolist(), stored["bounces"].tolist(), stored["periods"].tolist(), strict=False)
+    return np.array([attractor_label(*mode) for mode in modes], np.str_)
+
+
+def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
+    """The starts of one cell."""
+    return Estimate({"row": spec.protocol.rows, "column": spec.protocol.columns})
+
+
+#: Attractors named beside the picture, and how many of these have room for two lines each.
+NAMED: Final = 16
+ROOMY: Final = 7
+
+
+def draw(found: xarray.Dataset, figure: "Figure") -> None:
+    """The plane of starts, each in the colour of its attractor."""
+    from matplotlib.colors import ListedColormap
+
+    from service.render.style import COLOURS, SYMBOLS, TEXT, UNDECIDED
+
+    axes = figure.subplots()
+    colours = [COLOURS[i % len(COLOURS)] for i in range(found.sizes["attractor"])]
+    axes.imshow(
+        found.attractor_of_start, origin="lower", aspect="auto", interpolation="nearest",
+        extent=(*_ends(found.column.values), *_ends(found.row.values)),
+        cmap=ListedColormap([UNDECIDED, *colours]), vmin=-0.5, vmax=len(colours) + 0.5,
+    )  # fmt: skip
+    axes.set_xlabel(f"{found.column.long_name} ({found.column.units})", **TEXT)
+    axes.set_ylabel(f"{found.row.long_name} ({found.row.units})", **TEXT)
+    for tick in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+        tick.set(**TEXT)
+    values = ", ".join(f"{SYMBOLS[name]} = {found[name].item():g}" for name in ("gamma", "omega", "xi"))
+    axes.set_title(f"{values}  ({found.attrs['model']})", fontsize=11, **TEXT)
+    _legend(axes, found, colours)
+
+
+def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
+    """The ends of the picture: every start is the middle of its pixel."""
+    half = 0.5 * float(values[1] - values[0]) if len(values) > 1 else 0.5
+    return float(values[0]) - half, float(values[-1]) + half
+
+
+def _legend(axes: "Axes", found: xarray.Dataset, colours: list[str]) -> None:
+    from matplotlib.patches import Patch
+
+    from service.render.style import FONT, UNDECIDED
+
+    close = len(colours) > ROOMY
+    columns = (found[f"attractor_{name}"].values for name in ("label", "fraction", "longest_flight"))
+    attractors = list(zip(colours, *columns, strict=True))[:NAMED]
+    entries = [
+        Patch(color=colour, label=f"{label}  {_percent(share)}{_longest(longest, close)}")
+        for colour, label, share, longest in attractors
+    ]
+    undecided = found.undecided.item()
+    if undecided > 0.0 or not np.isfinite(undecided):
+        text = f"undecided  {_percent(undecided)}" if np.isfinite(undecided) else "not computed"
+        entries.append(Patch(facecolor=UNDECIDED, edgecolor="black", linewidth=0.5, label=text))
+    if len(colours) > NAMED:
+        entries.append(Patch(alpha=0.0, label=f"and {len(colours) - NAMED} more"))
+    axes.legend(
+        handles=entries, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False,
+        prop={"family": FONT, "size": 10}, labelspacing=0.2 if close else None,
+    )  # fmt: skip
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %" if np.isfinite(share) and share >= 0.001 else f"{100.0 * share:.2g} %"
+
+
+def _longest(flight: float, close: bool) -> str:
+    return f"{', ' if close else chr(10)}up to {flight:.4g} rad" if flight > 0.0 else ""
+
+
+_STORED: Final = stored_arrays(
+    BasinSpec(gamma=1.0, omega=1.0, xi=0.1, protocol=Basin(kind="basin"), exponents=1)
+)
+VIEW: Final = View(
+    "basins", "Basin of a cell", BasinSpec, BasinQuery, compute, estimate,
+    variables=(*(_as_result(row) for row in _STORED if row.name != "outcome"), VARIABLES["attractor_label"]),
+    rows="attractor_fraction", draw=draw,
+)  # fmt: skip

@@ -1,0 +1,121 @@
+"""Write the client's methods, one for each view: `python -m service.views.client_methods`.
+
+The client and the commands read that file, since a client's installation lacks the kernel and the server. A
+test compares it with the registry.
+"""
+
+import sys
+from collections.abc import Iterator
+from inspect import cleandoc
+from pathlib import Path
+from textwrap import indent, wrap
+from types import UnionType
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from service.views.registry import VIEWS
+from service.views.view import View
+
+FILE: Final = Path(__file__).parents[1] / "client" / "result_methods.py"
+_WIDTH: Final = 110
+
+_HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
+
+from typing import TYPE_CHECKING{imports}
+
+if TYPE_CHECKING:
+    import xarray
+
+#: The formats of each result.
+FORMATS = {formats}
+#: The variable whose numbers are the rows of each result as a table.
+ROWS = {rows}
+
+
+class ResultMethods:
+    """A method for each result."""
+
+    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
+        """The result of this name."""
+        raise NotImplementedError
+'''
+
+
+def source() -> str:
+    """The text of the file."""
+    formats = {name: view.formats for name, view in VIEWS.items()}
+    rows = {name: view.rows for name, view in VIEWS.items()}
+    methods = "".join(map(_method, VIEWS.values()))
+    imports = "".join(
+        f", {name}" for name in ("Annotated", "Any", "Literal") if f"{name}[" in methods or name == "Any"
+    )
+    return _HEAD.format(imports=imports, formats=_mapping(formats), rows=_mapping(rows)) + methods
+
+
+def _mapping(values: dict[str, Any]) -> str:
+    lines = [f"    {_quoted(name)}: {_literal(value)},\n" for name, value in values.items()]
+    return "{\n" + "".join(lines) + "}"
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_literal, value))})"
+    return _quoted(value) if isinstance(value, str) else repr(value)
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"'
+
+
+def _method(view: View) -> str:
+    fields = view.query.model_fields
+    parameters = "".join(f"        {name}: {_parameter(field)},\n" for name, field in fields.items())
+    passed = ", ".join(f"{name}={name}" for name in fields)
+    text = indent("\n".join(_docstring(view)), " " * 8)
+    return (
+        f'\n    def {view.name}(\n        self,\n{parameters}    ) -> "xarray.Dataset":\n'
+        f'        """{text.strip()}\n        """\n'
+        f'        return self.result("{view.name}", {passed})\n'
+    )
+
+
+def _docstring(view: View) -> Iterator[str]:
+    yield cleandoc(view.compute.__doc__ or view.summary)
+    yield "\nParameters\n----------"
+    for name, field in view.query.model_fields.items():
+        yield f"{name} : {_type(field.annotation)}"
+        if field.description:
+            yield from _wrapped(field.description)
+    yield "\nReturns\n-------\nxarray.Dataset\n    With the attribute `complete` and these variables:\n"
+    for row in view.variables:
+        units = f" ({row.attrs['units']})" if row.attrs.get("units", "1") != "1" else ""
+        yield from _wrapped(f"- `{row.name}`{units}: {row.attrs['long_name']}")
+    yield "\nRaises\n------\nBadRequest\n    Names the parameter.\nTooLarge\n    Names what fits."
+
+
+def _wrapped(text: str) -> list[str]:
+    return wrap(text, _WIDTH - 12, initial_indent="    ", subsequent_indent="      ")
+
+
+def _parameter(field: FieldInfo) -> str:
+    hint = _type(field.annotation)
+    if field.description:
+        hint = f"Annotated[{hint}, {_quoted(field.description)}]"
+    return hint if field.is_required() else f"{hint} = {_literal(field.default)}"
+
+
+def _type(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _type(arguments[0])
+    if origin is Literal:
+        return f"Literal[{', '.join(map(_literal, arguments))}]"
+    if origin in (Union, UnionType):
+        return " | ".join(map(_type, arguments))
+    return "None" if annotation is type(None) else str(annotation.__name__)
+
+
+if __name__ == "__main__":
+    FILE.write_text(source())
+    sys.stdout.write(f"{FILE}\n")

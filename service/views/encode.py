@@ -1,0 +1,250 @@
+"""A Dataset as bytes: JSON, binary, NetCDF, CSV, Parquet, or a picture. Knows no result by name."""
+
+import io
+from collections.abc import Callable, Iterator, Mapping
+from itertools import chain
+from math import prod
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy as np
+import pyarrow as pa
+import xarray
+from numpy.typing import NDArray
+from pyarrow import csv, parquet
+from pydantic import TypeAdapter
+
+from service.formats import PictureFormat
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Rows of a table converted at a time.
+ROWS: Final = 2**16
+#: The longest further dimension, such as the exponents', that CSV spreads over columns. It omits longer ones.
+COLUMNS: Final = 8
+#: Arrays begin at a multiple of this many bytes, as typed arrays of a browser require.
+ALIGNMENT: Final = 8
+
+#: Numbers converted to JSON at a time: as Python objects they take many times the memory of their text.
+_NUMBERS: Final = 4096
+#: Stands for the data of a variable in the JSON text; no text of a document contains it.
+_MARK: Final = "\0"
+_to_text: Final = TypeAdapter(Any).dump_json  # NaN and infinities become null
+
+
+def to_json(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
+    """The form of `xarray.Dataset.to_dict` with the dtype of every variable. NaN becomes null."""
+    head, *rest = _to_text(_document(dataset, lambda values: _MARK)).split(_to_text(_MARK))
+    pieces = ((*_json_list(values), after) for values, after in zip(_arrays(dataset), rest, strict=True))
+    return b"".join(chain([head], *pieces))
+
+
+def _json_list(values: NDArray[Any]) -> Iterator[bytes]:
+    if values.ndim == 0 or values.size == 0:
+        yield _to_text(values.tolist())
+        return
+    step = max(1, _NUMBERS // values[0].size)
+    for low in range(0, len(values), step):
+        yield b"," if low else b"["
+        yield _to_text(values[low : low + step].tolist())[1:-1]
+    yield b"]"
+
+
+def to_binary(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
+    """A line with the JSON document, then the arrays, little-endian.
+
+    In place of its data an array has {"offset", "shape"}, the offset in bytes from the end of the line.
+    Scalars and texts stay in the line.
+    """
+    arrays: list[bytes] = []
+    end = 0
+
+    def place(values: NDArray[Any]) -> Any:
+        nonlocal end
+        if values.ndim == 0 or values.dtype.kind in "UOT":
+            return values.tolist()
+        content = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
+        arrays.append(content.ljust(_aligned(len(content)), b"\0"))
+        offset, end = end, end + len(arrays[-1])
+        return {"offset": offset, "shape": values.shape}
+
+    line = _to_text(_document(dataset, place))
+    return b"".join([line.ljust(_aligned(len(line) + 1) - 1), b"\n", *arrays])
+
+
+def _aligned(size: int) -> int:
+    return -(-size // ALIGNMENT) * ALIGNMENT
+
+
+def _arrays(dataset: xarray.Dataset) -> list[NDArray[Any]]:
+    # Through `variables`: a DataArray takes fifty times as long to make.
+    return [dataset.variables[name].values for name in (*dataset.coords, *dataset.data_vars)]
+
+
+def _document(dataset: xarray.Dataset, data: Callable[[NDArray[Any]], Any]) -> dict[str, Any]:
+    def described(names: Any) -> dict[str, Any]:
+        variables = {str(name): dataset.variables[name] for name in names}
+        return {
+            name: {"dims": v.dims, "attrs": v.attrs, "dtype": _dtype(v.dtype), "data": data(v.values)}
+            for name, v in variables.items()
+        }
+
+    return {
+        "coords": described(dataset.coords), "data_vars": described(dataset.data_vars),
+        "dims": dict(dataset.sizes), "attrs": dataset.attrs,
+    }  # fmt: skip
+
+
+def _dtype(dtype: np.dtype[Any]) -> str:
+    return "str" if dtype.kind in "UOT" else dtype.name
+
+
+def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
+    """NetCDF 4. Booleans, which NetCDF lacks, become integers; integers have no fill value."""
+    written = dataset.copy()
+    written.attrs = {name: int(x) if isinstance(x, bool) else x for name, x in dataset.attrs.items()}
+    for variable in written.variables.values():
+        variable.attrs = {
+            name: np.array(x, variable.dtype) if isinstance(x, list) else x
+            for name, x in variable.attrs.items()
+        }
+    encoding = {name: {"_FillValue": None} for name, v in written.variables.items() if v.dtype.kind != "f"}
+    return bytes(written.to_netcdf(engine="h5netcdf", encoding=encoding))
+
+
+def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:
+    """A header and one line per row of `tables`."""
+    file = io.BytesIO()
+    batches = tables(dataset, rows, lists=False)
+    first = next(batches)
+    with csv.CSVWriter(file, first.schema) as writer:
+        for batch in chain([first], batches):
+            writer.write_batch(batch)
+    return file.getvalue()
+
+
+def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
+    """The rows of `tables` with lists; attributes are metadata of the table."""
+    file = io.BytesIO()
+    batches = tables(dataset, rows, lists=True)
+    first = next(batches)
+    described = first.schema.with_metadata({name: str(x) for name, x in dataset.attrs.items()})
+    with parquet.ParquetWriter(file, described, compression="zstd") as writer:
+        for batch in chain([first], batches):
+            writer.write_batch(batch)
+    return file.getvalue()
+
+
+def picture(
+    dataset: xarray.Dataset,
+    draw: "Callable[[xarray.Dataset, Figure], None] | None",
+    size: tuple[float, float],
+    format: str,
+    origin: Mapping[str, str],
+) -> bytes:
+    """What `draw` draws, `size` in inches; `origin` is in the file's metadata."""
+    from service.render.style import encode
+
+    assert draw is not None
+    return encode(size, lambda figure: draw(dataset, figure), cast(PictureFormat, format), origin)
+
+
+DATASETS: Final[dict[str, Callable[..., bytes]]] = {"json": to_json, "bin": to_binary, "nc": to_netcdf}
+TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_parquet}
+ENCODERS: Final = {**DATASETS, **TABLES}
+
+
+def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[pa.RecordBatch]:
+    """One row for each number of the variable `rows`, NaN left out, some thousand at a time.
+
+    Columns are the coordinates and the variables over dimensions of `rows`. A variable with a further
+    dimension is a column of lists, or without `lists` one column for each position along it. Codes appear
+    as their `flag_meanings`.
+    """
+    dims = tuple(map(str, dataset[rows].dims))
+    for part in _parts(dataset, dims):
+        counted = part[rows].values.ravel()
+        kept = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else np.arange(counted.size)
+        yield pa.record_batch(dict(_columns(part, dims, kept, lists)))
+
+
+def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Dataset]:
+    """The Dataset cut along `dims`, the first slowest, into parts of about ROWS rows."""
+    first, *others = dims
+    each = prod(dataset.sizes[dim] for dim in others)
+    step = max(1, ROWS // max(1, each))
+    for low in range(0, max(1, dataset.sizes[first]), step):
+        part = dataset.isel({first: slice(low, low + step)})
+        yield from _parts(part, tuple(others)) if each > ROWS else [part]
+
+
+def _columns(
+    part: xarray.Dataset, dims: tuple[str, ...], kept: NDArray[Any], lists: bool
+) -> Iterator[tuple[str, pa.Array]]:
+    for dim in dims:
+        if dim not in part.coords:
+            index = xarray.Variable((dim,), np.arange(part.sizes[dim], dtype=np.int32))
+            yield dim, _column(part, index, dims, kept, nan=lists)
+    for name in map(str, (*part.coords, *part.data_vars)):
+        variable = part.variables[name]
+        extra = [str(dim) for dim in variable.dims if dim not in dims]
+        if not extra:
+            yield name, _column(part, variable, dims, kept, nan=lists)
+        elif len(extra) == variable.ndim:  # the same for all rows, such as a map of starts
+            continue
+        elif lists:
+            yield name, _list_column(part, variable, extra, dims, kept)
+        elif len(extra) == 1 and part.sizes[extra[0]] <= COLUMNS:
+            for i in range(part.sizes[extra[0]]):
+                yield f"{name}_{i + 1}", _column(part, variable.isel({extra[0]: i}), dims, kept, nan=False)
+
+
+def _column(
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: NDArray[Any], *, nan: bool
+) -> pa.Array:
+    """One value per row; without `nan`, NaN becomes null. Texts are stored once and taken by position."""
+    values, names = variable.values, None
+    if "flag_meanings" in variable.attrs:
+        meanings = dict(
+            zip(variable.attrs["flag_values"], variable.attrs["flag_meanings"].split(), strict=True)
+        )
+        names = [meanings.get(code, "") for code in range(max(meanings) + 1)]
+    elif values.dtype.kind in "UOT":
+        names, values = values.ravel().tolist(), np.arange(values.size).reshape(values.shape)
+    column = pa.array(_repeated(part, values, variable.dims, dims)[kept], from_pandas=not nan)
+    return column if names is None else pa.array(names, pa.string()).take(column)
+
+
+def _list_column(
+    part: xarray.Dataset,
+    variable: xarray.Variable,
+    extra: list[str],
+    dims: tuple[str, ...],
+    kept: NDArray[Any],
+) -> pa.Array:
+    """The numbers of each row along the other dimensions, without the NaN at the end."""
+    along = [dim for dim in dims if dim in variable.dims]
+    flat = variable.transpose(*along, *extra).values.reshape(*(part.sizes[dim] for dim in along), -1)
+    numbers = _repeated(part, flat, (*along, ""), dims).reshape(-1, flat.shape[-1])[kept]
+    there = np.ones(numbers.shape, bool)
+    if numbers.dtype.kind == "f":
+        there = np.logical_or.accumulate(~np.isnan(numbers[:, ::-1]), axis=1)[:, ::-1]
+    ends = np.cumsum(there.sum(axis=1), dtype=np.int32)
+    return pa.ListArray.from_arrays(
+        pa.array(np.concatenate([[0], ends]), pa.int32()), pa.array(numbers[there])
+    )
+
+
+def _repeated(
+    part: xarray.Dataset, values: NDArray[Any], own: tuple[Any, ...], dims: tuple[str, ...]
+) -> NDArray[Any]:
+    """`values` over the dimensions `own`, repeated over all of `dims`: one entry, or one list, per row."""
+    order = [own.index(dim) for dim in dims if dim in own]
+    rest = [axis for axis in range(values.ndim) if axis not in order]
+    moved = values.transpose(*order, *rest)
+    shape = [part.sizes[dim] if dim in own else 1 for dim in dims]
+    wide = moved.reshape(*shape, *moved.shape[len(order) :])
+    rows = tuple(part.sizes[dim] for dim in dims)
+    return np.broadcast_to(wide, (*rows, *wide.shape[len(dims) :])).reshape(
+        prod(rows), *wide.shape[len(dims) :]
+    )

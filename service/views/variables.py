@@ -1,0 +1,62 @@
+"""The variables of results: name, dimensions beside the cell's, type, units and long name of each, once.
+
+Stored variables come from `worker.schema` and `worker.basins.schema`; this module adds derived ones.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import xarray
+
+from worker import schema
+from worker.basins.schema import LIFETIME, OF_ATTRACTORS
+from worker.schema import Array
+
+#: The stored dimension of the attractors of a cell. Results call it `attractor`.
+_STORED_ATTRACTOR: Final = "id"
+
+
+def of_attractor(array: Array) -> Array:
+    """A stored array as results name it: `fraction` (id) is `attractor_fraction` (attractor)."""
+    if _STORED_ATTRACTOR not in array.dims:
+        return array
+    dims = tuple("attractor" if dim == _STORED_ATTRACTOR else dim for dim in array.dims)
+    return array._replace(name=f"attractor_{array.name.removeprefix('attractor_')}", dims=dims)
+
+
+def _row(
+    name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str = "1", **attrs: Any
+) -> Array:
+    return Array(
+        name, (*schema.CELL_DIMS, *dims), dtype, 0, {"long_name": long_name, "units": units, **attrs}
+    )
+
+
+_DERIVED: Final = (
+    _row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
+         comment="0: undecided"),
+    _row("attractor_label", ("attractor",), "U", "what the attractor does"),
+    of_attractor(LIFETIME)._replace(attrs={
+        "long_name": "life of aperiodic motion that was seen to end", "units": "plate periods",
+        "comment": "NaN: no such motion was seen to end",
+    }),
+)  # fmt: skip
+
+#: Every variable by name.
+VARIABLES: Final[Mapping[str, Array]] = {
+    array.name: array for array in (*map(of_attractor, OF_ATTRACTORS), *_DERIVED)
+}
+_COORDINATES: Final[Mapping[str, Mapping[str, Any]]] = {row.name: row.attrs for row in schema.COORDINATES}
+
+
+def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
+    """A variable over the cell dimensions `dims` and the further ones of its row."""
+    data = np.asarray(values, None if row.dtype == "U" else row.dtype)
+    return xarray.Variable((*dims, *row.extra_dims), data, dict(row.attrs))
+
+
+def coordinate(name: str, values: Any, **attrs: Any) -> xarray.Variable:
+    """Values along the dimension `name`, or one value."""
+    data = np.asarray(values)
+    return xarray.Variable((name,) if data.ndim else (), data, {**_COORDINATES.get(name, {}), **attrs})

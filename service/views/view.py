@@ -1,0 +1,87 @@
+"""What a result is: its query, its cost, how it is computed as a Dataset, and how it is drawn."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import TYPE_CHECKING, Annotated, Any
+
+import xarray
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.formats import PICTURES
+from service.results.selection import Stored, thinning
+from service.views import encode
+from worker.schema import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
+
+#: A function of `worker` and its arguments.
+Call = tuple[Any, ...]
+
+
+class Query(BaseModel):
+    """The parameters of a view. Unknown parameters are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The size of an answer, known from specification and query alone."""
+
+    lengths: Mapping[str, int]  # of the largest variable, by dimension, before thinning
+    thinned: tuple[str, ...] = ()  # dimensions that `every` thins
+    every: int = 1
+    reads: tuple[str, ...] = ()  # cell dimensions whose chunks are all read
+    memory: int = 0  # bytes of reading and computing, beside the answer
+    small: bool = True  # whether the computation is quick; the size of the read is judged beside it
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Lengths after thinning."""
+        return {dim: -(-n // self.every) if dim in self.thinned else n for dim, n in self.lengths.items()}
+
+    @property
+    def points(self) -> int:
+        """Numbers of the largest variable."""
+        return prod(self.sizes.values())
+
+    def fitting(self, max_points: int) -> int | None:
+        """The smallest `every` with at most `max_points` points; None if there is none."""
+        if not self.thinned:
+            return None
+        others = prod(n for dim, n in self.lengths.items() if dim not in self.thinned)
+        return thinning([self.lengths[dim] for dim in self.thinned], others, max_points)
+
+
+@dataclass(frozen=True)
+class View:
+    """One result of a job.
+
+    `compute(study, query, *parts)` returns the Dataset, with the attribute `complete`. It raises
+    InvalidRequest and `store.StoreError`. Its docstring documents the HTTP operation, the client's method and
+    the command.
+    """
+
+    name: str  # of the path, the client's method and the command
+    summary: str
+    study: type[Any]  # the class of the specifications that have this result
+    query: type[Query]
+    compute: Callable[..., xarray.Dataset]
+    estimate: Callable[[Any, Any], Estimate]  # of specification and query
+    variables: tuple[Array, ...]  # those that the Dataset can have
+    rows: str | None = None  # the variable whose numbers are the rows of a table
+    draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
+    size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
+    #: What workers compute first, as functions of `worker` with their arguments. `compute` takes the results.
+    parts: Callable[[Stored[Any], Any], Sequence[Call]] | None = None
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """The formats of this result, the default first."""
+        tables = tuple(encode.TABLES) if self.rows is not None else ()
+        return (*encode.DATASETS, *tables, *(PICTURES if self.draw is not None else ()))

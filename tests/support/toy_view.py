@@ -1,0 +1,45 @@
+"""A new result in one module: how many cells of each outcome there are along gamma."""
+
+import numpy as np
+import xarray
+
+from kernel.params import Outcome
+from service.results.selection import Stored, nearest_index, read_stored
+from service.views.variables import coordinate, variable
+from service.views.view import Estimate, Number, Query, View
+from worker.schema import CELL_DIMS, Array
+from worker.spec import SweepSpec
+
+COUNT = Array("count", (*CELL_DIMS, "kind"), "<i8", 0, {"long_name": "cells with this outcome", "units": "1"})
+
+
+class OutcomesQuery(Query):
+    """The plane at the nearest value of xi."""
+
+    xi: Number | None = None
+
+
+def compute(study: Stored[SweepSpec], query: OutcomesQuery) -> xarray.Dataset:
+    """Cells of each outcome at every gamma, over all omega."""
+    spec, xi = study.spec, nearest_index(study.spec, "xi", query.xi)
+    shape = [len(spec.axis_values(axis)) for axis in ("omega", "gamma")]
+    indices = {"direction": 0, "xi": xi.index}
+    outcome = read_stored(study, ["outcome"], indices, lambda: {"outcome": np.zeros(shape, "u1")})["outcome"]
+    counts = np.stack([(outcome == kind).sum(axis=0) for kind in Outcome], axis=1)
+    coords = {
+        "gamma": coordinate("gamma", spec.axis_values("gamma")), "xi": coordinate("xi", xi.value),
+        "kind": coordinate("kind", [kind.name.lower() for kind in Outcome]),
+    }  # fmt: skip
+    complete = bool(np.all(outcome != Outcome.MISSING)) and not study.repairing
+    return xarray.Dataset({"count": variable(("gamma",), counts, COUNT)}, coords, {"complete": complete})
+
+
+def estimate(spec: SweepSpec, query: OutcomesQuery) -> Estimate:
+    """All gamma and outcomes."""
+    return Estimate({"gamma": len(spec.axis_values("gamma")), "kind": len(Outcome)}, reads=("omega", "gamma"))
+
+
+VIEW = View(
+    "outcomes", "Outcomes along gamma", SweepSpec, OutcomesQuery, compute, estimate,
+    variables=(COUNT,), rows="count",
+)  # fmt: skip

@@ -1,0 +1,116 @@
+"""A result is one module and one row: HTTP, every format, the client and the command follow from it."""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+import pytest
+import toy_view
+import xarray
+from click.testing import CliRunner
+from fastapi.testclient import TestClient
+from pyarrow import parquet
+from served import computing
+
+from service.cli import views as commands
+from service.client import Client, Job, UnexpectedAnswer
+from service.client.dataset import from_binary, from_json
+from service.views import client_methods
+from service.views.registry import VIEWS
+
+SPEC: dict[str, Any] = {
+    "gamma": {"start": 0.8, "stop": 2.6, "num": 5}, "omega": [0.5, 0.6], "xi": 0.26,
+    "model": {"kind": "rigid"},
+    "settle": 60, "observe": 20,
+}  # fmt: skip
+TOY = toy_view.VIEW.name
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(VIEWS, TOY, toy_view.VIEW)
+        with computing(tmp_path_factory.mktemp("data")) as client:
+            yield client
+
+
+@pytest.fixture(scope="module")
+def job(service: TestClient) -> Job:
+    return Client("http://localhost", http=service).submit(SPEC).wait(progress=False)
+
+
+def test_a_new_result_is_read_in_every_format(job: Job):
+    found = job.result(TOY, xi=0.26)
+    assert found["count"].dims == ("gamma", "kind")
+    assert found["count"].sum().item() == 10
+    assert found.attrs["complete"] == 1
+    xarray.testing.assert_identical(from_json(job.result_file(TOY, "json")), found)
+    with xarray.open_dataset(io.BytesIO(job.result_file(TOY, "nc")), engine="h5netcdf") as netcdf:
+        xarray.testing.assert_equal(netcdf.load(), found)
+    frame = found["count"].to_dataframe().reset_index()
+    columns = ["gamma", "kind", "count"]
+    csv = pandas.read_csv(io.BytesIO(job.result_file(TOY, "csv")))
+    assert csv[columns].to_dict("list") == frame[columns].to_dict("list")
+    table = parquet.read_table(io.BytesIO(job.result_file(TOY, "parquet")))
+    assert table.select(columns).to_pydict() == frame[columns].to_dict("list")
+
+
+def test_a_new_result_is_documented(service: TestClient):
+    operation = service.get("/openapi.json").json()["paths"][f"/v1/jobs/{{job_id}}/{TOY}"]["get"]
+    assert "`count`: cells with this outcome" in operation["description"]
+    assert {each["name"] for each in operation["parameters"]} >= {"xi", "format"}
+    assert f"def {TOY}(" in client_methods.source()
+
+
+def test_a_new_result_has_a_command(
+    service: TestClient, job: Job, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    monkeypatch.setattr(commands, "open_client", lambda url, token: Client("http://localhost", http=service))
+    namespace: dict[str, Any] = {}
+    exec(client_methods.source(), namespace)
+    monkeypatch.setattr(commands, "ResultMethods", namespace["ResultMethods"])
+    command = commands.command(TOY, namespace["FORMATS"][TOY], namespace["ROWS"][TOY])
+    shown = CliRunner().invoke(command, [job.id])
+    assert (shown.exit_code, len(shown.stdout.splitlines())) == (0, 5 * 7 + 2), shown.output
+    path = tmp_path / "outcomes.csv"
+    assert CliRunner().invoke(command, [job.id, "--xi", "0.26", "-o", str(path)]).exit_code == 0
+    assert path.read_bytes() == job.result_file(TOY, "csv")
+
+
+def test_a_result_is_limited_before_it_is_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(VIEWS, TOY, toy_view.VIEW)
+    with computing(tmp_path, max_points=10) as service:
+        answer = service.get(f"/v1/jobs/{service.post('/v1/jobs', json=SPEC).json()['id']}/{TOY}")
+        assert answer.status_code == 413
+        assert "35 points (gamma 5 × kind 7); the limit is 10" in answer.json()["detail"]
+
+
+def test_the_file_of_the_client_is_current(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delitem(VIEWS, TOY, raising=False)
+    assert client_methods.FILE.read_text() == client_methods.source()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"[]\n", b'{"coords": {}, "data_vars": {"a": 1}, "attrs": {}}\n',
+     b'{"coords": {}, "attrs": {}, "data_vars": {"a": {"dims": ["x"], "dtype": "float64", "attrs": {}, '
+     b'"data": {"offset": 8, "shape": [1000000000000]}}}}\n'],
+)  # fmt: skip
+def test_an_answer_that_is_no_result_is_refused(body: bytes):
+    with pytest.raises(UnexpectedAnswer):
+        from_binary(body)
+
+
+def test_missing_numbers_and_texts_survive_both_forms():
+    found = xarray.Dataset(
+        {"a": (("x", "y"), np.array([[1.0, np.nan], [2.0, 3.0]])), "name": ("x", ["up", "down"])},
+        {"x": np.array([1, 2], np.int32)}, {"complete": 1},
+    )  # fmt: skip
+    from service.views import encode
+
+    assert b"NaN" not in encode.to_json(found)
+    for read in (from_json(encode.to_json(found)), from_binary(encode.to_binary(found))):
+        xarray.testing.assert_identical(read, found)
